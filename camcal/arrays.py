@@ -1,0 +1,33 @@
+"""The array alias of the house and the two checks that every record uses."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from camcal.errors import InvalidInput
+
+Array = NDArray[Any]
+Shape = tuple[int | None, ...]
+
+
+def require_shape(array: ArrayLike, shape: Shape, name: str, dtype: DTypeLike = np.float64) -> Array:
+    """Return `array` as an ndarray of `dtype`, refusing any other shape; None stands for any length.
+
+    Raises InvalidInput naming the array, the shape found and the shape expected.
+    """
+    result = np.asarray(array, dtype=dtype)
+    fits = result.ndim == len(shape) and all(
+        want in (None, have) for have, want in zip(result.shape, shape, strict=True)
+    )
+    if not fits:
+        wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InvalidInput(f"{name} has shape {result.shape}, expected {wanted}")
+    return result
+
+
+def readonly(array: ArrayLike, shape: Shape, name: str, dtype: DTypeLike = np.float64) -> Array:
+    """Return a read-only copy of `array` with the given shape and dtype, for the fields of frozen records."""
+    result = require_shape(array, shape, name, dtype).copy()
+    result.setflags(write=False)
+    return result

@@ -1,0 +1,113 @@
+"""What a lens model is, and the camera record: a model's name, an image size and a parameter array."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InvalidInput
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Pixels (N, 2), NaN where not valid, and the mask (N,) of points inside the model's domain."""
+
+    pixels: Array
+    valid: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectionJacobians:
+    """A projection with its derivatives, NaN where not valid.
+
+    d_point: (N, 2, 3) pixels per unit of the point. d_parameters: (N, 2, K) pixels per unit of each parameter;
+    columns: None when the K columns are all parameters in order, else (N, K) parameter indices per row.
+    """
+
+    pixels: Array
+    valid: Array
+    d_point: Array
+    d_parameters: Array
+    columns: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Unit directions (N, 3) in the camera frame, NaN where not valid, and the mask (N,)."""
+
+    directions: Array
+    valid: Array
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Where a model is one-to-one: the largest angle from the axis (rad) and the largest radius.
+
+    max_radius_px: distance from the principal point in the image, along its smallest axis (inf: no limit).
+    """
+
+    max_theta: float
+    max_radius_px: float
+
+
+class CameraModel(Protocol):
+    """A lens model: a frozen value without state, so that one instance serves every camera of its kind.
+
+    Points are in the camera frame (x right, y down, z forward, any unit); pixels have (0, 0) at the centre of the
+    top-left pixel. Nothing raises on a point it cannot take: it is marked invalid and its numbers are NaN.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def parameter_names(self) -> tuple[str, ...]: ...
+
+    def project(self, parameters: Array, points: Array) -> Projection: ...
+    def project_with_jacobians(self, parameters: Array, points: Array) -> ProjectionJacobians: ...
+    def unproject(self, parameters: Array, pixels: Array) -> Rays: ...
+    def domain(self, parameters: Array) -> Domain: ...
+    def rescale(self, parameters: Array, scale: tuple[float, float], offset: tuple[float, float]) -> Array: ...
+    def start(self, image_size: tuple[int, int], focal: float) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A model with its parameters (K,), an image size (width, height) and, if known, the (K, K) covariance.
+
+    fixed: names of parameters that were held in the solve; their rows of the covariance are zero.
+    """
+
+    model: CameraModel
+    image_size: tuple[int, int]
+    parameters: Array
+    covariance: Array | None = None
+    fixed: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = len(self.model.parameter_names)
+        object.__setattr__(self, "parameters", readonly(self.parameters, (count,), "parameters"))
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", readonly(self.covariance, (count, count), "covariance"))
+        unknown = set(self.fixed) - set(self.model.parameter_names)
+        if unknown:
+            raise InvalidInput(f"{self.model.name} has no parameter {sorted(unknown)[0]!r}")
+
+    def project(self, points: Array) -> Projection:
+        """Return the pixels of points (N, 3) in the camera frame."""
+        return self.model.project(self.parameters, points)
+
+    def unproject(self, pixels: Array) -> Rays:
+        """Return the unit rays of pixels (N, 2)."""
+        return self.model.unproject(self.parameters, pixels)
+
+    def value(self, name: str) -> float:
+        """Return one parameter by its name, such as 'fx'."""
+        return float(self.parameters[self.model.parameter_names.index(name)])
+
+    def std(self, name: str) -> float | None:
+        """Return the standard deviation of one parameter; None when the covariance is unknown or it was fixed."""
+        if self.covariance is None or name in self.fixed:
+            return None
+        index = self.model.parameter_names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))

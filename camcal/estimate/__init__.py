@@ -1,0 +1,1 @@
+"""Poses and states from measurements."""

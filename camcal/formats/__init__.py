@@ -1,0 +1,1 @@
+"""Everybody's file formats, exact or refused."""

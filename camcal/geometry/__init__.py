@@ -1,0 +1,1 @@
+"""Rotations, rigid poses and triangulation, on plain arrays."""

@@ -1,0 +1,1 @@
+"""Settings, inputs and the fan-out."""

@@ -1,0 +1,1 @@
+"""Rendered data with known truth."""

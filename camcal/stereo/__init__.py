@@ -1,0 +1,1 @@
+"""Rectification, disparity and point clouds."""

@@ -1,0 +1,1 @@
+"""Boards, their shape, and finding them in images."""

@@ -1,0 +1,1 @@
+"""One function per command: options in, record out."""
