@@ -1,0 +1,74 @@
+"""Rigid poses: `a_T_b` takes coordinates in frame b to coordinates in frame a."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InvalidInput
+from camcal.geometry import rotation as so3
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rotation (3, 3) and a translation (3,): p_a = rotation @ p_b + translation."""
+
+    rotation: Array
+    translation: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", readonly(self.rotation, (3, 3), "rotation"))
+        object.__setattr__(self, "translation", readonly(self.translation, (3,), "translation"))
+        error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
+        if not error < 1e-6 or np.linalg.det(self.rotation) < 0:
+            raise InvalidInput(f"not a rotation (orthonormality error {error:.1e}); see nearest()")
+
+    @classmethod
+    def identity(cls) -> "Pose":
+        """Return the pose that changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_vector(cls, rotation_vector: Array, translation: Array) -> "Pose":
+        """Return the pose of a rotation vector (3,) in radians and a translation (3,)."""
+        return cls(so3.exp(np.asarray(rotation_vector, dtype=float)), translation)
+
+    def __matmul__(self, other: "Pose") -> "Pose":
+        """Return a_T_c from a_T_b @ b_T_c."""
+        return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+
+    def inverse(self) -> "Pose":
+        """Return b_T_a from a_T_b."""
+        return Pose(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points: Array) -> Array:
+        """Return points (..., 3) given in b in the coordinates of a."""
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+    def vector(self) -> Array:
+        """Return the rotation vector (3,) in radians."""
+        return so3.log(self.rotation)
+
+    def matrix(self) -> Array:
+        """Return the homogeneous matrix (4, 4)."""
+        result = np.eye(4)
+        result[:3, :3], result[:3, 3] = self.rotation, self.translation
+        return result
+
+    def retract(self, step: Array) -> "Pose":
+        """Return the pose moved by a step (6,) in the order tx ty tz rx ry rz: R ← Exp(δr) R, t ← t + δt."""
+        rotation, translation = retract(self.rotation, self.translation, step)
+        return Pose(rotation, translation)
+
+
+def retract(rotation: Array, translation: Array, step: Array) -> tuple[Array, Array]:
+    """Return rotations (..., 3, 3) and translations (..., 3) moved by steps (..., 6), order tx ty tz rx ry rz."""
+    return so3.exp(step[..., 3:]) @ rotation, translation + step[..., :3]
+
+
+def point_jacobian(rotated: Array) -> Array:
+    """Return d(R p + t)/d(step) as (..., 3, 6) from the rotated points R p (..., 3), before the translation."""
+    result = np.zeros((*rotated.shape, 6))
+    result[..., :3] = np.eye(3)
+    result[..., 3:] = -so3.hat(rotated)
+    return result

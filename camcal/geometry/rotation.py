@@ -1,0 +1,123 @@
+"""SO(3): exponential, logarithm, quaternions, elementary rotations, with Jacobians.
+
+Rotation vectors are (..., 3) in radians, rotation matrices (..., 3, 3), quaternions (..., 4) as w x y z.
+Everything is vectorised over leading axes. Below SERIES_ANGLE the closed forms lose digits and series take over.
+Source: Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2, ch. 10.
+"""
+
+import numpy as np
+
+from camcal.arrays import Array
+
+SERIES_ANGLE = 1e-4
+
+
+def hat(vector: Array) -> Array:
+    """Return the skew matrices (..., 3, 3) with hat(a) @ b = a × b."""
+    result = np.zeros((*vector.shape, 3))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    result[..., 0, 1], result[..., 0, 2] = -z, y
+    result[..., 1, 0], result[..., 1, 2] = z, -x
+    result[..., 2, 0], result[..., 2, 1] = -y, x
+    return result
+
+
+def _coefficients(angle: Array) -> tuple[Array, Array, Array]:
+    """Return sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³."""
+    square = angle * angle
+    small = angle < SERIES_ANGLE
+    safe = np.where(small, 1.0, angle)
+    sine, half = np.sin(safe), np.sin(safe / 2)
+    first = np.where(small, 1 - square / 6, sine / safe)
+    second = np.where(small, 0.5 - square / 24, 2 * half * half / safe**2)
+    # θ - sin θ cancels: below 0.1 the series to θ⁸ is the accurate one.
+    series = 1 / 6 - square / 120 + square**2 / 5040 - square**3 / 362880 + square**4 / 39916800
+    third = np.where(angle < 0.1, series, (safe - sine) / safe**3)
+    return first, second, third
+
+
+def exp(vector: Array) -> Array:
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3)."""
+    first, second, _ = _coefficients(np.linalg.norm(vector, axis=-1))
+    skew = hat(vector)
+    return np.asarray(np.eye(3) + first[..., None, None] * skew + second[..., None, None] * (skew @ skew))
+
+
+def exp_jacobian(vector: Array) -> Array:
+    """Return the left Jacobian J (..., 3, 3): Exp(v + δ) ≈ Exp(J δ) Exp(v)."""
+    _, second, third = _coefficients(np.linalg.norm(vector, axis=-1))
+    skew = hat(vector)
+    return np.asarray(np.eye(3) + second[..., None, None] * skew + third[..., None, None] * (skew @ skew))
+
+
+def log(rotation: Array) -> Array:
+    """Return the rotation vectors (..., 3), of length at most π, of rotation matrices (..., 3, 3).
+
+    By way of the quaternion, which stays accurate at 0 and at π.
+    """
+    quaternion = to_quaternion(rotation)
+    imaginary = quaternion[..., 1:]
+    length = np.linalg.norm(imaginary, axis=-1)
+    small = length < SERIES_ANGLE
+    angle = 2 * np.arctan2(length, quaternion[..., 0])
+    scale = np.where(small, 2 + length**2 / 3, angle / np.where(small, 1.0, length))
+    return np.asarray(scale[..., None] * imaginary)
+
+
+def to_quaternion(rotation: Array) -> Array:
+    """Return unit quaternions w x y z (..., 4) with w ≥ 0 of rotation matrices (..., 3, 3).
+
+    Source: Bar-Itzhack, New method for extracting the quaternion from a rotation matrix, 2000 (the column of the
+    4 × 4 matrix with the largest diagonal).
+    """
+    r = np.asarray(rotation, dtype=float)
+    m = {(i, j): r[..., i, j] for i in range(3) for j in range(3)}
+    matrix = np.stack(
+        [
+            np.stack([1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]], -1),
+            np.stack([m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]], -1),
+            np.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]], -1),
+            np.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]], -1),
+        ],
+        -2,
+    )
+    best = np.argmax(np.diagonal(matrix, axis1=-2, axis2=-1), axis=-1)
+    quaternion = np.take_along_axis(matrix, best[..., None, None], axis=-2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return np.asarray(np.where(quaternion[..., :1] < 0, -quaternion, quaternion))
+
+
+def from_quaternion(quaternion: Array) -> Array:
+    """Return rotation matrices (..., 3, 3) of quaternions w x y z (..., 4) of any length but zero."""
+    q = np.asarray(quaternion, dtype=float)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def about_x(angle: float) -> Array:
+    """Return the rotation matrix (3, 3) by `angle` radians about x."""
+    return exp(np.array([angle, 0.0, 0.0]))
+
+
+def about_y(angle: float) -> Array:
+    """Return the rotation matrix (3, 3) by `angle` radians about y."""
+    return exp(np.array([0.0, angle, 0.0]))
+
+
+def about_z(angle: float) -> Array:
+    """Return the rotation matrix (3, 3) by `angle` radians about z."""
+    return exp(np.array([0.0, 0.0, angle]))
+
+
+def nearest(matrix: Array) -> Array:
+    """Return the rotation matrices (..., 3, 3) closest to `matrix` in the Frobenius norm."""
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.sign(np.linalg.det(u @ vt))
+    u = u.copy()
+    u[..., :, 2] *= sign[..., None]
+    return np.asarray(u @ vt)

@@ -1,0 +1,92 @@
+"""The shape of a printed board: a deformation basis in tiers, and the record of what was estimated.
+
+x and y are normalised to [-1, 1] over the grid of points. The out-of-plane terms are Legendre products without
+1, x and y, which a pose can take; the in-plane terms are the ones a camera's scale and skew could be mistaken for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.targets.board import Board
+
+TIERS: dict[str, tuple[str, ...]] = {
+    "bow": ("xy", "P2(x)", "P2(y)"),
+    "cubic": ("P3(x)", "P2(x)y", "xP2(y)", "P3(y)"),
+    "quartic": ("P4(x)", "P3(x)y", "P2(x)P2(y)", "xP3(y)", "P4(y)"),
+    "stretch": ("x/y scale", "shear"),
+}
+OFFSETS = "offsets"
+
+_DEGREES: dict[str, tuple[int, int]] = {
+    "xy": (1, 1), "P2(x)": (2, 0), "P2(y)": (0, 2),
+    "P3(x)": (3, 0), "P2(x)y": (2, 1), "xP2(y)": (1, 2), "P3(y)": (0, 3),
+    "P4(x)": (4, 0), "P3(x)y": (3, 1), "P2(x)P2(y)": (2, 2), "xP3(y)": (1, 3), "P4(y)": (0, 4),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The estimated shape of a board: coefficients (S,) of named terms and offsets (C, 3) of single points.
+
+    Out-of-plane coefficients and offsets are in the board's unit, in-plane ones are ratios.
+    covariance: (S, S) of the coefficients. deflection, deflection_std: peak to peak, out of plane.
+    tiers: the names of the tiers in use, in the order in which they were found significant.
+    """
+
+    board: Board
+    tiers: tuple[str, ...]
+    terms: tuple[str, ...]
+    coefficients: Array
+    covariance: Array
+    offsets: Array | None = None
+    deflection: float = 0.0
+    deflection_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        count = len(self.terms)
+        object.__setattr__(self, "coefficients", readonly(self.coefficients, (count,), "coefficients"))
+        object.__setattr__(self, "covariance", readonly(self.covariance, (count, count), "covariance"))
+        if self.offsets is not None:
+            object.__setattr__(self, "offsets", readonly(self.offsets, (self.board.count, 3), "offsets"))
+
+    @classmethod
+    def flat(cls, board: Board) -> "Surface":
+        """Return the board as drawn."""
+        return cls(board, (), (), np.zeros(0), np.zeros((0, 0)))
+
+    def points(self) -> Array:
+        """Return the points (C, 3) of the board as it is, in its unit."""
+        points = self.board.points() + basis(self.board, self.terms) @ self.coefficients
+        return np.asarray(points if self.offsets is None else points + self.offsets)
+
+
+def basis(board: Board, terms: tuple[str, ...]) -> Array:
+    """Return the displacement (C, 3, S) of every point per unit of every term."""
+    width, height = board.extent
+    centred = board.points()[:, :2] - np.array([width / 2, height / 2])
+    x, y = centred[:, 0] / (width / 2), centred[:, 1] / (height / 2)
+    result = np.zeros((board.count, 3, len(terms)))
+    for index, term in enumerate(terms):
+        if term == "x/y scale":  # mean scale kept: it is the unit of length
+            result[:, 0, index], result[:, 1, index] = centred[:, 0] / 2, -centred[:, 1] / 2
+        elif term == "shear":
+            result[:, 0, index], result[:, 1, index] = centred[:, 1] / 2, centred[:, 0] / 2
+        else:
+            degree_x, degree_y = _DEGREES[term]
+            result[:, 2, index] = _legendre(degree_x, x) * _legendre(degree_y, y)
+    return result
+
+
+def _legendre(degree: int, values: Array) -> Array:
+    coefficients = np.zeros(degree + 1)
+    coefficients[degree] = 1
+    return np.asarray(np.polynomial.legendre.legval(values, coefficients))
+
+
+def prior_std(board: Board, term: str) -> float:
+    """Return the standard deviation of the weak prior on one term: 1 % of the board's larger side out of plane
+    (a bow of a tenth of that is already visible), 1 % of stretch or shear in plane.
+    """
+    return 0.01 if term in TIERS["stretch"] else 0.01 * max(board.extent)
