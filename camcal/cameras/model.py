@@ -23,6 +23,7 @@ class ProjectionJacobians:
 
     d_point: (N, 2, 3) pixels per unit of the point. d_parameters: (N, 2, K) pixels per unit of each parameter;
     columns: None when the K columns are all parameters in order, else (N, K) parameter indices per row.
+    Both are views of arrays laid out (2, 3, N) and (2, K, N), the fast order for the solver's sums over points.
     """
 
     pixels: Array
@@ -91,7 +92,7 @@ class Camera:
             object.__setattr__(self, "covariance", readonly(self.covariance, (count, count), "covariance"))
         unknown = set(self.fixed) - set(self.model.parameter_names)
         if unknown:
-            raise InvalidInput(f"{self.model.name} has no parameter {sorted(unknown)[0]!r}")
+            raise InvalidInput(f"{self.model.name} has no parameter {min(unknown)!r}")
 
     def project(self, points: Array) -> Projection:
         """Return the pixels of points (N, 3) in the camera frame."""
