@@ -90,3 +90,8 @@ def prior_std(board: Board, term: str) -> float:
     (a bow of a tenth of that is already visible), 1 % of stretch or shear in plane.
     """
     return 0.01 if term in TIERS["stretch"] else 0.01 * max(board.extent)
+
+
+def offset_prior_std(board: Board) -> float:
+    """Return the standard deviation of the prior on a single point's offset: 0.3 % of the board's larger side."""
+    return 0.003 * max(board.extent)

@@ -1,0 +1,205 @@
+"""From a start to the maximum-likelihood solution: robust first, then outliers, board shape and orientation settled."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
+from camcal.calibrate.orientation import best_turns, opposed_views, turned
+from camcal.calibrate.outliers import CUT, robust_sigma, screen
+from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.shape import ALL_TERMS, Verdict, judge, offsets_matter, terms_of, with_terms
+from camcal.cameras.model import CameraModel
+from camcal.errors import InsufficientData
+from camcal.solve.least_squares import Solution, Stopping, linearise, minimise
+from camcal.solve.losses import Cauchy
+from camcal.solve.steps import NormalEquations, factorise
+from camcal.targets.board import Board
+
+_FIRST_VIEWS = 40  # enough to find the lens; the rest then start next to their minimum
+_FIRST_CORNERS = 40
+_ROUGH = Stopping(relative_decrease=1e-4, iterations=50)
+_FINE = Stopping(relative_decrease=1e-8, iterations=60)
+_ROUNDS = 8
+_LOSS = Cauchy(3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A solution: the problem with its final σ and kept points, the state, the tiers of the board's shape, the
+    symmetry by which each view was turned (V,), and the normal equations at the state.
+    """
+
+    problem: BoardProblem
+    state: State
+    tiers: tuple[str, ...]
+    turns: Array
+    equations: NormalEquations
+    converged: bool
+    reason: str
+    iterations: int
+
+
+@dataclass(frozen=True)
+class ShapeOptions:
+    """How far the board's shape may be estimated: not at all, in smooth tiers, and point by point."""
+
+    smooth: bool = True
+    offsets: bool = True
+
+
+def fit(
+    model: CameraModel,
+    board: Board,
+    observations: Observations,
+    image_size: tuple[int, int],
+    held: Array,
+    guess: Array | None,
+    shape: ShapeOptions,
+) -> Fit:
+    """Return the solution of a data set.
+
+    held: (K,) values of lens parameters that stay as they are, NaN where free. guess: (K,) a lens to start from.
+    Raises InsufficientData where no start is found.
+    """
+    free = np.flatnonzero(np.isnan(held))
+    count = len(observations.ids)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _FIRST_VIEWS)).astype(np.intp))
+    few = thinned(observations.take(chosen), _FIRST_CORNERS)
+    problem, state = _robust(BoardProblem(model, board, few, free), image_size, held, guess)
+    problem = replace(problem, observations=observations)
+    if len(chosen) < count:
+        state = _pose_all(problem, state)
+        problem = replace(problem, sigma=_sigma(problem, state))
+        state = minimise(_inside(problem, state), state, _ROUGH).state
+    result = _refine(problem, state, observations.weights > 0, shape)
+    return _oriented(result, observations.weights > 0, shape)
+
+
+def _start(problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None) -> State:
+    """Return a first state: from the guess, or from the focal length that explains the views best."""
+    fixed = guess if guess is not None else held
+    state = sweep_focal(problem.model, problem.board, problem.observations, image_size, fixed)
+    if state is None:
+        raise InsufficientData(
+            f"no start was found for the lens model {problem.model.name}: its domain does not hold these corners; "
+            "try another --model (kannala_brandt4 for wide lenses) or a --guess"
+        )
+    return state
+
+
+def _sigma(problem: BoardProblem, state: State) -> float:
+    return robust_sigma(problem.distances(state), problem.observations.weights > 0)
+
+
+def _inside(problem: BoardProblem, state: State) -> BoardProblem:
+    """Return the problem without the points that the lens cannot take at this state."""
+    lost = np.isnan(problem.distances(state))
+    weights = np.where(lost, 0.0, problem.observations.weights)
+    return replace(problem, observations=replace(problem.observations, weights=weights))
+
+
+def _robust(
+    problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None
+) -> tuple[BoardProblem, State]:
+    """Return problem and state after robust solves at a falling σ, the stiffest lens parameters first.
+
+    From a start without distortion the residuals are the distortion: principal point and higher coefficients would
+    run after them before the poses have settled.
+    """
+    state = _start(problem, image_size, held, guess)
+    everything = problem.free
+    stiff = np.array([i for i in everything if problem.model.parameter_names[i] in ("fx", "fy", "k1")], np.intp)
+    for free in (stiff, everything, everything):
+        problem = replace(problem, free=free, loss=_LOSS, sigma=_sigma(problem, state))
+        state = minimise(_inside(problem, state), state, _ROUGH).state
+    return replace(problem, sigma=_sigma(problem, state)), state
+
+
+def _pose_all(problem: BoardProblem, state: State) -> State:
+    """Return the state with poses for every view of the problem, under the lens of `state`."""
+    few = thinned(problem.observations)
+    poses = poses_from_pixels(problem.model, state.parameters, problem.board, few)
+    if poses is None:
+        raise InsufficientData("a view has fewer than four corners inside the lens's domain")
+    return replace(state, rotations=poses[0], translations=poses[1])
+
+
+def _refine(problem: BoardProblem, state: State, present: Array, shape: ShapeOptions) -> Fit:
+    """Return the solution with outliers and the board's shape settled together: each is judged under the other."""
+    tiers: tuple[str, ...] = ()
+    iterations = 0
+    for _ in range(_ROUNDS):
+        problem = _screened(problem, state, present)
+        solution = minimise(problem, state, _FINE)
+        state, iterations = solution.state, iterations + solution.iterations
+        verdict = judge(problem, state) if shape.smooth else None
+        terms = terms_of(verdict.tiers) if verdict else problem.terms
+        grown = set(terms) != set(problem.terms)
+        if verdict and grown:
+            tiers = verdict.tiers
+            problem, state = with_terms(problem, state, terms)
+            continue
+        if shape.offsets and shape.smooth and not problem.offsets and offsets_matter(problem, state):
+            problem = replace(problem, offsets=True)
+            continue
+        if np.array_equal(_screened(problem, state, present).observations.weights, problem.observations.weights):
+            break
+    equations = _final_equations(problem, solution, verdict)
+    turns = np.zeros(len(present), np.intp)
+    return Fit(problem, state, tiers, turns, equations, solution.converged, solution.reason, iterations)
+
+
+def _final_equations(problem: BoardProblem, solution: Solution[State], verdict: Verdict | None) -> NormalEquations:
+    return verdict.equations if verdict and not problem.offsets else solution.equations
+
+
+def _screened(problem: BoardProblem, state: State, present: Array) -> BoardProblem:
+    """Return the problem with outliers at weight 0 and σ brought up to date."""
+    count = 2 * int(present.sum())
+    freedom = max(1 - (problem.shared + 6 * len(present)) / count, 0.05)
+    screening = screen(problem.distances(state), present, freedom)
+    observations = replace(problem.observations, weights=screening.kept.astype(float))
+    return replace(problem, observations=observations, sigma=screening.sigma, loss=None)
+
+
+def _oriented(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
+    """Return the solution with every view of a symmetric board numbered from the end that fits its shape best."""
+    if not shape.smooth or len(result.problem.board.symmetries()) == 1:
+        return result
+    result = _sorted_apart(result, present, shape)
+    for _ in range(_ROUNDS):
+        turns = best_turns(result.problem, result.state)
+        if not turns.any():
+            break
+        result = _turn(result, turns, present, shape)
+    return result
+
+
+def _turn(result: Fit, turns: Array, present: Array, shape: ShapeOptions) -> Fit:
+    problem, state = turned(result.problem, result.state, turns)
+    total = (result.turns + turns) % len(problem.board.symmetries())
+    return replace(_refine(problem, state, present, shape), turns=total)
+
+
+def _sorted_apart(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
+    """Return the better of the solution and the one with the views sorted by their pull on the odd terms."""
+    problem, state = with_terms(replace(result.problem, offsets=False), result.state, ALL_TERMS)
+    equations = linearise(problem, state)
+    if equations is None:
+        return result
+    opposed = opposed_views(factorise(equations), problem.shared_names)
+    if not opposed.any():
+        return result
+    half_turn = len(problem.board.symmetries()) // 2
+    trial = _turn(result, opposed * half_turn, present, shape)
+    sigma = result.problem.sigma
+    gain = _chi_square(result, present, sigma) - _chi_square(trial, present, sigma)
+    return trial if gain > len(present) else result
+
+
+def _chi_square(result: Fit, present: Array, sigma: float) -> float:
+    """Return χ² of all present points, rejected ones counted at the cut, so that solutions can be compared."""
+    squared = np.nan_to_num(result.problem.distances(result.state), nan=np.inf) ** 2 / sigma**2
+    return float(np.minimum(squared[present], CUT**2).sum())

@@ -1,0 +1,264 @@
+"""One camera from detections of a board: lens, poses, the board's shape, and how well each is known."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
+from camcal.calibrate.fit import Fit, ShapeOptions, fit
+from camcal.calibrate.outliers import truncation
+from camcal.calibrate.problem import Observations
+from camcal.calibrate.shape import surface_of
+from camcal.cameras.model import Camera, CameraModel
+from camcal.errors import InsufficientData, InvalidInput, NotConverged
+from camcal.geometry.pose import Pose
+from camcal.solve.steps import Factors, SingularError, factorise
+from camcal.targets.board import Board, Detection
+from camcal.targets.surface import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class Options:
+    """How to calibrate: the lens model, what to hold, where to start, how free the board is.
+
+    fixed: lens parameters to hold, at the guess's value or else at the model's start (0 for coefficients).
+    max_rejected: the share of corners that may be rejected before the result is refused.
+    """
+
+    model: CameraModel
+    fixed: tuple[str, ...] = ()
+    guess: Camera | None = None
+    shape: ShapeOptions = field(default_factory=ShapeOptions)
+    max_rejected: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What became of one image. reason: why it is not used, None if it is. turned: the symmetry of the board
+    (see Board.symmetries) by which its ids were exchanged. rms_px is over the kept corners, per point.
+    """
+
+    image: str
+    points: int
+    kept: int = 0
+    rms_px: float | None = None
+    camera_T_board: Pose | None = None
+    pose_covariance: Array | None = None
+    turned: int = 0
+    reason: str | None = None
+
+    @property
+    def used(self) -> bool:
+        return self.reason is None
+
+
+@dataclass(frozen=True, eq=False)
+class RejectedCorner:
+    """A corner that was measured but not believed; residual: projected minus observed, px."""
+
+    image: str
+    id: int
+    pixel: Array
+    residual: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera with its covariance, the board's shape, and the record of every view and rejected corner.
+
+    sigma_px: the noise of one pixel coordinate, freed from the fit's own parameters. freedom: degrees of freedom.
+    rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px.
+    correlations: between the board's in-plane terms and fx, fy, where the former are in use.
+    """
+
+    camera: Camera
+    board: Board
+    surface: Surface
+    views: tuple[View, ...]
+    rejected: tuple[RejectedCorner, ...]
+    sigma_px: float
+    freedom: int
+    rms_px: float
+    residuals: Array
+    pixels: Array
+    iterations: int
+    correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    @property
+    def used(self) -> tuple[View, ...]:
+        """The views that count."""
+        return tuple(view for view in self.views if view.used)
+
+
+def calibrate(detections: Sequence[Detection], board: Board, options: Options) -> Calibration:
+    """Return the camera that saw a board in `detections`.
+
+    Raises InsufficientData when the views cannot hold a calibration (too few, alike, fronto-parallel, too many
+    rejected), NotConverged when the solver does not settle, InvalidInput for options that contradict each other.
+    """
+    size, reasons = _usable(detections, board)
+    usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
+    held, guess = _held(options, size)
+    observations = Observations.of(usable)
+    result = fit(options.model, board, observations, size, held, guess, options.shape)
+    if not result.converged:
+        raise NotConverged(f"the calibration did not settle ({result.reason} after {result.iterations} iterations)")
+    return _record(result, detections, reasons, size, options)
+
+
+def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
+    """Return the image size of the majority and, for every view, why it cannot be used (None if it can)."""
+    reasons = [reason_unusable(view, board) for view in detections]
+    sizes = Counter(view.size for view, reason in zip(detections, reasons, strict=True) if reason is None)
+    if not sizes:
+        require_views(0, len(detections), 0)
+    size = sizes.most_common(1)[0][0]
+    for index, view in enumerate(detections):
+        if reasons[index] is None and view.size != size:
+            reasons[index] = f"image {view.size[0]}x{view.size[1]} differs from the others' {size[0]}x{size[1]}"
+    usable = [index for index, reason in enumerate(reasons) if reason is None]
+    repeats = repeated([detections[index] for index in usable])
+    for index, first in repeats.items():
+        reasons[usable[index]] = f"repeats {detections[usable[first]].image}"
+    require_views(len(usable) - len(repeats), len(detections), len(repeats))
+    return size, reasons
+
+
+def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]:
+    """Return the held lens parameters (K,), NaN where free, and the whole lens to start from, if one is known."""
+    names, guess = options.model.parameter_names, options.guess
+    unknown = [name for name in options.fixed if name not in names]
+    if unknown:
+        raise InvalidInput(f"--fix: {options.model.name} has no parameter {unknown[0]!r}; it has {', '.join(names)}")
+    if guess is not None and guess.image_size != size:
+        wrong, right = "x".join(map(str, guess.image_size)), "x".join(map(str, size))
+        raise InvalidInput(f"--guess: the camera is for {wrong} images, these are {right}")
+    start = options.model.start(size, float(max(size)))
+    if guess is not None:
+        for index, name in enumerate(names):
+            if name in guess.model.parameter_names:
+                start[index] = guess.value(name)
+    elif {"fx", "fy"} & set(options.fixed):
+        raise InvalidInput("--fix fx or fy needs a --guess that says their values")
+    held = np.array([start[i] if name in options.fixed else np.nan for i, name in enumerate(names)])
+    return held, start if guess is not None else None
+
+
+def _record(
+    result: Fit, detections: Sequence[Detection], reasons: list[str | None], size: tuple[int, int], options: Options
+) -> Calibration:
+    problem, state = result.problem, result.state
+    factors = _factors(result)
+    present = Observations.of([v for v, r in zip(detections, reasons, strict=True) if r is None]).weights > 0
+    kept = problem.observations.weights > 0
+    residuals = problem.residuals(state)
+    used = np.asarray(kept.any(axis=1))
+    require_views(int(used.sum()), len(detections), 0)
+    _require_kept(int(present.sum()), int(kept.sum()), options)
+    require_tilts(state.rotations[used])
+    freedom = 2 * int(kept.sum()) - len(problem.free) - len(problem.terms) - 6 * int(used.sum())
+    freedom -= 3 * problem.board.count - 7 if problem.offsets else 0
+    distances = problem.distances(state)[kept]
+    sigma = float(np.sqrt(np.sum(distances**2) / max(freedom, 1) / truncation()))
+    scale = (sigma / problem.sigma) ** 2
+    covariance = factors.shared_covariance() * scale
+    camera = _camera(result, size, covariance)
+    for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
+        require_focal(camera.value(focal), camera.std(focal) or 0.0)
+    views = _views(result, detections, reasons, factors.group_covariances() * scale, residuals)
+    return Calibration(
+        camera,
+        problem.board,
+        surface_of(problem, state, result.tiers, covariance),
+        views,
+        _rejected(result, detections, reasons, present & ~kept, residuals),
+        sigma,
+        freedom,
+        float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
+        readonly(residuals[:, kept].T, (None, 2), "residuals"),
+        readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
+        result.iterations,
+        _correlations(problem.shared_names, covariance),
+    )
+
+
+def _factors(result: Fit) -> Factors:
+    try:
+        return factorise(result.equations)
+    except SingularError as error:
+        raise InsufficientData(
+            "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
+            "or hold parameters with --fix"
+        ) from error
+
+
+def _require_kept(total: int, kept: int, options: Options) -> None:
+    if total - kept > options.max_rejected * total:
+        raise InsufficientData(
+            f"{total - kept} of {total} corners ({100 * (total - kept) / total:.1f} %) do not fit, more than "
+            f"{100 * options.max_rejected:g} %: wrong board, wrong lens model ({options.model.name}) or bad detections"
+        )
+
+
+def _camera(result: Fit, size: tuple[int, int], covariance: Array) -> Camera:
+    problem = result.problem
+    names, free = problem.model.parameter_names, problem.free
+    full = np.zeros((len(names), len(names)))
+    full[np.ix_(free, free)] = covariance[: len(free), : len(free)]
+    fixed = tuple(name for index, name in enumerate(names) if index not in free)
+    return Camera(problem.model, size, result.state.parameters, full, fixed)
+
+
+def _views(
+    result: Fit, detections: Sequence[Detection], reasons: list[str | None], covariances: Array, residuals: Array
+) -> tuple[View, ...]:
+    kept = result.problem.observations.weights > 0
+    squared = np.where(kept, np.nansum(residuals**2, axis=0), 0.0)
+    views, row = [], 0
+    for detection, reason in zip(detections, reasons, strict=True):
+        if reason is not None:
+            views.append(View(detection.image, len(detection.ids), reason=reason))
+            continue
+        count = int(kept[row].sum())
+        view = View(
+            detection.image,
+            len(detection.ids),
+            count,
+            float(np.sqrt(squared[row].sum() / count)) if count else None,
+            Pose(result.state.rotations[row], result.state.translations[row]),
+            readonly(covariances[row], (6, 6), "pose covariance"),
+            int(result.turns[row]),
+        )
+        views.append(view if count else replace(view, camera_T_board=None, pose_covariance=None, reason=_ALL_REJECTED))
+        row += 1
+    return tuple(views)
+
+
+_ALL_REJECTED = "does not fit the other views (half its corners or its median error are out of line)"
+
+
+def _rejected(
+    result: Fit, detections: Sequence[Detection], reasons: list[str | None], lost: Array, residuals: Array
+) -> tuple[RejectedCorner, ...]:
+    images = [detection.image for detection, reason in zip(detections, reasons, strict=True) if reason is None]
+    observations = result.problem.observations
+    return tuple(
+        RejectedCorner(
+            images[view],
+            int(observations.ids[view, point]),
+            observations.pixels[:, view, point],
+            residuals[:, view, point],
+        )
+        for view, point in np.argwhere(lost)
+    )
+
+
+def _correlations(names: tuple[str, ...], covariance: Array) -> dict[tuple[str, str], float]:
+    """Return the correlations of the board's in-plane terms with the focal lengths."""
+    index = {name: i for i, name in enumerate(names)}
+    pairs = [(term, focal) for term in ("x/y scale", "shear") for focal in ("fx", "fy") if {term, focal} <= set(names)]
+    std = np.sqrt(np.diag(covariance))
+    return {(a, b): float(covariance[index[a], index[b]] / (std[index[a]] * std[index[b]])) for a, b in pairs}

@@ -1,0 +1,250 @@
+"""One camera and a board in many views as a least-squares problem: the only place that knows the parameter layout.
+
+Shared parameters, in this order: the free lens parameters, the coefficients of the board's shape, the offsets of
+its points (x y z of point 0, of point 1, …). Each view's pose camera_T_board is a group of six: tx ty tz rx ry rz.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import CameraModel
+from camcal.geometry.pose import retract
+from camcal.solve.losses import Loss
+from camcal.solve.steps import Block, Jacobian, Step
+from camcal.targets.board import Board, Detection
+from camcal.targets.surface import basis, offset_prior_std, prior_std
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Pixels of board points in V views, padded to P rows a view.
+
+    ids: (V, P). pixels: (2, V, P). weights: (V, P), 0 for padding and for what is rejected, else 1.
+    whitening: (2, 2, V, P) with Wᵀ W the inverse covariance of a pixel up to the common scale σ², or None.
+    """
+
+    ids: Array
+    pixels: Array
+    weights: Array
+    whitening: Array | None = None
+
+    @classmethod
+    def of(cls, views: Sequence[Detection]) -> "Observations":
+        """Return the table of the points found in `views`, one row of the table each."""
+        length = max(len(view.ids) for view in views)
+        ids = np.zeros((len(views), length), np.intp)
+        pixels, weights = np.zeros((2, len(views), length)), np.zeros((len(views), length))
+        for index, view in enumerate(views):
+            count = len(view.ids)
+            ids[index, :count], weights[index, :count] = view.ids, 1.0
+            pixels[:, index, :count] = view.pixels.T
+        return cls(ids, pixels, weights, _whitening(views, length))
+
+    def take(self, views: Array) -> "Observations":
+        """Return the table of some of the views."""
+        whitening = None if self.whitening is None else self.whitening[:, :, views]
+        return Observations(self.ids[views], self.pixels[:, views], self.weights[views], whitening)
+
+    @property
+    def present(self) -> int:
+        """The number of points that count."""
+        return int(np.count_nonzero(self.weights))
+
+
+def _whitening(views: Sequence[Detection], length: int) -> Array | None:
+    """Return the roots of the inverse covariances; views without any stand for 1 px²."""
+    if all(view.covariance is None for view in views):
+        return None
+    result = np.zeros((2, 2, len(views), length))
+    result[0, 0], result[1, 1] = 1.0, 1.0
+    for index, view in enumerate(views):
+        if view.covariance is not None:
+            root = np.linalg.cholesky(np.linalg.inv(view.covariance))
+            result[:, :, index, : len(view.ids)] = root.transpose(2, 1, 0)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Lens parameters (K,), poses camera_T_board as rotations (V, 3, 3) and translations (V, 3), shape (S,) and
+    offsets (C, 3) of the board's points.
+    """
+
+    parameters: Array
+    rotations: Array
+    translations: Array
+    shape: Array
+    offsets: Array
+
+    def take(self, views: Array) -> "State":
+        """Return the state of some of the views."""
+        return replace(self, rotations=self.rotations[views], translations=self.translations[views])
+
+
+@dataclass(frozen=True, eq=False)
+class BoardProblem:
+    """The residuals, in pixels over `sigma`, of a board seen in many views.
+
+    free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether every point of
+    the board is free as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
+    board as it is known to be, None for as drawn.
+    """
+
+    model: CameraModel
+    board: Board
+    observations: Observations
+    free: Array
+    terms: tuple[str, ...] = ()
+    offsets: bool = False
+    sigma: float = 1.0
+    loss: Loss | None = None
+    points: Array | None = None
+
+    @property
+    def shared(self) -> int:
+        return len(self.free) + len(self.terms) + (3 * self.board.count if self.offsets else 0)
+
+    @property
+    def groups(self) -> tuple[int, int]:
+        return len(self.observations.ids), 6
+
+    @cached_property
+    def _basis(self) -> Array:
+        return basis(self.board, self.terms)
+
+    @cached_property
+    def shared_names(self) -> tuple[str, ...]:
+        """The names of the shared parameters, in their order."""
+        lens = tuple(self.model.parameter_names[index] for index in self.free)
+        points = range(self.board.count) if self.offsets else ()
+        return lens + self.terms + tuple(f"point {point} {axis}" for point in points for axis in "xyz")
+
+    def board_points(self, state: State) -> Array:
+        """Return the points (C, 3) of the board as the state has it."""
+        known = self.board.points() if self.points is None else self.points
+        points = known + self._basis @ state.shape
+        return np.asarray(points + state.offsets if self.offsets else points)
+
+    def poses_only(self, state: State) -> "tuple[BoardProblem, State]":
+        """Return the problem and state of the poses alone, lens and board held as the state has them."""
+        problem = replace(self, free=np.zeros(0, np.intp), terms=(), offsets=False, points=self.board_points(state))
+        return problem, replace(state, shape=np.zeros(0))
+
+    def retract(self, state: State, step: Step) -> State:
+        """Return the state moved by a step."""
+        lens, shape = len(self.free), len(self.free) + len(self.terms)
+        parameters = state.parameters.copy()
+        parameters[self.free] += step.shared[:lens]
+        rotations, translations = retract(state.rotations, state.translations, step.groups)
+        offsets = state.offsets + step.shared[shape:].reshape(-1, 3) if self.offsets else state.offsets
+        return State(parameters, rotations, translations, state.shape + step.shared[lens:shape], offsets)
+
+    def distances(self, state: State) -> Array:
+        """Return the lengths (V, P) of the residuals, whitened where covariances are known; NaN outside the domain."""
+        residuals = self.residuals(state)
+        if self.observations.whitening is not None:
+            residuals = np.einsum("ijvp,jvp->ivp", self.observations.whitening, residuals)
+        return np.asarray(np.sqrt(residuals[0] ** 2 + residuals[1] ** 2))
+
+    def residuals(self, state: State) -> Array:
+        """Return projected minus observed pixels (2, V, P), NaN outside the lens's domain; not divided by σ."""
+        rotated, points = self._points(state)
+        projection = self.model.project(state.parameters, points.reshape(3, -1).T)
+        return np.asarray(projection.pixels.T.reshape(2, *rotated.shape[1:]) - self.observations.pixels)
+
+    def blocks(self, state: State) -> list[Block] | None:
+        """Return the observations and the priors, or None where a point leaves the lens's domain."""
+        rotated, points = self._points(state)
+        projected = self.model.project_with_jacobians(state.parameters, points.reshape(3, -1).T)
+        weights = self.observations.weights.ravel()
+        residuals = projected.pixels.T - self.observations.pixels.reshape(2, -1)
+        by_point, by_lens = projected.d_point.transpose(1, 2, 0), projected.d_parameters.transpose(1, 2, 0)
+        if len(self.free) < by_lens.shape[1]:
+            by_lens = by_lens[:, self.free]
+        if not projected.valid.all():
+            if np.any(weights[~projected.valid] > 0):
+                return None
+            residuals, by_point, by_lens = (np.nan_to_num(values) for values in (residuals, by_point, by_lens))
+        if self.observations.whitening is not None:
+            whitening = self.observations.whitening.reshape(2, 2, -1)
+            residuals = np.einsum("ijm,jm->im", whitening, residuals)
+            by_point, by_lens = (np.einsum("ijm,jlm->ilm", whitening, part) for part in (by_point, by_lens))
+        shared = [Jacobian(by_lens.transpose(2, 0, 1), np.arange(len(self.free)))]
+        shared += self._shape_jacobians(by_point, state.rotations)
+        group = _pose_jacobian(by_point, rotated.reshape(3, -1))
+        data = Block(
+            residuals.T,
+            tuple(shared),
+            group.transpose(2, 0, 1),
+            rows_per_group=self.observations.ids.shape[1],
+            weights=weights / self.sigma**2,
+            loss=self.loss,
+        )
+        return [data, *self._priors(state)]
+
+    def _points(self, state: State) -> tuple[Array, Array]:
+        """Return the board's points rotated and in the camera frame, both (3, V, P)."""
+        board_points = np.ascontiguousarray(self.board_points(state).T)[:, self.observations.ids]
+        rotations = state.rotations[:, :, :, None]
+        rotated = np.stack([_dot(rotations[:, i].transpose(1, 0, 2), board_points) for i in range(3)])
+        return rotated, rotated + state.translations.T[:, :, None]
+
+    def _shape_jacobians(self, by_point: Array, rotations: Array) -> list[Jacobian]:
+        """Return the derivatives by the shape's coefficients and by the points' offsets."""
+        if not self.terms and not self.offsets:
+            return []
+        views = self.observations.ids.shape
+        gradient = by_point.reshape(2, 3, *views)
+        axes = [_dot(rotations[:, :, axis].T[:, :, None], gradient.transpose(1, 0, 2, 3)) for axis in range(3)]
+        start, result = len(self.free), []
+        if self.terms:
+            values = np.zeros((2, len(self.terms), *views))
+            for index in range(len(self.terms)):
+                for axis in range(3):
+                    displacement = self._basis[:, axis, index]
+                    if displacement.any():
+                        values[:, index] += axes[axis] * displacement[self.observations.ids]
+            columns = np.arange(start, start + len(self.terms))
+            result.append(Jacobian(values.reshape(2, len(self.terms), -1).transpose(2, 0, 1), columns))
+        if self.offsets:
+            first = start + len(self.terms) + 3 * self.observations.ids.reshape(-1, 1)
+            stacked = np.stack(axes, axis=1).reshape(2, 3, -1)
+            result.append(Jacobian(stacked.transpose(2, 0, 1), first + np.arange(3)))
+        return result
+
+    def _priors(self, state: State) -> list[Block]:
+        start, result = len(self.free), []
+        if self.terms:
+            spread = np.array([prior_std(self.board, term) for term in self.terms])
+            result.append(_prior(state.shape / spread, 1 / spread, start))
+        if self.offsets:
+            spread = np.full(3 * self.board.count, offset_prior_std(self.board))
+            result.append(_prior(state.offsets.ravel() / spread, 1 / spread, start + len(self.terms)))
+        return result
+
+
+def _dot(first: Array, second: Array) -> Array:
+    """Return Σ first_i · second_i over the leading axis of three."""
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
+
+
+def _pose_jacobian(by_point: Array, rotated: Array) -> Array:
+    """Return pixels by tx ty tz rx ry rz (2, 6, M) from d/dpoint (2, 3, M) and the rotated points R p (3, M).
+
+    a · (δr × q) = δr · (q × a), so the rotation's part is the cross product of q with each row a.
+    """
+    result = np.empty((2, 6, by_point.shape[-1]))
+    result[:, :3] = by_point
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.multiply(rotated[i], by_point[:, j], out=result[:, 3 + axis])
+        result[:, 3 + axis] -= rotated[j] * by_point[:, i]
+    return result
+
+
+def _prior(residuals: Array, slopes: Array, start: int) -> Block:
+    columns = np.arange(start, start + len(residuals))[:, None]
+    return Block(residuals[:, None], (Jacobian(slopes[:, None, None], columns),))

@@ -1,0 +1,139 @@
+"""How much of the board's shape the data can tell: tiers of terms are added only while they are significant."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from camcal.arrays import Array
+from camcal.calibrate.problem import BoardProblem, State
+from camcal.solve.least_squares import linearise
+from camcal.solve.steps import Factors, NormalEquations, SingularError, factorise
+from camcal.targets.surface import TIERS, Surface, basis
+
+SIGNIFICANCE = 1e-3  # a flat board gains a needless tier in less than one of 250 calibrations
+SEEN = 10  # a point is freed only when this many views hold it
+ALL_TERMS = tuple(term for terms in TIERS.values() for term in terms)
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The tiers in use by order of significance, and the equations of the problem that has exactly their terms."""
+
+    tiers: tuple[str, ...]
+    equations: NormalEquations
+
+
+def terms_of(tiers: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the terms of some tiers, in the order of the basis."""
+    return tuple(term for name, terms in TIERS.items() if name in tiers for term in terms)
+
+
+def with_terms(problem: BoardProblem, state: State, terms: tuple[str, ...]) -> tuple[BoardProblem, State]:
+    """Return problem and state with other shape terms; the coefficients of terms in both are kept."""
+    old = dict(zip(problem.terms, state.shape, strict=True))
+    return replace(problem, terms=terms), replace(state, shape=np.array([old.get(term, 0.0) for term in terms]))
+
+
+def judge(problem: BoardProblem, state: State) -> Verdict | None:
+    """Return the significant tiers at a minimum of `problem`, or None where nothing can be said.
+
+    One linearisation with every term, then a forward search on its reduced quadratic model: the tier with the least
+    probable gain under a flat board comes first, and the search ends where that probability passes SIGNIFICANCE.
+    """
+    full, full_state = with_terms(problem, state, ALL_TERMS)
+    equations = linearise(full, full_state)
+    if equations is None:
+        return None
+    try:
+        factors = factorise(equations)
+    except SingularError:
+        return None
+    start = len(full.free)
+    columns = {tier: start + np.array([ALL_TERMS.index(term) for term in TIERS[tier]]) for tier in TIERS}
+    model = _Reduced.of(factors, full_state.shape, start)
+    tiers: tuple[str, ...] = ()
+    lowest = model.cost(_columns(columns, tiers))
+    while len(tiers) < len(TIERS):
+        trials = [(tier, model.cost(_columns(columns, (*tiers, tier)))) for tier in TIERS if tier not in tiers]
+        chances = [float(chi2.logsf(2 * (lowest - cost), len(columns[tier]))) for tier, cost in trials]
+        best = int(np.argmin(chances))
+        if chances[best] > np.log(SIGNIFICANCE):
+            break
+        tiers, lowest = (*tiers, trials[best][0]), trials[best][1]
+    names = full.shared_names
+    used = np.array([i for i, name in enumerate(names) if i < start or name in terms_of(tiers)], np.intp)
+    return Verdict(tiers, equations.restricted(used))
+
+
+def _columns(columns: dict[str, Array], tiers: tuple[str, ...]) -> Array:
+    return np.sort(np.concatenate([columns[tier] for tier in tiers])) if tiers else np.zeros(0, np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """The cost as a quadratic in the shared parameters alone, around the state with shape `shape` (S,)."""
+
+    matrix: Array
+    gradient: Array
+    shape: Array
+    start: int
+
+    @classmethod
+    def of(cls, factors: Factors, shape: Array, start: int) -> "_Reduced":
+        return cls(factors.shared_root @ factors.shared_root.T, factors.reduced_gradient(), shape, start)
+
+    def cost(self, used: Array) -> float:
+        """Return the least cost, relative to the state's, when only the shape terms in columns `used` may differ
+        from zero.
+        """
+        moving = np.concatenate([np.arange(self.start), used])
+        held = np.setdiff1d(np.arange(self.start, len(self.gradient)), used)
+        step = -self.shape[held - self.start]
+        pull = self.gradient[moving] + self.matrix[np.ix_(moving, held)] @ step
+        fall = 0.5 * pull @ np.linalg.solve(self.matrix[np.ix_(moving, moving)], pull)
+        return float(self.gradient[held] @ step + 0.5 * step @ self.matrix[np.ix_(held, held)] @ step - fall)
+
+
+def offsets_matter(problem: BoardProblem, state: State) -> bool:
+    """Return whether freeing every point of the board lowers the cost by more than chance would."""
+    observations = problem.observations
+    seen = np.bincount(observations.ids.ravel(), observations.weights.ravel() > 0, problem.board.count)
+    if seen.min() < SEEN:
+        return False
+    freed = replace(problem, offsets=True)
+    equations = linearise(freed, state)
+    if equations is None:
+        return False
+    try:
+        gain = 2 * factorise(equations).decrease()
+    except SingularError:
+        return False
+    # a rigid motion and the scale are not the board's own: seven of the offsets' freedoms cost nothing
+    return bool(chi2.logsf(gain, 3 * problem.board.count - 7) < np.log(SIGNIFICANCE))
+
+
+def surface_of(problem: BoardProblem, state: State, tiers: tuple[str, ...], covariance: Array) -> Surface:
+    """Return the record of the board's shape from a solution and the covariance of its shared parameters."""
+    lens, count = len(problem.free), len(problem.terms)
+    own = covariance[lens : lens + count, lens : lens + count]
+    height = basis(problem.board, problem.terms)[:, 2] @ state.shape
+    if problem.offsets:
+        height = height + state.offsets[:, 2]
+    high, low = int(np.argmax(height)), int(np.argmin(height))
+    gradient = np.zeros(len(covariance))
+    difference = basis(problem.board, problem.terms)[high, 2] - basis(problem.board, problem.terms)[low, 2]
+    gradient[lens : lens + count] = difference
+    if problem.offsets:
+        gradient[lens + count + 3 * high + 2] += 1
+        gradient[lens + count + 3 * low + 2] -= 1
+    return Surface(
+        problem.board,
+        tiers,
+        problem.terms,
+        state.shape,
+        own,
+        state.offsets if problem.offsets else None,
+        float(height[high] - height[low]),
+        float(np.sqrt(gradient @ covariance @ gradient)),
+    )

@@ -1,0 +1,101 @@
+"""Plain data as YAML text that every reader opens: PyYAML, yaml-cpp, ruamel and OpenCV's FileStorage.
+
+OpenCV reads less than YAML: no empty values, no quoted keys, no comment after a value, no text of 4 096 bytes or
+more, nested lists only indented. Numbers have 12 significant digits and a dot, since YAML 1.1 takes 1e-05 for text.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from camcal.errors import InvalidInput
+
+HEADER = "%YAML 1.1\n---\n"
+LINE = 120
+MAX_TEXT = 4000
+
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_.()/+-]*\Z")
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*\Z")
+_WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+_ESCAPES = {"\\": r"\\", '"': r"\"", "\n": r"\n", "\t": r"\t", "\r": r"\r"}
+
+
+def document(data: Mapping[str, Any], comment: str = "") -> str:
+    """Return the text of a YAML file that holds `data`, keys in their order, below the lines of `comment`.
+
+    Raises InvalidInput for a key or a text that OpenCV could not read.
+    """
+    remarks = "".join(f"# {line}\n" for line in comment.splitlines())
+    return HEADER + remarks + "".join(f"{line}\n" for line in _block(data, ""))
+
+
+def number_text(value: float) -> str:
+    """Return a number at 12 significant digits and with a dot."""
+    mantissa, exponent, power = f"{value + 0.0:.12g}".partition("e")  # + 0.0 drops the sign of a zero
+    return mantissa + ("" if "." in mantissa else ".0") + exponent + power
+
+
+def _block(data: Mapping[str, Any], indent: str) -> Iterator[str]:
+    for key, value in data.items():
+        start = f"{indent}{_key(key)}:"
+        line = f"{start} {_flow(value)}"
+        if not _is_container(value) or _on_one_line(value, line):
+            yield line
+        elif isinstance(value, Mapping):
+            yield start
+            yield from _block(value, indent + "  ")
+        else:
+            yield start
+            yield from (f"{indent}  - {_flow(item)}" for item in value)
+
+
+def _on_one_line(value: Mapping[str, Any] | Sequence[Any], line: str) -> bool:
+    """Tell whether a container stands on its key's line: short ones, and lists of numbers whatever their length."""
+    if isinstance(value, Mapping):
+        return len(line) <= LINE and all(not _is_container(part) or _holds_scalars(part) for part in value.values())
+    return _holds_scalars(value) and (len(line) <= LINE or not any(isinstance(item, str) for item in value))
+
+
+def _holds_scalars(value: Any) -> bool:
+    return not isinstance(value, Mapping) and not any(map(_is_container, value))
+
+
+def _is_container(value: Any) -> bool:
+    return isinstance(value, (Mapping, list, tuple))
+
+
+def _flow(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return number_text(value)
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(key)}: {_flow(item)}" for key, item in value.items()) + "}"
+    return "[" + ", ".join(map(_flow, value)) + "]"
+
+
+def _key(key: str) -> str:
+    if not _KEY.match(key) or key.lower() in _WORDS:
+        raise InvalidInput(f"key {key!r} cannot be written: letters, digits and _ . ( ) / + - are taken")
+    return key
+
+
+def _text(text: str) -> str:
+    if _PLAIN.match(text) and text.lower() not in _WORDS:
+        return text
+    text = text.encode("utf-8", "backslashreplace").decode()  # a file name of undecodable bytes
+    quoted = '"' + "".join(_ESCAPES.get(letter) or _printable(letter) for letter in text) + '"'
+    if len(quoted.encode()) > MAX_TEXT:
+        raise InvalidInput(f"a text of more than {MAX_TEXT} bytes cannot be written: {text[:40]!r}…")
+    return quoted
+
+
+def _printable(letter: str) -> str:
+    if letter.isprintable():
+        return letter
+    code = ord(letter)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"

@@ -1,0 +1,217 @@
+"""YAML as plain data with the line of every key; whatever two readers could take differently is refused.
+
+Refused: duplicate keys, aliases, anchors, tags, a second document, dates and numbers that YAML 1.1 reads in its own
+way (yes, 012, 0x1F, 1_000, 12:30), more than 100 000 values, 64 MB or 32 levels. A text such as 1e-05, which YAML 1.1
+does not take for a number, stays text; the checks in `schema` say so where a number is needed.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from camcal import files
+from camcal.errors import FileError, InvalidInput
+
+MAX_VALUES = 100_000
+MAX_DEPTH = 32
+MAX_LISTED = 50
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml where the wheel has it: 25 times faster
+_TAG = "tag:yaml.org,2002:"
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})\Z")
+_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+][0-9]+)?\Z")
+_WORDS: dict[str, dict[str, Any]] = {
+    "bool": {"true": True, "false": False},
+    "float": {".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf, ".nan": math.nan},
+}
+_ADVICE = {
+    "bool": "a truth value in YAML 1.1 only; write true or false, or quote it if it is text",
+    "int": "a number in YAML 1.1 only; write it with decimal digits, or quote it if it is text",
+    "float": "a number in YAML 1.1 only; write it with decimal digits, or quote it if it is text",
+    "timestamp": "a date in YAML 1.1; quote it",
+}
+
+
+class Fault(NamedTuple):
+    """One thing that is wrong: the key path, what and what to do, and the line if it is not the path's own."""
+
+    path: str
+    text: str
+    line: int | None = None
+
+
+Check = Callable[[Any, str], Iterable[Fault]]
+
+
+@dataclass(frozen=True, eq=False)
+class Document(Mapping[str, Any]):
+    """The mapping a YAML file holds, as dicts, lists, strings, numbers, truth values and None.
+
+    where: the file's name for messages. lines: the line of every key path, such as 'cameras.left.fixed[0]'.
+    """
+
+    where: str
+    data: dict[str, Any]
+    lines: Mapping[str, int]
+
+    def __getitem__(self, key: str) -> Any:
+        return self.data[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.data)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def line(self, path: str = "") -> int:
+        """Return the line of a key path, or of the innermost part of it that the file has."""
+        while path and path not in self.lines:
+            path = path[: max(path.rfind("."), path.rfind("["), 0)]
+        return self.lines.get(path, 1)
+
+    def error(self, faults: Iterable[Fault]) -> InvalidInput:
+        """Return one error that lists all faults, a line each, in the order of the file."""
+        found = sorted((fault.line or self.line(fault.path), fault.path, fault.text) for fault in faults)
+        lines = [f"{self.where}:{line}: {path}: {text}" if path else f"{self.where}:{line}: {text}"
+                 for line, path, text in found[:MAX_LISTED]]  # fmt: skip
+        if len(found) > MAX_LISTED:
+            lines.append(f"{self.where}: and {len(found) - MAX_LISTED} more")
+        where = f"{self.where}:{found[0][0]}"
+        return InvalidInput("\n".join(lines).removeprefix(f"{where}: "), where=where)
+
+
+def load(path: Path, check: Check | None = None) -> Document:
+    """Return the document in a YAML file; see `parse`. Raises FileError also if the file cannot be read."""
+    return parse(files.read_text(path), str(path), check)
+
+
+def parse(text: str, where: str, check: Check | None = None) -> Document:
+    """Return the document in `text`, having passed `check` over its data.
+
+    Raises FileError if it is no YAML mapping, InvalidInput with one line for every fault found.
+    """
+    if text.startswith("%YAML:"):
+        raise FileError("starts with %YAML:, which only OpenCV reads; camcal files start with %YAML 1.1", where=where)
+    builder = _Builder(where)
+    try:
+        data = builder.document(yaml.parse(text, Loader=_LOADER))
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise FileError(f"is not YAML, or cut off: {error.problem}", where=f"{where}:{line}") from error
+    except yaml.YAMLError as error:
+        raise FileError(f"is not YAML: {str(error).splitlines()[0]}", where=where) from error
+    if not isinstance(data, dict):
+        raise FileError("holds no YAML mapping (key: value lines); is this the right file?", where=where)
+    document = Document(where, data, builder.lines)
+    findings = check(data, "") if check else ()
+    faults = [*builder.faults, *(fault for fault in findings if fault.path not in builder.without_value)]
+    if faults:
+        raise document.error(faults)
+    return document
+
+
+def child(path: str, key: str | int) -> str:
+    """Return the path of a key or of a list's item below `path`."""
+    if isinstance(key, int):
+        return f"{path}[{key}]"
+    return f"{path}.{key}" if path else key
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that a misspelt one most likely stands for."""
+    matches = difflib.get_close_matches(name, list(known), n=1)
+    return matches[0] if matches else None
+
+
+class _Builder:
+    """Builds plain data from parser events, noting lines and faults on the way."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.lines: dict[str, int] = {}
+        self.faults: list[Fault] = []
+        self.without_value: set[str] = set()
+        self.count = 0
+        self.resolver: Any = yaml.resolver.Resolver()
+
+    def document(self, events: Iterator[Any]) -> Any:
+        data = None
+        for event in events:
+            if isinstance(event, yaml.DocumentStartEvent):
+                if self.count:
+                    raise InvalidInput("a second document starts here; one is expected", where=self.at(event))
+                data = self.value(next(events), events, "", 0)
+        return data
+
+    def at(self, event: Any) -> str:
+        return f"{self.where}:{_line(event)}"
+
+    def fault(self, event: Any, path: str, text: str) -> None:
+        self.faults.append(Fault(path, text, _line(event)))
+
+    def unreadable(self, event: Any, path: str, text: str) -> None:
+        self.fault(event, path, text)
+        self.without_value.add(path)
+
+    def value(self, event: Any, events: Iterator[Any], path: str, depth: int) -> Any:
+        self.count += 1
+        if self.count > MAX_VALUES or depth > MAX_DEPTH:
+            limit = f"{MAX_DEPTH} levels" if depth > MAX_DEPTH else f"{MAX_VALUES} values"
+            raise InvalidInput(f"more than {limit}", where=self.at(event))
+        self.lines.setdefault(path, _line(event))
+        if isinstance(event, yaml.AliasEvent):
+            return self.unreadable(event, path, f"alias *{event.anchor} is not accepted; write the value out")
+        if event.anchor or event.tag:
+            what = f"anchor &{event.anchor}" if event.anchor else f"tag {event.tag}"
+            self.fault(event, path, f"{what} is not accepted; leave it out")
+        if isinstance(event, yaml.ScalarEvent):
+            return self.scalar(event, path)
+        if isinstance(event, yaml.SequenceStartEvent):
+            return self.sequence(events, path, depth)
+        return self.mapping(events, path, depth)
+
+    def sequence(self, events: Iterator[Any], path: str, depth: int) -> list[Any]:
+        items: list[Any] = []
+        while not isinstance(event := next(events), yaml.SequenceEndEvent):
+            items.append(self.value(event, events, child(path, len(items)), depth + 1))
+        return items
+
+    def mapping(self, events: Iterator[Any], path: str, depth: int) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        while not isinstance(event := next(events), yaml.MappingEndEvent):
+            if not isinstance(event, yaml.ScalarEvent):
+                raise InvalidInput("a key must be a plain name", where=self.at(event))
+            key, where = event.value, child(path, event.value)
+            if key in result:
+                self.fault(event, path, f"duplicate key {key!r} (first at line {self.lines[where]})")
+                self.value(next(events), events, where, depth + 1)
+            else:
+                self.lines[where] = _line(event)
+                result[key] = self.value(next(events), events, where, depth + 1)
+        return result
+
+    def scalar(self, event: Any, path: str) -> Any:
+        text = event.value
+        tag = self.resolver.resolve(yaml.ScalarNode, text, event.implicit).removeprefix(_TAG)
+        if tag == "null":
+            return None
+        if tag == "int" and _INTEGER.match(text):
+            return int(text)
+        if tag == "float" and _FLOAT.match(text):
+            return float(text)
+        words = _WORDS.get(tag, {})
+        if text.lower() in words:
+            return words[text.lower()]
+        if tag in _ADVICE:
+            return self.unreadable(event, path, f"{text!r} is {_ADVICE[tag]}")
+        return text
+
+
+def _line(event: Any) -> int:
+    return int(event.start_mark.line) + 1

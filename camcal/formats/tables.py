@@ -1,0 +1,134 @@
+"""Text tables with named columns, read a column at a time; whatever is wrong is told with file and line."""
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.formats.schema import did_you_mean
+
+Lines = Sequence[tuple[int, str]]
+
+
+def numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """Return the lines of a text file that are not blank, with their numbers from 1.
+
+    Raises FileError if the file cannot be read.
+    """
+    lines = files.read_text(path).replace("\r\n", "\n").split("\n")
+    return [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text, column by column; lines: where in the file each row stands."""
+
+    path: str
+    columns: dict[str, Sequence[str]]
+    lines: Sequence[int]
+
+    @classmethod
+    def from_csv(cls, path: str, lines: Lines, required: Sequence[str], optional: Sequence[str]) -> "Table":
+        """Return the table of CSV lines, the first of which names the columns in any order; '#' lines are left out.
+
+        Raises InvalidInput for a missing, unknown or repeated column, or a row of another length.
+        """
+        lines = [(number, line) for number, line in lines if not line.startswith("#")]
+        if not lines:
+            raise InvalidInput(f"no header line; the first row names the columns {','.join(required)}", where=path)
+        rows = _rows(path, lines)
+        names = [name.strip() for name in rows[0]]
+        _check_names(f"{path}:{lines[0][0]}", names, required, optional)
+        for (number, _), row in zip(lines, rows, strict=True):
+            if len(row) != len(names):
+                raise InvalidInput(f"{len(row)} cells under {len(names)} columns", where=f"{path}:{number}")
+        columns = list(zip(*rows[1:], strict=True)) or [()] * len(names)
+        return cls(path, dict(zip(names, columns, strict=True)), [number for number, _ in lines[1:]])
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def rows(self, chosen: Array) -> "Table":
+        """Return the table of the rows with the given indices."""
+        columns = {name: [cells[row] for row in chosen] for name, cells in self.columns.items()}
+        return Table(self.path, columns, [self.lines[row] for row in chosen])
+
+    def refuse(self, bad: Array, describe: Callable[[int], str]) -> None:
+        """Raise InvalidInput about the first row of the mask `bad` (N,), if it has one."""
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InvalidInput(describe(row), where=f"{self.path}:{self.lines[row]}")
+
+    def integers(self, name: str, low: int, high: int) -> Array:
+        """Return a column (N,) of whole numbers in [low, high]."""
+        values = self._converted(name, int, "a whole number")
+        bad = np.array([not low <= value <= high for value in values], dtype=bool)
+        self.refuse(bad, lambda row: f"{name} {values[row]} is not in {low} … {high}")
+        return np.array(values, dtype=np.int64)
+
+    def numbers(self, name: str) -> Array:
+        """Return a column (N,) of finite numbers."""
+        values = np.array(self._converted(name, float, "a number"), dtype=float)
+        self.refuse(~np.isfinite(values), lambda row: f"{name}: {self.columns[name][row]} is not finite")
+        return values
+
+    def _converted(self, name: str, convert: Callable[[str], float], what: str) -> list[float]:
+        cells = self.columns[name]
+        try:
+            if "_" not in "".join(cells):  # 1_000 is a number to Python only
+                return list(map(convert, cells))
+        except ValueError:
+            pass
+        bad = np.array([not _converts(cell, convert) for cell in cells])
+        self.refuse(bad, lambda row: f"{name}: {cells[row]!r} is not {what}")
+        return []
+
+
+def _rows(path: str, lines: Lines) -> list[list[str]]:
+    """Return the cells of all lines; a quote left open would swallow the lines that follow."""
+    reader = csv.reader((line for _, line in lines), skipinitialspace=True, strict=True)
+    rows: list[list[str]] = []
+    try:
+        for row in reader:
+            rows.append(row)
+            if reader.line_num != len(rows):
+                raise csv.Error("a quote is not closed")
+    except csv.Error as error:
+        raise InvalidInput(f"not a CSV row: {error}", where=f"{path}:{lines[len(rows) - 1][0]}") from error
+    return rows
+
+
+def _check_names(where: str, names: Sequence[str], required: Sequence[str], optional: Sequence[str]) -> None:
+    missing = [name for name in required if name not in names]
+    unknown = [name for name in names if name not in (*required, *optional)]
+    if len(unknown) == len(names):
+        raise InvalidInput(f"no header; the first row names the columns {','.join(required)}", where=where)
+    if unknown:
+        raise InvalidInput(f"unknown column {unknown[0]!r}{did_you_mean(unknown[0], missing or optional)}", where=where)
+    if missing:
+        raise InvalidInput(f"missing column {missing[0]!r}; needed: {','.join(required)}", where=where)
+    if len(set(names)) < len(names):
+        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=where)
+
+
+def _converts(cell: str, convert: Callable[[str], float]) -> bool:
+    try:
+        convert(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def cell(text: str) -> str:
+    """Return a text as a CSV cell that `Table.from_csv` reads back; raises InvalidInput for a line break in it."""
+    if "\n" in text or "\r" in text:
+        raise InvalidInput(f"{text!r} has a line break, which a table cannot hold")
+    if text.strip() != text or any(letter in text for letter in ',"#'):
+        return '"' + text.replace('"', '""') + '"'
+    return text

@@ -1,0 +1,230 @@
+"""The solver on problems whose answer is known: scipy's, a closed form, or the same problem posed without groups."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.losses import Cauchy, Huber
+from camcal.solve.steps import Block, Jacobian, SingularError, Step, assemble, factorise
+
+
+@dataclass(frozen=True)
+class Rosenbrock:
+    """The classic valley; minimum at (1, 1)."""
+
+    shared = 2
+    groups = (0, 0)
+
+    def blocks(self, state):
+        x, y = state
+        jacobian = np.array([[[-20 * x, 10.0]], [[-1.0, 0.0]]])
+        return [Block(np.array([[10 * (y - x * x)], [1 - x]]), (Jacobian(jacobian, np.arange(2)),))]
+
+    def retract(self, state, step):
+        return state + step.shared
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Parallel lines: one shared slope, one offset per group; a linear problem with eliminated groups."""
+
+    x: np.ndarray  # (G, P)
+    y: np.ndarray
+    weights: np.ndarray | None = None
+    loss: object = None
+    sparse: bool = False
+
+    shared = 1
+
+    @property
+    def groups(self):
+        return len(self.x), 1
+
+    def blocks(self, state):
+        slope, offsets = state
+        residuals = (slope * self.x + offsets[:, None] - self.y).reshape(-1, 1)
+        by_slope = self.x.reshape(-1, 1, 1)
+        columns = np.zeros((len(residuals), 1), int) if self.sparse else np.arange(1)
+        weights = None if self.weights is None else self.weights.ravel()
+        group = np.ones((len(residuals), 1, 1))
+        return [
+            Block(
+                residuals,
+                (Jacobian(by_slope, columns),),
+                group,
+                rows_per_group=self.x.shape[1],
+                weights=weights,
+                loss=self.loss,
+            )
+        ]
+
+    def retract(self, state, step):
+        return state[0] + step.shared[0], state[1] + step.groups[:, 0]
+
+
+@pytest.fixture
+def lines():
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(4, 6))
+    return Lines(x, 2.0 * x + np.arange(4)[:, None] + 0.1 * rng.normal(size=x.shape))
+
+
+def dense_answer(lines):
+    groups, points = lines.x.shape
+    design = np.column_stack([lines.x.ravel(), np.repeat(np.eye(groups), points, axis=0)])
+    return design, np.linalg.lstsq(design, lines.y.ravel(), rcond=None)[0]
+
+
+def test_curved_valley_is_followed_to_its_minimum():
+    solution = minimise(Rosenbrock(), np.array([-1.2, 1.0]))
+    assert solution.converged
+    np.testing.assert_allclose(solution.state, [1, 1], atol=1e-8)  # quadratic convergence ends below this
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_eliminating_groups_gives_the_same_answer_as_one_dense_solve(lines, sparse):
+    problem = Lines(lines.x, lines.y, sparse=sparse)
+    solution = minimise(problem, (0.0, np.zeros(4)))
+    design, expected = dense_answer(lines)
+    np.testing.assert_allclose([solution.state[0], *solution.state[1]], expected, atol=1e-9)  # linear: exact
+    covariance = np.linalg.inv(design.T @ design)
+    factors = solution.factors()
+    np.testing.assert_allclose(factors.shared_covariance(), covariance[:1, :1], rtol=1e-9)
+    np.testing.assert_allclose(factors.group_covariances()[:, 0, 0], np.diag(covariance)[1:], rtol=1e-9)
+
+
+def test_scores_of_the_groups_sum_to_zero_at_the_minimum(lines):
+    solution = minimise(lines, (0.0, np.zeros(4)))
+    scores = solution.factors().group_scores()
+    assert np.abs(scores).max() > 1e-3
+    assert np.abs(scores.sum(axis=0)).max() < 1e-9
+
+
+def test_weight_zero_removes_a_row(lines):
+    weights = np.ones(lines.x.shape)
+    weights[1, 2] = 0.0
+    spoilt = lines.y.copy()
+    spoilt[1, 2] += 100.0
+    weighted = minimise(Lines(lines.x, spoilt, weights), (0.0, np.zeros(4)))
+    clean = minimise(Lines(lines.x, lines.y, weights), (0.0, np.zeros(4)))
+    assert weighted.state[0] == pytest.approx(clean.state[0], abs=1e-10)
+
+
+@pytest.mark.parametrize(("loss", "scipy_name"), [(Huber(0.2), "huber"), (Cauchy(0.2), "cauchy")])
+def test_robust_losses_agree_with_scipy(lines, loss, scipy_name):
+    spoilt = lines.y.copy()
+    spoilt[0, 0] += 50.0
+    solution = minimise(Lines(lines.x, spoilt, loss=loss), (2.0, np.arange(4.0)), Stopping(1e-14))
+
+    def residuals(state):
+        return (state[0] * lines.x + state[1:, None] - spoilt).ravel()
+
+    expected = least_squares(residuals, [2.0, 0, 1, 2, 3], loss=scipy_name, f_scale=0.2, xtol=1e-14, ftol=1e-14)
+    assert solution.cost == pytest.approx(expected.cost, rel=1e-9)
+    assert solution.state[0] == pytest.approx(expected.x[0], abs=1e-5)  # scipy's own stopping
+    assert solution.state[0] == pytest.approx(2.0, abs=0.2)
+
+
+def test_parameters_that_cannot_be_told_apart_are_reported_not_solved():
+    twins = Jacobian(np.ones((5, 1, 2)), np.arange(2))
+    equations = assemble([Block(np.ones((5, 1)), (twins,))], 2, 0, 0)
+    with pytest.raises(SingularError):
+        factorise(equations)
+
+
+def test_restricted_equations_equal_those_of_the_smaller_problem():
+    rng = np.random.default_rng(5)
+    values, residuals = rng.normal(size=(30, 2, 3)), rng.normal(size=(30, 2))
+    group = rng.normal(size=(30, 2, 2))
+
+    def equations(columns):
+        jacobian = Jacobian(values[:, :, columns], np.arange(len(columns)))
+        return assemble([Block(residuals, (jacobian,), group, rows_per_group=10)], len(columns), 3, 2)
+
+    small, large = equations([0, 2]), equations([0, 1, 2]).restricted(np.array([0, 2]))
+    np.testing.assert_allclose(factorise(small).solve().shared, factorise(large).solve().shared, rtol=1e-10)
+
+
+def test_sparse_columns_add_up_like_dense_ones():
+    rng = np.random.default_rng(6)
+    residuals, group = rng.normal(size=(40, 2)), rng.normal(size=(40, 2, 3))
+    common, own = rng.normal(size=(40, 2, 2)), rng.normal(size=(40, 2, 2))
+    columns = rng.permuted(np.tile(np.arange(2, 6), (40, 1)), axis=1)[:, :2]
+    widened = np.zeros((40, 2, 6))
+    widened[:, :, :2] = common
+    np.put_along_axis(widened, np.repeat(columns[:, None], 2, axis=1), own, axis=2)
+    weights = rng.uniform(0.5, 2, 40)
+    kinds = {
+        "sparse": (Jacobian(common, np.arange(2)), Jacobian(own, columns)),
+        "dense": (Jacobian(widened, np.arange(6)),),
+        "two sparse": (
+            Jacobian(common, np.tile(np.arange(2), (40, 1))),
+            Jacobian(own, columns),
+        ),
+    }
+    results = {
+        name: assemble([Block(residuals, shared, group, rows_per_group=10, weights=weights)], 6, 4, 3)
+        for name, shared in kinds.items()
+    }
+    for name in ("sparse", "two sparse"):
+        for part in ("group_group", "group_shared", "shared_shared", "group_gradients"):
+            np.testing.assert_allclose(
+                getattr(results[name], part), getattr(results["dense"], part), atol=1e-12, err_msg=f"{name} {part}"
+            )
+        np.testing.assert_allclose(results[name].gradient.shared, results["dense"].gradient.shared, atol=1e-12)
+
+
+def test_blocks_may_share_groups_through_an_index():
+    rng = np.random.default_rng(7)
+    residuals, group = rng.normal(size=(12, 1)), rng.normal(size=(12, 1, 2))
+    shared = (Jacobian(rng.normal(size=(12, 1, 1)), np.arange(1)),)
+    whole = assemble([Block(residuals, shared, group, rows_per_group=4)], 1, 3, 2)
+    halves = [
+        Block(
+            residuals[part],
+            (Jacobian(shared[0].values[part], np.arange(1)),),
+            group[part],
+            rows_per_group=2,
+            groups=np.array([0, 1, 2]),
+        )
+        for part in (np.array([0, 1, 4, 5, 8, 9]), np.array([2, 3, 6, 7, 10, 11]))
+    ]
+    split = assemble(halves, 1, 3, 2)
+    np.testing.assert_allclose(split.group_shared, whole.group_shared, atol=1e-14)
+    np.testing.assert_allclose(split.group_group, whole.group_group, atol=1e-14)
+
+
+def test_a_start_outside_the_domain_is_a_programming_error():
+    class Nowhere(Rosenbrock):
+        def blocks(self, state):
+            return None
+
+    with pytest.raises(ValueError, match="outside the domain"):
+        minimise(Nowhere(), np.zeros(2))
+
+
+def test_steps_outside_the_domain_are_shortened():
+    class Logarithm:
+        """Minimise (ln x - 1)² from far left: full steps leave x > 0."""
+
+        shared, groups = 1, (0, 0)
+
+        def blocks(self, state):
+            if state[0] <= 0:
+                return None
+            return [Block(np.array([[np.log(state[0]) - 1]]), (Jacobian(np.array([[[1 / state[0]]]]), np.arange(1)),))]
+
+        def retract(self, state, step):
+            return state + step.shared
+
+    solution = minimise(Logarithm(), np.array([50.0]))
+    assert solution.converged
+    assert solution.state[0] == pytest.approx(np.e, abs=1e-6)  # the stopping rule is on the cost, x to its root
+
+
+def test_step_inner_product_counts_groups_and_shared():
+    step = Step(np.array([1.0, 2.0]), np.array([[3.0]]))
+    assert step.dot(step) == 14.0
