@@ -22,8 +22,8 @@ def reason_unusable(view: Detection, board: Board) -> str | None:
     if len(view.ids) < MIN_CORNERS:
         return f"only {len(view.ids)} corners, {MIN_CORNERS} are needed"
     row, column = np.divmod(view.ids, board.columns)
-    grid = np.column_stack([column, row]).astype(float)
-    if np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
+    x, y = column - column.mean(), row - row.mean()
+    if (x @ x) * (y @ y) - (x @ y) ** 2 < 1e-6:
         return "all corners are on one line of the board"
     return None
 

@@ -9,17 +9,17 @@ from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.orientation import best_turns, opposed_views, turned
 from camcal.calibrate.outliers import CUT, robust_sigma, screen
 from camcal.calibrate.problem import BoardProblem, Observations, State
-from camcal.calibrate.shape import ALL_TERMS, Verdict, judge, offsets_matter, terms_of, with_terms
+from camcal.calibrate.shape import Verdict, judge, offsets_matter, terms_of, with_terms
 from camcal.cameras.model import CameraModel
 from camcal.errors import InsufficientData
-from camcal.solve.least_squares import Solution, Stopping, linearise, minimise
+from camcal.solve.least_squares import Solution, Stopping, minimise
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import NormalEquations, factorise
 from camcal.targets.board import Board
 
 _FIRST_VIEWS = 40  # enough to find the lens; the rest then start next to their minimum
 _FIRST_CORNERS = 40
 _ROUGH = Stopping(relative_decrease=1e-4, iterations=50)
+_SETTLING = Stopping(iterations=2)  # the lens is known, the poses are next to their minimum
 _FINE = Stopping(relative_decrease=1e-8, iterations=60)
 _ROUNDS = 8
 _LOSS = Cauchy(3.0)
@@ -27,18 +27,20 @@ _LOSS = Cauchy(3.0)
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A solution: the problem with its final σ and kept points, the state, the tiers of the board's shape, the
-    symmetry by which each view was turned (V,), and the normal equations at the state.
+    """A solution: the problem with its final σ and kept points, the tiers of the board's shape, the symmetry by
+    which each view was turned (V,), the last solve, all iterations, and what was judged of the board's shape.
     """
 
     problem: BoardProblem
-    state: State
     tiers: tuple[str, ...]
     turns: Array
-    equations: NormalEquations
-    converged: bool
-    reason: str
+    solution: Solution[State]
     iterations: int
+    verdict: Verdict | None
+
+    @property
+    def state(self) -> State:
+        return self.solution.state
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def fit(
     if len(chosen) < count:
         state = _pose_all(problem, state)
         problem = replace(problem, sigma=_sigma(problem, state))
-        state = minimise(_inside(problem, state), state, _ROUGH).state
+        state = minimise(_inside(problem, state), state, _SETTLING).state
     result = _refine(problem, state, observations.weights > 0, shape)
     return _oriented(result, observations.weights > 0, shape)
 
@@ -90,12 +92,12 @@ def _start(problem: BoardProblem, image_size: tuple[int, int], held: Array, gues
 
 
 def _sigma(problem: BoardProblem, state: State) -> float:
-    return robust_sigma(problem.distances(state), problem.observations.weights > 0)
+    return robust_sigma(problem.distances(problem.residuals(state)), problem.observations.weights > 0)
 
 
 def _inside(problem: BoardProblem, state: State) -> BoardProblem:
     """Return the problem without the points that the lens cannot take at this state."""
-    lost = np.isnan(problem.distances(state))
+    lost = np.isnan(problem.distances(problem.residuals(state)))
     weights = np.where(lost, 0.0, problem.observations.weights)
     return replace(problem, observations=replace(problem.observations, weights=weights))
 
@@ -146,20 +148,15 @@ def _refine(problem: BoardProblem, state: State, present: Array, shape: ShapeOpt
             continue
         if np.array_equal(_screened(problem, state, present).observations.weights, problem.observations.weights):
             break
-    equations = _final_equations(problem, solution, verdict)
     turns = np.zeros(len(present), np.intp)
-    return Fit(problem, state, tiers, turns, equations, solution.converged, solution.reason, iterations)
-
-
-def _final_equations(problem: BoardProblem, solution: Solution[State], verdict: Verdict | None) -> NormalEquations:
-    return verdict.equations if verdict and not problem.offsets else solution.equations
+    return Fit(problem, tiers, turns, solution, iterations, verdict)
 
 
 def _screened(problem: BoardProblem, state: State, present: Array) -> BoardProblem:
     """Return the problem with outliers at weight 0 and σ brought up to date."""
     count = 2 * int(present.sum())
     freedom = max(1 - (problem.shared + 6 * len(present)) / count, 0.05)
-    screening = screen(problem.distances(state), present, freedom)
+    screening = screen(problem.distances(problem.residuals(state)), present, freedom)
     observations = replace(problem.observations, weights=screening.kept.astype(float))
     return replace(problem, observations=observations, sigma=screening.sigma, loss=None)
 
@@ -185,14 +182,12 @@ def _turn(result: Fit, turns: Array, present: Array, shape: ShapeOptions) -> Fit
 
 def _sorted_apart(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
     """Return the better of the solution and the one with the views sorted by their pull on the odd terms."""
-    problem, state = with_terms(replace(result.problem, offsets=False), result.state, ALL_TERMS)
-    equations = linearise(problem, state)
-    if equations is None:
+    if result.verdict is None:
         return result
-    opposed = opposed_views(factorise(equations), problem.shared_names)
+    opposed = opposed_views(result.verdict.factors, result.verdict.names)
     if not opposed.any():
         return result
-    half_turn = len(problem.board.symmetries()) // 2
+    half_turn = len(result.problem.board.symmetries()) // 2
     trial = _turn(result, opposed * half_turn, present, shape)
     sigma = result.problem.sigma
     gain = _chi_square(result, present, sigma) - _chi_square(trial, present, sigma)
@@ -201,5 +196,7 @@ def _sorted_apart(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
 
 def _chi_square(result: Fit, present: Array, sigma: float) -> float:
     """Return χ² of all present points, rejected ones counted at the cut, so that solutions can be compared."""
-    squared = np.nan_to_num(result.problem.distances(result.state), nan=np.inf) ** 2 / sigma**2
+    squared = (
+        np.nan_to_num(result.problem.distances(result.problem.residuals(result.state)), nan=np.inf) ** 2 / sigma**2
+    )
     return float(np.minimum(squared[present], CUT**2).sum())

@@ -15,7 +15,7 @@ from camcal.calibrate.shape import surface_of
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
-from camcal.solve.steps import Factors, SingularError, factorise
+from camcal.solve.steps import Factors, SingularError
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
 
@@ -104,8 +104,9 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     held, guess = _held(options, size)
     observations = Observations.of(usable)
     result = fit(options.model, board, observations, size, held, guess, options.shape)
-    if not result.converged:
-        raise NotConverged(f"the calibration did not settle ({result.reason} after {result.iterations} iterations)")
+    if not result.solution.converged:
+        reason = result.solution.reason
+        raise NotConverged(f"the calibration did not settle ({reason} after {result.iterations} iterations)")
     return _record(result, detections, reasons, size, options)
 
 
@@ -161,7 +162,7 @@ def _record(
     require_tilts(state.rotations[used])
     freedom = 2 * int(kept.sum()) - len(problem.free) - len(problem.terms) - 6 * int(used.sum())
     freedom -= 3 * problem.board.count - 7 if problem.offsets else 0
-    distances = problem.distances(state)[kept]
+    distances = problem.distances(residuals)[kept]
     sigma = float(np.sqrt(np.sum(distances**2) / max(freedom, 1) / truncation()))
     scale = (sigma / problem.sigma) ** 2
     covariance = factors.shared_covariance() * scale
@@ -187,7 +188,7 @@ def _record(
 
 def _factors(result: Fit) -> Factors:
     try:
-        return factorise(result.equations)
+        return result.solution.factors()
     except SingularError as error:
         raise InsufficientData(
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "

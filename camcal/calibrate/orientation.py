@@ -67,7 +67,7 @@ def _looks_the_same(board: Board, points: Array, permutation: Array) -> bool:
 
 def _view_costs(problem: BoardProblem, state: State) -> Array:
     """Return χ² of each view (V,); infinite where a point leaves the lens's domain."""
-    squared = np.nan_to_num(problem.distances(state), nan=np.inf) ** 2
+    squared = np.nan_to_num(problem.distances(problem.residuals(state)), nan=np.inf) ** 2
     present = problem.observations.weights > 0
     return np.asarray(np.where(present, squared, 0.0).sum(axis=1) / problem.sigma**2)
 

@@ -40,10 +40,8 @@ def screen(distances: Array, present: Array, freedom: float) -> Screening:
     sigma = robust_sigma(distances, present, freedom)
     kept = present & (np.nan_to_num(distances, nan=np.inf) <= CUT * sigma)
     counts = present.sum(axis=1)
-    medians = np.array([
-        robust_sigma(row[None], mask[None]) if mask.any() else 0.0
-        for row, mask in zip(distances, present, strict=True)
-    ])  # fmt: skip
+    ordered = np.sort(np.where(present, np.nan_to_num(distances, nan=np.inf), np.inf), axis=1)
+    medians = np.take_along_axis(ordered, np.maximum(counts - 1, 0)[:, None] // 2, axis=1)[:, 0]
     bad = (kept.sum(axis=1) * 2 < counts) | (medians > _VIEW_CUT * np.median(medians[counts > 0]))
     return Screening(sigma, kept & ~bad[:, None])
 

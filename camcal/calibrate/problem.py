@@ -143,9 +143,8 @@ class BoardProblem:
         offsets = state.offsets + step.shared[shape:].reshape(-1, 3) if self.offsets else state.offsets
         return State(parameters, rotations, translations, state.shape + step.shared[lens:shape], offsets)
 
-    def distances(self, state: State) -> Array:
-        """Return the lengths (V, P) of the residuals, whitened where covariances are known; NaN outside the domain."""
-        residuals = self.residuals(state)
+    def distances(self, residuals: Array) -> Array:
+        """Return the lengths (V, P) of residuals (2, V, P), whitened where covariances are known."""
         if self.observations.whitening is not None:
             residuals = np.einsum("ijvp,jvp->ivp", self.observations.whitening, residuals)
         return np.asarray(np.sqrt(residuals[0] ** 2 + residuals[1] ** 2))

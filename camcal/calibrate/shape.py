@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.solve.least_squares import linearise
-from camcal.solve.steps import Factors, NormalEquations, SingularError, factorise
+from camcal.solve.steps import Block, Factors, SingularError, assemble, factorise
 from camcal.targets.surface import TIERS, Surface, basis
 
 SIGNIFICANCE = 1e-3  # a flat board gains a needless tier in less than one of 250 calibrations
@@ -18,10 +18,13 @@ ALL_TERMS = tuple(term for terms in TIERS.values() for term in terms)
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The tiers in use by order of significance, and the equations of the problem that has exactly their terms."""
+    """The tiers that are significant, in that order, and the factors of the problem with every term: `names` are
+    its shared parameters.
+    """
 
     tiers: tuple[str, ...]
-    equations: NormalEquations
+    factors: Factors
+    names: tuple[str, ...]
 
 
 def terms_of(tiers: tuple[str, ...]) -> tuple[str, ...]:
@@ -61,9 +64,7 @@ def judge(problem: BoardProblem, state: State) -> Verdict | None:
         if chances[best] > np.log(SIGNIFICANCE):
             break
         tiers, lowest = (*tiers, trials[best][0]), trials[best][1]
-    names = full.shared_names
-    used = np.array([i for i, name in enumerate(names) if i < start or name in terms_of(tiers)], np.intp)
-    return Verdict(tiers, equations.restricted(used))
+    return Verdict(tiers, factors, full.shared_names)
 
 
 def _columns(columns: dict[str, Array], tiers: tuple[str, ...]) -> Array:
@@ -99,18 +100,32 @@ def offsets_matter(problem: BoardProblem, state: State) -> bool:
     """Return whether freeing every point of the board lowers the cost by more than chance would."""
     observations = problem.observations
     seen = np.bincount(observations.ids.ravel(), observations.weights.ravel() > 0, problem.board.count)
-    if seen.min() < SEEN:
-        return False
     freed = replace(problem, offsets=True)
-    equations = linearise(freed, state)
-    if equations is None:
-        return False
-    try:
-        gain = 2 * factorise(equations).decrease()
-    except SingularError:
+    blocks = freed.blocks(state) if seen.min() >= SEEN else None
+    if blocks is None:
         return False
     # a rigid motion and the scale are not the board's own: seven of the offsets' freedoms cost nothing
-    return bool(chi2.logsf(gain, 3 * problem.board.count - 7) < np.log(SIGNIFICANCE))
+    freedom = 3 * problem.board.count - 7
+    gain = _gain_with_poses_held(blocks[0], len(problem.free) + len(problem.terms), problem.board.count)
+    if chi2.sf(gain, freedom) > 0.05:
+        return False  # the poses and the lens following cannot make much of so little
+    try:
+        gain = 2 * factorise(assemble(blocks, freed.shared, *freed.groups)).decrease()
+    except SingularError:
+        return False
+    return bool(chi2.logsf(gain, freedom) < np.log(SIGNIFICANCE))
+
+
+def _gain_with_poses_held(block: Block, start: int, points: int) -> float:
+    """Return the fall of χ² when each point moves on its own and nothing follows: one 3 × 3 solve a point."""
+    offsets, weights = block.shared[-1], block.weights
+    point = (offsets.columns[:, 0] - start) // 3
+    weighted = offsets.values if weights is None else offsets.values * weights[:, None, None]
+    gradient = np.einsum("mda,md->am", weighted, block.residuals)
+    products = np.einsum("mda,mdb->abm", weighted, offsets.values).reshape(9, -1)
+    slopes = np.stack([np.bincount(point, row, points) for row in gradient], axis=-1)
+    matrices = np.stack([np.bincount(point, row, points) for row in products], axis=-1).reshape(points, 3, 3)
+    return float(np.einsum("ca,ca->", slopes, np.linalg.solve(matrices, slopes[..., None])[..., 0]))
 
 
 def surface_of(problem: BoardProblem, state: State, tiers: tuple[str, ...], covariance: Array) -> Surface:

@@ -20,7 +20,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats import boards
-from camcal.formats.tables import Table, cell, csv_row, numbered_lines
+from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.targets.board import Board, Detection, Detections, parse_board
 
 MAGIC = "# camcal-detections"
@@ -73,7 +73,7 @@ def _named_board(path: str, words: dict[str, str]) -> Board:
 
 def _nothing(path: str, number: int, line: str) -> Detection:
     """Return the view of a '# none' line."""
-    cells = csv_row(path, number, line.removeprefix(NONE))
+    cells = csv_rows(path, [(number, line.removeprefix(NONE))])[0]
     if not 4 <= len(cells) <= 6:
         raise InvalidInput(f"{NONE}needs IMAGE,WIDTH,HEIGHT,REASON[,CAMERA[,ORIENTATION]]", where=f"{path}:{number}")
     cells += ["", "1"][len(cells) - 4 :]
@@ -143,7 +143,7 @@ def _orientations(table: Table) -> Array:
 def _same_in_view(table: Table, what: str, values: Array, first: Array) -> Array:
     """Return values (N, D), refusing a row that differs from the first one of its view."""
     table.refuse(
-        np.any(values != values[first], axis=1),
+        (values != values[first]).any(axis=1),
         lambda row: (
             f"image {table.columns['image'][row]!r}: {what} {' x '.join(map(str, values[row]))} "
             f"here, {' x '.join(map(str, values[first[row]]))} at line {table.lines[first[row]]}"
@@ -172,11 +172,15 @@ def _covariance(table: Table) -> Array | None:
     if len(given) < len(COVARIANCE):
         raise InvalidInput(f"column {given[0]!r} without the others of {','.join(COVARIANCE)}", where=table.path)
     empty = np.array([[not text.strip() for text in table.columns[name]] for name in COVARIANCE])
-    table.refuse(empty.any(axis=0) & ~empty.all(axis=0), lambda _row: f"only a part of {','.join(COVARIANCE)}")
+    table.refuse(
+        np.asarray(empty.any(axis=0) & ~empty.all(axis=0)), lambda _row: f"only a part of {','.join(COVARIANCE)}"
+    )
     filled = np.flatnonzero(~empty[0])
     part = table.rows(filled)
     suu, suv, svv = (part.numbers(name) for name in COVARIANCE)
-    part.refuse(~((suu > 0) & (suu * svv > suv**2)), lambda _row: "suu, suv, svv are no covariance (not positive)")
+    part.refuse(
+        np.asarray((suu <= 0) | (suu * svv <= suv**2)), lambda _row: "suu, suv, svv are no covariance (not positive)"
+    )
     result = np.full((len(table), 2, 2), np.nan)
     result[filled] = np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
     return result

@@ -37,8 +37,8 @@ def read(path: Path, scale: float | None = None) -> DisparityMap:
     Raises FileError if the file cannot be read, InvalidInput if it has several channels or the scale is not positive.
     """
     values = _read_values(path)
-    if values.ndim != 2:
-        raise InvalidInput(f"a disparity map has one channel, this has the shape {values.shape}", where=str(path))
+    if values.ndim != 2 or values.size == 0:
+        raise InvalidInput(f"a disparity map has rows and columns, this has the shape {values.shape}", where=str(path))
     if scale is None:
         scale = KITTI_SCALE if values.dtype == np.uint16 else 1.0
     if not (np.isfinite(scale) and scale > 0):

@@ -75,14 +75,18 @@ class Document(Mapping[str, Any]):
             path = path[: max(path.rfind("."), path.rfind("["), 0)]
         return self.lines.get(path, 1)
 
+    def message(self, fault: Fault) -> str:
+        """Return a fault as one line: file:line: path: text."""
+        place = f"{self.where}:{fault.line or self.line(fault.path)}"
+        return f"{place}: {fault.path}: {fault.text}" if fault.path else f"{place}: {fault.text}"
+
     def error(self, faults: Iterable[Fault]) -> InvalidInput:
         """Return one error that lists all faults, a line each, in the order of the file."""
-        found = sorted((fault.line or self.line(fault.path), fault.path, fault.text) for fault in faults)
-        lines = [f"{self.where}:{line}: {path}: {text}" if path else f"{self.where}:{line}: {text}"
-                 for line, path, text in found[:MAX_LISTED]]  # fmt: skip
+        found = sorted(faults, key=lambda fault: fault.line or self.line(fault.path))
+        lines = [self.message(fault) for fault in found[:MAX_LISTED]]
         if len(found) > MAX_LISTED:
             lines.append(f"{self.where}: and {len(found) - MAX_LISTED} more")
-        where = f"{self.where}:{found[0][0]}"
+        where = f"{self.where}:{found[0].line or self.line(found[0].path)}"
         return InvalidInput("\n".join(lines).removeprefix(f"{where}: "), where=where)
 
 

@@ -1,7 +1,7 @@
 """Text tables with named columns, read a column at a time; whatever is wrong is told with file and line."""
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ class Table:
     """Cells as text, column by column; lines: where in the file each row stands."""
 
     path: str
-    columns: dict[str, Sequence[str]]
+    columns: Mapping[str, Sequence[str]]
     lines: Sequence[int]
 
     @classmethod
@@ -42,14 +42,19 @@ class Table:
         lines = [(number, line) for number, line in lines if not line.startswith("#")]
         if not lines:
             raise InvalidInput(f"no header line; the first row names the columns {','.join(required)}", where=path)
-        rows = _rows(path, lines)
+        rows = csv_rows(path, lines)
         names = [name.strip() for name in rows[0]]
         _check_names(f"{path}:{lines[0][0]}", names, required, optional)
-        for (number, _), row in zip(lines, rows, strict=True):
-            if len(row) != len(names):
-                raise InvalidInput(f"{len(row)} cells under {len(names)} columns", where=f"{path}:{number}")
-        columns = list(zip(*rows[1:], strict=True)) or [()] * len(names)
-        return cls(path, dict(zip(names, columns, strict=True)), [number for number, _ in lines[1:]])
+        return cls.of_rows(path, names, rows[1:], [number for number, _ in lines[1:]])
+
+    @classmethod
+    def of_rows(cls, path: str, names: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[int]) -> "Table":
+        """Return the table of rows of cells; raises InvalidInput for a row of another length than the names."""
+        bad = next((index for index, row in enumerate(rows) if len(row) != len(names)), None)
+        if bad is not None:
+            raise InvalidInput(f"{len(rows[bad])} cells under {len(names)} columns", where=f"{path}:{lines[bad]}")
+        columns = zip(*rows, strict=True) if rows else [()] * len(names)
+        return cls(path, dict(zip(names, columns, strict=True)), lines)
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -78,7 +83,7 @@ class Table:
         self.refuse(~np.isfinite(values), lambda row: f"{name}: {self.columns[name][row]} is not finite")
         return values
 
-    def _converted(self, name: str, convert: Callable[[str], float], what: str) -> list[float]:
+    def _converted(self, name: str, convert: Callable[[str], float], what: str) -> list[Any]:
         cells = self.columns[name]
         try:
             if "_" not in "".join(cells):  # 1_000 is a number to Python only
@@ -90,18 +95,23 @@ class Table:
         return []
 
 
-def _rows(path: str, lines: Lines) -> list[list[str]]:
-    """Return the cells of all lines; a quote left open would swallow the lines that follow."""
-    reader = csv.reader((line for _, line in lines), skipinitialspace=True, strict=True)
-    rows: list[list[str]] = []
+def csv_rows(path: str, lines: Lines) -> list[list[str]]:
+    """Return the cells of CSV lines, a row each; raises InvalidInput if a quote is left open."""
     try:
-        for row in reader:
-            rows.append(row)
-            if reader.line_num != len(rows):
-                raise csv.Error("a quote is not closed")
-    except csv.Error as error:
-        raise InvalidInput(f"not a CSV row: {error}", where=f"{path}:{lines[len(rows) - 1][0]}") from error
+        rows = list(csv.reader((line for _, line in lines), skipinitialspace=True, strict=True))
+    except csv.Error:
+        rows = []
+    if len(rows) != len(lines):  # an open quote swallows the lines that follow
+        for number, line in lines:
+            _refuse_bad_quotes(f"{path}:{number}", line)
     return rows
+
+
+def _refuse_bad_quotes(where: str, line: str) -> None:
+    try:
+        list(csv.reader([line], skipinitialspace=True, strict=True))
+    except csv.Error as error:
+        raise InvalidInput(f"not a CSV row, a quote is wrong: {error}", where=where) from error
 
 
 def _check_names(where: str, names: Sequence[str], required: Sequence[str], optional: Sequence[str]) -> None:

@@ -55,11 +55,7 @@ def _table(path: str, lines: Lines) -> Table:
     if missing:
         raise InvalidInput("no legend; the first line of a corners.vnl is '# filename x y level'", where=path)
     rows = [(number, line.split()) for number, line in lines if not line.startswith("#")]
-    for number, cells in rows:
-        if len(cells) != len(names):
-            raise InvalidInput(f"{len(cells)} cells under {len(names)} columns", where=f"{path}:{number}")
-    columns = list(zip(*(cells for _, cells in rows), strict=True)) or [()] * len(names)
-    return Table(path, dict(zip(names, columns, strict=True)), [number for number, _ in rows])
+    return Table.of_rows(path, names, [cells for _, cells in rows], [number for number, _ in rows])
 
 
 def _refuse_scattered(table: Table, groups: Sequence[Sequence[int]]) -> None:

@@ -1,0 +1,163 @@
+"""What lens models share that map rays to a plane, distort the plane and scale it to pixels.
+
+The work goes in parts of PART points, whose temporaries stay in the processor's cache.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array, require_shape
+from camcal.cameras.distortion import Distorted, Distortion, Roles
+from camcal.cameras.model import Domain, Projection, ProjectionJacobians, Rays
+from camcal.cameras.undistortion import one_to_one, undistort
+
+CORE = ("fx", "fy", "cx", "cy")
+PART = 4096
+
+
+class Flat(NamedTuple):
+    """Points on the plane: x, y (n,), their size (n,) per unit of X, Y, and the mask (n,) of points in front."""
+
+    x: Array
+    y: Array
+    scale: Array
+    front: Array
+
+
+@dataclass(frozen=True)
+class PlaneModel(ABC):
+    """A model with the parameters fx fy cx cy and distortion coefficients; a subclass says which plane it uses."""
+
+    name: str
+    coefficients: tuple[str, ...]
+
+    reach: ClassVar[float]  # the largest radius on the plane
+    kinds: ClassVar[dict[str, tuple[str, ...]]]  # the coefficients of each of the Roles
+
+    @abstractmethod
+    def _flatten(self, points: Array) -> Flat:
+        """Return points (n, 3) on the plane, NaN where they have no place on it."""
+
+    @abstractmethod
+    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
+        """Write the derivatives (2, 3, n) of the pixels by the points."""
+
+    @abstractmethod
+    def _lift(self, x: Array, y: Array) -> Array:
+        """Return the unit rays (3, n) of places on the plane (n,)."""
+
+    @abstractmethod
+    def _angle(self, radius: float) -> float:
+        """Return the angle (rad) from the axis at a radius on the plane."""
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        return CORE + self.coefficients
+
+    def project(self, parameters: Array, points: Array) -> Projection:
+        """Return the pixels (N, 2) of points (N, 3) in the camera frame."""
+        points = require_shape(points, (None, 3), "points")
+        focal, centre, distortion = self._read(parameters)
+        limit = distortion.limit(self.reach)
+        pixels, valid = np.empty((2, len(points))), np.empty(len(points), dtype=bool)
+        with np.errstate(all="ignore"):
+            for part in _parts(len(points)):
+                flat = self._flatten(points[part])
+                distorted = distortion.apply(flat.x, flat.y)
+                _to_pixels(distorted, focal, centre, pixels[:, part])
+                _blank(flat.front & one_to_one(distorted, limit), valid[part], pixels[:, part])
+        return Projection(pixels.T, valid)
+
+    def project_with_jacobians(self, parameters: Array, points: Array) -> ProjectionJacobians:
+        """Return the pixels of points (N, 3) with d/dpoint (N, 2, 3) and d/dparameters (N, 2, K)."""
+        points = require_shape(points, (None, 3), "points")
+        focal, centre, distortion = self._read(parameters)
+        limit = distortion.limit(self.reach)
+        count = len(points)
+        pixels, valid = np.empty((2, count)), np.empty(count, dtype=bool)
+        d_point, d_parameters = np.empty((2, 3, count)), np.empty((2, len(self.parameter_names), count))
+        with np.errstate(all="ignore"):
+            for part in _parts(count):
+                flat = self._flatten(points[part])
+                rows = d_parameters[:, :, part]
+                distorted = distortion.apply(flat.x, flat.y, rows[:, len(CORE) :])
+                _to_pixels(distorted, focal, centre, pixels[:, part])
+                _fill_parameters(distorted, focal, rows)
+                self._chain(points[part], flat, distorted, focal, d_point[:, :, part])
+                inside = flat.front & one_to_one(distorted, limit)
+                _blank(inside, valid[part], pixels[:, part], d_point[:, :, part], rows)
+        return ProjectionJacobians(pixels.T, valid, d_point.transpose(2, 0, 1), d_parameters.transpose(2, 0, 1))
+
+    def unproject(self, parameters: Array, pixels: Array) -> Rays:
+        """Return the unit rays (N, 3) of pixels (N, 2)."""
+        pixels = require_shape(pixels, (None, 2), "pixels")
+        focal, centre, distortion = self._read(parameters)
+        limit = distortion.limit(self.reach)
+        directions, valid = np.empty((3, len(pixels))), np.empty(len(pixels), dtype=bool)
+        with np.errstate(all="ignore"):
+            for part in _parts(len(pixels)):
+                x_d, y_d = ((pixels[part, axis] - centre[axis]) / focal[axis] for axis in (0, 1))
+                x, y, solved = undistort(distortion, x_d, y_d, limit)
+                directions[:, part] = self._lift(x, y)
+                _blank(solved, valid[part], directions[:, part])
+        return Rays(directions.T, valid)
+
+    def domain(self, parameters: Array) -> Domain:
+        """Return where the radial part is one-to-one; the other terms may shrink that a little near its edge."""
+        focal, _, distortion = self._read(parameters)
+        limit = distortion.limit(self.reach)
+        return Domain(self._angle(limit.radius), min(focal) * limit.distorted)
+
+    def rescale(self, parameters: Array, scale: tuple[float, float], offset: tuple[float, float]) -> Array:
+        """Return the parameters (K,) for an image resized by `scale` (x, y), then cropped at `offset` (x, y) px."""
+        result = require_shape(parameters, (len(self.parameter_names),), "parameters").copy()
+        result[:2] *= scale
+        # Resizing keeps the corner of the image, which lies half a pixel before the centre of pixel 0.
+        result[2:4] = (result[2:4] + 0.5) * scale - 0.5 - np.asarray(offset)
+        return result
+
+    def start(self, image_size: tuple[int, int], focal: float) -> Array:
+        """Return parameters (K,) without distortion, centred in an image (width, height), of one focal length (px)."""
+        result = np.zeros(len(self.parameter_names))
+        result[:4] = focal, focal, (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
+        return result
+
+    def _read(self, parameters: Array) -> tuple[list[float], list[float], Distortion]:
+        """Return the focal lengths, the principal point and the distortion of parameters (K,)."""
+        values = require_shape(parameters, (len(self.parameter_names),), "parameters").tolist()
+        roles = {
+            role: tuple(self.coefficients.index(name) for name in names if name in self.coefficients)
+            for role, names in self.kinds.items()
+        }
+        return values[:2], values[2:4], Distortion(tuple(values[4:]), Roles(**roles))
+
+
+def _parts(count: int) -> Iterator[slice]:
+    return (slice(start, start + PART) for start in range(0, count, PART))
+
+
+def _to_pixels(distorted: Distorted, focal: list[float], centre: list[float], pixels: Array) -> None:
+    for row, value, scale, origin in zip(pixels, (distorted.x, distorted.y), focal, centre, strict=True):
+        np.multiply(value, scale, out=row)
+        row += origin
+
+
+def _fill_parameters(distorted: Distorted, focal: list[float], rows: Array) -> None:
+    """Write the derivatives by fx fy cx cy, and turn those of x_d and y_d by the coefficients into pixels."""
+    rows[:, : len(CORE)] = 0.0
+    rows[0, 0], rows[1, 1] = distorted.x, distorted.y
+    rows[0, 2] = rows[1, 3] = 1.0
+    for axis, scale in zip(rows, focal, strict=True):
+        axis[len(CORE) :] *= scale
+
+
+def _blank(inside: Array, valid: Array, *results: Array) -> None:
+    """Write the mask (n,) and NaN into the results (..., n) where it is False."""
+    valid[:] = inside
+    if not inside.all():
+        for result in results:
+            result[..., ~inside] = np.nan

@@ -1,0 +1,111 @@
+"""What a camera file holds: named cameras, the transforms between them, and where the numbers come from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from camcal.arrays import Array, readonly
+from camcal.cameras.model import Camera
+from camcal.geometry.pose import Pose
+from camcal.targets.surface import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class ValidRegion:
+    """Where a camera may be trusted; a limit that is None is not known.
+
+    max_theta: angle from the optical axis, rad. max_radius_px: distance from the principal point.
+    polygon: (N, 2) pixels around the region that was observed.
+    """
+
+    max_theta: float | None = None
+    max_radius_px: float | None = None
+    polygon: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.polygon is not None:
+            object.__setattr__(self, "polygon", readonly(self.polygon, (None, 2), "polygon"))
+
+
+@dataclass(frozen=True)
+class ProjectionStd:
+    """How far a point at one range (m, None: infinity) may be projected off, px: figures over the whole image."""
+
+    figures: Mapping[str, float]
+    range_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The standard deviation of one measured pixel coordinate, and the degrees of freedom it was estimated with."""
+
+    sigma_px: float
+    degrees_of_freedom: int | None = None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a calibration may be trusted, and why not."""
+
+    trustworthy: bool
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CameraEntry:
+    """A camera and what is known of it.
+
+    quality: figures such as rms_px, images_used. sensor: pixel_pitch_um, gain_e_per_dn, read_noise_e, full_well_e.
+    channels: a lens of its own for some colours. extra: the x_ keys of other programs, kept as they are.
+    """
+
+    camera: Camera
+    valid: ValidRegion | None = None
+    projection: tuple[ProjectionStd, ...] = ()
+    quality: Mapping[str, float] = field(default_factory=dict)
+    noise: Noise | None = None
+    verdict: Verdict | None = None
+    sensor: Mapping[str, float] = field(default_factory=dict)
+    channels: Mapping[str, Camera] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """A pose a_T_b in metres and its covariance (6, 6), order tx ty tz rx ry rz, m and rad."""
+
+    pose: Pose
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "covariance"))
+
+
+@dataclass(frozen=True, eq=False)
+class JointCovariance:
+    """The covariance (N, N) of parameters of several cameras and transforms, such as left.fx and right_T_left.tx."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        object.__setattr__(self, "matrix", readonly(self.matrix, (count, count), "joint covariance"))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFile:
+    """A camera file. transforms: by their names a_T_b. provenance, converted_from: plain data, never interpreted.
+
+    warnings: what a reader should know before trusting the file, a line each; they are not written.
+    """
+
+    cameras: Mapping[str, CameraEntry]
+    transforms: Mapping[str, Transform] = field(default_factory=dict)
+    joint_covariance: JointCovariance | None = None
+    board_shape: Surface | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    converted_from: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()

@@ -1,0 +1,150 @@
+"""Covariances as blocks of a file: std by name, the order of the names, the matrix.
+
+    std: {fx: 0.41, fy: 0.4}
+    covariance_order: [fx, fy]
+    covariance:
+      - [0.1681, 0.1602]
+      - [0.1602, 0.16]
+
+A matrix of more than 100 names stands in an .npz beside the file instead, under covariance_file, whose name carries
+the hash of the numbers.
+"""
+
+import hashlib
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.formats.schema import did_you_mean, items, mapping, matrix, number, text
+from camcal.formats.strict_yaml import Check, Fault, child
+
+MAX_INLINE = 100
+STD_AGREEMENT = 0.01  # std and the matrix are two views of one number; a hand-edited one shows
+NEGATIVE = -1e-9  # smallest eigenvalue of the correlations: rounding to 12 digits moves it by 1e-12 · size
+
+KEYS: Mapping[str, Check] = {
+    "std": mapping({}, others=number(0)),
+    "covariance_order": items(text),
+    "covariance": items(items(number())),
+    "covariance_file": text,
+}
+
+
+def check(block: Mapping[str, Any], path: str, names: Sequence[str], fixed: Sequence[str] = ()) -> Iterator[Fault]:
+    """Check a block whose keys have passed KEYS; `names` have a covariance, save those in `fixed`."""
+    order = block.get("covariance_order", [])
+    listed = [(child(child(path, "std"), name), name) for name in block.get("std", {})]
+    listed += [(child(child(path, "covariance_order"), index), name) for index, name in enumerate(order)]
+    for where, name in listed:
+        if name not in names:
+            yield Fault(where, f"no parameter {name!r}{did_you_mean(name, names)}")
+        elif name in fixed:
+            yield Fault(where, f"{name!r} is fixed and has no uncertainty; leave it out")
+    if len(set(order)) < len(order):
+        yield Fault(child(path, "covariance_order"), f"{max(order, key=order.count)!r} stands twice")
+    given = {"covariance", "covariance_file"} & block.keys()
+    if bool(order) != bool(given) or len(given) > 1:
+        yield Fault(path, "covariance_order goes with covariance, or with covariance_file")
+    elif "covariance" in block:
+        yield from _check_matrix(block, child(path, "covariance"))
+
+
+def _check_matrix(block: Mapping[str, Any], path: str) -> Iterator[Fault]:
+    rows, order = block["covariance"], block["covariance_order"]
+    if any(matrix(len(order), len(order))(rows, path)):
+        shape = f"{len(rows)}x{len(rows[0]) if rows else 0}"
+        yield Fault(path, f"covariance is {shape} but covariance_order has {len(order)} names")
+        return
+    found = np.array(rows, dtype=float)
+    if (reason := why_no_covariance(found)) is not None:
+        yield Fault(path, reason)
+        return
+    for name, variance in zip(order, np.diag(found), strict=True):
+        std = block.get("std", {}).get(name)
+        if std is not None and abs(std - np.sqrt(variance)) > STD_AGREEMENT * max(std, np.sqrt(variance)):
+            yield Fault(path, f"std.{name} is {std:g}, the covariance says {np.sqrt(variance):g}")
+
+
+def why_no_covariance(found: Array) -> str | None:
+    """Return why a matrix (N, N) of finite numbers is no covariance, None if it is one but for 12-digit rounding."""
+    variances = np.diag(found)
+    if (variances < 0).any():
+        return f"not a covariance: the variance in row {int(np.argmin(variances)) + 1} is negative"
+    scale = np.where(variances > 0, np.sqrt(variances), 1.0)
+    correlations = found / np.outer(scale, scale)
+    asymmetry = np.abs(correlations - correlations.T).max(initial=0.0)
+    if asymmetry > -NEGATIVE:
+        return f"not a covariance: not symmetric (correlations differ by {asymmetry:.1e})"
+    smallest = np.linalg.eigvalsh(correlations).min(initial=0.0)
+    if smallest < NEGATIVE:
+        return f"not a covariance: not positive semidefinite (smallest eigenvalue of the correlations {smallest:.1e})"
+    return None
+
+
+def read(
+    block: Mapping[str, Any], names: Sequence[str], folder: Path, fixed: Sequence[str] = ()
+) -> tuple[Array | None, tuple[str, ...]]:
+    """Return the covariance (N, N) over `names`, rows of fixed names zero, and the names without an uncertainty.
+
+    Where only a std is given, correlations are zero. The covariance is None if a name that is not fixed has neither.
+    block: has passed `check`. folder: of the file, for a matrix that stands beside it.
+    """
+    index = {name: row for row, name in enumerate(names)}
+    std = block.get("std", {})
+    order = block.get("covariance_order", [])
+    unknown = tuple(name for name in names if name not in (*std, *order, *fixed))
+    if unknown:
+        return None, unknown
+    result = np.diag([float(std.get(name, 0.0)) ** 2 for name in names])
+    rows = [index[name] for name in order]
+    if rows:
+        result[np.ix_(rows, rows)] = _matrix(block, folder)
+    return result, ()
+
+
+def _matrix(block: Mapping[str, Any], folder: Path) -> Array:
+    if "covariance" in block:
+        return np.array(block["covariance"], dtype=float)
+    path = folder / block["covariance_file"]
+    try:
+        found = np.load(io.BytesIO(files.read_bytes(path)), allow_pickle=False)["covariance"]
+    except (ValueError, KeyError, OSError) as error:
+        raise FileError("is not a covariance written by camcal, or cut off", where=str(path)) from error
+    count = len(block["covariance_order"])
+    if found.shape != (count, count) or _digest(found) not in path.name:
+        raise InvalidInput("does not hold the covariance its name and covariance_order tell of", where=str(path))
+    return np.asarray(found)
+
+
+def block(names: Sequence[str], covariance: Array, beside: Path, fixed: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the block of a covariance (N, N) over `names`; writes an .npz beside the file for a large one."""
+    free = [row for row, name in enumerate(names) if name not in fixed]
+    order = [names[row] for row in free]
+    found = np.ascontiguousarray(covariance[np.ix_(free, free)])
+    data: dict[str, Any] = {"std": dict(zip(order, np.sqrt(np.diag(found)).tolist(), strict=True))}
+    if not order:
+        return {}
+    data["covariance_order"] = order
+    if len(order) <= MAX_INLINE:
+        data["covariance"] = found.tolist()
+    else:
+        data["covariance_file"] = _write_beside(beside, found)
+    return data
+
+
+def _write_beside(beside: Path, covariance: Array) -> str:
+    path = beside.with_name(f"{beside.stem}.covariance-{_digest(covariance)}.npz")
+    content = io.BytesIO()
+    np.savez_compressed(content, covariance=covariance)
+    files.write_bytes(path, content.getvalue())
+    return path.name
+
+
+def _digest(covariance: Array) -> str:
+    return hashlib.sha256(covariance.astype("<f8").tobytes()).hexdigest()[:16]

@@ -1,0 +1,102 @@
+"""Where a result comes from: the program, the command, the libraries, the board, every image with its hash."""
+
+import os
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import camcal
+from camcal.errors import InvalidInput
+from camcal.formats import boards
+from camcal.formats.schema import flag, integer, items, mapping, number, plain, text
+from camcal.targets.board import Board
+
+MAX_COMMAND = 1000
+OPENCV = (
+    "opencv-contrib-python-headless",
+    "opencv-contrib-python",
+    "opencv-python-headless",
+    "opencv-python",
+)
+UNRECORDED = {"-o", "--output", "-j", "--jobs", "-q", "--quiet", "-v", "--verbose", "--json"}  # change no number
+WITH_VALUE = {"-o", "--output", "-j", "--jobs"}
+
+_IMAGE = mapping(
+    {"file": text},
+    {"sha256": text, "used": flag, "points": integer(0), "rms_px": number(0), "reason": text},
+    others=plain,
+)
+check = mapping(
+    {},
+    {
+        "tool": text,
+        "tool_version": text,
+        "command": text,
+        "created": text,
+        "libraries": mapping({}, others=text),
+        "board": mapping({}, others=plain),
+        "images": items(_IMAGE),
+    },
+    others=plain,
+)
+
+
+def build(arguments: Sequence[str], board: Board | None, images: Iterable[Mapping[str, Any]] = ()) -> dict[str, Any]:
+    """Return the provenance block of a result.
+
+    arguments: the command line after the program's name. images: {file, sha256, used, points, rms_px, reason} each.
+    """
+    block: dict[str, Any] = {"tool": "camcal", "tool_version": camcal.__version__, "command": command(arguments)}
+    if (stamp := created()) is not None:
+        block["created"] = stamp
+    block["libraries"] = _libraries()
+    if board is not None:
+        block["board"] = boards.block(board)
+    block["images"] = [dict(image) for image in images]
+    return block
+
+
+def command(arguments: Sequence[str]) -> str:
+    """Return the command line as it is recorded: options that change no number left out, the middle of a long one cut.
+
+    Two runs over the same input then leave the same bytes, whatever their --jobs and wherever they write to.
+    """
+    kept: list[str] = []
+    left = iter(arguments)
+    for argument in left:
+        name, equals, _ = argument.partition("=")
+        if name not in UNRECORDED:
+            kept.append(Path(argument).as_posix() if "/" in argument or "\\" in argument else argument)
+        elif name in WITH_VALUE and not equals:
+            next(left, None)
+    line = shlex.join(["camcal", *kept])
+    half = MAX_COMMAND // 2
+    return line if len(line) <= MAX_COMMAND else f"{line[:half]} … {line[-half:]}"
+
+
+def created() -> str | None:
+    """Return the moment that SOURCE_DATE_EPOCH gives, None without it: no clock is read into a file."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    if epoch is None:
+        return None
+    try:
+        return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    except (ValueError, OverflowError, OSError) as error:
+        raise InvalidInput(f"{epoch!r} is not a number of seconds since 1970", where="SOURCE_DATE_EPOCH") from error
+
+
+def _libraries() -> dict[str, str]:
+    found = {distribution: _version(distribution) for distribution in (*OPENCV, "numpy", "scipy")}
+    opencv = next((version for name in OPENCV if (version := found[name])), None)
+    versions = {"opencv": opencv, "numpy": found["numpy"], "scipy": found["scipy"]}
+    return {name: version for name, version in versions.items() if version is not None}
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
