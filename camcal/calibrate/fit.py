@@ -8,7 +8,7 @@ from camcal.arrays import Array
 from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.orientation import best_turns, opposed_views, turned
 from camcal.calibrate.outliers import CUT, robust_sigma, screen
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
 from camcal.calibrate.shape import Verdict, judge, offsets_matter, terms_of, with_terms
 from camcal.cameras.model import CameraModel
 from camcal.errors import InsufficientData
@@ -22,6 +22,7 @@ _ROUGH = Stopping(relative_decrease=1e-4, iterations=50)
 _SETTLING = Stopping(iterations=2)  # the lens is known, the poses are next to their minimum
 _FINE = Stopping(relative_decrease=1e-8, iterations=60)
 _ROUNDS = 8
+_STAGES = (("fx", "fy", "k1"), ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
 _LOSS = Cauchy(3.0)
 
 
@@ -74,7 +75,7 @@ def fit(
     if len(chosen) < count:
         state = _pose_all(problem, state)
         problem = replace(problem, sigma=_sigma(problem, state))
-        state = minimise(_inside(problem, state), state, _SETTLING).state
+        state = minimise(problem.within_domain(state), state, _SETTLING).state
     result = _refine(problem, state, observations.weights > 0, shape)
     return _oriented(result, observations.weights > 0, shape)
 
@@ -95,13 +96,6 @@ def _sigma(problem: BoardProblem, state: State) -> float:
     return robust_sigma(problem.distances(problem.residuals(state)), problem.observations.weights > 0)
 
 
-def _inside(problem: BoardProblem, state: State) -> BoardProblem:
-    """Return the problem without the points that the lens cannot take at this state."""
-    lost = np.isnan(problem.distances(problem.residuals(state)))
-    weights = np.where(lost, 0.0, problem.observations.weights)
-    return replace(problem, observations=replace(problem.observations, weights=weights))
-
-
 def _robust(
     problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None
 ) -> tuple[BoardProblem, State]:
@@ -111,11 +105,14 @@ def _robust(
     run after them before the poses have settled.
     """
     state = _start(problem, image_size, held, guess)
+    spread = lens_spread(problem.model, image_size, float(state.parameters[0]))
+    problem = replace(problem, lens_spread=spread)
+    names = problem.model.parameter_names
     everything = problem.free
-    stiff = np.array([i for i in everything if problem.model.parameter_names[i] in ("fx", "fy", "k1")], np.intp)
-    for free in (stiff, everything, everything):
+    stages = [np.array([i for i in everything if names[i] in stage], np.intp) for stage in _STAGES]
+    for free in (*stages, everything, everything):
         problem = replace(problem, free=free, loss=_LOSS, sigma=_sigma(problem, state))
-        state = minimise(_inside(problem, state), state, _ROUGH).state
+        state = minimise(problem.within_domain(state), state, _ROUGH).state
     return replace(problem, sigma=_sigma(problem, state)), state
 
 
@@ -131,25 +128,25 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
 def _refine(problem: BoardProblem, state: State, present: Array, shape: ShapeOptions) -> Fit:
     """Return the solution with outliers and the board's shape settled together: each is judged under the other."""
     tiers: tuple[str, ...] = ()
+    verdict: Verdict | None = None
     iterations = 0
-    for _ in range(_ROUNDS):
-        problem = _screened(problem, state, present)
+    problem = _screened(problem, state, present)
+    for attempt in range(_ROUNDS):
         solution = minimise(problem, state, _FINE)
         state, iterations = solution.state, iterations + solution.iterations
-        verdict = judge(problem, state) if shape.smooth else None
-        terms = terms_of(verdict.tiers) if verdict else problem.terms
-        grown = set(terms) != set(problem.terms)
-        if verdict and grown:
-            tiers = verdict.tiers
-            problem, state = with_terms(problem, state, terms)
-            continue
-        if shape.offsets and shape.smooth and not problem.offsets and offsets_matter(problem, state):
-            problem = replace(problem, offsets=True)
-            continue
-        if np.array_equal(_screened(problem, state, present).observations.weights, problem.observations.weights):
+        if shape.smooth and not problem.offsets:
+            verdict = judge(problem, state)
+            tiers = verdict.tiers if verdict else tiers
+        following, state = with_terms(problem, state, terms_of(tiers))
+        settled = following.terms == problem.terms
+        if settled and shape.smooth and shape.offsets and not problem.offsets and offsets_matter(problem, state):
+            following, settled = replace(problem, offsets=True), False
+        following = _screened(following, state, present)
+        settled = settled and np.array_equal(following.observations.weights, problem.observations.weights)
+        if settled or attempt == _ROUNDS - 1:
             break
-    turns = np.zeros(len(present), np.intp)
-    return Fit(problem, tiers, turns, solution, iterations, verdict)
+        problem = following
+    return Fit(problem, tiers, np.zeros(len(present), np.intp), solution, iterations, verdict)
 
 
 def _screened(problem: BoardProblem, state: State, present: Array) -> BoardProblem:
@@ -175,7 +172,8 @@ def _oriented(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
 
 
 def _turn(result: Fit, turns: Array, present: Array, shape: ShapeOptions) -> Fit:
-    problem, state = turned(result.problem, result.state, turns)
+    drawn = replace(result.problem, offsets=False), replace(result.state, offsets=0 * result.state.offsets)
+    problem, state = turned(*drawn, turns)
     total = (result.turns + turns) % len(problem.board.symmetries())
     return replace(_refine(problem, state, present, shape), turns=total)
 

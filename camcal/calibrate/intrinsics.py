@@ -64,6 +64,11 @@ class RejectedCorner:
     pixel: Array
     residual: Array
 
+    @property
+    def distance(self) -> float:
+        """The length of the residual in pixels; NaN where the lens cannot take the corner."""
+        return float(np.hypot(*self.residual))
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:

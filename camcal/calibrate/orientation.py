@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.outliers import CUT
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import Stopping, minimise
@@ -66,10 +67,10 @@ def _looks_the_same(board: Board, points: Array, permutation: Array) -> bool:
 
 
 def _view_costs(problem: BoardProblem, state: State) -> Array:
-    """Return χ² of each view (V,); infinite where a point leaves the lens's domain."""
-    squared = np.nan_to_num(problem.distances(problem.residuals(state)), nan=np.inf) ** 2
+    """Return χ² of each view (V,), every point counted up to the cut of outliers."""
+    squared = np.nan_to_num(problem.distances(problem.residuals(state)) / problem.sigma, nan=np.inf) ** 2
     present = problem.observations.weights > 0
-    return np.asarray(np.where(present, squared, 0.0).sum(axis=1) / problem.sigma**2)
+    return np.asarray(np.where(present, np.minimum(squared, CUT**2), 0.0).sum(axis=1))
 
 
 def opposed_views(factors: Factors, names: tuple[str, ...]) -> Array:

@@ -91,7 +91,8 @@ class BoardProblem:
 
     free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether every point of
     the board is free as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
-    board as it is known to be, None for as drawn.
+    board as it is known to be, None for as drawn. lens_spread: (K,) standard deviations of the weak priors on the
+    lens parameters about zero, inf for none; see `lens_spread`.
     """
 
     model: CameraModel
@@ -103,6 +104,7 @@ class BoardProblem:
     sigma: float = 1.0
     loss: Loss | None = None
     points: Array | None = None
+    lens_spread: Array | None = None
 
     @property
     def shared(self) -> int:
@@ -128,6 +130,13 @@ class BoardProblem:
         known = self.board.points() if self.points is None else self.points
         points = known + self._basis @ state.shape
         return np.asarray(points + state.offsets if self.offsets else points)
+
+    def within_domain(self, state: State) -> "BoardProblem":
+        """Return the problem without the points that the lens cannot take at this state."""
+        lost = np.isnan(self.residuals(state)).any(axis=0)
+        return replace(
+            self, observations=replace(self.observations, weights=np.where(lost, 0.0, self.observations.weights))
+        )
 
     def poses_only(self, state: State) -> "tuple[BoardProblem, State]":
         """Return the problem and state of the poses alone, lens and board held as the state has them."""
@@ -156,9 +165,9 @@ class BoardProblem:
         return np.asarray(projection.pixels.T.reshape(2, *rotated.shape[1:]) - self.observations.pixels)
 
     def blocks(self, state: State) -> list[Block] | None:
-        """Return the observations and the priors, or None where a point leaves the lens's domain."""
+        """Return the observations and the priors, or None where a point has no image at all."""
         rotated, points = self._points(state)
-        projected = self.model.project_with_jacobians(state.parameters, points.reshape(3, -1).T)
+        projected = self.model.project_with_jacobians(state.parameters, points.reshape(3, -1).T, within_domain=False)
         weights = self.observations.weights.ravel()
         residuals = projected.pixels.T - self.observations.pixels.reshape(2, -1)
         by_point, by_lens = projected.d_point.transpose(1, 2, 0), projected.d_parameters.transpose(1, 2, 0)
@@ -217,6 +226,9 @@ class BoardProblem:
 
     def _priors(self, state: State) -> list[Block]:
         start, result = len(self.free), []
+        if self.lens_spread is not None and start:
+            spread = self.lens_spread[self.free]
+            result.append(_prior(state.parameters[self.free] / spread, 1 / spread, 0))
         if self.terms:
             spread = np.array([prior_std(self.board, term) for term in self.terms])
             result.append(_prior(state.shape / spread, 1 / spread, start))
@@ -224,6 +236,23 @@ class BoardProblem:
             spread = np.full(3 * self.board.count, offset_prior_std(self.board))
             result.append(_prior(state.offsets.ravel() / spread, 1 / spread, start + len(self.terms)))
         return result
+
+
+def lens_spread(model: CameraModel, image_size: tuple[int, int], focal: float) -> Array:
+    """Return the standard deviations (K,) of weak priors that keep the coefficients of a lens finite.
+
+    Coefficients that the data cannot tell apart, as the numerator and denominator of a rational lens, may run off
+    together without a trace in the residuals. Each coefficient's own share of the distortion at the image corner is
+    taken to be 0 ± 1, which is more than a lens that such a model can hold ever has.
+    """
+    corner = min(float(np.hypot(*image_size)) / 2 / focal, 1.0)
+    orders = [_ORDERS.get(name) for name in model.parameter_names]
+    return np.array([np.inf if order is None else corner**-order for order in orders])
+
+
+# by which power of the radius each coefficient scales the distortion relative to the radius itself
+_ORDERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "p1": 1, "p2": 1, "s1": 1, "s2": 3, "s3": 1, "s4": 3}
+_ORDERS |= {"tau_x": 0, "tau_y": 0}
 
 
 def _dot(first: Array, second: Array) -> Array:

@@ -88,8 +88,8 @@ class _Reduced:
         """Return the least cost, relative to the state's, when only the shape terms in columns `used` may differ
         from zero.
         """
-        moving = np.concatenate([np.arange(self.start), used])
-        held = np.setdiff1d(np.arange(self.start, len(self.gradient)), used)
+        held = np.setdiff1d(np.arange(self.start, self.start + len(self.shape)), used)
+        moving = np.setdiff1d(np.arange(len(self.gradient)), held)
         step = -self.shape[held - self.start]
         pull = self.gradient[moving] + self.matrix[np.ix_(moving, held)] @ step
         fall = 0.5 * pull @ np.linalg.solve(self.matrix[np.ix_(moving, moving)], pull)

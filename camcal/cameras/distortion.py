@@ -19,6 +19,8 @@ from camcal.cameras.tilt import Tilt, transform
 
 Columns = tuple[int, ...]
 
+_ZERO, _ONE = np.zeros(()), np.ones(())
+
 
 @dataclass(frozen=True)
 class Roles:
@@ -43,27 +45,42 @@ class Powers(NamedTuple):
 class Distorted(NamedTuple):
     """Distorted coordinates (n,) and their derivatives: x_y is that of x_d by the undistorted y.
 
-    square: r² before the distortion. Without any coefficient the derivatives are plain numbers.
+    square: r² before the distortion, NaN where the point misses the sensor. Derivatives that are the same everywhere
+    have no axis.
     """
 
     x: Array
     y: Array
-    x_x: Array | float
-    x_y: Array | float
-    y_x: Array | float
-    y_y: Array | float
+    x_x: Array
+    x_y: Array
+    y_x: Array
+    y_y: Array
     square: Array
 
-    def determinant(self) -> Array | float:
+    def determinant(self) -> Array:
         """Return the Jacobian determinant (n,): positive where the distortion keeps orientation."""
-        return self.x_x * self.y_y - self.x_y * self.y_x
+        return np.asarray(self.x_x * self.y_y - self.x_y * self.y_x)
+
+
+class Gradient(NamedTuple):
+    """Where derivatives by the C coefficients go: rows (2, C, n), each of x_d and y_d times its focal length.
+
+    Scaled as they are written: the rows are most of what a projection writes, a second pass would be felt.
+    """
+
+    rows: Array
+    focal: Sequence[float]
 
 
 class Limit(NamedTuple):
-    """The radius up to which the radial part is one-to-one, before and after the distortion."""
+    """The radius of the disc on which a distortion is one-to-one, and what the radial part makes of it."""
 
     radius: float
     distorted: float
+
+    def holds(self, distorted: Distorted) -> Array:
+        """Return the mask (n,) of the points inside the disc."""
+        return np.asarray(distorted.square < self.radius * self.radius)
 
 
 @dataclass(frozen=True)
@@ -73,21 +90,18 @@ class Distortion:
     values: tuple[float, ...]
     roles: Roles
 
-    def apply(self, x: Array, y: Array, rows: Array | None = None) -> Distorted:
-        """Return the distorted coordinates of undistorted x, y (n,).
-
-        rows: (2, C, n), filled with the derivatives of the two coordinates by the C coefficients.
-        """
+    def apply(self, x: Array, y: Array, gradient: Gradient | None = None) -> Distorted:
+        """Return the distorted coordinates of undistorted x, y (n,), and fill the gradient if there is one."""
         powers = _powers(x, y)
         if not self.values:
-            return Distorted(x, y, 1.0, 0.0, 0.0, 1.0, powers.square)
-        result = self._radial(x, y, powers, rows)
+            return Distorted(x, y, _ONE, _ZERO, _ZERO, _ONE, powers.square)
+        result = self._radial(x, y, powers, gradient)
         if self.roles.tangential:
-            result = self._tangential(x, y, powers, result, rows)
+            result = self._tangential(x, y, powers, result, gradient)
         if self.roles.prism:
-            result = self._prism(x, y, powers, result, rows)
+            result = self._prism(x, y, powers, result, gradient)
         if self.roles.tilt:
-            result = self._tilt(result, rows)
+            result = self._tilt(result, gradient)
         return result
 
     def tilt(self) -> Tilt | None:
@@ -100,14 +114,39 @@ class Distortion:
         return ratio, slope
 
     def limit(self, reach: float) -> Limit:
-        """Return where r c(r²) first stops growing or c has a pole, `reach` if that comes first."""
-        numerator = np.array([1.0, *self._of(self.roles.numerator)])
-        denominator = np.array([1.0, *self._of(self.roles.denominator)])
-        pole = math.sqrt(first_root(denominator))
-        radius = min(math.sqrt(first_root(_growth(numerator, denominator))), pole, reach)
+        """Return the largest disc, within `reach`, on which the distortion is known to be one-to-one.
+
+        There its stretch along the radius, d(r c)/dr, and across it, c, both exceed the norm of the Jacobian of the
+        tangential and prism terms. So the symmetric part of the whole Jacobian is positive definite, and on a convex
+        region such a map is one-to-one. A barrel distortion with tangential terms alone folds just there, towards -p.
+        """
+        if not self.values:
+            return Limit(reach, reach)
+        numerator, denominator = self._in_radius(self.roles.numerator), self._in_radius(self.roles.denominator)
+        across = np.convolve(numerator, denominator)
+        along = across + np.convolve(_times_degree(numerator), denominator)
+        along -= np.convolve(numerator, _times_degree(denominator))
+        bound = np.convolve(self._asymmetry(), np.convolve(denominator, denominator))
+        pole = first_root(denominator)
+        radius = min(first_root(_difference(along, bound)), first_root(_difference(across, bound)), pole, reach)
         if radius == pole:
             return Limit(radius, math.inf)
         return Limit(radius, float(radius * self.radial(np.array([radius * radius]))[0][0]))
+
+    def _in_radius(self, columns: Columns) -> Array:
+        """Return 1 + a r² + b r⁴ + … as ascending coefficients in r."""
+        result = np.zeros(2 * len(columns) + 1)
+        result[0], result[2::2] = 1.0, self._of(columns)
+        return result
+
+    def _asymmetry(self) -> Array:
+        """Return the norm of the Jacobian of the tangential and prism terms, as ascending coefficients in r.
+
+        It is 6 |p| r and at most 2 |s1, s3| r + 4 |s2, s4| r³.
+        """
+        s1, s2, s3, s4 = self._of(self.roles.prism) or (0.0, 0.0, 0.0, 0.0)
+        tangential = math.hypot(*self._of(self.roles.tangential))
+        return np.array([0.0, 6.0 * tangential + 2.0 * math.hypot(s1, s3), 0.0, 4.0 * math.hypot(s2, s4)])
 
     def _of(self, columns: Columns) -> list[float]:
         return [self.values[column] for column in columns]
@@ -124,11 +163,13 @@ class Distortion:
         slope *= inverse
         return ratio, slope, inverse
 
-    def _radial(self, x: Array, y: Array, powers: Powers, rows: Array | None) -> Distorted:
+    def _radial(self, x: Array, y: Array, powers: Powers, gradient: Gradient | None) -> Distorted:
         ratio, slope, inverse = self._ratio(powers.square)
-        if rows is not None:
-            for axis, coordinate in zip(rows, (x, y), strict=True):
-                start = coordinate if inverse is None else coordinate * inverse
+        if gradient is not None:
+            for axis, focal, coordinate in zip(gradient.rows, gradient.focal, (x, y), strict=True):
+                start = coordinate * focal
+                if inverse is not None:
+                    start *= inverse
                 _fill(axis, self.roles.numerator, start, powers.square)
                 if inverse is not None:
                     _fill(axis, self.roles.denominator, -ratio * start, powers.square)
@@ -138,44 +179,46 @@ class Distortion:
         y_y += ratio
         return Distorted(x * ratio, y * ratio, x_x, x_y, x_y, y_y, powers.square)
 
-    def _tangential(self, x: Array, y: Array, powers: Powers, radial: Distorted, rows: Array | None) -> Distorted:
+    def _tangential(self, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None) -> Distorted:
+        """Return `base`, changed in place, with the tangential terms: x (2 p1 y + 2 p2 x) + p2 r² and its like in y."""
         p1, p2 = self._of(self.roles.tangential)
-        across = 2.0 * powers.xy
-        along_x = powers.square + 2.0 * powers.xx
-        along_y = powers.square + 2.0 * powers.yy
-        if rows is not None:
-            first, second = self.roles.tangential
-            rows[0, first], rows[1, first] = across, along_y
-            rows[0, second], rows[1, second] = along_x, across
-        lift, lean = (2.0 * p1) * y, (2.0 * p2) * x
-        x_y = radial.x_y + ((2.0 * p1) * x + (2.0 * p2) * y)
-        return radial._replace(
-            x=radial.x + (p1 * across + p2 * along_x),
-            y=radial.y + (p1 * along_y + p2 * across),
-            x_x=radial.x_x + (lift + 3.0 * lean),
-            x_y=x_y,
-            y_x=x_y,
-            y_y=radial.y_y + (3.0 * lift + lean),
-        )
+        if gradient is not None:
+            across, lengthwise = self.roles.tangential, self.roles.tangential[::-1]
+            for axis, focal, own, first, second in zip(
+                gradient.rows, gradient.focal, (powers.xx, powers.yy), across, lengthwise, strict=True
+            ):
+                np.multiply(powers.xy, 2.0 * focal, out=axis[first])
+                np.multiply(own + own + powers.square, focal, out=axis[second])
+        common = (2.0 * p1) * y + (2.0 * p2) * x
+        for value, along, other in ((base.x, x, p2), (base.y, y, p1)):
+            _add(value, along * common, other * powers.square)
+        for slope, along, other in ((base.x_x, x, p2), (base.y_y, y, p1)):
+            _add(slope, common, (4.0 * other) * along)
+        _add(base.x_y, (2.0 * p1) * x, (2.0 * p2) * y)  # y_x is the same array
+        return base
 
-    def _prism(self, x: Array, y: Array, powers: Powers, base: Distorted, rows: Array | None) -> Distorted:
-        s1, s2, s3, s4 = self._of(self.roles.prism)
-        square, fourth = powers.square, powers.square * powers.square
-        if rows is not None:
-            rows[:, self.roles.prism] = 0.0
-            for axis, first, second in ((0, *self.roles.prism[:2]), (1, *self.roles.prism[2:])):
-                rows[axis, first], rows[axis, second] = square, fourth
-        slope_x, slope_y = 2.0 * s1 + (4.0 * s2) * square, 2.0 * s3 + (4.0 * s4) * square
+    def _prism(self, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None) -> Distorted:
+        """Return `base`, changed in place, with the thin prism terms."""
+        fourth = powers.square * powers.square
+        if gradient is not None:
+            gradient.rows[:, self.roles.prism] = 0.0
+        slopes = []
+        for axis, value in enumerate((base.x, base.y)):
+            columns = self.roles.prism[2 * axis : 2 * axis + 2]
+            first, second = self._of(columns)
+            _add(value, first * powers.square, second * fourth)
+            slopes.append(2.0 * first + (4.0 * second) * powers.square)
+            if gradient is not None:
+                for column, power in zip(columns, (powers.square, fourth), strict=True):
+                    np.multiply(power, gradient.focal[axis], out=gradient.rows[axis, column])
         return base._replace(
-            x=base.x + (s1 * square + s2 * fourth),
-            y=base.y + (s3 * square + s4 * fourth),
-            x_x=base.x_x + slope_x * x,
-            x_y=base.x_y + slope_x * y,
-            y_x=base.y_x + slope_y * x,
-            y_y=base.y_y + slope_y * y,
+            x_x=base.x_x + slopes[0] * x,
+            x_y=base.x_y + slopes[0] * y,
+            y_x=base.y_x + slopes[1] * x,
+            y_y=base.y_y + slopes[1] * y,
         )
 
-    def _tilt(self, base: Distorted, rows: Array | None) -> Distorted:
+    def _tilt(self, base: Distorted, gradient: Gradient | None) -> Distorted:
         tilt = Tilt(*self._of(self.roles.tilt))
         matrix = tilt.homography()
         x, y, scale = transform(matrix, base.x, base.y)
@@ -184,19 +227,24 @@ class Distortion:
         # d(x_t, y_t)/d(x_d, y_d), by the quotient rule
         a, b = ((matrix[0, column] - x * matrix[2, column]) * inverse for column in (0, 1))
         c, d = ((matrix[1, column] - y * matrix[2, column]) * inverse for column in (0, 1))
-        if rows is not None:
-            before = rows[:, : self.roles.tilt[0]]  # the tilt comes last in every list of coefficients
-            before[0], before[1] = a * before[0] + b * before[1], c * before[0] + d * before[1]
+        if gradient is not None:
+            rows, ratio = gradient.rows, gradient.focal[0] / gradient.focal[1]
+            across, down = b * ratio, c / ratio
+            for column in range(self.roles.tilt[0]):  # the tilt comes last in every list of coefficients
+                first, second = rows[0, column], rows[1, column]
+                rows[0, column], rows[1, column] = a * first + across * second, down * first + d * second
             for column, derivative in zip(self.roles.tilt, tilt.homography_derivatives(), strict=True):
                 by_x, by_y, by_scale = transform(derivative, base.x, base.y)
-                rows[0, column], rows[1, column] = (by_x - x * by_scale) * inverse, (by_y - y * by_scale) * inverse
-        return base._replace(
-            x=x,
-            y=y,
+                for axis, focal, by, value in zip(gradient.rows, gradient.focal, (by_x, by_y), (x, y), strict=True):
+                    np.multiply(by - value * by_scale, focal * inverse, out=axis[column])
+        return Distorted(
+            x,
+            y,
             x_x=a * base.x_x + b * base.y_x,
             x_y=a * base.x_y + b * base.y_y,
             y_x=c * base.x_x + d * base.y_x,
             y_y=c * base.x_y + d * base.y_y,
+            square=np.where(scale > 0, base.square, np.nan),  # else the ray meets the sensor's plane behind the lens
         )
 
 
@@ -212,22 +260,20 @@ def first_root(coefficients: Array) -> float:
     # A double root comes out as a pair split by the square root of the rounding.
     real = inverse.real[np.abs(inverse.imag) <= 1e-7 * np.abs(inverse)]
     largest = float(real.max(initial=0.0))
-    # Below this is the noise of roots at infinity; 1e12 in r² is 1e-6 rad from 90° on a pinhole's plane.
-    return 1.0 / largest if largest > 1e-12 else math.inf
+    # Nearer to zero is the noise of roots at infinity; a radius of 1e6 is 1e-6 rad from 90° on a pinhole's plane.
+    return 1.0 / largest if largest > 1e-6 else math.inf
 
 
-def _growth(numerator: Array, denominator: Array) -> Array:
-    """Return, as ascending coefficients in t = r², the numerator N D + 2t (N' D - N D') of d(r N/D)/dr."""
-    rise = np.convolve(_derivative(numerator), denominator)
-    fall = np.convolve(numerator, _derivative(denominator))
-    result = np.convolve(numerator, denominator)
-    for sign, part in ((2.0, rise), (-2.0, fall)):
-        result[1 : 1 + len(part)] += sign * part[: len(result) - 1]
+def _times_degree(coefficients: Array) -> Array:
+    """Return r times the derivative by r, as ascending coefficients."""
+    return np.asarray(coefficients * np.arange(len(coefficients)))
+
+
+def _difference(first: Array, second: Array) -> Array:
+    length = max(len(first), len(second))
+    result = np.pad(first, (0, length - len(first)))
+    result[: len(second)] -= second
     return result
-
-
-def _derivative(coefficients: Array) -> Array:
-    return np.asarray(coefficients[1:] * np.arange(1, len(coefficients))) if len(coefficients) > 1 else np.zeros(1)
 
 
 def _powers(x: Array, y: Array) -> Powers:
@@ -237,13 +283,21 @@ def _powers(x: Array, y: Array) -> Powers:
 
 def _polynomial(coefficients: Sequence[float], variable: Array) -> tuple[Array, Array]:
     """Return 1 + a₁t + a₂t² + … and its derivative at t = `variable` (n,), by Horner's rule."""
-    value, slope = np.full_like(variable, coefficients[-1]), np.zeros_like(variable)
-    for coefficient in (*coefficients[-2::-1], 1.0):
+    last, following, *rest = (*coefficients[::-1], 1.0)
+    value, slope = last * variable, np.full_like(variable, last)
+    value += following
+    for coefficient in rest:
         slope *= variable
         slope += value
         value *= variable
         value += coefficient
     return value, slope
+
+
+def _add(total: Array, *parts: Array) -> None:
+    """Add the parts to `total` in place, which spares the memory traffic of new arrays."""
+    for part in parts:
+        total += part
 
 
 def _fill(rows: Array, columns: Columns, start: Array, square: Array) -> None:

@@ -3,6 +3,7 @@
 The work goes in parts of PART points, whose temporaries stay in the processor's cache.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,12 +12,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from camcal.arrays import Array, require_shape
-from camcal.cameras.distortion import Distorted, Distortion, Roles
+from camcal.cameras.distortion import Distorted, Distortion, Gradient, Limit, Roles
 from camcal.cameras.model import Domain, Projection, ProjectionJacobians, Rays
-from camcal.cameras.undistortion import one_to_one, undistort
+from camcal.cameras.undistortion import undistort
 
 CORE = ("fx", "fy", "cx", "cy")
-PART = 4096
+PART = 8192
 
 
 class Flat(NamedTuple):
@@ -69,14 +70,16 @@ class PlaneModel(ABC):
                 flat = self._flatten(points[part])
                 distorted = distortion.apply(flat.x, flat.y)
                 _to_pixels(distorted, focal, centre, pixels[:, part])
-                _blank(flat.front & one_to_one(distorted, limit), valid[part], pixels[:, part])
+                _blank(flat.front & limit.holds(distorted), valid[part], pixels[:, part])
         return Projection(pixels.T, valid)
 
-    def project_with_jacobians(self, parameters: Array, points: Array) -> ProjectionJacobians:
+    def project_with_jacobians(
+        self, parameters: Array, points: Array, *, within_domain: bool = True
+    ) -> ProjectionJacobians:
         """Return the pixels of points (N, 3) with d/dpoint (N, 2, 3) and d/dparameters (N, 2, K)."""
         points = require_shape(points, (None, 3), "points")
         focal, centre, distortion = self._read(parameters)
-        limit = distortion.limit(self.reach)
+        limit = distortion.limit(self.reach) if within_domain else Limit(self.reach, math.inf)
         count = len(points)
         pixels, valid = np.empty((2, count)), np.empty(count, dtype=bool)
         d_point, d_parameters = np.empty((2, 3, count)), np.empty((2, len(self.parameter_names), count))
@@ -84,11 +87,12 @@ class PlaneModel(ABC):
             for part in _parts(count):
                 flat = self._flatten(points[part])
                 rows = d_parameters[:, :, part]
-                distorted = distortion.apply(flat.x, flat.y, rows[:, len(CORE) :])
+                distorted = distortion.apply(flat.x, flat.y, Gradient(rows[:, len(CORE) :], focal))
                 _to_pixels(distorted, focal, centre, pixels[:, part])
-                _fill_parameters(distorted, focal, rows)
+                _fill_core(distorted, rows)
                 self._chain(points[part], flat, distorted, focal, d_point[:, :, part])
-                inside = flat.front & one_to_one(distorted, limit)
+                sound = limit.holds(distorted) if within_domain else np.isfinite(distorted.x + distorted.y)
+                inside = flat.front & sound
                 _blank(inside, valid[part], pixels[:, part], d_point[:, :, part], rows)
         return ProjectionJacobians(pixels.T, valid, d_point.transpose(2, 0, 1), d_parameters.transpose(2, 0, 1))
 
@@ -107,7 +111,7 @@ class PlaneModel(ABC):
         return Rays(directions.T, valid)
 
     def domain(self, parameters: Array) -> Domain:
-        """Return where the radial part is one-to-one; the other terms may shrink that a little near its edge."""
+        """Return where the model is one-to-one; the radius is that of the radial part, without the other terms."""
         focal, _, distortion = self._read(parameters)
         limit = distortion.limit(self.reach)
         return Domain(self._angle(limit.radius), min(focal) * limit.distorted)
@@ -143,16 +147,14 @@ def _parts(count: int) -> Iterator[slice]:
 def _to_pixels(distorted: Distorted, focal: list[float], centre: list[float], pixels: Array) -> None:
     for row, value, scale, origin in zip(pixels, (distorted.x, distorted.y), focal, centre, strict=True):
         np.multiply(value, scale, out=row)
-        row += origin
+        np.add(row, origin, out=row)
 
 
-def _fill_parameters(distorted: Distorted, focal: list[float], rows: Array) -> None:
-    """Write the derivatives by fx fy cx cy, and turn those of x_d and y_d by the coefficients into pixels."""
-    rows[:, : len(CORE)] = 0.0
+def _fill_core(distorted: Distorted, rows: Array) -> None:
+    """Write the derivatives by fx fy cx cy, the first four of rows (2, K, n)."""
+    rows[0, 1:4:2] = rows[1, 0:3:2] = 0.0
     rows[0, 0], rows[1, 1] = distorted.x, distorted.y
     rows[0, 2] = rows[1, 3] = 1.0
-    for axis, scale in zip(rows, focal, strict=True):
-        axis[len(CORE) :] *= scale
 
 
 def _blank(inside: Array, valid: Array, *results: Array) -> None:

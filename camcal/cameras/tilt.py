@@ -22,7 +22,7 @@ class Tilt:
     def homography(self) -> Array:
         """Return the matrix (3, 3) from the distorted plane to the tilted one."""
         rotation = _about_y(self.about_y) @ _about_x(self.about_x)
-        return _onto_sensor(rotation) @ rotation
+        return np.asarray(_onto_sensor(rotation) @ rotation)
 
     def homography_derivatives(self) -> tuple[Array, Array]:
         """Return the derivatives (3, 3) of the homography by the two angles."""

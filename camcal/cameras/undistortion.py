@@ -5,11 +5,12 @@ damped Newton steps in two dimensions. Fixed-point iteration, which does for nar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.distortion import Distorted, Distortion, Limit
+from camcal.cameras.distortion import Distortion, Limit
 
 FAR = 1e6  # the largest radius looked for on an unbounded plane: 1e-6 rad from 90° for a pinhole
-SOLVED = 1e-12  # residual on the plane, relative to 1 + |target|: far below a micropixel
-ROUNDING = 4 * np.finfo(float).eps
+# Residuals on the plane, relative to 1 + |target|: where to stop, and what still counts as solved when rounding
+# stops the steps earlier (1e-12 is far below a micropixel).
+ENOUGH, SOLVED = 1e-14, 1e-12
 SMALLEST_STEP = 1e-4
 
 
@@ -40,10 +41,10 @@ def _undistort_radius(distortion: Distortion, target: Array, limit: Limit) -> Ar
         excess = radius * ratio - target
         low, high = np.where(excess < 0, radius, low), np.where(excess < 0, high, radius)
         trial = radius - excess / (ratio + 2.0 * square * slope)
-        trial = np.where((trial > low) & (trial < high), trial, 0.5 * (low + high))
+        trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
         change = np.abs(trial - radius)
         radius = trial
-        if not np.any(change > ROUNDING * radius):
+        if not np.any(change > 1e-8 * radius):  # its square is the error left
             break
     return radius
 
@@ -51,22 +52,22 @@ def _undistort_radius(distortion: Distortion, target: Array, limit: Limit) -> Ar
 def _refine(distortion: Distortion, target: Array, start: Array, limit: Limit) -> tuple[Array, Array]:
     """Return the points (2, n) that the distortion takes to target (2, n), and the mask (n,) of success.
 
-    A step that does not bring a point nearer, or leaves the domain, is halved; an accepted one is doubled up to 1.
+    A step that does not bring a point nearer by its share, or leaves the domain, is halved; after one that does the
+    next is doubled, up to a full step.
     """
-    point = start
+    point = start.copy()
     error, step = _newton_step(distortion, point, target, limit)
     factor = np.ones_like(error)
     size = 1.0 + np.abs(target).max(axis=0)
-    for _ in range(100):
-        live = np.flatnonzero((error > ROUNDING * size) & (factor > SMALLEST_STEP))
-        if not live.size:
+    for _ in range(50):
+        if not np.any((error > ENOUGH * size) & (factor > SMALLEST_STEP)):
             break
-        trial = point[:, live] + factor[live] * step[:, live]
-        trial_error, trial_step = _newton_step(distortion, trial, target[:, live], limit)
-        better = trial_error < error[live]
-        factor[live] = np.where(better, np.minimum(1.0, 2.0 * factor[live]), 0.5 * factor[live])
-        kept = live[better]
-        point[:, kept], step[:, kept], error[kept] = trial[:, better], trial_step[:, better], trial_error[better]
+        trial = point + factor * step
+        trial_error, trial_step = _newton_step(distortion, trial, target, limit)
+        better = trial_error < (1.0 - 0.1 * factor) * error  # Armijo's rule: crawling towards the fold ends early
+        factor = np.where(better, np.minimum(1.0, 2.0 * factor), 0.5 * factor)
+        for kept, new in ((point, trial), (step, trial_step), (error, trial_error)):
+            np.copyto(kept, new, where=better)
     return point, error <= SOLVED * size
 
 
@@ -76,10 +77,5 @@ def _newton_step(distortion: Distortion, point: Array, target: Array, limit: Lim
     left_x, left_y = target[0] - here.x, target[1] - here.y
     determinant = here.determinant()
     step = np.stack([here.y_y * left_x - here.x_y * left_y, here.x_x * left_y - here.y_x * left_x]) / determinant
-    error = np.where(one_to_one(here, limit), np.maximum(np.abs(left_x), np.abs(left_y)), np.inf)
+    error = np.where(limit.holds(here), np.maximum(np.abs(left_x), np.abs(left_y)), np.inf)
     return error, step
-
-
-def one_to_one(distorted: Distorted, limit: Limit) -> Array:
-    """Return the mask (n,) of the points inside the domain: before the fold, orientation kept."""
-    return np.asarray((distorted.square < limit.radius * limit.radius) & (distorted.determinant() > 0))

@@ -1,11 +1,13 @@
 """What a camera file holds: named cameras, the transforms between them, and where the numbers come from."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from camcal.arrays import Array, readonly
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import valid_block
 from camcal.geometry.pose import Pose
 from camcal.targets.surface import Surface
 
@@ -25,6 +27,12 @@ class ValidRegion:
     def __post_init__(self) -> None:
         if self.polygon is not None:
             object.__setattr__(self, "polygon", readonly(self.polygon, (None, 2), "polygon"))
+
+    @classmethod
+    def of(cls, camera: Camera) -> "ValidRegion":
+        """Return how far a camera's model is one-to-one within its image."""
+        limits = valid_block(camera)
+        return cls(math.radians(limits["max_theta_deg"]), limits["max_radius_px"])
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ the hash of the numbers.
 
 import hashlib
 import io
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -51,6 +53,8 @@ def check(block: Mapping[str, Any], path: str, names: Sequence[str], fixed: Sequ
     given = {"covariance", "covariance_file"} & block.keys()
     if bool(order) != bool(given) or len(given) > 1:
         yield Fault(path, "covariance_order goes with covariance, or with covariance_file")
+    elif Path(block.get("covariance_file", "")).name != block.get("covariance_file", ""):
+        yield Fault(child(path, "covariance_file"), "the matrix stands beside the file: give a name without a folder")
     elif "covariance" in block:
         yield from _check_matrix(block, child(path, "covariance"))
 
@@ -114,7 +118,7 @@ def _matrix(block: Mapping[str, Any], folder: Path) -> Array:
     path = folder / block["covariance_file"]
     try:
         found = np.load(io.BytesIO(files.read_bytes(path)), allow_pickle=False)["covariance"]
-    except (ValueError, KeyError, OSError) as error:
+    except (ValueError, LookupError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise FileError("is not a covariance written by camcal, or cut off", where=str(path)) from error
     count = len(block["covariance_order"])
     if found.shape != (count, count) or _digest(found) not in path.name:

@@ -16,7 +16,8 @@ MAX_TEXT = 4000
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_.()/+-]*\Z")
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*\Z")
-_WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+_ILLEGIBLE = "\u2028\u2029\ufeff\ufffe\uffff"  # line breaks and what is no character
 _ESCAPES = {"\\": r"\\", '"': r"\"", "\n": r"\n", "\t": r"\t", "\r": r"\r"}
 
 
@@ -79,23 +80,21 @@ def _flow(value: Any) -> str:
 
 
 def _key(key: str) -> str:
-    if not _KEY.match(key) or key.lower() in _WORDS:
+    if not _KEY.match(key) or key.lower() in WORDS:
         raise InvalidInput(f"key {key!r} cannot be written: letters, digits and _ . ( ) / + - are taken")
     return key
 
 
 def _text(text: str) -> str:
-    if _PLAIN.match(text) and text.lower() not in _WORDS:
-        return text
-    text = text.encode("utf-8", "backslashreplace").decode()  # a file name of undecodable bytes
-    quoted = '"' + "".join(_ESCAPES.get(letter) or _printable(letter) for letter in text) + '"'
-    if len(quoted.encode()) > MAX_TEXT:
-        raise InvalidInput(f"a text of more than {MAX_TEXT} bytes cannot be written: {text[:40]!r}…")
-    return quoted
+    if not _PLAIN.match(text) or text.lower() in WORDS:
+        text = '"' + "".join(_ESCAPES.get(letter) or _legible(letter) for letter in text) + '"'
+    if len(text.encode()) > MAX_TEXT:
+        raise InvalidInput(f"a text of more than {MAX_TEXT} bytes cannot be written: {text[:40]}…")
+    return text
 
 
-def _printable(letter: str) -> str:
-    if letter.isprintable():
+def _legible(letter: str) -> str:
+    r"""Return a letter as it is, or spelt out as \x07 where YAML or OpenCV would not take it in a text."""
+    if " " <= letter <= "~" or (letter >= "\xa0" and letter not in _ILLEGIBLE and not "\ud800" <= letter <= "\udfff"):
         return letter
-    code = ord(letter)
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    return f"\\\\x{ord(letter):02x}" if letter < "\x80" else f"\\\\u{ord(letter):04x}"

@@ -106,11 +106,11 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
             {"range_m": item.range_m, **item.figures} for item in entry.projection
         ]
     data["valid"] = _valid_block(entry.valid) if entry.valid else None
-    data["quality"] = entry.quality
+    data["quality"] = entry.quality or None
     data["noise"] = vars(entry.noise) if entry.noise else None
     data["verdict"] = vars(entry.verdict) if entry.verdict else None
-    data["sensor"] = entry.sensor
-    data["channels"] = {name: native_lens.block(lens, beside) for name, lens in entry.channels.items()}
+    data["sensor"] = entry.sensor or None
+    data["channels"] = {name: native_lens.block(lens, beside) for name, lens in entry.channels.items()} or None
     return {**data, **entry.extra}
 
 

@@ -1,9 +1,9 @@
 """The lens of a camera file: a model's parameters by name, which of them were held, how well the others are known.
 
-    intrinsics: {fx: 458.654, fy: 457.296, cx: 367.215, cy: 248.375}
-    distortion: {k1: -0.28340811, k2: 0.07395907, p1: 0.00019359, p2: 1.76187114e-05, k3: 0.0}
-    fixed: [k3]
-    uncertainty: {std: {fx: 0.41, ...}, covariance_order: [fx, ...], covariance: [[...], ...]}
+intrinsics: {fx: 458.654, fy: 457.296, cx: 367.215, cy: 248.375}
+distortion: {k1: -0.28340811, k2: 0.07395907, p1: 0.00019359, p2: 1.76187114e-05, k3: 0.0}
+fixed: [k3]
+uncertainty: {std: {fx: 0.41, ...}, covariance_order: [fx, ...], covariance: [[...], ...]}
 """
 
 import math

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from camcal.arrays import Array
 from camcal.formats.camera_file import Transform
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.schema import items, mapping, matrix, number
@@ -42,28 +43,72 @@ def check_name(name: str, path: str) -> Iterator[Fault]:
 
 def check(data: Any, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
     """Check all transforms; cameras: the names that the file gives its cameras."""
-    yield from mapping({}, others=_check_one)(data, path)
-    group = {}  # frame -> the frame that stands for all that are connected with it
+    yield from mapping({}, others=_check_transform)(data, path)
+    tree: dict[str, str] = {}  # frame -> the frame that stands for all that are connected with it
     for key in data if isinstance(data, dict) else ():
-        frames = key.split(JOINT)
-        if len(frames) != 2:
-            yield Fault(child(path, key), f"{key!r} is no transform: write a_T_b, which takes points in b to a")
-            continue
-        faults = [fault for frame in frames for fault in _check_frame(frame, child(path, key), cameras)]
+        faults = list(_check_frames(key, child(path, key), cameras)) or list(_connect(key, child(path, key), tree))
         yield from faults
-        if faults:
-            continue
-        a, b = (group.setdefault(frame, frame) for frame in frames)
-        if a == b:
-            what = "from a frame to itself" if frames[0] == frames[1] else "a second path between frames"
-            yield Fault(child(path, key), f"{what} that are connected already; leave one transform out")
-        group = {frame: a if root == b else root for frame, root in group.items()}
 
 
-def _check_frame(name: str, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
-    yield from check_name(name, path)
-    if name in cameras or name in FRAMES:
+def _check_transform(data: Any, path: str) -> Iterator[Fault]:
+    faults = list(_TRANSFORM(data, path))
+    yield from faults
+    if faults:
         return
-    meant = nearest(name, [*cameras, *FRAMES])
-    if meant is not None and len(meant) == len(name) and sorted(meant) == sorted(name):
-        yield Fault(path, f"no camera or frame {name!r}. Did you mean {meant!r}?")
+    yield from _check_rotation(np.array(data["R"], dtype=float), child(path, "R"))
+    if "covariance" in data:
+        reason = why_no_covariance(np.array(data["covariance"], dtype=float))
+        yield from [Fault(child(path, "covariance"), reason)] if reason else ()
+
+
+def _check_rotation(matrix: Array, path: str) -> Iterator[Fault]:
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    if np.linalg.det(matrix) < 0:
+        yield Fault(path, f"not a rotation: det = {np.linalg.det(matrix):.3g}, a reflection; is an axis flipped?")
+    elif error > 0.1:  # far from any rotation, the nearest one says nothing
+        yield Fault(path, f"not a rotation (orthonormality error {error:.1e})")
+    elif error > ORTHONORMAL:
+        angle = math.degrees(np.linalg.norm(matrix - so3.nearest(matrix)) / math.sqrt(2))
+        differs = f"nearest rotation differs by {angle:.2g}°; write R with 9 digits or more"
+        yield Fault(path, f"not a rotation (orthonormality error {error:.1e}); {differs}")
+
+
+def _check_frames(key: str, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
+    frames = key.split(JOINT)
+    if len(frames) != 2:
+        yield Fault(path, f"{key!r} is no transform; write a_T_b, which takes points in b to points in a")
+        return
+    for name in frames:
+        yield from check_name(name, path)
+        meant = nearest(name, [*cameras, *FRAMES], likeness=0.8)
+        # cam2 beside cam1 is another frame, rigth beside right is a slip of the pen
+        if meant is not None and name.rstrip("0123456789") != meant.rstrip("0123456789"):
+            yield Fault(path, f"no camera or frame {name!r}. Did you mean {meant!r}?")
+
+
+def _connect(key: str, path: str, tree: dict[str, str]) -> Iterator[Fault]:
+    a, b = key.split(JOINT)
+    root_a, root_b = tree.setdefault(a, a), tree.setdefault(b, b)
+    if root_a == root_b:
+        yield Fault(path, f"there is already a path between {a!r} and {b!r}; leave one transform out")
+    tree.update({frame: root_a for frame, root in tree.items() if root == root_b})
+
+
+def read(data: Mapping[str, Any]) -> dict[str, Transform]:
+    """Return the transforms of data that has passed `check`, by name."""
+    return {
+        name: Transform(Pose(np.array(item["R"], dtype=float), item["t"]), item.get("covariance"))
+        for name, item in data.items()
+    }
+
+
+def block(transforms: Mapping[str, Transform]) -> dict[str, Any]:
+    """Return transforms as plain data."""
+    return {
+        name: {
+            "R": item.pose.rotation.tolist(),
+            "t": item.pose.translation.tolist(),
+            "covariance": None if item.covariance is None else item.covariance.tolist(),
+        }
+        for name, item in transforms.items()
+    }

@@ -7,6 +7,7 @@ balance acts on the mosaic, because the filters compare neighbours of different 
 import re
 from dataclasses import dataclass
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from camcal.images.mosaic import Mosaic, full_scale, sites
 
 BALANCES = ("none", "camera", "gray-world", "R,G,B")
 TONES = ("linear", "power:GAMMA", "srgb", "bt709")
-DEPTHS = {"8": np.dtype(np.uint8), "16": np.dtype(np.uint16), "float": np.dtype(np.float32)}
+DEPTHS: dict[str, np.dtype[Any]] = {"8": np.dtype(np.uint8), "16": np.dtype(np.uint16), "float": np.dtype(np.float32)}
 
 _GRAY_WORLD_CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour of the light
 _POWER = re.compile(r"power:(\d+(?:\.\d*)?|\.\d+)$")
@@ -65,10 +66,8 @@ def develop(frame: Mosaic, development: Development) -> Picture:
     """
     depth = DEPTHS[development.depth] if development.depth else frame.values.dtype
     gains = white_balance(frame, development.balance)
-    if _is_neutral(frame) and gains is None:
-        values = frame.values
-    else:
-        values = balanced(linearise(frame), frame.pattern, gains)
+    neutral = gains is None and not frame.black.any() and frame.white == full_scale(frame.values.dtype)
+    values = frame.values if neutral else balanced(linearise(frame), frame.pattern, gains)
     pixels = demosaic(values, frame.pattern, development.algorithm)
     if development.tone == "linear" and pixels.dtype == depth and depth != np.float32:
         return Picture(pixels, gains)
@@ -124,7 +123,7 @@ def encode(light: Array, tone: str) -> Array:
     return np.asarray(light ** np.float32(1 / _parse_power(tone)))
 
 
-def quantise(values: Array, depth: np.dtype[np.generic]) -> Array:
+def quantise(values: Array, depth: np.dtype[Any]) -> Array:
     """Return values 0 … 1 in another type: float32 as they are, integers rounded on the full scale."""
     if np.issubdtype(depth, np.floating):
         return values
@@ -133,10 +132,6 @@ def quantise(values: Array, depth: np.dtype[np.generic]) -> Array:
 
 def _light(pixels: Array) -> Array:
     return pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
-
-
-def _is_neutral(frame: Mosaic) -> bool:
-    return not frame.black.any() and frame.white == full_scale(frame.values.dtype)
 
 
 def _camera_gains(frame: Mosaic) -> Array:

@@ -29,6 +29,12 @@ def advise(calibration: Calibration) -> Advice:
     return Advice(tuple(reasons), tuple(remarks))
 
 
+def misfits(calibration: Calibration) -> bool:
+    """Return whether the residuals follow the distance from the centre: the lens model is too poor for the lens."""
+    trend = radial_trend(calibration)
+    return trend.chance < 1e-6 and abs(trend.largest_px) > 0.3 * calibration.sigma_px
+
+
 def _lens_reasons(calibration: Calibration) -> list[str]:
     result = []
     fold = folds_inside(calibration.camera)
@@ -37,8 +43,8 @@ def _lens_reasons(calibration: Calibration) -> list[str]:
             f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre; "
             f"the image corner is at {fold.corner_px:.0f} px: use fewer coefficients or cover the corners"
         )
-    trend = radial_trend(calibration)
-    if trend.chance < 1e-6 and abs(trend.largest_px) > 0.3 * calibration.sigma_px:
+    if misfits(calibration):
+        trend = radial_trend(calibration)
         way = "outwards" if trend.largest_px > 0 else "inwards"
         result.append(
             f"residuals point {way} by {abs(trend.largest_px):.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px "

@@ -61,6 +61,8 @@ class Solution(Generic[State]):
 
 STOPPING = Stopping()
 _MAX_DAMPING = 1e12
+_BLOCKED, _CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
+_GAUSS_NEWTON = 1e-3  # below this damping a step is all but the full one
 
 
 def linearise(problem: Problem[State], state: State) -> NormalEquations | None:
@@ -70,11 +72,14 @@ def linearise(problem: Problem[State], state: State) -> NormalEquations | None:
 
 
 def minimise(problem: Problem[State], state: State, stopping: Stopping = STOPPING) -> Solution[State]:
-    """Return the state that minimises ½ Σ ρ(‖r‖²), starting at `state`, which must be inside the domain."""
+    """Return the state that minimises ½ Σ ρ(‖r‖²), starting at `state`, which must be inside the domain.
+
+    A minimum that lies on the edge of the domain counts as converged; its reason says so.
+    """
     equations = linearise(problem, state)
     if equations is None:
         raise ValueError("the start is outside the domain of the problem")
-    damping, growth = stopping.damping, 2.0
+    damping, growth, blocked = stopping.damping, 2.0, 0
     for iteration in range(stopping.iterations):
         try:
             factors = factorise(equations.damped(damping))
@@ -87,13 +92,17 @@ def minimise(problem: Problem[State], state: State, stopping: Stopping = STOPPIN
         promised = -0.5 * step.dot(equations.gradient)
         trial_state = problem.retract(state, step)
         trial = linearise(problem, trial_state)
+        blocked += trial is None
         if trial is not None and trial.cost <= equations.cost:
-            gain = (equations.cost - trial.cost) / promised if promised > 0 else 1.0
-            settled = promised <= stopping.relative_decrease * max(trial.cost, 1e-300)
+            fall = equations.cost - trial.cost
+            # a step cut short by damping promises little and proves nothing
+            settled = damping < _GAUSS_NEWTON and promised <= stopping.relative_decrease * max(trial.cost, 1e-300)
+            held = blocked >= _BLOCKED and fall <= _CRAWL * trial.cost
             state, equations, growth = trial_state, trial, 2.0
-            damping *= max(0.1, 1 - (2 * min(gain, 1.0) - 1) ** 3)
-            if settled:
-                return Solution(state, equations.cost, iteration + 1, True, "the step promises no decrease", equations)
+            damping *= max(0.1, 1 - (2 * min(fall / promised if promised > 0 else 1.0, 1.0) - 1) ** 3)
+            if settled or held:
+                reason = "the step promises no decrease" if settled else "held at the edge of the domain"
+                return Solution(state, equations.cost, iteration + 1, True, reason, equations)
         elif promised <= 1e-13 * equations.cost:
             return Solution(state, equations.cost, iteration + 1, True, "the cost is at its rounding error", equations)
         elif damping > _MAX_DAMPING:

@@ -7,31 +7,9 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.images.mosaic import full_scale
+from camcal.stereo.geometry import StereoGeometry
 
 _BLOCK_ROWS = 32  # of a 12 MP map: what stands between disparity and points then stays in the cache
-
-
-@dataclass(frozen=True)
-class StereoGeometry:
-    """What turns disparity into depth: the left camera of the rectified pair and its distance to the right one.
-
-    fx, fy, cx, cy: pixels. baseline: metres, positive. doffs: cx of the right camera minus cx of the left, pixels.
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    baseline: float
-    doffs: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("fx", "fy", "cx", "cy", "baseline", "doffs"):
-            if not np.isfinite(getattr(self, name)):
-                raise InvalidInput(f"{name} must be a finite number")
-        for name in ("fx", "fy", "baseline"):
-            if getattr(self, name) <= 0:
-                raise InvalidInput(f"{name} must be positive, found {getattr(self, name):g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +91,7 @@ def _kept(values: Array, kept: Array) -> Array:
 
 
 def _appearance(pixels: Array) -> tuple[Array, Array | None]:
-    """Return colours (N, 3) red, green, blue, 0 … 255, of pixels (N,) or (N, 3 or 4), and the intensity of gray ones."""
+    """Return colours (N, 3) red, green, blue, 0 … 255, of pixels (N,) or (N, 3 or 4); and the intensity of gray."""
     light = pixels / np.float32(full_scale(pixels.dtype))
     colours = pixels if pixels.dtype == np.uint8 else np.rint(np.clip(light, 0, 1) * 255).astype(np.uint8)
     if pixels.ndim == 1:

@@ -56,6 +56,10 @@ class Surface:
         """Return the board as drawn."""
         return cls(board, (), (), np.zeros(0), np.zeros((0, 0)))
 
+    def coefficients_std(self) -> Array:
+        """Return the standard deviations (S,) of the coefficients."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
     def points(self) -> Array:
         """Return the points (C, 3) of the board as it is, in its unit."""
         points = self.board.points() + basis(self.board, self.terms) @ self.coefficients

@@ -1,9 +1,10 @@
 """`camcal demosaic`: raw frames to images, as many at a time as there are cores."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from camcal.images.npy import write_npy
 from camcal.images.save import save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import find_images
+from camcal.run.inputs import find_images, record_outputs
 
-OUTPUT_SUFFIXES = frozenset({".tif", ".tiff", ".png", ".ppm", ".npy"})
+OUTPUT_SUFFIXES = (".tif", ".tiff", ".png", ".ppm", ".npy")
+_SIXTEEN_BITS = 65535.0
 _DEFAULT_SUFFIX = ".tiff"  # 16-bit PNG takes seventeen times as long to write
 
 
@@ -34,6 +36,7 @@ class DemosaicOptions:
     development: Development = field(default_factory=Development)
     black: float | None = None
     white: float | None = None
+    recursive: bool = False
     jobs: int | None = None
 
     def __post_init__(self) -> None:
@@ -61,23 +64,24 @@ class DevelopedFrame:
 def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outcome[Path, DevelopedFrame]]:
     """Return what became of every raw frame, in the order of the inputs; a frame that fails costs only itself.
 
-    Raises InvalidInput when the pattern is missing or an output would replace an input, FileError for no input.
+    Raises InvalidInput when the pattern is missing or an output would replace an input, FileError for no input, and
+    whatever kept a single frame from being developed.
     """
-    frames = find_images(options.inputs)
+    frames = find_images(options.inputs, recursive=options.recursive)
     _require_pattern(frames, options.pattern)
     outputs = _outputs(frames, options.output)
-    work = partial(_develop_file, options=options)
-    pairs = list(zip(frames, outputs, strict=True))
-    outcomes = [
-        Outcome(frame, outcome.value, outcome.error)
-        for frame, outcome in zip(frames, fan_out(work, pairs, jobs=options.jobs, what="demosaic", progress=progress))
-    ]
+    work = partial(_develop_file, options=options, outputs=outputs)
+    outcomes = list(fan_out(work, frames, jobs=options.jobs, what="demosaic", progress=progress))
+    if len(outcomes) == 1 and outcomes[0].error is not None:
+        raise outcomes[0].error
+    if outputs[frames[0]] != options.output:
+        record_outputs(options.output, [outputs[outcome.item].name for outcome in outcomes if outcome.value])
     _warn_of_a_short_scale(outcomes, progress)
     return outcomes
 
 
-def _develop_file(pair: tuple[Path, Path], options: DemosaicOptions) -> DevelopedFrame:
-    source, output = pair
+def _develop_file(source: Path, options: DemosaicOptions, outputs: Mapping[Path, Path]) -> DevelopedFrame:
+    output = outputs[source]
     frame = _with_levels(read_mosaic(source, options.pattern), options)
     picture = develop(frame, options.development)
     write_npy(output, picture.pixels) if output.suffix.lower() == ".npy" else save(output, picture.pixels)
@@ -99,21 +103,60 @@ def _with_levels(frame: Mosaic, options: DemosaicOptions) -> Mosaic:
     return replace(frame, black=black, white=frame.white if options.white is None else options.white)
 
 
-def _outputs(frames: Sequence[Path], output: Path) -> list[Path]:
-    """Return the file each frame is written to: the output itself for a single frame, else one by name in its folder.
+def _outputs(frames: Sequence[Path], output: Path) -> dict[Path, Path]:
+    """Return the file each frame is written to: the output itself for a single frame, else one by its name in a folder.
 
     Raises InvalidInput if two frames want the same file, or a file is an input or of a kind that is not written.
     """
     if output.suffix and not output.is_dir():
         if len(frames) > 1:
-            raise InvalidInput(f"{len(frames)} frames cannot go into one file; give a folder", where=str(output))
+            raise InvalidInput(f"{len(frames)} frames do not go into one file; give a folder", where=str(output))
         if output.suffix.lower() not in OUTPUT_SUFFIXES:
             raise InvalidInput(f"{output.suffix} is not written; use {', '.join(OUTPUT_SUFFIXES)}", where=str(output))
-        files = [output]
+        outputs = {frames[0]: output}
     else:
-        files = [output / f"{frame.stem}{_DEFAULT_SUFFIX}" for frame in frames]
-    sources = {frame.resolve() for frame in frames}
-    for file, frame in zip(files, frames, strict=True):
-        if file.resolve() in sources:
-            raise InvalidInput("is an input and would be overwritten; give another output", where=str(file))
-    return files
+        outputs = {frame: output / f"{frame.stem}{_DEFAULT_SUFFIX}" for frame in frames}
+    _refuse_collisions(outputs)
+    return outputs
+
+
+def _refuse_collisions(outputs: Mapping[Path, Path]) -> None:
+    inputs = {frame.resolve() for frame in outputs}
+    taken: dict[Path, Path] = {}
+    for frame, file in outputs.items():
+        if file.resolve() in inputs:
+            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(file))
+        if file in taken:
+            raise InvalidInput(f"{taken[file]} and {frame} would both be written to it; rename one", where=str(file))
+        taken[file] = frame
+
+
+def _require_pattern(frames: Sequence[Path], pattern: str | None) -> None:
+    bare = [frame for frame in frames if frame.suffix.lower() in BARE_SUFFIXES]
+    if bare and pattern is None:
+        raise InvalidInput(
+            f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}", where=str(bare[0])
+        )
+
+
+def _warn_of_a_short_scale(outcomes: Sequence[Outcome[Path, DevelopedFrame]], progress: Progress) -> None:
+    """Warn once if 16-bit files look as if they held fewer bits: the images then come out almost black."""
+    for outcome in outcomes:
+        frame = outcome.value
+        if frame is not None and frame.white == _SIXTEEN_BITS and 0 < frame.peak < _SIXTEEN_BITS / 4:
+            likely = 2 ** max(8, int(frame.peak).bit_length()) - 1
+            progress.warn(f"{frame.source}: no count above {frame.peak:g} of 65535; is it --white {likely}?")
+            return
+
+
+def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any]:
+    """Return what became of the frames as plain data for --json."""
+    written = [outcome.value for outcome in outcomes if outcome.value is not None]
+    return {
+        "images": [
+            asdict(frame) | {"source": frame.source.as_posix(), "output": frame.output.as_posix()} for frame in written
+        ],
+        "failed": [
+            {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
+        ],
+    }

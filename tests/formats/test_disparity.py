@@ -40,7 +40,12 @@ def test_floating_point_comes_back_with_its_invalid_codes(tmp_path, suffix):
 
 @pytest.mark.parametrize(
     ("header", "order"),
-    [(b"Pf\n3 2\n-1.0\n", "<f4"), (b"Pf\n3 2\n1.0\n", ">f4"), (b"Pf 3 2 -0.003922\n", "<f4"), (b"Pf\n3 2\n-1e0\n", "<f4")],
+    [
+        (b"Pf\n3 2\n-1.0\n", "<f4"),
+        (b"Pf\n3 2\n1.0\n", ">f4"),
+        (b"Pf 3 2 -0.003922\n", "<f4"),
+        (b"Pf\n3 2\n-1e0\n", "<f4"),
+    ],
 )
 def test_pfm_is_read_from_the_bottom_up_and_its_number_only_tells_the_byte_order(tmp_path, header, order):
     write_pfm(tmp_path / "disparity.pfm", VALUES, header, order)

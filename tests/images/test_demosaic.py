@@ -25,7 +25,7 @@ def sampled(colour_image, pattern):
 
 
 def mean_of_neighbours(mosaic, pattern, row, column, colour):
-    """Return the mean of the nearest samples of a colour: itself, else those of the 3 × 3 window mirrored at borders."""
+    """Return the mean of the nearest samples of a colour: itself, else those of the mirrored 3 × 3 window."""
     height, width = mosaic.shape
 
     def letter(r, c):
@@ -82,7 +82,9 @@ def test_full_scale_does_not_overflow(dtype):
 def test_a_linear_ramp_is_exact_inside():
     ramp = np.add.outer(np.arange(12), np.arange(9))[..., None] + np.zeros(3)
     result = demosaic(sampled(ramp.astype(np.float32), "RGGB"), "RGGB")
-    np.testing.assert_allclose(result[1:-1, 1:-1], ramp[1:-1, 1:-1], rtol=0, atol=1e-5)  # float32 sums of numbers up to 20
+    np.testing.assert_allclose(
+        result[1:-1, 1:-1], ramp[1:-1, 1:-1], rtol=0, atol=1e-5
+    )  # float32 sums of numbers up to 20
 
 
 def test_none_gives_the_mosaic_itself():

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.stereo.cloud import PointCloud, StereoGeometry, depth_map, make_cloud
+from camcal.stereo.cloud import PointCloud, depth_map, make_cloud
+from camcal.stereo.geometry import StereoGeometry
 
 GEOMETRY = StereoGeometry(fx=700.0, fy=690.0, cx=3.5, cy=1.25, baseline=0.12)
 
@@ -122,9 +123,7 @@ def test_the_arrays_of_a_cloud_cannot_be_written_to():
         PointCloud(np.zeros((2, 3))).points[0] = 1
 
 
-@given(
-    st.floats(1e-3, 1e4), st.floats(1.0, 1e5), st.floats(1e-3, 1e2), st.integers(0, 30), st.integers(0, 20)
-)
+@given(st.floats(1e-3, 1e4), st.floats(1.0, 1e5), st.floats(1e-3, 1e2), st.integers(0, 30), st.integers(0, 20))
 def test_every_point_projects_back_to_its_pixel(disparity, focal, baseline, u, v):
     geometry = StereoGeometry(focal, 0.9 * focal, 12.5, 7.25, baseline)
     values = np.zeros((21, 31), np.float32)

@@ -1,0 +1,120 @@
+"""`camcal calibrate`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from camcal.cli import options as shared
+from camcal.cli import show
+
+if TYPE_CHECKING:
+    from camcal.tasks.calibrate import CalibrateReport
+
+LISTED = 10
+
+
+def calibrate(
+    inputs: Annotated[
+        list[str], typer.Argument(metavar="IMAGES…|DETECTIONS", help="Images, folders, globs; or one detections file.")
+    ],
+    output: shared.Output,
+    board: shared.BoardOption = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4 (wide lenses). "
+            "Default: opencv5; where that cannot hold the lens, kannala_brandt4 or opencv8, and it is said."
+        ),
+    ] = None,
+    fix: Annotated[
+        str, typer.Option(metavar="NAMES", help="Lens parameters to hold, such as k3 or p1,p2: at 0, or the guess's.")
+    ] = "",
+    guess: Annotated[
+        str | None, typer.Option(metavar="CAMERA", help="A camera file to start from; FILE#NAME for one of several.")
+    ] = None,
+    flat_board: Annotated[
+        bool, typer.Option("--flat-board", help="Take the board as drawn; by default its shape is estimated.")
+    ] = False,
+    free_corners: Annotated[
+        bool, typer.Option(help="Let every corner of the board move where it was seen at least 10 times.")
+    ] = True,
+    max_rejected: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Refuse the result when more corners than this do not fit.")
+    ] = 10.0,
+    name: Annotated[str, typer.Option("--name", help="Name of the camera in the file.")] = "camera",
+    save_detections: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the corners too, so that a second solve needs no images.")
+    ] = None,
+    recursive: shared.Recursive = False,
+    jobs: shared.Jobs = None,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
+    config: shared.Config = None,
+) -> None:
+    """Calibrate one camera from images of a board, or from a detections file.
+
+    The board's bend and stretch are estimated along with the lens, outliers are listed, and every value comes with
+    its standard deviation.
+    """
+    from camcal.errors import ItemsFailed
+    from camcal.tasks.calibrate import CalibrateOptions, document
+    from camcal.tasks.calibrate import calibrate as run
+
+    report = run(
+        CalibrateOptions(
+            tuple(inputs),
+            output,
+            board,
+            model,
+            tuple(part.strip() for part in fix.split(",") if part.strip()),
+            guess,
+            flat_board,
+            free_corners,
+            max_rejected / 100,
+            name,
+            save_detections,
+            recursive,
+            jobs,
+        ),
+        show.progress(quiet),
+    )
+    if json:
+        show.document("calibrate", document(report, output))
+    elif not quiet:
+        _show(report, output, verbose)
+    if report.failed:
+        raise ItemsFailed(f"{len(report.failed)} of the images could not be read: {', '.join(report.failed[:LISTED])}")
+
+
+def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
+    calibration = report.calibration
+    for note in report.notes:
+        show.text(note)
+    rows = [[value.name, value.value, value.std] for value in report.parameters()]
+    width, height = calibration.camera.image_size
+    show.table(f"{calibration.camera.model.name}, {width}x{height}", ["parameter", "value", "± std"], rows)
+    for line in report.summary():
+        show.text(line)
+    _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
+    corners = [
+        f"  {corner.image}: corner {corner.id}, off by {corner.distance:.2f} px" for corner in calibration.rejected
+    ]
+    _list("Rejected corners:", corners, verbose)
+    for remark in report.advice.remarks:
+        show.text(f"note: {remark}")
+    for reason in report.advice.reasons:
+        show.text(f"DO NOT TRUST: {reason}")
+    show.text(f"wrote {output}")
+
+
+def _list(title: str, lines: list[str], verbose: bool) -> None:
+    if not lines:
+        return
+    show.text(title)
+    shown = lines if verbose else lines[:LISTED]
+    for line in shown:
+        show.text(line)
+    if len(shown) < len(lines):
+        show.text(f"  … and {len(lines) - len(shown)} more (--verbose lists all)")

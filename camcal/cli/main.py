@@ -1,0 +1,156 @@
+"""The `camcal` command: the list of its subcommands, and the one place where errors become an exit code.
+
+Nothing here imports the core: `camcal --help` is to be there at once.
+"""
+
+import faulthandler
+import os
+import sys
+from collections.abc import Sequence
+from itertools import takewhile
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from camcal import __version__
+from camcal.cli import calibrate, demosaic, doctor, show, stereo
+from camcal.cli.options import SETTINGS
+from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
+from camcal.run.startup import BLAS_THREADS
+
+
+class Boundary(TyperGroup):
+    """The root of all commands; whatever happens below it leaves here as an exit code, a line, and JSON if asked for.
+
+    A bug alone leaves as the exception it is: Python shows the traceback and exits with 1.
+    """
+
+    def main(self, args: Sequence[str] | None = None, *_: Any, **__: Any) -> NoReturn:
+        arguments = list(sys.argv[1:] if args is None else args)
+        with show.documents() as shown:
+            try:
+                with self.make_context("camcal", list(arguments)) as context:
+                    self.invoke(context)
+                show.flush()
+                code = 0
+            except typer.Exit as request:
+                code = request.exit_code
+            except (Exception, KeyboardInterrupt) as error:
+                code = self.report(error, arguments, silent=bool(shown))
+                if code == EXIT_BUG:
+                    raise
+        sys.exit(code)
+
+    def report(self, error: BaseException, arguments: list[str], *, silent: bool) -> int:
+        """Show what went wrong and return the exit code; `silent` keeps a second document from stdout."""
+        if isinstance(error, BrokenPipeError):
+            show.give_up_stdout(error)
+            return 0
+        if isinstance(error, typer.TyperException):
+            error = _usage_error(error)
+        code, kind, message, where = _described(error)
+        if code != EXIT_BUG:
+            show.error(f"{where}: {message}" if where else message)
+        if "--json" in takewhile(lambda argument: argument != "--", arguments) and not silent:
+            failure = {"error": {"kind": kind, "message": message, "where": where}, "exit": code}
+            show.document(self.named_in(arguments), failure)
+            show.flush()
+        return code
+
+    def named_in(self, arguments: list[str]) -> str:
+        """Return the command that a command line names, such as 'stereo cloud'; 'camcal' if it names none."""
+        command: Any = self
+        names: list[str] = []
+        for argument in arguments:
+            if not isinstance(command, TyperGroup) or argument not in command.commands:
+                break
+            names.append(argument)
+            command = command.commands[argument]
+        return " ".join(names) or "camcal"
+
+
+def _usage_error(error: typer.TyperException) -> InvalidInput:
+    """Return the one-line form of what typer says in several, naming the settings file if the value came from there."""
+    context, parameter = getattr(error, "ctx", None), getattr(error, "param", None)
+    words = " ".join(error.format_message().split()).rstrip(".")
+    if context is None:
+        return InvalidInput(words)
+    settings = context.meta.get(SETTINGS)
+    if settings and parameter and context.get_parameter_source(parameter.name).name == "DEFAULT_MAP":
+        return InvalidInput(words, where=f"{settings.where}:{settings.lines[parameter.name]}")
+    return InvalidInput(f"{words}; see '{context.command_path} --help'")
+
+
+def _described(error: BaseException) -> tuple[int, str, str, str | None]:
+    """Return exit code, kind, message and place of an error."""
+    if isinstance(error, CamcalError):
+        return error.exit_code, error.kind, error.message, error.where
+    if isinstance(error, KeyboardInterrupt):
+        return EXIT_INTERRUPTED, "interrupted", "interrupted", None
+    return EXIT_BUG, "bug", f"{type(error).__name__}: {error}", None
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        show.text(f"camcal {__version__}")
+        raise typer.Exit
+
+
+app = typer.Typer(
+    cls=Boundary,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["--help", "-h"], "max_content_width": 100},
+)
+
+
+@app.callback(invoke_without_command=True)
+def camcal(
+    context: typer.Context,
+    version: Annotated[  # noqa: ARG001 - its callback answers it
+        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    """Calibrate, rectify and measure with cameras from the shell, and know when not to trust the result."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(InvalidInput.exit_code)
+
+
+stereo_app = typer.Typer(help="What two cameras measure.")
+stereo_app.command("cloud")(stereo.cloud)
+
+app.command("calibrate")(calibrate.calibrate)
+app.command("demosaic")(demosaic.demosaic)
+app.add_typer(stereo_app, name="stereo")
+app.command("doctor")(doctor.doctor)
+
+
+def main() -> None:
+    """Run `camcal` as a program of its own: the console script."""
+    # One BLAS thread: sums in another order would give other digits on a machine with other cores.
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")
+    _keep_c_libraries_quiet()
+    app()
+
+
+def _keep_c_libraries_quiet() -> None:
+    """Send what libpng, libjpeg and OpenCV print by themselves to nowhere; what we print still reaches stderr.
+
+    They write about damaged files to file descriptor 2, past Python; the user hears of those files in our words.
+    """
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # a file name need not be valid text
+            stream.reconfigure(errors="backslashreplace")
+    if sys.stderr is None:
+        return
+    ours = os.dup(sys.stderr.fileno())
+    sys.stderr = os.fdopen(ours, "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+    faulthandler.enable(sys.stderr)  # a crash in a C library still says where

@@ -1,0 +1,63 @@
+"""The options that commands share, each declared once."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+SETTINGS = "camcal.settings"  # where a context keeps the settings file its values came from
+
+_OF_THE_CALL = {"config", "help", "json"}  # they say how a command is called, not what it does
+
+
+def _apply_settings(context: typer.Context, path: Path | None) -> Path | None:
+    """Let a settings file give the defaults of the options that are not on the command line."""
+    if path is None:
+        return None
+    from camcal.run.settings import read_settings
+
+    options = {
+        max(option.opts, key=len).lstrip("-").replace("-", "_"): option
+        for option in context.command.params
+        if option.param_type_name == "option"
+    }
+    several = {name: option.multiple or option.nargs != 1 for name, option in options.items()}
+    settings = read_settings(path, {name: value for name, value in several.items() if name not in _OF_THE_CALL})
+    context.default_map = {options[name].name: value for name, value in settings.values.items()}
+    context.meta[SETTINGS] = settings
+    return path
+
+
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="PATH", help="Where to write the result.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", "-j", metavar="N", min=1, help="Cores to work on; by default all this process may use."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Only warnings and errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="List everything.")]
+Recursive = Annotated[bool, typer.Option("--recursive", "-r", help="Read the folders below a folder too.")]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        is_eager=True,
+        callback=_apply_settings,
+        help="Options from a YAML file (option: value); those on the command line come first.",
+    ),
+]
+BoardOption = Annotated[
+    str | None,
+    typer.Option(
+        "--board",
+        "-b",
+        metavar="BOARD",
+        help="A board file, or a short form such as chessboard:9x6:25mm (inner corners) "
+        "or charuco:9x7:30mm:22mm:DICT_5X5_100 (squares).",
+    ),
+]
+CameraName = Annotated[
+    str | None,
+    typer.Option("--camera", metavar="NAME", help="Which camera of a file with several; FILE#NAME does the same."),
+]

@@ -1,0 +1,184 @@
+"""What commands print: text, tables and JSON documents to stdout; progress, warnings and errors to stderr."""
+
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+from camcal.errors import FileError
+from camcal.progress import Progress, Silent
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+_REDRAW_S = 0.1
+_SIGNIFICANT_DIGITS = 12
+
+_documents: ContextVar[list[str] | None] = ContextVar("documents", default=None)
+
+
+def text(line: str) -> None:
+    """Print a line to stdout; a closed pipe swallows it."""
+    try:
+        print(line)  # noqa: T201
+    except OSError as error:
+        give_up_stdout(error)
+
+
+def flush() -> None:
+    """Send out what was printed; raises FileError if it cannot be written (a full disk, not a closed pipe)."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        give_up_stdout(error)
+
+
+def give_up_stdout(error: OSError) -> None:
+    """Let further output, and the flush at exit, go nowhere. A closed pipe is no error: whoever read has enough."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+    if not isinstance(error, BrokenPipeError):
+        raise FileError(f"cannot be written: {error.strerror}", where="standard output") from error
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a title and aligned columns; numbers to the right with 6 significant digits, None as a dash."""
+    lines = [list(columns), *([_cell(value) for value in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    numeric = [all(value is None or _is_number(value) for value in column) for column in zip(*rows, strict=True)]
+    text(title)
+    for line in lines:
+        cells = [
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(line, widths, numeric or [False] * len(widths), strict=True)
+        ]
+        text(f"  {'  '.join(cells)}".rstrip())
+
+
+def document(command: str, payload: Mapping[str, Any]) -> None:
+    """Print the one JSON document of a command, such as 'stereo cloud': its schema first, then the payload.
+
+    Numbers have 12 significant digits; NaN and infinities become null, arrays lists, paths text.
+    """
+    schema = f"camcal/{command.replace(' ', '-')}/1"
+    text(json.dumps({"schema": schema, **_plain(payload)}, indent=2, allow_nan=False))
+    shown = _documents.get()
+    if shown is not None:
+        shown.append(schema)
+
+
+@contextmanager
+def documents() -> Iterator[list[str]]:
+    """Yield a list that receives the schema of every document printed inside the block."""
+    shown: list[str] = []
+    token = _documents.set(shown)
+    try:
+        yield shown
+    finally:
+        _documents.reset(token)
+
+
+def warning(message: str) -> None:
+    """Print a warning to stderr, one line for each of its lines."""
+    _complain("warning", message)
+
+
+def error(message: str) -> None:
+    """Print an error to stderr, one line for each of its lines."""
+    _complain("error", message)
+
+
+def progress(quiet: bool) -> Progress:
+    """Return what a task reports to: a bar on a terminal unless `quiet`, and warnings as lines in any case."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
+        return _Warnings()
+    return _Terminal()
+
+
+class _Warnings(Silent):
+    def warn(self, message: str) -> None:
+        warning(message)
+
+
+class _Terminal:
+    """A progress bar on stderr, drawn when items are done and not by a thread of its own."""
+
+    def __init__(self) -> None:
+        self.bar: Bar | None = None
+        self.drawn = 0.0
+
+    def start(self, what: str, total: int | None) -> None:
+        from rich import progress as rich
+        from rich.console import Console
+
+        columns = (rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.MofNCompleteColumn())
+        self.bar = rich.Progress(
+            *columns,
+            rich.TimeRemainingColumn(),
+            console=Console(stderr=True),
+            auto_refresh=False,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+        self.bar.add_task(what, total=total)
+        self.bar.start()
+
+    def advance(self, count: int = 1) -> None:
+        if self.bar is None:
+            return
+        self.bar.advance(self.bar.task_ids[0], count)
+        if time.monotonic() - self.drawn > _REDRAW_S:
+            self.bar.refresh()
+            self.drawn = time.monotonic()
+
+    def finish(self) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+            self.bar = None
+
+    def warn(self, message: str) -> None:
+        if self.bar is None:
+            warning(message)
+            return
+        for line in message.splitlines():
+            self.bar.console.print(f"camcal: warning: {line}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _complain(kind: str, message: str) -> None:
+    if sys.stderr is None:
+        return
+    with suppress(OSError):  # nobody is left to hear of it
+        for line in message.splitlines():
+            print(f"camcal: {kind}: {line}", file=sys.stderr)  # noqa: T201
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if _is_number(value) and not isinstance(value, int) else str(value)
+
+
+def _is_number(value: object) -> bool:
+    return hasattr(value, "__float__") and not isinstance(value, bool)
+
+
+def _plain(value: Any) -> Any:
+    """Return the value as JSON takes it."""
+    if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if math.isfinite(value) else None
+    return str(value) if isinstance(value, PurePath) else value

@@ -1,0 +1,285 @@
+"""The pose of an object from its points and their pixels, with covariance and the pose it may be mistaken for.
+
+Every start is refined to its minimum of the reprojection error through the package's solver; the lowest one wins.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.cameras.model import Camera
+from camcal.errors import CamcalError, InsufficientData, InvalidInput
+from camcal.estimate.planar import Extent, pose_of_plane, reflected
+from camcal.estimate.pose_problem import PoseProblem
+from camcal.estimate.start_points import pose_from_matrix, poses_from_afar, poses_from_all, poses_from_triplets
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.progress import Outcome
+from camcal.solve.least_squares import Solution, minimise
+from camcal.solve.losses import Loss
+
+MIN_POINTS = 4
+AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags
+_COLLINEAR = 1e-6  # second spread over the first
+_IN_PLANE = 1e-4  # third spread over the first: no 3 × 4 matrix can be had below
+_NEAR_PLANE = 0.1  # and above, the pose of the best plane is no start
+_FEW = 5  # points for which one solver's start may lie in a wrong valley
+_STARTS = 4
+_SAME_START = 0.1  # rad, and share of the distance: starts this near lead to one minimum
+_SAME_MINIMUM = 1e-3
+_ROUNDING = 1e-9  # px: what smaller residuals tell is the rounding of numbers, not noise
+_SINGULAR = 1e-10  # smallest eigenvalue of the scaled normal matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondences:
+    """Points (N, 3) of an object and the pixels (N, 2) at which one image shows them.
+
+    covariance: (N, 2, 2) px² of the pixels, up to a common factor; None for equal ones. Raises InvalidInput unless
+    every number is finite and every covariance positive.
+    """
+
+    image: str
+    points: Array
+    pixels: Array
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", readonly(self.points, (None, 3), "points"))
+        object.__setattr__(self, "pixels", readonly(self.pixels, (len(self.points), 2), "pixels"))
+        if not (np.isfinite(self.points).all() and np.isfinite(self.pixels).all()):
+            raise InvalidInput("a point or pixel is not a finite number", where=self.image)
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.points), 2, 2), "covariance"))
+            if not np.all(np.linalg.eigvalsh(self.covariance) > 0):
+                raise InvalidInput("the covariance of a pixel is not positive", where=self.image)
+
+    def take(self, chosen: Array) -> "Correspondences":
+        """Return some of the points."""
+        covariance = None if self.covariance is None else self.covariance[chosen]
+        return Correspondences(self.image, self.points[chosen], self.pixels[chosen], covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another minimum: its camera_T_object, how much larger its χ² is, and the probability that it is the true one."""
+
+    camera_T_object: Pose
+    chi_square_difference: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """camera_T_object of one image and what is known of its quality.
+
+    covariance: (6, 6) of that pose, order tx ty tz rx ry rz (points' unit, rad), R ← Exp(δr) R, t ← t + δt.
+    residuals: (N, 2) px, projected minus observed, NaN for points outside the lens's domain, which are left out.
+    sigma_px: noise of a pixel coordinate (with covariances their factor's root); freedom: the degrees of freedom it
+    was estimated with, None if it was given. reason: why the solver stopped.
+    """
+
+    camera_T_object: Pose
+    covariance: Array
+    residuals: Array
+    sigma_px: float
+    freedom: int | None
+    alternative: Alternative | None
+    converged: bool
+    reason: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "covariance"))
+        object.__setattr__(self, "residuals", readonly(self.residuals, (None, 2), "residuals"))
+
+    @property
+    def used(self) -> int:
+        """The number of points that count."""
+        return int(np.count_nonzero(np.isfinite(self.residuals[:, 0])))
+
+    @property
+    def rms_px(self) -> float:
+        """The root mean square of the distances between projected and observed pixels."""
+        return float(np.sqrt(np.nansum(self.residuals**2) / self.used))
+
+    @property
+    def p_wrong(self) -> float:
+        """The probability that the alternative is the true pose; 0 without one."""
+        return self.alternative.probability if self.alternative else 0.0
+
+    @property
+    def status(self) -> str:
+        """Whether the pose is to be trusted, in words that begin with ok, ambiguous or not converged."""
+        if not self.converged:
+            return f"not converged: {self.reason}"
+        if self.p_wrong > AMBIGUOUS:
+            return f"ambiguous: another pose fits nearly as well, probability {self.p_wrong:.2g}"
+        return "ok"
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """The minima of one view, lowest first, and the mask (N,) of the points that took part."""
+
+    view: Correspondences
+    problem: PoseProblem
+    used: Array
+    minima: list[Solution[Pose]]
+
+    @property
+    def freedom(self) -> int:
+        return 2 * len(self.problem.points) - 6
+
+
+def estimate_poses(
+    camera: Camera, views: Sequence[Correspondences], noise_px: float | None = None, loss: Loss | None = None
+) -> list[Outcome[Correspondences, PoseEstimate]]:
+    """Return the pose of every view, or the InsufficientData that kept it from one, in the order of the views.
+
+    noise_px: standard deviation of a pixel coordinate, the factor's root where covariances are given; None estimates
+    it from the residuals of all views together. loss: of whitened residuals, in their unit.
+    """
+    if noise_px is not None and not (np.isfinite(noise_px) and noise_px > 0):
+        raise InvalidInput(f"a noise of {noise_px:g} px is not positive")
+    fits = [_attempt(camera, view, loss) for view in views]
+    sigma, freedom = _noise([fit for fit in fits if isinstance(fit, _Fit)]) if noise_px is None else (noise_px, None)
+    return [
+        Outcome(view, error=fit) if isinstance(fit, CamcalError) else Outcome(view, _estimate(fit, sigma, freedom))
+        for view, fit in zip(views, fits, strict=True)
+    ]
+
+
+def _attempt(camera: Camera, view: Correspondences, loss: Loss | None) -> "_Fit | InsufficientData":
+    try:
+        return _fit(camera, view, loss)
+    except InsufficientData as error:
+        return error
+
+
+def _noise(fits: Sequence[_Fit]) -> tuple[float, int]:
+    """Return the standard deviation of a whitened pixel coordinate over all views, and its degrees of freedom."""
+    squares = sum(float(fit.problem.squared(fit.minima[0].state).sum()) for fit in fits)
+    freedom = sum(fit.freedom for fit in fits)
+    return max(float(np.sqrt(squares / max(freedom, 1))), _ROUNDING), freedom
+
+
+def _estimate(fit: _Fit, sigma: float, freedom: int | None) -> PoseEstimate:
+    best, *others = fit.minima
+    residuals = np.full((len(fit.used), 2), np.nan)
+    residuals[fit.used] = fit.problem.residuals(best.state)
+    return PoseEstimate(
+        best.state,
+        sigma**2 * best.factors().shared_covariance(),
+        residuals,
+        sigma,
+        freedom,
+        _alternative(best, others[0], sigma) if others else None,
+        best.converged,
+        best.reason,
+    )
+
+
+def _alternative(best: Solution[Pose], other: Solution[Pose], sigma: float) -> Alternative:
+    from scipy.special import expit
+
+    difference = 2 * (other.cost - best.cost) / sigma**2
+    return Alternative(other.state, difference, float(expit(-difference / 2)))
+
+
+def _fit(camera: Camera, view: Correspondences, loss: Loss | None) -> _Fit:
+    rays = camera.unproject(view.pixels)
+    inside = view.take(rays.valid)
+    extent = _require_enough(view, inside)
+    whitening = None
+    if inside.covariance is not None:
+        whitening = np.linalg.cholesky(np.linalg.inv(inside.covariance)).transpose(0, 2, 1)
+    problem = PoseProblem(camera, inside.points, inside.pixels, whitening, loss)
+    minima = _minima(problem, rays.directions[rays.valid], extent)
+    if not minima:
+        raise InsufficientData(
+            "no pose puts all points in front of the lens; are u and v exchanged, or is it another camera's image?",
+            where=view.image,
+        )
+    _require_fixed(view, minima[0])
+    return _Fit(view, problem, rays.valid, minima)
+
+
+def _require_enough(view: Correspondences, inside: Correspondences) -> Extent:
+    """Return the extent of the points; raises InsufficientData if they cannot fix a pose."""
+    count = len(np.unique(inside.points, axis=0))
+    if count < MIN_POINTS:
+        outside = len(view.points) - len(inside.points)
+        lost = f" ({outside} more are outside the lens's domain)" if outside else ""
+        raise InsufficientData(f"{count} different points{lost}; a pose needs at least {MIN_POINTS}", where=view.image)
+    extent = Extent.of(inside.points)
+    if extent.spread[1] < _COLLINEAR * extent.spread[0]:
+        raise InsufficientData(
+            f"all {count} points lie on one line, about which the object may turn; add a point beside it",
+            where=view.image,
+        )
+    return extent
+
+
+def _require_fixed(view: Correspondences, solution: Solution[Pose]) -> None:
+    """Raise InsufficientData if the points leave a part of the pose open."""
+    normal = solution.equations.shared_shared
+    scale = np.sqrt(np.diag(normal))
+    smallest = np.linalg.eigvalsh(normal / np.outer(scale, scale))[0] if scale.all() else 0.0
+    if smallest < _SINGULAR:
+        raise InsufficientData(
+            f"the points do not fix the pose (condition {1 / max(smallest, 1e-16):.0e}); add points, spread out",
+            where=view.image,
+        )
+
+
+def _minima(problem: PoseProblem, rays: Array, extent: Extent) -> list[Solution[Pose]]:
+    """Return the different minima that the starts lead to, lowest first."""
+    starts = sorted(_starts(problem.points, rays, extent), key=lambda pose: float(problem.squared(pose).sum()))
+    chosen = _distinct(starts, _SAME_START)[:_STARTS]
+    minima = [solution for index in chosen if (solution := _refined(problem, starts[index]))]
+    if minima and extent.spread[2] < _NEAR_PLANE * extent.spread[0]:
+        best = min(minima, key=lambda solution: solution.cost)
+        mirrored = _refined(problem, reflected(best.state, extent))
+        minima += [mirrored] if mirrored else []
+    minima.sort(key=lambda solution: solution.cost)
+    return [minima[index] for index in _distinct([solution.state for solution in minima], _SAME_MINIMUM)]
+
+
+def _starts(points: Array, rays: Array, extent: Extent) -> Iterator[Pose]:
+    flatness = extent.spread[2] / extent.spread[0]
+    if flatness < _NEAR_PLANE:
+        yield pose_of_plane(rays, points, extent)
+    if flatness > _IN_PLANE:
+        yield from poses_from_all(rays, points)
+        yield from poses_from_afar(rays, points) if len(points) <= _FEW else [pose_from_matrix(rays, points)]
+    if len(points) <= _FEW:
+        yield from poses_from_triplets(rays, points)
+
+
+def _refined(problem: PoseProblem, camera_T_object: Pose) -> Solution[Pose] | None:
+    """Return the minimum a start leads to, or None if that leaves points outside the lens's domain."""
+    inside = np.isfinite(problem.squared(camera_T_object))
+    if not inside.all():
+        if inside.sum() < MIN_POINTS:
+            return None
+        camera_T_object = minimise(problem.take(inside), camera_T_object).state
+        if not np.isfinite(problem.squared(camera_T_object)).all():
+            return None
+    return minimise(problem, camera_T_object)
+
+
+def _distinct(poses: Sequence[Pose], tolerance: float) -> list[int]:
+    """Return the indices of the poses that no earlier one is near to, by angle (rad) and by share of the distance."""
+    kept: list[int] = []
+    for index, pose in enumerate(poses):
+        if not any(_near(poses[other], pose, tolerance) for other in kept):
+            kept.append(index)
+    return kept
+
+
+def _near(first: Pose, second: Pose, tolerance: float) -> bool:
+    angle = np.linalg.norm(so3.log(first.rotation @ second.rotation.T))
+    shift = np.linalg.norm(first.translation - second.translation)
+    return bool(angle < tolerance and shift < tolerance * np.linalg.norm(first.translation))

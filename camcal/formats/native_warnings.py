@@ -1,0 +1,75 @@
+"""What looks wrong in a camera file that breaks no rule."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from camcal.cameras.model import Camera
+from camcal.cameras.validity import field_of_view, folds_inside
+from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.strict_yaml import Fault, child
+
+OFF_CENTRE = 0.25  # of the image's side: more than any lens is decentred, less than a wrong resolution
+ASPECT = (0.9, 1.1)
+FIELD_DEG = (3.0, 200.0)
+LARGE_RMS = 1.0
+FEW_IMAGES = 10
+FAR = 20.0  # metres between two cameras; 20 and more are probably millimetres
+
+
+def findings(file: CameraFile) -> Iterator[Fault]:
+    """Yield what a reader should know before trusting the file, with the key it is about."""
+    for name, entry in file.cameras.items():
+        path = child("cameras", name)
+        yield from _principal_point(entry.camera, child(path, "intrinsics"))
+        yield from _aspect(entry.camera, child(path, "intrinsics"))
+        yield from _opening(entry.camera, child(path, "intrinsics"))
+        yield from _folding(entry.camera, child(path, "distortion"))
+        yield from _quality(entry, child(path, "quality"))
+    for name, transform in file.transforms.items():
+        distance = float(np.linalg.norm(transform.pose.translation))
+        if distance > FAR:
+            yield Fault(child(child("transforms", name), "t"), f"{distance:g} m: are these millimetres?")
+
+
+def without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Fault]:
+    """Yield that a camera's uncertainty cannot be used, if there are parameters without one."""
+    if names:
+        text = f"no uncertainty of {', '.join(names)}; the camera's uncertainty is not used"
+        yield Fault(child(path, "uncertainty"), text)
+
+
+def _principal_point(camera: Camera, path: str) -> Iterator[Fault]:
+    for name, side, what in zip(("cx", "cy"), camera.image_size, ("width", "height"), strict=True):
+        value = camera.value(name)
+        if abs(value - (side - 1) / 2) > OFF_CENTRE * side:
+            yield Fault(child(path, name), f"{name}={value:g} for {what} {side}: are these of another resolution?")
+
+
+def _aspect(camera: Camera, path: str) -> Iterator[Fault]:
+    ratio = camera.value("fx") / camera.value("fy")
+    if not ASPECT[0] <= ratio <= ASPECT[1]:
+        yield Fault(path, f"fx/fy = {ratio:.3g}: anamorphic or stretched video? check the display aspect ratio")
+
+
+def _opening(camera: Camera, path: str) -> Iterator[Fault]:
+    horizontal = math.degrees(field_of_view(camera)[0])
+    if horizontal < FIELD_DEG[0] or horizontal > FIELD_DEG[1]:
+        text = f"horizontal field of view {horizontal:.3g}°: are the focal length and image_size of one resolution?"
+        yield Fault(child(path, "fx"), text)
+
+
+def _folding(camera: Camera, path: str) -> Iterator[Fault]:
+    fold = folds_inside(camera)
+    if fold.folds:
+        limit = f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre"
+        yield Fault(path, f"{limit}; the image corner is at {fold.corner_px:.0f} px")
+
+
+def _quality(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    rms, images = entry.quality.get("rms_px", 0.0), entry.quality.get("images_used", FEW_IMAGES)
+    if rms > LARGE_RMS:
+        yield Fault(child(path, "rms_px"), f"{rms:g} px is a poor fit; a good calibration is below {LARGE_RMS:g}")
+    if images < FEW_IMAGES:
+        yield Fault(child(path, "images_used"), f"{images} images; take {FEW_IMAGES} or more")

@@ -1,0 +1,325 @@
+"""One function over many items on all cores, results in input order; nothing else starts threads or processes.
+
+Threads serve work that is all OpenCV. Worker processes serve where Python works or where a crash must be contained:
+each has a pipe of its own and one item in flight, so that a worker that dies or hangs costs that item and no other
+(a ProcessPoolExecutor fails every pending item when one worker is killed, and leaves orphans when the parent is).
+"""
+
+import itertools
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sized
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from typing import Any, Generic, NamedTuple
+
+from camcal.errors import CamcalError, InvalidInput, ItemsFailed
+from camcal.progress import SILENT, Item, Outcome, Progress, Value
+from camcal.run.cores import available_cores
+from camcal.run.startup import surroundings_of_a_worker
+
+__all__ = ["available_cores", "fan_out"]
+
+_THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
+_PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
+_STARTS = 3  # workers in a row that may die before they are ready, until that is called a bug
+_GRACE = 0.5  # seconds a worker has to remove its temporary files when it is told to stop
+
+
+def fan_out(
+    function: Callable[[Item], Value],
+    items: Iterable[Item],
+    *,
+    jobs: int | None = None,
+    processes: bool = False,
+    what: str = "",
+    progress: Progress = SILENT,
+    timeout: float | None = None,
+) -> Iterator[Outcome[Item, Value]]:
+    """Return an iterator with one Outcome per item, in the order of `items`; work starts with the first one asked for.
+
+    A CamcalError of `function` becomes the item's error; any other exception is a bug and is raised here.
+    jobs: threads or processes, by default the cores this process may use; 1 works in this thread.
+    processes: use worker processes; `function` and the items must then be picklable, and a worker that is killed,
+    crashes or takes longer than `timeout` seconds costs its item only (ItemsFailed) and is replaced.
+    OpenCV and BLAS have one thread per worker, so that results do not depend on `jobs`.
+    Raises InvalidInput if jobs is less than 1, ValueError for a timeout without processes.
+    """
+    if jobs is not None and jobs < 1:
+        raise InvalidInput(f"{jobs} jobs, need at least 1", where="jobs")
+    if timeout is not None and not processes:
+        raise ValueError("a thread cannot be stopped: a timeout needs processes=True")
+    total = len(items) if isinstance(items, Sized) else None
+    count = jobs or available_cores()
+    if total is not None:
+        count = min(count, max(total, 1))
+    if count == 1 and timeout is None:
+        outcomes = _inline(function, items)
+    elif processes:
+        outcomes = _Crew(function, items, count, timeout).outcomes()
+    else:
+        outcomes = _threaded(function, items, count)
+    return _reported(outcomes, what, total, progress)
+
+
+def _reported(
+    outcomes: Generator[Outcome[Item, Value]], what: str, total: int | None, progress: Progress
+) -> Iterator[Outcome[Item, Value]]:
+    progress.start(what, total)
+    try:
+        for outcome in outcomes:
+            progress.advance()
+            yield outcome
+    finally:
+        outcomes.close()
+        progress.finish()
+
+
+def _attempt(function: Callable[[Item], Value], item: Item) -> Outcome[Item, Value]:
+    try:
+        return Outcome(item, value=function(item))
+    except CamcalError as error:
+        return Outcome(item, error=error)
+
+
+def _inline(function: Callable[[Item], Value], items: Iterable[Item]) -> Generator[Outcome[Item, Value]]:
+    with _one_opencv_thread():
+        for item in items:
+            yield _attempt(function, item)
+
+
+def _threaded(function: Callable[[Item], Value], items: Iterable[Item], count: int) -> Generator[Outcome[Item, Value]]:
+    window: deque[Future[Outcome[Item, Value]]] = deque()
+    with _one_opencv_thread():
+        pool = ThreadPoolExecutor(count, thread_name_prefix="camcal")
+        try:
+            for item in items:
+                window.append(pool.submit(_attempt, function, item))
+                if len(window) >= _THREAD_WINDOW * count:
+                    yield window.popleft().result()
+            while window:
+                yield window.popleft().result()
+        finally:
+            # Items at work are finished, so that no temporary file is left behind; the others are dropped.
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _one_opencv_thread() -> Iterator[None]:
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+class _Bug(NamedTuple):
+    """An exception in a worker that is not the user's doing."""
+
+    error: Exception
+    trace: str
+
+
+class _WorkerTraceback(Exception):
+    """The traceback of a worker process as text, the cause of the exception raised in its parent."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+class _Worker:
+    """A process, its pipe, and the item it is at."""
+
+    def __init__(self, payload: bytes) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, payload), daemon=True)
+        self.ready = False
+        self.task: tuple[int, Any] | None = None
+        self.deadline = float("inf")
+        resource_tracker.ensure_running()  # starting it would unblock Ctrl-C, which the next line blocks
+        with surroundings_of_a_worker(needs_main=b"__main__" in payload):
+            self.process.start()
+        theirs.close()
+
+    @property
+    def idle(self) -> bool:
+        return self.ready and self.task is None
+
+    def end(self) -> str:
+        """Return how the process ended, in words."""
+        self.process.join()
+        code = self.process.exitcode or 0
+        if code == -signal.SIGKILL:
+            return "its worker process was killed (SIGKILL); if memory ran out, use fewer --jobs"
+        if code < 0:
+            return f"its worker process crashed ({signal.Signals(-code).name}); the input may be damaged"
+        return f"its worker process ended with code {code}"
+
+
+class _Crew(Generic[Item, Value]):
+    """The worker processes of one fan-out, the items they are at, and the outcomes not yet handed on."""
+
+    def __init__(
+        self, function: Callable[[Item], Value], items: Iterable[Item], count: int, timeout: float | None
+    ) -> None:
+        self.payload = pickle.dumps(function)
+        self.tasks = enumerate(items)
+        self.upcoming = next(self.tasks, None)
+        self.count = count
+        self.timeout = timeout
+        self.workers: list[_Worker] = []
+        self.finished: dict[int, Outcome[Item, Value]] = {}
+        self.failed_starts = 0
+
+    def outcomes(self) -> Generator[Outcome[Item, Value]]:
+        """Yield the outcomes in the order of the items; the workers are gone when this ends, however it ends."""
+        try:
+            for position in itertools.count():
+                while position not in self.finished:
+                    if self.upcoming is None and not any(worker.task for worker in self.workers):
+                        return
+                    self.hand_out(position + _PROCESS_WINDOW * self.count)
+                    self.collect()
+                yield self.finished.pop(position)
+        finally:
+            _stop(self.workers)
+
+    def hand_out(self, limit: int) -> None:
+        """Give every idle worker the next item, up to the index `limit`, and start workers for the rest."""
+        for worker in [worker for worker in self.workers if worker.idle]:
+            if self.upcoming is None or self.upcoming[0] >= limit:
+                return
+            self.assign(worker)
+        if self.upcoming is not None:
+            self.workers += [_Worker(self.payload) for _ in range(self.count - len(self.workers))]
+
+    def assign(self, worker: _Worker) -> None:
+        assert self.upcoming is not None
+        try:
+            worker.pipe.send_bytes(pickle.dumps(self.upcoming[1]))
+        except OSError:  # it died while idle; the item goes to another one
+            self.dismiss(worker)
+            return
+        worker.task, self.upcoming = self.upcoming, next(self.tasks, None)
+        worker.deadline = float("inf") if self.timeout is None else time.monotonic() + self.timeout
+
+    def collect(self) -> None:
+        """Wait until a worker answers, ends or is out of time, and note what came of its item."""
+        deadline = min((worker.deadline for worker in self.workers), default=0.0)
+        left = None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
+        answering = wait([worker.pipe for worker in self.workers], left)
+        for worker in [worker for worker in self.workers if worker.pipe in answering]:
+            self.receive(worker)
+        for worker in [worker for worker in self.workers if worker.deadline <= time.monotonic()]:
+            self.lose(worker, f"took longer than {self.timeout:g} s and was stopped")
+
+    def receive(self, worker: _Worker) -> None:
+        try:
+            reply = _load(worker.pipe.recv_bytes())
+        except (EOFError, OSError):
+            self.lose(worker, worker.end())
+            return
+        if isinstance(reply, _Bug):
+            raise reply.error from _WorkerTraceback(reply.trace)
+        if worker.task is None:
+            worker.ready, self.failed_starts = True, 0
+            return
+        index, item = worker.task
+        self.finished[index] = Outcome(item, *reply)
+        worker.task, worker.deadline = None, float("inf")
+
+    def lose(self, worker: _Worker, reason: str) -> None:
+        """Give up a worker and, if it had one, its item."""
+        if not worker.ready:
+            self.failed_starts += 1
+            if self.failed_starts == _STARTS:
+                raise RuntimeError(
+                    f"worker processes do not start: {reason}; a script that starts them needs "
+                    "`if __name__ == '__main__':` around its work"
+                )
+        if worker.task is not None:
+            index, item = worker.task
+            self.finished[index] = Outcome(item, error=ItemsFailed(reason, where=_name(item, index)))
+        self.dismiss(worker)
+
+    def dismiss(self, worker: _Worker) -> None:
+        self.workers.remove(worker)
+        _stop([worker])
+
+
+def _name(item: object, index: int) -> str:
+    first = item[0] if isinstance(item, tuple) and item else item
+    return str(first) if isinstance(first, (str, os.PathLike)) else f"item {index + 1}"
+
+
+def _stop(workers: list[_Worker]) -> None:
+    """End worker processes: asked to first, killed after a grace period."""
+    for worker in workers:
+        worker.pipe.close()
+        worker.process.terminate()
+    until = time.monotonic() + _GRACE
+    for worker in workers:
+        worker.process.join(max(0.0, until - time.monotonic()))
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join()
+        worker.process.close()
+
+
+def _serve(pipe: Connection, payload: bytes) -> None:
+    """Work in a worker process: take an item from the pipe, answer, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # `finally` blocks still run
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):
+        try:
+            function: Callable[[Any], Any] = _load(payload)
+        except Exception as error:  # noqa: BLE001 - the parent raises it
+            pipe.send_bytes(_bug(error))
+            return
+        pipe.send_bytes(pickle.dumps(None))
+        while True:
+            pipe.send_bytes(_answer(function, pipe.recv_bytes()))
+
+
+def _leave_with_parent() -> None:
+    """End this process when its parent is gone, even in the middle of an item."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+    os._exit(1)
+
+
+def _answer(function: Callable[[Any], Any], item: bytes) -> bytes:
+    try:
+        outcome = _attempt(function, _load(item))
+        return pickle.dumps((outcome.value, outcome.error))
+    except Exception as error:  # noqa: BLE001 - the parent raises it
+        return _bug(error)
+
+
+def _bug(error: Exception) -> bytes:
+    trace = "".join(traceback.format_exception(error))
+    try:
+        message = pickle.dumps(_Bug(error, trace))
+        _load(message)  # many exceptions can be written but not read back
+    except Exception:  # noqa: BLE001 - whatever it is, its traceback gets through
+        return pickle.dumps(_Bug(RuntimeError(f"{type(error).__qualname__}: {error}"), trace))
+    return message
+
+
+def _load(message: bytes) -> Any:
+    return pickle.loads(message)  # noqa: S301 - it comes from a process of our own, through a pipe nobody else holds

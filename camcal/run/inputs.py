@@ -1,0 +1,156 @@
+"""What a command works on: files, folders and patterns become lists of images; `rig.yaml#left` a file and a camera.
+
+Files that camcal wrote into a folder are listed in `.camcal-output` there, one name per line (`record_outputs`). They
+are left out beside other images, so that a second run does not read what the first one wrote; a folder with nothing
+else was named on purpose and is read.
+"""
+
+import difflib
+import glob
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from camcal import files
+from camcal.errors import FileError, InvalidInput
+
+RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
+IMAGE_SUFFIXES = RAW_SUFFIXES | {
+    ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".npy"
+}  # fmt: skip
+VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm"})
+OUTPUT_INDEX = ".camcal-output"
+
+
+@dataclass(frozen=True)
+class Media:
+    """Images and videos, each without duplicates and in natural order of their paths."""
+
+    images: tuple[Path, ...]
+    videos: tuple[Path, ...]
+
+
+def find_media(inputs: Sequence[Path | str], recursive: bool = False) -> Media:
+    """Return the images and videos that files, folders and quoted patterns stand for.
+
+    A file is taken whatever its suffix; folders and patterns give files with a known suffix, hidden ones left out.
+    Raises InvalidInput without inputs, FileError for a missing path and for a folder or pattern that yields nothing.
+    """
+    if not inputs:
+        raise InvalidInput("no images given; name files, a folder or a quoted pattern such as 'photos/*.jpg'")
+    found = {path.resolve(): path for text in reversed(inputs) for path in reversed(_expand(str(text), recursive))}
+    paths = sorted(found.values(), key=_natural_path)
+    return Media(
+        images=tuple(path for path in paths if path.suffix.lower() not in VIDEO_SUFFIXES),
+        videos=tuple(path for path in paths if path.suffix.lower() in VIDEO_SUFFIXES),
+    )
+
+
+def find_images(inputs: Sequence[Path | str], recursive: bool = False) -> list[Path]:
+    """Return the images that files, folders and quoted patterns stand for, in natural order; see `find_media`.
+
+    Videos in folders are left out. Raises FileError for a video that is named, and if there is nothing but videos.
+    """
+    media = find_media(inputs, recursive)
+    named = [path for path in map(Path, inputs) if path in media.videos]
+    if named or not media.images:
+        raise FileError("is a video, images are needed", where=str((named or media.videos)[0]))
+    return list(media.images)
+
+
+def record_outputs(folder: Path, names: Iterable[str]) -> None:
+    """Add file names to the list of what camcal wrote into `folder`."""
+    known = _outputs(folder) | set(names)
+    files.write_text(folder / OUTPUT_INDEX, "".join(f"{name}\n" for name in sorted(known, key=files.natural_key)))
+
+
+def split_address(text: str) -> tuple[Path, str | None]:
+    """Return the file and the camera of an address such as 'rig.yaml#left'; the camera is None without '#'.
+
+    A file whose own name holds a '#' is found first. Raises InvalidInput if no name follows the '#'.
+    """
+    path, mark, camera = text.rpartition("#")
+    if not mark or Path(text).exists():
+        return Path(text), None
+    if not path or not camera:
+        raise InvalidInput("a camera is addressed as file.yaml#name", where=text)
+    return Path(path), camera
+
+
+def _expand(text: str, recursive: bool) -> list[Path]:
+    path = Path(text)
+    try:
+        if path.is_dir():
+            return _in_folder(path, recursive)
+        if path.exists():
+            return [path]
+    except OSError as error:  # such as a name that is too long
+        raise FileError(f"cannot be read: {error.strerror}", where=text) from error
+    if glob.has_magic(text):
+        return _matching(text)
+    raise FileError(_missing(path), where=text)
+
+
+def _in_folder(folder: Path, recursive: bool) -> list[Path]:
+    everything = list(_walk(folder)) if recursive else list(folder.iterdir())
+    found = _without_outputs([path for path in everything if _is_medium(path)])
+    if not found:
+        below = not recursive and any(path.is_dir() for path in everything)
+        advice = "; --recursive reads the folders below it" if below else ""
+        raise FileError(f"holds no image ({_contents(everything)}){advice}", where=str(folder))
+    return found
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    for path in folder.iterdir():
+        yield path
+        if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):
+            yield from _walk(path)
+
+
+def _matching(pattern: str) -> list[Path]:
+    names = glob.glob(pattern, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
+    everything = [Path(name) for name in names]
+    found = _without_outputs([path for path in everything if _is_medium(path)])
+    if not found:
+        matches = f"matches no image ({_contents(everything)})" if everything else "matches nothing"
+        raise FileError(matches, where=pattern)
+    return found
+
+
+def _is_medium(path: Path) -> bool:
+    suffix = path.suffix.lower()
+    return (suffix in IMAGE_SUFFIXES or suffix in VIDEO_SUFFIXES) and path.name[0] != "." and path.is_file()
+
+
+def _without_outputs(paths: list[Path]) -> list[Path]:
+    written = {folder: _outputs(folder) for folder in {path.parent for path in paths}}
+    return [path for path in paths if path.name not in written[path.parent]] or paths
+
+
+def _outputs(folder: Path) -> set[str]:
+    index = folder / OUTPUT_INDEX
+    return set(files.read_text(index).splitlines()) if index.is_file() else set()
+
+
+def _contents(paths: Iterable[Path]) -> str:
+    """Return what a folder holds in words, such as '12 .txt, 1 folder'."""
+    kinds = Counter("folder" if path.is_dir() else path.suffix.lower() or "without suffix" for path in paths)
+    words = [f"{count} {kind}{'s' if kind == 'folder' and count > 1 else ''}" for kind, count in kinds.most_common(5)]
+    return ", ".join(words) or "it is empty"
+
+
+def _missing(path: Path) -> str:
+    """Return what is missing of a path that does not exist, with the nearest name beside it."""
+    while not path.parent.is_dir() and path.parent != path:
+        path = path.parent
+    try:
+        near = difflib.get_close_matches(path.name, [other.name for other in path.parent.iterdir()], n=1)
+    except OSError:
+        near = []
+    return f"no such file. Did you mean '{path.parent / near[0]}'?" if near else "no such file"
+
+
+def _natural_path(path: Path) -> tuple[object, ...]:
+    return tuple(files.natural_key(part) for part in path.parts), str(path)

@@ -1,0 +1,124 @@
+"""Photographs of a board: its drawing on its bent surface, through a lens, under some light, onto a noisy sensor."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.geometry.pose import Pose
+from camcal.simulate.coverage import draw, piece_length
+from camcal.simulate.pattern import Pattern, pattern_of
+from camcal.simulate.shapes import FLAT, Shape
+from camcal.targets.board import Board
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Light and sensor. Brightnesses are shares of full scale in the middle of the image, before gamma.
+
+    blur_px: standard deviation of the Gaussian in the point spread, which holds the pixel's own square besides.
+    noise_dn: standard deviation of the noise in 1/255 of full scale. gradient: by what share the light changes from
+    one side of the image to the other. vignetting: by what share it falls towards the corners. gamma: the image is
+    brightness to the power 1 / gamma. depth: 8 or 16 bits a pixel.
+    """
+
+    black: float = 0.06
+    white: float = 0.78
+    background: float = 0.36
+    blur_px: float = 0.7
+    noise_dn: float = 2.0
+    gradient: float = 0.2
+    vignetting: float = 0.1
+    gamma: float = 1.0
+    depth: int = 8
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.blur_px <= 20:
+            raise InvalidInput(f"blur of {self.blur_px} px: use 0 to 20")
+        if not 0 <= self.noise_dn <= 255:
+            raise InvalidInput(f"noise of {self.noise_dn}: use 0 to 255 (in 1/255 of full scale)")
+        if not 0.1 <= self.gamma <= 10:
+            raise InvalidInput(f"gamma of {self.gamma}: use 0.1 to 10")
+        if self.depth not in (8, 16):
+            raise InvalidInput(f"depth of {self.depth} bits: use 8 or 16")
+
+
+def render(
+    camera: Camera,
+    board: Board,
+    camera_T_board: Pose,
+    *,
+    rng: np.random.Generator,
+    exposure: Exposure | None = None,
+    shape: Shape = FLAT,
+) -> Array:
+    """Return the photograph (height, width), uint8 or uint16, of a board.
+
+    rng: gives the direction of the light and the noise. The board hides nothing of itself, so bends must be mild, and
+    it must be seen from its printed side. Raises InvalidInput if it reaches beyond the lens's field.
+    """
+    exposure = exposure or Exposure()
+    brightness = evenly_lit(camera, board, camera_T_board, exposure, shape)
+    return develop(brightness * light(camera.image_size, exposure, rng.uniform(0, 2 * np.pi)), exposure, rng)
+
+
+def evenly_lit(camera: Camera, board: Board, camera_T_board: Pose, exposure: Exposure, shape: Shape = FLAT) -> Array:
+    """Return the brightness (height, width) of a board under even light: what `render` starts from."""
+    edges, jumps = outlines(pattern_of(board), exposure)
+    ends = _project(camera, camera_T_board, shape.apply(board, edges))
+    # Perspective makes one half of an edge longer than the other: twice the pieces are enough for any tilt in use.
+    counts = np.ceil(2 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) / piece_length(exposure.blur_px)) + 1
+    drawn, steps = _walk(edges, jumps, counts.astype(np.intp))
+    path = _project(camera, camera_T_board, shape.apply(board, drawn))
+    return exposure.background + draw(camera.image_size, path, steps, exposure.blur_px)
+
+
+def outlines(pattern: Pattern, exposure: Exposure) -> tuple[Array, Array]:
+    """Return the edges (S, 2, 2) of a drawing, start and end as x, y, and the jumps (S,) of brightness across them.
+
+    The jumps are signed as `draw` wants them for a board seen from its printed side.
+    """
+    ink = exposure.black + (exposure.white - exposure.black) * pattern.ink
+    ink = np.pad(ink, 1, constant_values=exposure.background)
+    across, down = -np.diff(ink[1:-1]), np.diff(ink[:, 1:-1], axis=0)
+    row, column = np.nonzero(across)
+    upright = np.stack([pattern.x[[column, column]], pattern.y[[row, row + 1]]], axis=-1)
+    line, place = np.nonzero(down)
+    level = np.stack([pattern.x[[place, place + 1]], pattern.y[[line, line]]], axis=-1)
+    edges = np.concatenate([upright, level], axis=1).swapaxes(0, 1)
+    return edges, np.concatenate([across[row, column], down[line, place]])
+
+
+def _walk(edges: Array, jumps: Array, counts: Array) -> tuple[Array, Array]:
+    """Return a path (N, 2) along edges (S, 2, 2) in `counts` (S,) steps each, and the jump (N - 1,) of every step."""
+    edge = np.repeat(np.arange(len(edges)), counts + 1)
+    first = np.cumsum(counts + 1) - (counts + 1)
+    share = (np.arange(len(edge)) - first[edge]) / counts[edge]
+    path = edges[edge, 0] + (edges[edge, 1] - edges[edge, 0]) * share[:, None]
+    return path, np.where(edge[1:] == edge[:-1], jumps[edge[1:]], 0.0)
+
+
+def _project(camera: Camera, camera_T_board: Pose, points: Array) -> Array:
+    """Return the pixels (..., 2) of points (..., 3) of the board."""
+    projection = camera.project(camera_T_board.apply(points).reshape(-1, 3))
+    if not projection.valid.all():
+        raise InvalidInput("the board reaches beyond the field of the lens; move it or choose another lens")
+    return projection.pixels.reshape(*points.shape[:-1], 2)
+
+
+def light(size: tuple[int, int], exposure: Exposure, direction: float) -> Array:
+    """Return the light (height, width) that falls on each pixel, 1 in the middle; direction (rad) is its bright side."""
+    x, y = (np.arange(length) / (length - 1) - 0.5 for length in size)
+    slope = np.cos(direction) * x + np.sin(direction) * y[:, None]
+    return np.asarray((1 + exposure.gradient * slope) * (1 - exposure.vignetting * 2 * (x**2 + y[:, None] ** 2)))
+
+
+def develop(brightness: Array, exposure: Exposure, rng: np.random.Generator) -> Array:
+    """Return the image (height, width), uint8 or uint16, of a brightness (height, width) in shares of full scale."""
+    full = 2**exposure.depth - 1
+    encoded = np.clip(brightness, 0, 1) ** (1 / exposure.gamma)
+    noise = rng.standard_normal(brightness.shape, dtype=np.float32) * (exposure.noise_dn / 255)
+    values = np.rint(np.clip(encoded + noise, 0, 1) * full)
+    return values.astype(np.uint8 if exposure.depth == 8 else np.uint16)

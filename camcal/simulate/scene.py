@@ -1,0 +1,158 @@
+"""Where the board is held: poses that a careful person would take, spread over the image, tilted, near and far."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.simulate.observe import in_image
+from camcal.targets.board import Board
+
+ROUNDS = 200  # attempts for a view that does not fit
+STEPS = 12  # of moving a board back into the image and to its size
+STEEPEST = np.radians(70)  # corners seen more obliquely than that are hard to find
+FILL = (0.35, 0.95)  # share of the image's width or height that a whole board takes
+PARTIAL_FILL = (0.7, 1.5)
+PARTIAL_SHARE = 0.4  # of the corners that a cut board must show at least
+RIM = 1.3  # squares around the corners that must be in the image: the outer squares and some white
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempts:
+    """Boards to be placed: pixels (V, 2) they are aimed at, shares (V,) of the image, turns (V, 3, 3), cut (V,)."""
+
+    aim: Array
+    fill: Array
+    turn: Array
+    cut: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Outline:
+    """Points (K, 3) around the board, its centre (3,), and its corners (C, 3), in the board frame."""
+
+    rim: Array
+    centre: Array
+    corners: Array
+
+    @classmethod
+    def of(cls, board: Board) -> "_Outline":
+        ramp = np.linspace(0, 1, 7)
+        low, high = np.zeros(7), np.ones(7)
+        loop = np.concatenate(
+            [np.column_stack(side) for side in ((ramp, low), (ramp, high), (low, ramp), (high, ramp))]
+        )
+        reach = RIM * board.pitch
+        flat = loop * (np.array(board.extent) + 2 * reach) - reach
+        return cls(np.column_stack([flat, np.zeros(len(flat))]), np.array([*board.extent, 0.0]) / 2, board.points())
+
+
+def views(
+    camera: Camera,
+    board: Board,
+    count: int,
+    *,
+    rng: np.random.Generator,
+    partial: bool = False,
+    max_tilt: float = np.radians(45),
+) -> list[Pose]:
+    """Return `count` poses camera_T_board that fill the image and make a well-conditioned calibration.
+
+    partial: every other view may be cut by the border of the image; else all corners of all views are in it.
+    max_tilt: the largest angle (rad) between the board's normal and the line of sight to its centre.
+    Raises InvalidInput if no such poses are found: the image or the lens's field is too small for the board.
+    """
+    outline = _Outline.of(board)
+    found: dict[int, Pose] = {}
+    for _ in range(ROUNDS):
+        missing = np.array([index for index in range(count) if index not in found], dtype=np.intp)
+        if not missing.size:
+            return [found[index] for index in range(count)]
+        attempts = _draw(camera, missing, rng, partial, max_tilt)
+        rotations, translations = _settle(camera, outline, attempts)
+        for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
+            found[int(missing[slot])] = Pose(rotations[slot], translations[slot])
+    raise InvalidInput(
+        f"no pose of a board of {board.columns} × {board.rows} corners fits an image of "
+        f"{camera.image_size[0]} × {camera.image_size[1]} with this lens; found {len(found)} of {count} views"
+    )
+
+
+def _draw(camera: Camera, slots: Array, rng: np.random.Generator, partial: bool, max_tilt: float) -> _Attempts:
+    """Return attempts for the views `slots`: the aims walk over a 3 × 3 grid of the image, sizes and tilts are spread."""
+    count = len(slots)
+    cell = np.column_stack([slots % 3, slots // 3 % 3])
+    aim = (cell + rng.random((count, 2))) / 3 * np.array(camera.image_size) - 0.5
+    cut = (slots % 2 == 1) & partial
+    low, high = np.where(cut[:, None], PARTIAL_FILL, FILL).T
+    fill = low + (high - low) * _spread(rng, count)
+    tilt = max_tilt * (0.1 + 0.9 * _spread(rng, count))
+    azimuth = 2 * np.pi * _spread(rng, count)
+    # Mostly upright, now and then in portrait format.
+    roll = rng.normal(0, np.radians(10), count) + np.pi / 2 * rng.choice([0, 1, -1], count, p=[0.8, 0.1, 0.1])
+    lean = np.column_stack([tilt * np.cos(azimuth), tilt * np.sin(azimuth), np.zeros(count)])
+    spin = np.column_stack([np.zeros((count, 2)), roll])
+    return _Attempts(aim, fill, so3.exp(lean) @ so3.exp(spin), cut)
+
+
+def _spread(rng: np.random.Generator, count: int) -> Array:
+    """Return `count` numbers in [0, 1), one in each of as many equal parts, in random order."""
+    return np.asarray((rng.permutation(count) + rng.random(count)) / count)
+
+
+def _settle(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
+    """Return rotations (V, 3, 3) and translations (V, 3) of boards brought to their size and into the image."""
+    size = np.array(camera.image_size)
+    middle = (size - 1) / 2
+    aim = attempts.aim
+    distance = np.full(len(aim), 2 * np.linalg.norm(outline.rim[-1] - outline.rim[0]))
+    rays = np.tile([0.0, 0.0, 1.0], (len(aim), 1))
+    for _ in range(STEPS):
+        sight = camera.unproject(aim)
+        rays = np.where(sight.valid[:, None], sight.directions, rays)
+        rotations, translations = _place(rays, distance, attempts.turn, outline.centre)
+        pixels, valid = _project(camera, outline.rim, rotations, translations)
+        whole = valid.all(axis=1)
+        lowest, highest = pixels.min(axis=1), pixels.max(axis=1)
+        growth = ((highest - lowest) / size).max(axis=1) / attempts.fill
+        distance = distance * np.where(whole, np.clip(growth, 0.7, 1.5), 1.5)
+        back = np.maximum(-lowest, 0) - np.maximum(highest - size + 1, 0)
+        back = np.where(whole[:, None] & ~attempts.cut[:, None], back, 0)
+        aim = np.where(sight.valid[:, None], aim + back, aim + 0.1 * (middle - aim))
+    return rotations, translations
+
+
+def _place(rays: Array, distance: Array, turn: Array, centre: Array) -> tuple[Array, Array]:
+    """Return the poses of boards whose centre lies on `rays` (V, 3), facing the camera before they are turned."""
+    across = np.hypot(rays[:, 0], rays[:, 1])
+    angle = np.arctan2(across, rays[:, 2]) / np.maximum(across, 1e-12)
+    towards = so3.exp(np.column_stack([-rays[:, 1] * angle, rays[:, 0] * angle, np.zeros(len(rays))]))
+    rotations = towards @ turn
+    return rotations, distance[:, None] * rays - rotations @ centre
+
+
+def _project(camera: Camera, points: Array, rotations: Array, translations: Array) -> tuple[Array, Array]:
+    """Return pixels (V, N, 2) and the mask (V, N) of board points (N, 3) under V poses."""
+    projection = camera.project(_in_camera(points, rotations, translations).reshape(-1, 3))
+    shape = (len(rotations), len(points))
+    return projection.pixels.reshape(*shape, 2), projection.valid.reshape(shape)
+
+
+def _in_camera(points: Array, rotations: Array, translations: Array) -> Array:
+    return np.asarray(points @ np.swapaxes(rotations, -1, -2) + translations[:, None])
+
+
+def _acceptable(camera: Camera, outline: _Outline, attempts: _Attempts, rotations: Array, translations: Array) -> Array:
+    """Return the mask (V,) of views in the lens's domain, not too oblique, with as many corners as they should have."""
+    pixels, valid = _project(camera, outline.rim, rotations, translations)
+    corners, seen = _project(camera, outline.corners, rotations, translations)
+    shown = (seen & in_image(camera, corners)).mean(axis=1)
+    whole = in_image(camera, pixels).all(axis=1)
+    rim = _in_camera(outline.rim, rotations, translations)
+    cosine = np.einsum("vni,vi->vn", rim, rotations[:, :, 2]) / np.linalg.norm(rim, axis=-1)
+    facing = (cosine > np.cos(STEEPEST)).all(axis=1)
+    return np.asarray(valid.all(axis=1) & facing & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))

@@ -1,0 +1,101 @@
+"""Grids of board corners in an image: what a grid predicts of its nodes, local steps, handedness.
+
+A grid is an array (rows, columns, 2) of pixels, NaN where a corner is missing.
+"""
+
+import numpy as np
+
+from camcal.arrays import Array
+
+_REACH = 3  # nodes away that take part in a prediction
+
+
+def predict(grid: Array) -> Array:
+    """Return where its neighbours put every node (rows, columns, 2), pixels; NaN where they are too few.
+
+    The median of the estimates along rows and columns, exact for quadratic spacing, so that perspective and strong
+    distortion pass and a wrong neighbour or two is outvoted; where there are none, of linear ones.
+    """
+    near = _neighbours(grid)
+    good, fair = [], []
+    for along in (np.array([0, 1]), np.array([1, 0])):
+        across = along[::-1]
+        for sign in (-1, 1):
+            one, two, three = (near(sign * k * along) for k in (1, 2, 3))
+            good.append(3 * one - 3 * two + three)
+            fair.append(2 * one - two)
+            fair.append(one + near(sign * across) - near(sign * (along + across)))
+        before, after = near(-along), near(along)
+        good.append((4 * (before + after) - near(-2 * along) - near(2 * along)) / 6)
+        fair.append((before + after) / 2)
+    best = _median(np.array(good))
+    return np.where(np.isnan(best), _median(np.array(fair)), best)
+
+
+def steps(grid: Array) -> Array:
+    """Return the vectors to the next column and the next row at every node (rows, columns, 2, 2), pixels.
+
+    The last axis is (along the row, down the column). A node without neighbours takes the median over the grid.
+    """
+    near = _neighbours(grid)
+    pairs = []
+    for along in (np.array([0, 1]), np.array([1, 0])):
+        step = _mean(np.array([near(along) - grid, grid - near(-along)]))
+        missing = np.isnan(step[..., 0])
+        step[missing] = _median(step[~missing])
+        pairs.append(step)
+    return np.stack(pairs, axis=-1)
+
+
+def spacing(steps_at_nodes: Array) -> Array:
+    """Return the shorter of the two steps (..., 2, 2) at every node, pixels."""
+    return np.asarray(np.linalg.norm(steps_at_nodes, axis=-2).min(axis=-1))
+
+
+def right_handed(grid: Array) -> Array:
+    """Return the grid with its columns exchanged end to end if its rows do not turn clockwise to its columns.
+
+    A board seen from the front has x right and y down; a checker pattern without markers looks the same mirrored.
+    """
+    return grid if clockwise(grid) else grid[:, ::-1]
+
+
+def clockwise(grid: Array) -> bool:
+    """Return whether rows turn clockwise (in an image, y down) to columns, as on a board seen from the front."""
+    return bool(np.nanmedian(np.linalg.det(steps(grid))) > 0)
+
+
+def turned_to_the_right(grids: list[Array]) -> Array:
+    """Return the one of several turned grids whose rows run most nearly to the right in the image."""
+    return max(grids, key=_rightness)
+
+
+def _rightness(grid: Array) -> float:
+    along = np.nansum(grid[:, -1] - grid[:, 0], axis=0)
+    return float(along[0] / max(np.hypot(*along), 1e-9))
+
+
+class _neighbours:  # noqa: N801 - used as a function of the offset
+    """The grid moved by (rows, columns), NaN from outside."""
+
+    def __init__(self, grid: Array) -> None:
+        self.shape = grid.shape[:2]
+        self.padded = np.pad(grid, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), constant_values=np.nan)
+
+    def __call__(self, offset: Array) -> Array:
+        row, column = offset + _REACH
+        return self.padded[row : row + self.shape[0], column : column + self.shape[1]]
+
+
+def _median(values: Array) -> Array:
+    """Return the median over the first axis without NaN, NaN where there is nothing else."""
+    ordered = np.sort(values, axis=0)  # NaN last
+    count = (~np.isnan(values)).sum(axis=0)
+    low, high = (np.take_along_axis(ordered, k[None], axis=0)[0] for k in (np.maximum(count - 1, 0) // 2, count // 2))
+    return np.where(count > 0, (low + np.where(count % 2 == 0, high, low)) / 2, np.nan)
+
+
+def _mean(values: Array) -> Array:
+    present = ~np.isnan(values)
+    count = present.sum(axis=0)
+    return np.where(count > 0, np.where(present, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)

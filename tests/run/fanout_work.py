@@ -1,0 +1,75 @@
+"""Functions that worker processes run in the tests of the fan-out; light to import, since every worker does."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from camcal.errors import FileError
+
+HANG_S = 60.0  # longer than any test waits: only a stop ends it
+
+
+def doubled(number: int) -> int:
+    time.sleep(0.02 if number == 0 else 0)  # the first one comes last
+    return 2 * number
+
+
+def refused(number: int) -> int:
+    if number == 1:
+        raise FileError("is empty", where="b.png")
+    return number
+
+
+def mistaken(number: int) -> int:
+    return {}[number]
+
+
+class Unreadable(Exception):
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(first)
+
+
+def mistaken_beyond_pickling(number: int) -> int:
+    raise Unreadable("lost", "property")
+
+
+def killed(number: int, signum: int = signal.SIGKILL) -> int:
+    if number == 1:
+        os.kill(os.getpid(), signum)
+    return number
+
+
+def leaving(number: int) -> int:
+    if number == 1:
+        sys.exit(3)
+    return number
+
+
+def hanging(number: int) -> int:
+    time.sleep(HANG_S if number == 1 else 0)
+    return number
+
+
+def threads_of_libraries(number: int) -> tuple[int, str | None]:
+    import cv2
+
+    return cv2.getNumThreads(), os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+def noted(folder: Path, number: int) -> int:
+    (folder / str(number)).touch()
+    time.sleep(0.05)
+    return number
+
+
+def pid_then_hang(folder: Path, number: int) -> None:
+    (folder / f"{os.getpid()}").touch()
+    time.sleep(HANG_S)
+
+
+def killed_at(path: Path) -> int:
+    if path.name == "b.png":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return len(str(path))

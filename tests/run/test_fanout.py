@@ -1,0 +1,298 @@
+"""What the fan-out promises, with real threads, real processes and real signals.
+
+Not proven here: that a worker stuck in C code without releasing the interpreter leaves when its parent is killed.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import cv2
+import fanout_work as work
+import pytest
+
+from camcal.errors import FileError, InvalidInput, ItemsFailed
+from camcal.run.fanout import available_cores, fan_out
+
+WAYS = [
+    pytest.param({"jobs": 1}, id="inline"),
+    pytest.param({"jobs": 2}, id="threads"),
+    pytest.param({"jobs": 2, "processes": True}, id="processes"),
+]
+
+
+def gone(pid: int, within_s: float = 5.0) -> bool:
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        if state == "Z":  # dead; whoever inherited it has not collected it yet
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def children() -> list[int]:
+    """Return the worker processes of this one; the resource tracker of multiprocessing lives on by design."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(stat.read_text().rpartition(")")[2].split()[1])
+            command = (stat.parent / "cmdline").read_text()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if parent == os.getpid() and "spawn_main" in command:
+            found.append(int(stat.parent.name))
+    return found
+
+
+class Recorder:
+    def __init__(self) -> None:
+        self.calls: list[object] = []
+
+    def start(self, what: str, total: int | None) -> None:
+        self.calls.append((what, total))
+
+    def advance(self, count: int = 1) -> None:
+        self.calls.append(count)
+
+    def finish(self) -> None:
+        self.calls.append("finish")
+
+    def warn(self, message: str) -> None:
+        self.calls.append(message)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_results_come_in_the_order_of_the_items(way):
+    outcomes = list(fan_out(work.doubled, range(9), **way))
+    assert [outcome.item for outcome in outcomes] == list(range(9))
+    assert [outcome.value for outcome in outcomes] == [2 * number for number in range(9)]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_an_error_of_the_user_stays_with_its_item(way):
+    outcomes = list(fan_out(work.refused, [0, 1, 2], **way))
+    assert [outcome.value for outcome in outcomes] == [0, None, 2]
+    assert isinstance(outcomes[1].error, FileError)
+    assert str(outcomes[1].error) == "b.png: is empty"
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_bug_is_raised_and_not_swallowed(way):
+    with pytest.raises(KeyError):
+        list(fan_out(work.mistaken, [0, 1, 2], **way))
+
+
+def test_a_bug_in_a_worker_process_shows_the_lines_it_comes_from():
+    with pytest.raises(KeyError) as caught:
+        list(fan_out(work.mistaken, [0, 1], jobs=2, processes=True))
+    assert "return {}[number]" in str(caught.value.__cause__)
+    assert children() == []
+
+
+def test_a_bug_that_cannot_be_pickled_still_shows_its_traceback():
+    with pytest.raises(RuntimeError, match="Unreadable: lost") as caught:
+        list(fan_out(work.mistaken_beyond_pickling, [0, 1], jobs=2, processes=True))
+    assert 'raise Unreadable("lost", "property")' in str(caught.value.__cause__)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_progress_hears_of_every_item(way):
+    recorder = Recorder()
+    list(fan_out(work.doubled, [1, 2, 3], what="doubling", progress=recorder, **way))
+    assert recorder.calls == [("doubling", 3), 1, 1, 1, "finish"]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_no_items_give_no_outcomes(way):
+    assert list(fan_out(work.doubled, [], **way)) == []
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_an_endless_source_is_read_no_further_than_a_window(way):
+    taken = []
+
+    def source():
+        for number in range(1000):
+            taken.append(number)
+            yield number
+
+    outcomes = fan_out(work.doubled, source(), **way)
+    assert [next(outcomes).value for _ in range(3)] == [0, 2, 4]
+    outcomes.close()
+    assert len(taken) < 50  # 3 handed on, at most 2 × 16 + 1 ahead
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        pytest.param(work.killed, "SIGKILL", id="killed"),
+        pytest.param(partial(work.killed, signum=signal.SIGSEGV), "SIGSEGV", id="crashed"),
+        pytest.param(work.leaving, "code 3", id="left"),
+    ],
+)
+def test_a_worker_that_dies_costs_its_item_only(function, words):
+    outcomes = list(fan_out(function, range(8), jobs=2, processes=True))
+    assert [outcome.value for outcome in outcomes] == [0, None, 2, 3, 4, 5, 6, 7]
+    assert isinstance(outcomes[1].error, ItemsFailed)
+    assert words in str(outcomes[1].error)
+    assert children() == []
+
+
+def test_the_error_of_a_killed_worker_names_the_file():
+    outcomes = list(fan_out(work.killed_at, [Path("a.png"), Path("b.png")], jobs=2, processes=True))
+    assert outcomes[0].value == 5
+    assert outcomes[1].error.where == "b.png"
+
+
+def test_a_worker_that_hangs_is_stopped_and_costs_its_item_only():
+    outcomes = list(fan_out(work.hanging, range(5), jobs=2, processes=True, timeout=1.0))
+    assert [outcome.value for outcome in outcomes] == [0, None, 2, 3, 4]
+    assert "took longer than 1 s" in str(outcomes[1].error)
+    assert children() == []
+
+
+def test_a_timeout_holds_for_one_job_too():
+    [outcome] = fan_out(work.hanging, [1], jobs=1, processes=True, timeout=0.2)
+    assert "took longer than 0.2 s" in str(outcome.error)
+
+
+def test_stopping_early_leaves_no_process():
+    outcomes = fan_out(work.doubled, range(100), jobs=2, processes=True)
+    assert next(outcomes).value == 0
+    assert len(children()) == 2
+    outcomes.close()
+    assert children() == []
+
+
+def test_stopping_early_drops_what_threads_have_not_begun(tmp_path):
+    outcomes = fan_out(partial(work.noted, tmp_path), range(100), jobs=2)
+    next(outcomes)
+    outcomes.close()
+    assert len(list(tmp_path.iterdir())) < 10
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_every_worker_has_one_opencv_thread(way):
+    before = cv2.getNumThreads()
+    assert {outcome.value[0] for outcome in fan_out(work.threads_of_libraries, range(4), **way)} == {1}
+    assert cv2.getNumThreads() == before
+
+
+def test_worker_processes_have_one_blas_thread_and_the_environment_is_put_back(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    values = [outcome.value for outcome in fan_out(work.threads_of_libraries, range(2), jobs=2, processes=True)]
+    assert values == [(1, "1"), (1, "1")]
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
+    assert "OMP_NUM_THREADS" not in os.environ
+
+
+def test_no_jobs_and_a_timeout_for_threads_are_refused():
+    with pytest.raises(InvalidInput, match="0 jobs"):
+        fan_out(work.doubled, [1], jobs=0)
+    with pytest.raises(ValueError, match="processes=True"):
+        fan_out(work.doubled, [1], timeout=1.0)
+
+
+def test_the_cores_available_are_at_least_one_and_not_more_than_the_machine_has():
+    assert 1 <= available_cores() <= (os.cpu_count() or 1)
+
+
+PARENT = """
+import sys
+from functools import partial
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import fanout_work as work
+from camcal.run.fanout import fan_out
+list(fan_out(partial(work.pid_then_hang, Path(sys.argv[2])), range(9), jobs=2, processes=True))
+"""
+
+
+def parent_with_two_hanging_workers(folder: Path, *, as_file: bool = False) -> tuple[subprocess.Popen[str], list[int]]:
+    program = ["-c", PARENT]
+    if as_file:
+        script = folder / "parent.py"
+        script.write_text(PARENT)
+        program = [str(script)]
+    notes = folder / "pids"
+    notes.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, *program, str(Path(__file__).parent), str(notes)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    until = time.monotonic() + 30
+    while len(pids := [int(path.name) for path in notes.iterdir()]) < 2:
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    return process, pids
+
+
+def test_workers_leave_when_their_parent_is_killed_in_the_middle_of_an_item(tmp_path):
+    process, pids = parent_with_two_hanging_workers(tmp_path)
+    process.kill()
+    process.communicate()
+    assert all(gone(pid) for pid in pids)
+
+
+@pytest.mark.parametrize("as_file", [False, True], ids=["python -c", "a script without a __main__ guard"])
+def test_ctrl_c_ends_the_parent_and_its_workers_without_noise_from_them(tmp_path, as_file):
+    process, pids = parent_with_two_hanging_workers(tmp_path, as_file=as_file)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
+    _, noise = process.communicate(timeout=10)
+    assert process.returncode == -signal.SIGINT
+    assert noise.count("Traceback") == 1
+    assert noise.rstrip().endswith("KeyboardInterrupt")
+    assert all(gone(pid) for pid in pids)
+
+
+THREADS = PARENT.replace("pid_then_hang", "noted").replace("range(9), jobs=2, processes=True", "range(1000), jobs=2")
+
+
+def test_ctrl_c_drops_the_items_that_threads_have_not_begun(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", THREADS, str(Path(__file__).parent), str(tmp_path)], stderr=subprocess.PIPE, text=True
+    )
+    until = time.monotonic() + 30
+    while not list(tmp_path.iterdir()):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=10)
+    assert process.returncode == -signal.SIGINT
+    assert len(list(tmp_path.iterdir())) < 500  # all of them would take 25 s
+
+
+MAIN_FUNCTION = """
+from camcal.run.fanout import fan_out
+
+def tripled(number):
+    return 3 * number
+
+if __name__ == "__main__":
+    print([outcome.value for outcome in fan_out(tripled, range(3), jobs=2, processes=True)])
+"""
+
+
+def test_a_function_of_the_main_script_works_too(tmp_path):
+    (tmp_path / "script.py").write_text(MAIN_FUNCTION)
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
+    assert done.stdout == "[0, 3, 6]\n", done.stderr
+
+
+def test_a_main_script_without_a_guard_is_told_so(tmp_path):
+    (tmp_path / "script.py").write_text(MAIN_FUNCTION.replace('if __name__ == "__main__":', "if True:"))
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "`if __name__ == '__main__':`" in done.stderr.splitlines()[-1]
