@@ -9,7 +9,7 @@ from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.orientation import best_turns, opposed_views, turned
 from camcal.calibrate.outliers import CUT, robust_sigma, screen
 from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
-from camcal.calibrate.shape import Verdict, judge, offsets_matter, terms_of, with_terms
+from camcal.calibrate.shape import Verdict, judge, offsets_matter, with_terms
 from camcal.cameras.model import CameraModel
 from camcal.errors import InsufficientData
 from camcal.solve.least_squares import Solution, Stopping, minimise
@@ -136,8 +136,9 @@ def _refine(problem: BoardProblem, state: State, present: Array, shape: ShapeOpt
         state, iterations = solution.state, iterations + solution.iterations
         if shape.smooth and not problem.offsets:
             verdict = judge(problem, state)
-            tiers = verdict.tiers if verdict else tiers
-        following, state = with_terms(problem, state, terms_of(tiers))
+        if verdict:
+            tiers = verdict.tiers
+        following, state = with_terms(problem, state, verdict.terms if verdict else problem.terms)
         settled = following.terms == problem.terms
         if settled and shape.smooth and shape.offsets and not problem.offsets and offsets_matter(problem, state):
             following, settled = replace(problem, offsets=True), False

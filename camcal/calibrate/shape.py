@@ -12,24 +12,21 @@ from camcal.solve.steps import Block, Factors, SingularError, assemble, factoris
 from camcal.targets.surface import TIERS, Surface, basis
 
 SIGNIFICANCE = 1e-3  # a flat board gains a needless tier in less than one of 250 calibrations
+NEGLIGIBLE = 2.0  # σ; leaving out more would bias the lens by more than it calms it
 SEEN = 10  # a point is freed only when this many views hold it
 ALL_TERMS = tuple(term for terms in TIERS.values() for term in terms)
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The tiers that are significant, in that order, and the factors of the problem with every term: `names` are
-    its shared parameters.
+    """The tiers that are significant, in that order, the terms to keep of them, and the factors of the problem with
+    every term: `names` are its shared parameters.
     """
 
     tiers: tuple[str, ...]
+    terms: tuple[str, ...]
     factors: Factors
     names: tuple[str, ...]
-
-
-def terms_of(tiers: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the terms of some tiers, in the order of the basis."""
-    return tuple(term for name, terms in TIERS.items() if name in tiers for term in terms)
 
 
 def with_terms(problem: BoardProblem, state: State, terms: tuple[str, ...]) -> tuple[BoardProblem, State]:
@@ -43,6 +40,7 @@ def judge(problem: BoardProblem, state: State) -> Verdict | None:
 
     One linearisation with every term, then a forward search on its reduced quadratic model: the tier with the least
     probable gain under a flat board comes first, and the search ends where that probability passes SIGNIFICANCE.
+    Terms that a tier brought along without need go again: a bow nobody sees would loosen the focal length.
     """
     full, full_state = with_terms(problem, state, ALL_TERMS)
     equations = linearise(full, full_state)
@@ -64,7 +62,19 @@ def judge(problem: BoardProblem, state: State) -> Verdict | None:
         if chances[best] > np.log(SIGNIFICANCE):
             break
         tiers, lowest = (*tiers, trials[best][0]), trials[best][1]
-    return Verdict(tiers, factors, full.shared_names)
+    used = _pruned(model, _columns(columns, tiers))
+    return Verdict(tiers, tuple(ALL_TERMS[column - start] for column in used), factors, full.shared_names)
+
+
+def _pruned(model: "_Reduced", used: Array) -> Array:
+    """Return the columns without those whose coefficient is within NEGLIGIBLE σ of zero, the least needed first."""
+    while len(used):
+        costs = [model.cost(np.delete(used, index)) for index in range(len(used))]
+        least = int(np.argmin(costs))
+        if 2 * (costs[least] - model.cost(used)) > NEGLIGIBLE**2:
+            break
+        used = np.delete(used, least)
+    return used
 
 
 def _columns(columns: dict[str, Array], tiers: tuple[str, ...]) -> Array:
@@ -131,24 +141,34 @@ def _gain_with_poses_held(block: Block, start: int, points: int) -> float:
 def surface_of(problem: BoardProblem, state: State, tiers: tuple[str, ...], covariance: Array) -> Surface:
     """Return the record of the board's shape from a solution and the covariance of its shared parameters."""
     lens, count = len(problem.free), len(problem.terms)
-    own = covariance[lens : lens + count, lens : lens + count]
-    height = basis(problem.board, problem.terms)[:, 2] @ state.shape
-    if problem.offsets:
-        height = height + state.offsets[:, 2]
-    high, low = int(np.argmax(height)), int(np.argmin(height))
-    gradient = np.zeros(len(covariance))
-    difference = basis(problem.board, problem.terms)[high, 2] - basis(problem.board, problem.terms)[low, 2]
-    gradient[lens : lens + count] = difference
-    if problem.offsets:
-        gradient[lens + count + 3 * high + 2] += 1
-        gradient[lens + count + 3 * low + 2] -= 1
+    heights = _heights_by_parameters(problem)
+    parameters = np.concatenate([np.zeros(lens), state.shape, state.offsets.ravel() if problem.offsets else []])
+    height = heights @ parameters
+    span = heights[np.argmax(height)] - heights[np.argmin(height)]
     return Surface(
         problem.board,
         tiers,
         problem.terms,
         state.shape,
-        own,
+        covariance[lens : lens + count, lens : lens + count],
         state.offsets if problem.offsets else None,
-        float(height[high] - height[low]),
-        float(np.sqrt(gradient @ covariance @ gradient)),
+        float(span @ parameters),
+        float(np.sqrt(max(span @ covariance @ span, 0.0))),
     )
+
+
+def _heights_by_parameters(problem: BoardProblem) -> Array:
+    """Return each point's height over the board's mean plane per unit of every shared parameter (C, shared).
+
+    The plane is taken out because a pose can take it: offsets know it only through their prior.
+    """
+    points = problem.board.count
+    parts = [np.zeros((points, len(problem.free))), basis(problem.board, problem.terms)[:, 2]]
+    if problem.offsets:
+        upwards = np.zeros((points, points, 3))
+        upwards[np.arange(points), np.arange(points), 2] = 1.0
+        parts.append(upwards.reshape(points, -1))
+    heights = np.concatenate(parts, axis=1)
+    drawn = problem.board.points()
+    plane = np.column_stack([np.ones(points), drawn[:, :2] / problem.board.pitch])
+    return np.asarray(heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0])

@@ -118,7 +118,7 @@ class Distortion:
 
         There its stretch along the radius, d(r c)/dr, and across it, c, both exceed the norm of the Jacobian of the
         tangential and prism terms. So the symmetric part of the whole Jacobian is positive definite, and on a convex
-        region such a map is one-to-one. A barrel distortion with tangential terms alone folds just there, towards -p.
+        region such a map is one-to-one. A barrel with tangential terms alone folds just there, towards (-p2, -p1).
         """
         if not self.values:
             return Limit(reach, reach)

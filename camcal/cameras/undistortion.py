@@ -68,7 +68,7 @@ def _refine(distortion: Distortion, target: Array, start: Array, limit: Limit) -
         factor = np.where(better, np.minimum(1.0, 2.0 * factor), 0.5 * factor)
         for kept, new in ((point, trial), (step, trial_step), (error, trial_error)):
             np.copyto(kept, new, where=better)
-    return point, error <= SOLVED * size
+    return point, error < SOLVED * size
 
 
 def _newton_step(distortion: Distortion, point: Array, target: Array, limit: Limit) -> tuple[Array, Array]:

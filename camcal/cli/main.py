@@ -4,6 +4,7 @@ Nothing here imports the core: `camcal --help` is to be there at once.
 """
 
 import faulthandler
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from camcal import __version__
-from camcal.cli import calibrate, demosaic, doctor, show, stereo
+from camcal.cli import calibrate, demosaic, doctor, inspect, show, stereo
 from camcal.cli.options import SETTINGS
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
 from camcal.run.startup import BLAS_THREADS
@@ -48,38 +49,44 @@ class Boundary(TyperGroup):
             show.give_up_stdout(error)
             return 0
         if isinstance(error, typer.TyperException):
-            error = _usage_error(error)
+            error = _usage_error(error, self.named_in(arguments))
         code, kind, message, where = _described(error)
         if code != EXIT_BUG:
             show.error(f"{where}: {message}" if where else message)
         if "--json" in takewhile(lambda argument: argument != "--", arguments) and not silent:
             failure = {"error": {"kind": kind, "message": message, "where": where}, "exit": code}
-            show.document(self.named_in(arguments), failure)
+            show.document(self.named_in(arguments).removeprefix("camcal "), failure)
             show.flush()
         return code
 
     def named_in(self, arguments: list[str]) -> str:
-        """Return the command that a command line names, such as 'stereo cloud'; 'camcal' if it names none."""
+        """Return the command that a command line names, such as 'camcal stereo cloud'."""
         command: Any = self
-        names: list[str] = []
+        names = ["camcal"]
         for argument in arguments:
             if not isinstance(command, TyperGroup) or argument not in command.commands:
                 break
             names.append(argument)
             command = command.commands[argument]
-        return " ".join(names) or "camcal"
+        return " ".join(names)
 
 
-def _usage_error(error: typer.TyperException) -> InvalidInput:
+def _usage_error(error: typer.TyperException, command: str) -> InvalidInput:
     """Return the one-line form of what typer says in several, naming the settings file if the value came from there."""
-    context, parameter = getattr(error, "ctx", None), getattr(error, "param", None)
     words = " ".join(error.format_message().split()).rstrip(".")
-    if context is None:
-        return InvalidInput(words)
-    settings = context.meta.get(SETTINGS)
-    if settings and parameter and context.get_parameter_source(parameter.name).name == "DEFAULT_MAP":
-        return InvalidInput(words, where=f"{settings.where}:{settings.lines[parameter.name]}")
-    return InvalidInput(f"{words}; see '{context.command_path} --help'")
+    line = _settings_line(getattr(error, "ctx", None), getattr(error, "param", None))
+    return InvalidInput(words, where=line) if line else InvalidInput(f"{words}; see '{command} --help'")
+
+
+def _settings_line(context: Any, parameter: Any) -> str | None:
+    """Return the file and line that a refused value came from, None if it does not come from a settings file."""
+    if context is None or parameter is None:
+        return None
+    source = context.get_parameter_source(parameter.name)
+    if source is None or source.name != "DEFAULT_MAP":
+        return None
+    line: str = context.meta[SETTINGS][parameter.name]
+    return line
 
 
 def _described(error: BaseException) -> tuple[int, str, str, str | None]:
@@ -109,7 +116,7 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def camcal(
     context: typer.Context,
-    version: Annotated[  # noqa: ARG001 - its callback answers it
+    version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Print the version and leave.")
     ] = False,
 ) -> None:
@@ -125,6 +132,7 @@ stereo_app.command("cloud")(stereo.cloud)
 app.command("calibrate")(calibrate.calibrate)
 app.command("demosaic")(demosaic.demosaic)
 app.add_typer(stereo_app, name="stereo")
+app.command("inspect")(inspect.inspect)
 app.command("doctor")(doctor.doctor)
 
 
@@ -144,7 +152,7 @@ def _keep_c_libraries_quiet() -> None:
     """
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     for stream in (sys.stdout, sys.stderr):
-        if stream is not None:  # a file name need not be valid text
+        if isinstance(stream, io.TextIOWrapper):  # a file name need not be valid text
             stream.reconfigure(errors="backslashreplace")
     if sys.stderr is None:
         return

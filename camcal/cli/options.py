@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.core import TyperOption
 
-SETTINGS = "camcal.settings"  # where a context keeps the settings file its values came from
+SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 
 _OF_THE_CALL = {"config", "help", "json"}  # they say how a command is called, not what it does
 
@@ -19,12 +20,15 @@ def _apply_settings(context: typer.Context, path: Path | None) -> Path | None:
     options = {
         max(option.opts, key=len).lstrip("-").replace("-", "_"): option
         for option in context.command.params
-        if option.param_type_name == "option"
+        if isinstance(option, TyperOption)
     }
     several = {name: option.multiple or option.nargs != 1 for name, option in options.items()}
     settings = read_settings(path, {name: value for name, value in several.items() if name not in _OF_THE_CALL})
-    context.default_map = {options[name].name: value for name, value in settings.values.items()}
-    context.meta[SETTINGS] = settings
+    context.default_map = {
+        options[name].name: str(value).lower() if isinstance(value, bool) and not options[name].is_flag else value
+        for name, value in settings.values.items()
+    }
+    context.meta[SETTINGS] = {options[name].name: f"{settings.where}:{line}" for name, line in settings.lines.items()}
     return path
 
 

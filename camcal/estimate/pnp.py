@@ -4,7 +4,7 @@ Every start is refined to its minimum of the reprojection error through the pack
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,12 @@ from camcal.estimate.planar import Extent, pose_of_plane, reflected
 from camcal.estimate.pose_problem import PoseProblem
 from camcal.estimate.start_points import pose_from_matrix, poses_from_afar, poses_from_all, poses_from_triplets
 from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.progress import Outcome
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Loss
 
+CAMERA_T_OBJECT = "camera_T_object"
 MIN_POINTS = 4
 AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags
 _COLLINEAR = 1e-6  # second spread over the first
@@ -64,24 +65,26 @@ class Correspondences:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another minimum: its camera_T_object, how much larger its χ² is, and the probability that it is the true one."""
+    """Another minimum: its pose, how much larger its χ² is, and the probability that it is the true one."""
 
-    camera_T_object: Pose
+    transform: Pose
     chi_square_difference: float
     probability: float
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """camera_T_object of one image and what is known of its quality.
+    """The pose of one view and what is known of its quality.
 
-    covariance: (6, 6) of that pose, order tx ty tz rx ry rz (points' unit, rad), R ← Exp(δr) R, t ← t + δt.
+    frames: what `transform` maps, camera_T_object or object_T_camera. covariance: (6, 6) of its steps, order
+    tx ty tz rx ry rz (points' unit, rad), R ← Exp(δr) R, t ← t + δt.
     residuals: (N, 2) px, projected minus observed, NaN for points outside the lens's domain, which are left out.
     sigma_px: noise of a pixel coordinate (with covariances their factor's root); freedom: the degrees of freedom it
     was estimated with, None if it was given. reason: why the solver stopped.
     """
 
-    camera_T_object: Pose
+    frames: str
+    transform: Pose
     covariance: Array
     residuals: Array
     sigma_px: float
@@ -118,6 +121,18 @@ class PoseEstimate:
             return f"ambiguous: another pose fits nearly as well, probability {self.p_wrong:.2g}"
         return "ok"
 
+    def inverse(self) -> "PoseEstimate":
+        """Return the same estimate of the transform in the other direction."""
+        jacobian = inverse_jacobian(self.transform)
+        other = self.alternative
+        return replace(
+            self,
+            frames="_T_".join(reversed(self.frames.split("_T_"))),
+            transform=self.transform.inverse(),
+            covariance=jacobian @ self.covariance @ jacobian.T,
+            alternative=other and replace(other, transform=other.transform.inverse()),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
@@ -136,7 +151,7 @@ class _Fit:
 def estimate_poses(
     camera: Camera, views: Sequence[Correspondences], noise_px: float | None = None, loss: Loss | None = None
 ) -> list[Outcome[Correspondences, PoseEstimate]]:
-    """Return the pose of every view, or the InsufficientData that kept it from one, in the order of the views.
+    """Return camera_T_object of every view, or the InsufficientData that kept it from one, in the views' order.
 
     noise_px: standard deviation of a pixel coordinate, the factor's root where covariances are given; None estimates
     it from the residuals of all views together. loss: of whitened residuals, in their unit.
@@ -170,6 +185,7 @@ def _estimate(fit: _Fit, sigma: float, freedom: int | None) -> PoseEstimate:
     residuals = np.full((len(fit.used), 2), np.nan)
     residuals[fit.used] = fit.problem.residuals(best.state)
     return PoseEstimate(
+        CAMERA_T_OBJECT,
         best.state,
         sigma**2 * best.factors().shared_covariance(),
         residuals,

@@ -25,16 +25,16 @@ from camcal.targets.board import CHARUCO, CHESSBOARD, METRES, Board, parse_board
 
 SUFFIXES = (".yaml", ".yml")
 
-_LENGTHS = {f"square_{unit}": number(above=0) for unit in METRES}
-_MARKERS = {f"marker_{unit}": number(above=0) for unit in METRES}
+LENGTHS = {f"square_{unit}": number(above=0) for unit in METRES}
+MARKERS = {f"marker_{unit}": number(above=0) for unit in METRES}
 _CHECKS = {
     CHESSBOARD: mapping(
         {"type": text, "inner_corners": items(integer(2), 2)},
-        _LENGTHS,
+        LENGTHS,
     ),
     CHARUCO: mapping(
         {"type": text, "squares": items(integer(3), 2), "dictionary": text},
-        {**_LENGTHS, **_MARKERS, "marker_ratio": number(above=0), "first_marker_id": integer(0), "legacy": flag},
+        {**LENGTHS, **MARKERS, "marker_ratio": number(above=0), "first_marker_id": integer(0), "legacy": flag},
     ),
 }
 
@@ -71,8 +71,8 @@ def check(data: Any, path: str) -> Iterator[Fault]:
 
 
 def _check_lengths(data: Mapping[str, Any], path: str) -> Iterator[Fault]:
-    squares = [key for key in _LENGTHS if key in data]
-    markers = [key for key in (*_MARKERS, "marker_ratio") if key in data]
+    squares = [key for key in LENGTHS if key in data]
+    markers = [key for key in (*MARKERS, "marker_ratio") if key in data]
     if len(squares) > 1 or len(markers) > 1:
         yield Fault(path, f"{' and '.join(squares if len(squares) > 1 else markers)}: give one of them")
     elif data["type"] == CHARUCO and not markers:

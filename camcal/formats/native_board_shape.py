@@ -24,8 +24,8 @@ from camcal.formats.strict_yaml import Fault, child
 from camcal.targets.surface import OFFSETS, TIERS, Surface
 
 # A key of the file is a plain word.
-_KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term) for terms in TIERS.values() for term in terms}
-_TERM_OF_KEY = {key: term for term, key in _KEY_OF_TERM.items()}
+KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term) for terms in TIERS.values() for term in terms}
+_TERM_OF_KEY = {key: term for term, key in KEY_OF_TERM.items()}
 
 _SHAPE = mapping(
     {
@@ -78,7 +78,7 @@ def read(data: Mapping[str, Any], folder: Path) -> Surface:
 
 def block(surface: Surface, beside: Path) -> dict[str, Any]:
     """Return a surface as plain data; beside: the file it is for."""
-    keys, unit = [_KEY_OF_TERM[term] for term in surface.terms], surface.board.unit
+    keys, unit = [KEY_OF_TERM[term] for term in surface.terms], surface.board.unit
     return {
         "board": boards.block(surface.board),
         "tiers": list(surface.tiers),

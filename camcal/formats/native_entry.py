@@ -11,14 +11,14 @@ from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidR
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text
 from camcal.formats.strict_yaml import Check, Fault, child
 
-_FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
-_COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")
-_VALID: Mapping[str, Check] = {
+FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
+COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")
+VALID: Mapping[str, Check] = {
     "max_theta_deg": number(0, 180),
     "max_radius_px": number(above=0),
     "polygon": items(items(number(), 2)),
 }
-_SENSOR: Mapping[str, Check] = {
+SENSOR: Mapping[str, Check] = {
     "pixel_pitch_um": number(above=0),
     "gain_e_per_dn": number(above=0),
     "read_noise_e": number(0),
@@ -39,11 +39,11 @@ _ENTRY = mapping(
     {
         **_LENS,
         "configuration": mapping({}, others=plain),
-        "valid": mapping({}, _VALID),
-        "quality": mapping({}, {**dict.fromkeys(_FIGURES, number(0)), **dict.fromkeys(_COUNTS, integer(0))}),
+        "valid": mapping({}, VALID),
+        "quality": mapping({}, {**dict.fromkeys(FIGURES, number(0)), **dict.fromkeys(COUNTS, integer(0))}),
         "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1)}),
         "verdict": mapping({"trustworthy": flag}, {"reasons": items(text)}),
-        "sensor": mapping({}, _SENSOR),
+        "sensor": mapping({}, SENSOR),
         "channels": mapping({}, others=mapping({"intrinsics": _unchecked}, _LENS)),
     },
 )

@@ -72,3 +72,11 @@ def point_jacobian(rotated: Array) -> Array:
     result[..., :3] = np.eye(3)
     result[..., 3:] = -so3.hat(rotated)
     return result
+
+
+def inverse_jacobian(a_T_b: Pose) -> Array:
+    """Return d(step of b_T_a)/d(step of a_T_b) as (6, 6): it takes the covariance of a pose to that of its inverse."""
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = -a_T_b.rotation.T
+    result[:3, 3:] = -a_T_b.rotation.T @ so3.hat(a_T_b.translation)
+    return result

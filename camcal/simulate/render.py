@@ -68,9 +68,8 @@ def evenly_lit(camera: Camera, board: Board, camera_T_board: Pose, exposure: Exp
     """Return the brightness (height, width) of a board under even light: what `render` starts from."""
     edges, jumps = outlines(pattern_of(board), exposure)
     ends = _project(camera, camera_T_board, shape.apply(board, edges))
-    # Perspective makes one half of an edge longer than the other: twice the pieces are enough for any tilt in use.
-    counts = np.ceil(2 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) / piece_length(exposure.blur_px)) + 1
-    drawn, steps = _walk(edges, jumps, counts.astype(np.intp))
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+    drawn, steps = _walk(edges, jumps, 1 + (lengths / piece_length(exposure.blur_px)).astype(np.intp))
     path = _project(camera, camera_T_board, shape.apply(board, drawn))
     return exposure.background + draw(camera.image_size, path, steps, exposure.blur_px)
 

@@ -15,7 +15,7 @@ from camcal.targets.subpixel import fit_corners
 MIN_AGREEMENT = 0.6  # share of a window's variance explained by two crossing edges
 MIN_CONTRAST = 0.25  # of the median over the board
 MAX_START = 0.5  # steps from a detector's corner to the fitted one
-MAX_STRAY = 0.25  # steps from where the neighbours put a corner
+MAX_STRAY = 0.5  # steps from where the neighbours put a corner
 MIN_SIDE = 0.5  # of a row or column beyond the board
 
 

@@ -19,10 +19,12 @@ REACH_PX = 12.0  # its largest radius; more edge adds little, and lens distortio
 REACH_SHARE = 1 / 8  # … or this share of the spacing, for images whose blur grew with their pixels
 CORE_PX = 2.5  # its smallest radius: fewer pixels than parameters determine nothing
 _SAMPLES = 450  # pixels a window holds at most; larger windows take every second, third, …
-_BLUR_PX = (0.3, 4.0)
+_LEAST_BLUR_PX = 0.3  # of a pixel's own square, √(1/12)
+_LARGEST_BLUR_PX = 4.0
 _ROUNDS = 15
 _SETTLED_PX = 3e-4  # the step after such a step is of the order of 1e-6 px
 _ROOT_HALF = np.sqrt(0.5)
+_SHARP = -4.0  # a logarithm of blur that adds nothing to the least
 _X, _Y, _ANGLE_1, _ANGLE_2, _LOG_BLUR, _LEVEL, _CONTRAST = range(7)
 _COUNT = 9
 
@@ -62,8 +64,7 @@ def fit_corners(gray: Array, pixels: Array, steps: Array, clearance: float = np.
     """
     windows, reach = _windows(gray, pixels, steps, clearance)
     parameters = _start(windows, steps)
-    limits = np.log([_BLUR_PX[0], max(_BLUR_PX[1], reach / 3)])
-    parameters, cost, settled = _minimise(windows, parameters, limits)
+    parameters, cost, settled = _minimise(windows, parameters, max(_LARGEST_BLUR_PX, reach / 3))
     moved = parameters[:, [_X, _Y]]
     return CornerFits(
         pixels + moved, parameters[:, _CONTRAST], 1 - cost / np.maximum(_variation(windows), 1e-9), settled
@@ -119,7 +120,7 @@ def _start(windows: _Windows, steps: Array) -> Array:
     return parameters
 
 
-def _minimise(windows: _Windows, parameters: Array, log_blur: Array) -> tuple[Array, Array, Array]:
+def _minimise(windows: _Windows, parameters: Array, largest_blur: float) -> tuple[Array, Array, Array]:
     """Return parameters (N, 9), costs (N,) and which settled (N,), by Levenberg-Marquardt on every window alone."""
     cost, normal, gradient = _linearise(parameters, windows)
     damping = np.full(len(parameters), 1e-3)
@@ -130,7 +131,7 @@ def _minimise(windows: _Windows, parameters: Array, log_blur: Array) -> tuple[Ar
             break
         step = _damped_step(normal[rows], gradient[rows], damping[rows])
         trial = parameters[rows] + step
-        trial[:, _LOG_BLUR] = np.clip(trial[:, _LOG_BLUR], *log_blur)
+        trial[:, _LOG_BLUR] = np.clip(trial[:, _LOG_BLUR], _SHARP, np.log(largest_blur))
         trial_cost, trial_normal, trial_gradient = _linearise(trial, windows.take(rows))
         better = trial_cost <= cost[rows]
         kept = rows[better]
@@ -165,7 +166,8 @@ def _evaluate(parameters: Array, windows: _Windows) -> tuple[Array, Array]:
     cos_1, sin_1 = np.cos(parameters[:, [_ANGLE_1]]), np.sin(parameters[:, [_ANGLE_1]])
     cos_2, sin_2 = np.cos(parameters[:, [_ANGLE_2]]), np.sin(parameters[:, [_ANGLE_2]])
     distance_1, distance_2 = cos_1 * dy - sin_1 * dx, cos_2 * dy - sin_2 * dx
-    scale = _ROOT_HALF * np.exp(-parameters[:, [_LOG_BLUR]])
+    own_blur = np.exp(2 * parameters[:, [_LOG_BLUR]])
+    scale = _ROOT_HALF / np.sqrt(_LEAST_BLUR_PX**2 + own_blur)
     side_1, side_2 = erf(scale * distance_1), erf(scale * distance_2)
     contrast = parameters[:, [_CONTRAST]]
     slope_x, slope_y = parameters[:, [7]], parameters[:, [8]]
@@ -179,7 +181,7 @@ def _evaluate(parameters: Array, windows: _Windows) -> tuple[Array, Array]:
             -by_1 * cos_1 - by_2 * cos_2,
             -by_1 * (cos_1 * dx + sin_1 * dy),
             -by_2 * (cos_2 * dx + sin_2 * dy),
-            -by_1 * distance_1 - by_2 * distance_2,
+            -(by_1 * distance_1 + by_2 * distance_2) * (own_blur / (_LEAST_BLUR_PX**2 + own_blur)),
             weights,
             side_1 * side_2 * weights,
             windows.x * weights,

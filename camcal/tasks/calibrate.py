@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import floor, log10
+from math import floor, log10, radians
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,10 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.validity import valid_region
+from camcal.cameras.validity import valid_block
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import boards, detections, native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, Verdict
+from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ValidRegion, Verdict
 from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise, misfits
 from camcal.run.inputs import split_address
@@ -89,8 +89,9 @@ class CalibrateReport:
         calibration = self.calibration
         unused = len(calibration.views) - len(calibration.used)
         lines = [
-            f"RMS {calibration.rms_px:.3f} px over {len(calibration.residuals)} corners of {len(calibration.used)} views"
-            f" ({unused} not used, {len(calibration.rejected)} corners rejected); noise {calibration.sigma_px:.3f} px"
+            f"RMS {calibration.rms_px:.3f} px over {len(calibration.residuals)} corners of "
+            f"{len(calibration.used)} views ({unused} not used, {len(calibration.rejected)} corners rejected); "
+            f"noise {calibration.sigma_px:.3f} px"
         ]
         return lines + _board_lines(calibration)
 
@@ -218,9 +219,10 @@ def _names_detections(inputs: tuple[str, ...]) -> bool:
 
 def camera_file(calibration: Calibration, advice: Advice, options: CalibrateOptions) -> CameraFile:
     """Return what the camera file says of a calibration."""
+    valid = valid_block(calibration.camera)
     entry = CameraEntry(
         calibration.camera,
-        valid=valid_region(calibration.camera),
+        valid=ValidRegion(radians(valid["max_theta_deg"]), valid["max_radius_px"]),
         quality=quality_figures(calibration),
         noise=Noise(calibration.sigma_px, calibration.freedom),
         verdict=Verdict(advice.trustworthy, advice.reasons),

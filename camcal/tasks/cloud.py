@@ -108,12 +108,13 @@ def _geometry(options: CloudOptions, address: str | None, found: DisparityMap, p
 
 def _from_file(address: str, options: CloudOptions, found: DisparityMap, progress: Progress) -> dict[str, float]:
     """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
-    path, name = split_address(address)
+    path, named = split_address(address)
+    name = options.camera or named
     file = native.read(path)
     for warning in file.warnings:
         progress.warn(warning)
-    pair = _pair(file, name or options.camera)
-    left = file.cameras[pair[0]].camera if pair else native.select(file, name or options.camera, str(path)).camera
+    pair = _pair(file, name)
+    left = file.cameras[pair[0]].camera if pair else native.select(file, name, str(path)).camera
     height, width = found.values.shape
     if left.image_size != (width, height):
         size = "{} × {}".format(*left.image_size)

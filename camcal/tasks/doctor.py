@@ -3,43 +3,37 @@
 import os
 import platform
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
-from types import ModuleType
 from typing import Any
 
 from camcal import __version__
 from camcal.run.fanout import available_cores
 
-_WHEELS = (
-    "opencv-python",
-    "opencv-python-headless",
-    "opencv-contrib-python",
-    "opencv-contrib-python-headless",
-)
-_WANTED_WHEEL = "opencv-contrib-python-headless"
+WHEEL = "opencv-contrib-python-headless"
+_WHEELS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", WHEEL)  # all of them install `cv2`
 _OPENCV_PARTS = ("aruco", "ximgproc")
-_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?P<range>[^;]*)(?P<marker>;.*)?")
+_REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*])?\s*([^;]*)$")  # the optional ones have a marker after a semicolon
+_CLAUSE = re.compile(r"(>=|<)\s*([\d.]+)")
 
 
 @dataclass(frozen=True)
 class Package:
-    """One required package; version is None if it is not installed, problem None if all is well."""
+    """A required package, the versions that serve, the one installed, and what is wrong with it, if anything."""
 
     name: str
     wanted: str
     version: str | None
-    problem: str | None
+    problem: str | None = None
 
 
 @dataclass(frozen=True)
 class Examination:
-    """What was found; `problems` holds one line for everything that is in the way, with what to do about it."""
+    """The surroundings; `problems` has one line for everything that is in the way, with what to do about it."""
 
+    camcal: str
     python: str
     system: str
-    camcal: str
     cores: int
     packages: tuple[Package, ...]
     opencv_wheels: tuple[str, ...]
@@ -48,22 +42,79 @@ class Examination:
 
 
 def examine() -> Examination:
-    """Return what of camcal's surroundings is installed, and what is in the way."""
-    packages = tuple(_package(name, wanted) for name, wanted in _requirements() if name not in _WHEELS)
+    """Return the versions and settings camcal works with, and what is in the way."""
+    packages = tuple(_opencv(wanted) if name == WHEEL else _package(name, wanted) for name, wanted in _requirements())
     wheels = tuple(f"{name} {version}" for name in _WHEELS if (version := _installed(name)))
-    problems = [package.problem for package in packages if package.problem]
+    problems = [f"{package.name}: {package.problem}" for package in packages if package.problem]
+    if not packages:
+        problems.append("camcal: it is not installed as a package; pip install it")
+    if len(wheels) > 1:
+        problems.append(
+            f"opencv: {', '.join(wheels)} overwrite each other's files; pip uninstall all of them, "
+            f"then pip install {WHEEL}"
+        )
     return Examination(
+        camcal=__version__,
         python=platform.python_version(),
         system=platform.platform(),
-        camcal=__version__,
         cores=available_cores(),
-        packages=(*packages, _opencv()),
+        packages=packages,
         opencv_wheels=wheels,
         environment={name: value for name, value in sorted(os.environ.items()) if name.startswith("OPENCV_")},
-        problems=(*problems,),
+        problems=tuple(problems),
     )
 
 
 def document(found: Examination) -> dict[str, Any]:
-    """Return the examination as plain data."""
-    return found.__dict__
+    """Return an examination as plain data."""
+    return asdict(found)
+
+
+def _requirements() -> list[tuple[str, str]]:
+    """Return the names and version ranges of the packages that camcal requires, optional ones left out."""
+    try:
+        lines = metadata.requires("camcal") or []
+    except metadata.PackageNotFoundError:
+        return []
+    return sorted(match.groups() for line in lines if (match := _REQUIREMENT.match(line)))  # type: ignore[misc]
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _package(name: str, wanted: str) -> Package:
+    version = _installed(name)
+    if version is None:
+        return Package(name, wanted, None, f"not installed; pip install '{name}{wanted}'")
+    return Package(name, wanted, version, _misfit(name, version, wanted))
+
+
+def _opencv(wanted: str) -> Package:
+    """Return what `import cv2` yields, whichever wheel it comes from."""
+    try:
+        import cv2
+    except ImportError as error:
+        reason = str(error).partition("\n")[0]
+        return Package("opencv", wanted, None, f"cannot be imported ({reason}); pip install {WHEEL}")
+    missing = [part for part in _OPENCV_PARTS if not hasattr(cv2, part)]
+    problem = _misfit(WHEEL, cv2.__version__, wanted)
+    if missing and not problem:
+        problem = f"has no {' and no '.join(missing)}; pip uninstall its wheel, then pip install {WHEEL}"
+    return Package("opencv", wanted, cv2.__version__, problem)
+
+
+def _misfit(name: str, version: str, wanted: str) -> str | None:
+    """Return what is wrong with a version outside a range such as '<0.30,>=0.29'."""
+    have = _numbers(version)
+    for sign, bound in _CLAUSE.findall(wanted):
+        if (have >= _numbers(bound)) != (sign == ">="):
+            return f"version {version} is not {sign} {bound}; pip install '{name}{wanted}'"
+    return None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.match(r"\d+(?:\.\d+)*", version)[0].split("."))  # type: ignore[index]

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.geometry.pose import Pose, point_jacobian
+from camcal.geometry.pose import Pose, inverse_jacobian, point_jacobian
 
 NUMBERS = st.floats(-2, 2)
 POSES = st.tuples(*[NUMBERS] * 6).map(lambda v: Pose.from_vector(np.array(v[:3]), np.array(v[3:])))
@@ -50,3 +50,15 @@ def test_poses_cannot_be_changed_in_place():
     pose = Pose.identity()
     with pytest.raises(ValueError, match="read-only"):
         pose.translation[0] = 1.0
+
+
+@given(POSES)
+def test_inverse_jacobian_is_the_step_of_the_inverse_by_the_step_of_the_pose(pose):
+    h = 1e-6
+    ends = [[pose.retract(sign * h * axis).inverse() for sign in (1, -1)] for axis in np.eye(6)]
+    numeric = [
+        np.concatenate([ahead.translation - behind.translation, (ahead @ behind.inverse()).vector()]) / (2 * h)
+        for ahead, behind in ends
+    ]
+    # central differences at h = 1e-6 are good to 1e-9
+    np.testing.assert_allclose(inverse_jacobian(pose), np.column_stack(numeric), atol=1e-8)

@@ -1,0 +1,183 @@
+"""`camcal inspect`: what a camera file says, for a person and for a shell script."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal.cameras.model import Camera
+from camcal.cameras.validity import field_of_view
+from camcal.errors import InvalidInput
+from camcal.formats import native, strict_yaml
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats.schema import did_you_mean
+from camcal.report.uncertain import value_and_std
+from camcal.targets.surface import Surface
+
+
+@dataclass(frozen=True)
+class InspectOptions:
+    """Which file, and which of its cameras: all of them if None."""
+
+    path: Path
+    camera: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """A camera file: the document as it stands, the records it makes, the cameras that were asked for.
+
+    fields: horizontal, vertical and diagonal field of view of each camera, degrees.
+    """
+
+    document: strict_yaml.Document
+    file: CameraFile
+    fields: Mapping[str, tuple[float, float, float]]
+
+
+def inspect(options: InspectOptions) -> Inspection:
+    """Return what a camera file holds; raises InvalidInput or FileError as `native.read` does."""
+    document = strict_yaml.load(options.path, native.check)
+    file = native.from_document(document, options.path.parent)
+    if options.camera is not None:
+        native.select(file, options.camera, str(options.path))
+    names = list(file.cameras) if options.camera is None else [options.camera]
+    return Inspection(document, file, {name: _field_deg(file.cameras[name].camera) for name in names})
+
+
+def _field_deg(camera: Camera) -> tuple[float, float, float]:
+    horizontal, vertical, diagonal = np.degrees(field_of_view(camera)).tolist()
+    return horizontal, vertical, diagonal
+
+
+def value_at(inspection: Inspection, key: str) -> Any:
+    """Return what stands under a key path such as cameras.left.intrinsics.fx or cameras.left.fixed[0].
+
+    Raises InvalidInput that names the nearest key.
+    """
+    value: Any = inspection.document.data
+    path = ""
+    for part in key.replace("[", ".[").split("."):
+        known = _parts(value)
+        if part not in known:
+            what = f"no key {part!r} under {path}" if path else f"no key {part!r}"
+            raise InvalidInput(f"{what}{did_you_mean(part, list(known))}", where=inspection.document.where)
+        value = known[part]
+        path = f"{path}.{part}" if path else part
+    return value
+
+
+def _parts(value: Any) -> dict[str, Any]:
+    if isinstance(value, list):
+        return {f"[{index}]": item for index, item in enumerate(value)}
+    return value if isinstance(value, dict) else {}
+
+
+def parameter_rows(camera: Camera) -> list[list[str]]:
+    """Return name, value and standard deviation of every parameter as text."""
+    rows = []
+    for name in camera.model.parameter_names:
+        value, std = value_and_std(camera.value(name), camera.std(name))
+        rows.append([name, value, "fixed" if name in camera.fixed else std])
+    return rows
+
+
+def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> Iterator[str]:
+    """Yield what is known of one camera beside its parameters, a line each."""
+    horizontal, vertical, diagonal = (f"{angle:.1f}°" for angle in field_deg)
+    yield f"field of view {horizontal} x {vertical}, diagonal {diagonal}"
+    if entry.valid is not None:
+        yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
+    if entry.quality:
+        yield "fit " + _figures(entry.quality)
+    if entry.noise is not None:
+        freedom = entry.noise.degrees_of_freedom
+        yield f"noise {entry.noise.sigma_px:.3g} px" + (f" ({freedom} degrees of freedom)" if freedom else "")
+    for item in entry.projection:
+        place = "at infinity" if item.range_m is None else f"at {item.range_m:g} m"
+        yield f"projection uncertain {place}: {_figures(item.figures)}"
+    if entry.sensor:
+        yield "sensor " + _figures(entry.sensor)
+    if entry.channels:
+        yield f"a lens of its own for {', '.join(entry.channels)}"
+    if entry.verdict is not None:
+        yield from ["trustworthy"] if entry.verdict.trustworthy else []
+        yield from (f"DO NOT TRUST: {reason}" for reason in entry.verdict.reasons)
+
+
+def _valid_words(entry: CameraEntry) -> Iterator[str]:
+    valid = entry.valid
+    if valid is not None and valid.max_theta is not None:
+        yield f"up to {math.degrees(valid.max_theta):.1f}° from the axis"
+    if valid is not None and valid.max_radius_px is not None:
+        yield f"up to {valid.max_radius_px:.0f} px from the principal point"
+    if valid is not None and valid.polygon is not None:
+        yield f"inside a polygon of {len(valid.polygon)} corners"
+
+
+def _figures(figures: Mapping[str, float]) -> str:
+    """Return named numbers as words: rms_px: 0.214 becomes 'rms 0.214 px'."""
+    units = ("px", "um", "e", "dn")
+    words = []
+    for key, value in figures.items():
+        name, _, unit = key.rpartition("_")
+        text = f"{value:.3g}" if isinstance(value, float) else str(value)
+        words.append(f"{name.replace('_', ' ')} {text} {unit}" if unit in units else f"{key.replace('_', ' ')} {text}")
+    return ", ".join(words)
+
+
+def file_lines(file: CameraFile) -> Iterator[str]:
+    """Yield what a file holds beside its cameras, a line each."""
+    yield from (f"{name}: {_transform_words(item)}" for name, item in file.transforms.items())
+    if file.board_shape is not None:
+        yield from _board_lines(file.board_shape)
+    if source := file.converted_from:
+        yield f"converted from {source['file']} ({source['format']})"
+    provenance = file.provenance
+    if "tool" in provenance:
+        yield f"made by {provenance['tool']} {provenance.get('tool_version', '')}".rstrip()
+    if "command" in provenance:
+        yield f"with {provenance['command']}"
+    if images := provenance.get("images"):
+        yield f"from {sum(image.get('used', True) for image in images)} of {len(images)} images"
+
+
+def _transform_words(transform: Transform) -> str:
+    distance = float(np.linalg.norm(transform.pose.translation))
+    angle = math.degrees(float(np.linalg.norm(transform.pose.vector())))
+    return f"{distance:.6g} m apart, turned by {angle:.3f}°"
+
+
+def _board_lines(surface: Surface) -> Iterator[str]:
+    unit = surface.board.unit
+    bend, std = value_and_std(surface.deflection, surface.deflection_std)
+    size = f"{surface.board.columns} x {surface.board.rows}"
+    yield f"board {surface.board.type}, {size} corners, bent by {bend} ± {std} {unit} peak to peak"
+    for term, value, spread in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
+        shown, sigma = value_and_std(float(value), float(spread))
+        yield f"board {term}: {shown} ± {sigma}"
+    if surface.offsets is not None:
+        yield f"board corners moved by up to {np.abs(surface.offsets).max():.3g} {unit}"
+
+
+def image_rows(file: CameraFile) -> list[list[str]]:
+    """Return file, points, RMS and, if it was not used, the reason of every image the provenance lists, as text."""
+    rows = []
+    for image in file.provenance.get("images", ()):
+        rms = f"{image['rms_px']:.3f}" if "rms_px" in image else ""
+        reason = "" if image.get("used", True) else image.get("reason", "not used")
+        rows.append([image["file"], str(image.get("points", "")), rms, reason])
+    return rows
+
+
+def document(inspection: Inspection) -> dict[str, Any]:
+    """Return the inspection as plain data for --json: the file as it stands, and what follows from it."""
+    return {
+        "file": inspection.document.where,
+        "content": inspection.document.data,
+        "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
+        "warnings": list(inspection.file.warnings),
+    }

@@ -1,0 +1,47 @@
+"""Roots and the tilt's homography, the two pieces of the distortion that are worth a test of their own."""
+
+import numpy as np
+import pytest
+
+from camcal.cameras.distortion import first_root
+from camcal.cameras.tilt import Tilt
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "root"),
+    [
+        ([1.0], np.inf),
+        ([1.0, 1.0], np.inf),
+        ([1.0, -0.5], 2.0),
+        ([1.0, -1.5, 0.5], 1.0),
+        ([1.0, -1.0, 0.25], 2.0),  # a double root
+        ([1.0, 0.0, 1.0], np.inf),
+        ([1.0, -0.5, 1e-300], 2.0),
+        ([1.0, -0.5, 0.0, 0.0], 2.0),
+        ([1.0, np.nan], 0.0),
+        ([1.0, -np.inf, 1.0], 0.0),
+    ],
+)
+def test_first_root_is_the_smallest_positive_one(coefficients, root):
+    assert first_root(np.array(coefficients)) == pytest.approx(root, rel=1e-7)  # a double root has half the digits
+
+
+def test_an_untilted_sensor_changes_nothing():
+    np.testing.assert_array_equal(Tilt(0.0, 0.0).homography(), np.eye(3))
+
+
+def test_tilt_derivatives_are_the_slopes_of_the_homography():
+    h = 1e-6
+    about_x, about_y = Tilt(0.2, -0.3).homography_derivatives()
+    numeric_x = (Tilt(0.2 + h, -0.3).homography() - Tilt(0.2 - h, -0.3).homography()) / (2 * h)
+    numeric_y = (Tilt(0.2, -0.3 + h).homography() - Tilt(0.2, -0.3 - h).homography()) / (2 * h)
+    # central differences at h = 1e-6 are good to 1e-9
+    np.testing.assert_allclose(about_x, numeric_x, atol=1e-9)
+    np.testing.assert_allclose(about_y, numeric_y, atol=1e-9)
+
+
+def test_tilt_is_undone():
+    x, y = np.array([0.1, -0.5, 0.3]), np.array([0.2, 0.4, -0.6])
+    tilt = Tilt(0.2, -0.3)
+    first, second, scale = (row.ravel() for row in np.vsplit(tilt.homography() @ np.stack([x, y, np.ones(3)]), 3))
+    np.testing.assert_allclose(tilt.undo(first / scale, second / scale), [x, y], atol=1e-15)

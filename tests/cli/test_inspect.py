@@ -1,0 +1,197 @@
+"""`camcal inspect` as it is called from a shell."""
+
+import json
+from typing import NamedTuple
+
+import pytest
+
+from camcal.cli.main import app
+
+CAMERA = """%YAML 1.1
+---
+format: camcal-calibration
+version: 1
+cameras:
+  left:
+    image_size: [640, 480]
+    model: opencv4
+    intrinsics: {fx: 512.0625, fy: 511.5, cx: 321.5, cy: 238.25}
+    distortion: {k1: -0.2, k2: 0.05, p1: 0.0001, p2: -2.0e-05}
+    fixed: [p2]
+    uncertainty:
+      std: {fx: 0.41, fy: 0.4, cx: 0.33, cy: 0.29, k1: 0.0009, k2: 0.0011, p1: 4.1e-05}
+      projection: [{range_m: 1.5, max_px: 0.21}, {max_px: 0.12}]
+    valid: {max_theta_deg: 36.5, max_radius_px: 401.0, polygon: [[0.0, 0.0], [639.0, 0.0], [320.0, 479.0]]}
+    quality: {rms_px: 0.214, images_used: 34}
+    noise: {sigma_px: 0.11, degrees_of_freedom: 3400}
+    verdict: {trustworthy: false, reasons: ["the lower left corner was never seen"]}
+    sensor: {pixel_pitch_um: 3.45}
+    channels: {red: {intrinsics: {fx: 512.0, fy: 511.0, cx: 321.0, cy: 238.0},
+                     distortion: {k1: -0.2, k2: 0.05, p1: 0.0, p2: 0.0}}}
+  right:
+    image_size: [640, 480]
+    model: pinhole
+    intrinsics: {fx: 500.0, fy: 500.0, cx: 319.5, cy: 239.5}
+transforms:
+  right_T_left:
+    R: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    t: [-0.12, 0.0, 0.0]
+board_shape:
+  board: {type: chessboard, inner_corners: [9, 6], square_mm: 25.0}
+  tiers: [bow]
+  coefficients: {P2(x): 0.0002}
+  uncertainty: {std: {P2(x): 1.0e-05}}
+  deflection_m: 0.00031
+  deflection_std_m: 1.5e-05
+provenance:
+  tool: camcal
+  tool_version: "0.1.0"
+  command: "camcal calibrate images"
+  images:
+    - {file: a.png, used: true, points: 54, rms_px: 0.18}
+    - {file: b.png, used: false, points: 3, reason: "too few corners"}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(CAMERA)
+    return str(path)
+
+
+class Ended(NamedTuple):
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def camcal(capsys):
+    def run(*arguments: str) -> Ended:
+        with pytest.raises(SystemExit) as ended:
+            app(["inspect", *arguments])
+        return Ended(int(ended.value.code or 0), *capsys.readouterr())
+
+    return run
+
+
+def test_a_person_reads_everything_that_is_known(camcal, rig):
+    result = camcal(rig, "--verbose")
+    assert (result.code, result.err) == (0, "")
+    for words in (
+        "left: opencv4, 640x480",
+        "512.06",  # to the place of its standard deviation
+        "fixed",
+        "field of view 65.2° x 51.3°",  # of the pinhole: 2 atan(320 / 500), 2 atan(240 / 500)
+        "valid up to 36.5° from the axis, up to 401 px from the principal point, inside a polygon of 3 corners",
+        "fit rms 0.214 px, images used 34",
+        "noise 0.11 px (3400 degrees of freedom)",
+        "projection uncertain at 1.5 m: max 0.21 px",
+        "projection uncertain at infinity: max 0.12 px",
+        "sensor pixel pitch 3.45 um",
+        "a lens of its own for red",
+        "DO NOT TRUST: the lower left corner was never seen",
+        "right: pinhole, 640x480",
+        "right_T_left: 0.12 m apart, turned by 0.000°",
+        "board chessboard, 9 x 6 corners, bent by 0.000310 ± 0.000015 m peak to peak",
+        "board P2(x): 0.000200 ± 0.000010",
+        "made by camcal 0.1.0",
+        "with camcal calibrate images",
+        "from 1 of 2 images",
+        "too few corners",
+    ):
+        assert words in result.out
+
+
+def test_one_camera_of_several_is_shown_alone(camcal, rig):
+    result = camcal(f"{rig}#right")
+    assert "right: pinhole" in result.out
+    assert "left: opencv4" not in result.out
+    assert camcal(rig, "--camera", "right").out == result.out
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        ("cameras.left.intrinsics.fx", "512.0625"),
+        ("cameras.left.model", "opencv4"),
+        ("cameras.left.image_size", "[640, 480]"),
+        ("cameras.left.image_size[1]", "480"),
+        ("cameras.left.verdict.trustworthy", "false"),
+        ("transforms.right_T_left.R[0][0]", "1.0"),
+        ("board_shape.coefficients.P2(x)", "0.0002"),
+        ("cameras.right.intrinsics", '{"fx": 500.0, "fy": 500.0, "cx": 319.5, "cy": 239.5}'),
+    ],
+)
+def test_one_value_is_printed_and_nothing_else(camcal, rig, key, expected):
+    result = camcal(rig, "--get", key)
+    assert (result.code, result.out, result.err) == (0, f"{expected}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("cameras.left.intrinsic.fx", "no key 'intrinsic' under cameras.left. Did you mean 'intrinsics'?"),
+        ("camera", "no key 'camera'. Did you mean 'cameras'?"),
+        ("cameras.left.image_size[2]", "no key '[2]' under cameras.left.image_size"),
+        ("cameras.left.model.name", "no key 'name' under cameras.left.model"),
+    ],
+)
+def test_an_unknown_key_names_the_nearest(camcal, rig, key, words):
+    result = camcal(rig, "--get", key)
+    assert (result.code, result.out) == (2, "")
+    assert words in result.err
+
+
+def test_json_holds_the_file_and_what_follows_from_it(camcal, rig):
+    payload = json.loads(camcal(rig, "--json").out)
+    assert list(payload) == ["schema", "file", "content", "field_of_view_deg", "warnings"]
+    assert payload["schema"] == "camcal/inspect/1"
+    assert payload["content"]["cameras"]["left"]["intrinsics"]["fx"] == 512.0625
+    assert [len(angles) for angles in payload["field_of_view_deg"].values()] == [3, 3]
+    assert payload["warnings"] == []
+
+
+def test_json_of_one_value_is_a_document_too(camcal, rig):
+    payload = json.loads(camcal(rig, "--json", "--get", "cameras.left.fixed").out)
+    assert payload == {"schema": "camcal/inspect/1", "file": rig, "key": "cameras.left.fixed", "value": ["p2"]}
+
+
+def test_warnings_go_to_stderr_and_into_the_document(camcal, rig, tmp_path):
+    odd = tmp_path / "odd.yaml"
+    odd.write_text(CAMERA.replace("images_used: 34", "images_used: 3"))
+    result = camcal(str(odd))
+    assert result.code == 0
+    assert result.err == f"camcal: warning: {odd}:16: cameras.left.quality.images_used: 3 images; take 10 or more\n"
+    assert "take 10 or more" in json.loads(camcal(str(odd), "--json").out)["warnings"][0]
+
+
+def test_every_broken_rule_has_its_line(camcal, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(CAMERA.replace("fx: 512.0625", "fx: 0.0").replace("model: pinhole", "model: pinhol"))
+    result = camcal(str(path))
+    assert (result.code, result.out) == (2, "")
+    assert [line.partition("bad.yaml")[2].partition(": ")[0] for line in result.err.splitlines()] == [":9", ":24"]
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "words"),
+    [
+        (None, 3, "no such file"),
+        (b"", 3, "is empty"),
+        (b"\x89PNG\r\n\x1a\n", 3, "not a text file"),
+        (b"a: [1,", 3, "cut off"),
+        (b"type: chessboard\ninner_corners: [9, 6]\n", 2, "not a camera file of camcal"),
+    ],
+)
+def test_what_is_no_camera_file_gets_one_clear_line(camcal, tmp_path, content, code, words):
+    path = tmp_path / "a.yaml"
+    if content is not None:
+        path.write_bytes(content)
+    result = camcal(str(path))
+    assert (result.code, result.out) == (code, "")
+    assert words in result.err
+    assert len(result.err.splitlines()) == 1

@@ -1,0 +1,323 @@
+"""The boundary every command passes through: exit codes, one-line errors, JSON failures, settings files, streams."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+import typer
+
+from camcal import __version__
+from camcal.cli import options as shared
+from camcal.cli import show
+from camcal.cli.main import Boundary
+from camcal.cli.main import app as camcal_app
+from camcal.errors import (
+    FileError,
+    GateFailed,
+    InsufficientData,
+    InvalidInput,
+    ItemsFailed,
+    NotConverged,
+)
+
+ERRORS = {
+    error.kind: error for error in (InvalidInput, FileError, InsufficientData, NotConverged, ItemsFailed, GateFailed)
+}
+
+
+def work(
+    kind: Annotated[str, typer.Argument()] = "",
+    square: Annotated[float, typer.Option("--square-mm")] = 1.0,
+    names: Annotated[list[str], typer.Option("--name")] = [],  # noqa: B006 - typer's way
+    label: str = "none",
+    flat_board: Annotated[bool, typer.Option("--flat-board")] = False,
+    after_document: Annotated[bool, typer.Option("--after-document")] = False,
+    jobs: shared.Jobs = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
+    config: shared.Config = None,
+) -> None:
+    """Work, or fail in the way asked for."""
+    values = {"square_mm": square, "names": names, "label": label, "flat": flat_board, "jobs": jobs}
+    if after_document or (as_json and not kind):
+        show.document("work", values)
+    if kind == "bug":
+        raise KeyError(kind)
+    if kind == "interrupt":
+        raise KeyboardInterrupt
+    if kind:
+        raise ERRORS[kind]("is wrong\nb.yaml:3: is wrong too", where="a.yaml")
+
+
+@pytest.fixture(scope="module")
+def app():
+    app = typer.Typer(cls=Boundary, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    nested = typer.Typer()
+    nested.command("work")(work)
+    nested.command("rest")(lambda: None)
+    app.command("work")(work)
+    app.add_typer(nested, name="nested")
+    return app
+
+
+@pytest.fixture
+def run(app, capsys):
+    def run(*arguments: str, app=app):
+        with pytest.raises(SystemExit) as exit_:
+            app(list(arguments))
+        output = capsys.readouterr()
+        return exit_.value.code, output.out, output.err
+
+    return run
+
+
+@pytest.mark.parametrize("error", ERRORS.values(), ids=ERRORS)
+def test_an_error_becomes_its_exit_code_and_a_line_for_each_finding(run, error):
+    code, out, err = run("work", error.kind)
+    assert (code, out) == (error.exit_code, "")
+    assert err == "camcal: error: a.yaml: is wrong\ncamcal: error: b.yaml:3: is wrong too\n"
+
+
+def test_success_exits_with_zero_and_says_nothing_of_its_own(run):
+    assert run("work") == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["wrk"], "No such command 'wrk'. Did you mean 'work'?; see 'camcal --help'"),
+        (["nested"], "Missing command; see 'camcal nested --help'"),
+        (["work", "--job", "2"], "No such option: --job (Possible options: --jobs, --json); see 'camcal work --help'"),
+        (["work", "--jobs"], "Option '--jobs' requires an argument; see 'camcal work --help'"),
+        (["work", "--flat-board=3"], "Option '--flat-board' does not take a value; see 'camcal work --help'"),
+        (["work", "", "b"], "Got unexpected extra argument(s) (b); see 'camcal work --help'"),
+    ],
+)
+def test_a_wrong_command_line_is_told_in_one_line(run, arguments, line):
+    assert run(*arguments) == (2, "", f"camcal: error: {line}\n")
+
+
+@pytest.mark.parametrize("value", ["0", "two"])
+def test_a_wrong_value_names_its_option(run, value):
+    code, _, err = run("work", "--jobs", value)
+    assert code == 2
+    assert err.startswith("camcal: error: Invalid value for '--jobs'")
+    assert err.count("\n") == 1
+
+
+def test_a_bug_keeps_its_traceback(app):
+    with pytest.raises(KeyError) as caught:
+        app(["work", "bug"])
+    assert "work" in [entry.name for entry in caught.traceback]
+
+
+def test_a_failure_is_a_document_when_json_is_asked_for(run):
+    code, out, err = run("nested", "work", "file", "--json")
+    assert code == 3
+    assert json.loads(out) == {
+        "schema": "camcal/nested-work/1",
+        "error": {"kind": "file", "message": "is wrong\nb.yaml:3: is wrong too", "where": "a.yaml"},
+        "exit": 3,
+    }
+    assert out.startswith('{\n  "schema"')
+    assert err.startswith("camcal: error: a.yaml: is wrong")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "schema", "code"),
+    [
+        (["work", "--jbs", "--json"], "camcal/work/1", 2),
+        (["--json"], "camcal/camcal/1", 2),
+        (["work", "interrupt", "--json"], "camcal/work/1", 130),
+    ],
+)
+def test_every_failure_is_a_document_when_json_is_asked_for(run, arguments, schema, code):
+    exit_code, out, _ = run(*arguments)
+    document = json.loads(out)
+    assert (exit_code, document["schema"], document["exit"]) == (code, schema, code)
+
+
+def test_a_bug_is_a_document_too_when_json_is_asked_for(app, capsys):
+    with pytest.raises(KeyError):
+        app(["work", "bug", "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert document["error"]["kind"] == "bug"
+    assert document["exit"] == 1
+
+
+def test_a_failure_after_the_result_adds_no_second_document(run):
+    code, out, err = run("work", "items_failed", "--after-document", "--json")
+    assert code == 6
+    assert "error" not in json.loads(out)
+    assert "is wrong" in err
+
+
+def test_json_after_a_double_dash_is_an_argument(run):
+    assert run("work", "--", "file")[1] == ""
+
+
+def test_an_interrupt_exits_with_130(run):
+    assert run("work", "interrupt") == (130, "", "camcal: error: interrupted\n")
+
+
+def test_no_command_shows_the_help_and_is_a_usage_error(run):
+    code, out, err = run(app=camcal_app)
+    assert (code, out) == (2, "")
+    assert "Commands:" in err
+
+
+def test_the_version_is_printed(run):
+    assert run("--version", app=camcal_app) == (0, f"camcal {__version__}\n", "")
+
+
+def test_every_command_has_help_and_the_options_all_share():
+    for command, parameters in every_command(typer.main.get_command(camcal_app)):
+        assert command.help, command.name
+        names = {option for parameter in parameters for option in parameter.opts}
+        assert {"--json", "--quiet", "--verbose", "--config"} <= names, command.name
+        for parameter in parameters:
+            assert parameter.help, f"{command.name} {parameter.name}"
+
+
+def every_command(group):
+    for command in group.commands.values():
+        if hasattr(command, "commands"):
+            yield from every_command(command)
+        else:
+            yield command, [parameter for parameter in command.params if parameter.name != "help"]
+
+
+@pytest.fixture
+def settings(tmp_path):
+    def write(text: str) -> str:
+        path = tmp_path / "settings.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+def test_a_settings_file_gives_defaults_and_the_command_line_comes_first(run, settings):
+    path = settings("square-mm: 25\nname: [a, b]\nlabel: 7\nflat_board: true\njobs: 2\n")
+    _, out, _ = run("work", "--json", "--jobs", "3", "--config", path, "--square-mm", "30")
+    assert json.loads(out) == {
+        "schema": "camcal/work/1",
+        "square_mm": 30.0,
+        "names": ["a", "b"],
+        "label": "7",
+        "flat": True,
+        "jobs": 3,
+    }
+
+
+def test_a_settings_file_works_for_a_nested_command(run, settings):
+    _, out, _ = run("nested", "work", "--config", settings("jobs: 2\n"), "--json")
+    assert json.loads(out)["jobs"] == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("jobs: 2\nsquare-m: 3\n", ":2: square-m: unknown key. Did you mean 'square-mm'?"),
+        ("json: true\n", ":1: json: unknown key."),
+        ("label: a\njobs: many\n", ":2: Invalid value for '--jobs'"),
+        ("square-mm: wide\n", ":1: Invalid value for '--square-mm'"),
+        ("jobs: true\n", ":1: Invalid value for '--jobs'"),
+        ("flat-board: 7\n", ":1: Invalid value for '--flat-board'"),
+    ],
+)
+def test_a_fault_in_a_settings_file_names_the_file_and_the_line(run, settings, text, words):
+    path = settings(text)
+    code, _, err = run("work", "--config", path)
+    assert code == 2
+    assert err.startswith(f"camcal: error: {path}{words}")
+    assert err.count("\n") == 1
+
+
+def test_a_missing_settings_file_is_a_file_error(run):
+    assert run("work", "--config", "nowhere.yaml") == (3, "", "camcal: error: nowhere.yaml: no such file\n")
+
+
+def console(*arguments: str, **extra) -> subprocess.Popen[str]:
+    return subprocess.Popen([sys.executable, "-c", CONSOLE, *arguments], text=True, stderr=subprocess.PIPE, **extra)
+
+
+CONSOLE = """
+import sys
+import typer
+from camcal.cli import main, show
+
+def talk(): show.text("x" * 100_000)
+
+def noise():
+    import os
+    os.write(2, b"libpng warning: iCCP")
+    show.warning("ours")
+    print("and Python's", file=sys.stderr)
+
+def crash():
+    import ctypes
+    ctypes.string_at(0)
+
+def wait():
+    import time
+    show.text("waiting")
+    show.flush()
+    time.sleep(60)
+
+for command in (talk, noise, crash, wait):
+    main.app.command(command.__name__)(command)
+main.main()
+"""
+
+
+def test_a_closed_pipe_is_not_an_error():
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = console("talk", stdout=writer)
+    os.close(writer)
+    assert process.communicate()[1] == ""
+    assert process.returncode == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is a device of Linux")
+def test_a_full_disk_behind_stdout_is_a_file_error():
+    with Path("/dev/full").open("w") as full:
+        process = console("talk", stdout=full)
+    assert process.communicate()[1] == "camcal: error: standard output: cannot be written: No space left on device\n"
+    assert process.returncode == 3
+
+
+def test_c_libraries_are_not_heard_and_we_are():
+    process = console("noise", stdout=subprocess.DEVNULL)
+    assert process.communicate()[1] == "camcal: warning: ours\nand Python's\n"
+
+
+def test_a_crash_in_a_c_library_still_says_where():
+    process = console("crash", stdout=subprocess.DEVNULL)
+    assert "Segmentation fault" in process.communicate()[1]
+    assert process.returncode == -signal.SIGSEGV
+
+
+def test_ctrl_c_exits_with_130_at_once():
+    process = console("wait", stdout=subprocess.PIPE)
+    assert process.stdout.readline() == "waiting\n"
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30)[1] == "camcal: error: interrupted\n"
+    assert process.returncode == 130
+
+
+def test_help_imports_nothing_heavy():
+    heavy = {"numpy", "scipy", "cv2", "yaml", "rich", "matplotlib", "pydantic", "multiprocessing"}
+    program = (
+        "import sys\nfrom camcal.cli.main import main\ntry:\n main()\nfinally:\n print(*sys.modules, file=sys.stderr)"
+    )
+    process = subprocess.run([sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True)
+    assert "camcal.cli.main" in process.stderr.split()
+    assert not heavy & set(process.stderr.split())

@@ -1,0 +1,75 @@
+"""What reaches stdout and stderr."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from camcal.cli import show
+
+
+def test_a_document_is_plain_json_with_its_schema_first(capsys):
+    payload = {
+        "number": np.float64(1 / 3),
+        "matrix": np.array([[1.0, np.nan], [np.inf, 2.0]]),
+        "path": Path("a") / "b",
+        "pair": (1, None),
+        "flag": True,
+    }
+    show.document("stereo cloud", payload)
+    out = capsys.readouterr().out
+    assert out.startswith('{\n  "schema": "camcal/stereo-cloud/1"')
+    assert json.loads(out) == {
+        "schema": "camcal/stereo-cloud/1",
+        "number": 0.333333333333,
+        "matrix": [[1.0, None], [None, 2.0]],
+        "path": str(Path("a") / "b"),
+        "pair": [1, None],
+        "flag": True,
+    }
+
+
+def test_a_table_aligns_numbers_to_the_right_and_text_to_the_left(capsys):
+    show.table("Values", ["name", "value", "± std"], [["fx", 1234.56789, 0.25], ["k1", -0.1, None]])
+    assert capsys.readouterr().out.splitlines() == [
+        "Values",
+        "  name    value  ± std",
+        "  fx    1234.57   0.25",
+        "  k1       -0.1      -",
+    ]
+
+
+def test_a_table_without_rows_shows_its_columns(capsys):
+    show.table("Nothing", ["name", "value"], [])
+    assert capsys.readouterr().out == "Nothing\n  name  value\n"
+
+
+def test_a_warning_has_a_line_for_each_of_its_lines(capsys):
+    progress = show.progress(quiet=True)
+    progress.start("work", 2)
+    progress.warn("one\ntwo")
+    progress.finish()
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == "camcal: warning: one\ncamcal: warning: two\n"
+
+
+def test_a_bar_is_drawn_on_a_terminal_only(capsys, monkeypatch):
+    assert work_with(show.progress(quiet=False), capsys) == "camcal: warning: careful [b]\n"
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    drawn = work_with(show.progress(quiet=False), capsys)
+    assert "detect" in drawn
+    assert "3/3" in drawn
+    assert "camcal: warning: careful [b]" in drawn
+    assert work_with(show.progress(quiet=True), capsys) == "camcal: warning: careful [b]\n"
+
+
+def work_with(progress, capsys) -> str:
+    progress.start("detect", 3)
+    progress.warn("careful [b]")
+    progress.advance(3)
+    progress.finish()
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    return captured.err

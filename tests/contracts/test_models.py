@@ -1,0 +1,210 @@
+"""What every lens model of the catalogue promises. That a formula is the right one is shown here by golden vectors
+where there are any, and in tests/cameras.
+"""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from camcal.cameras.catalogue import MODELS
+from camcal.cameras.plane_model import PART
+from camcal.errors import InvalidInput
+
+IMAGE_SIZE = (641, 481)
+every_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+
+
+def sample_parameters(model, seed=1):
+    """A lens of ordinary strength: fx ≠ fy, off-centre, every coefficient at work."""
+    rng = np.random.default_rng(seed)
+    parameters = model.start(IMAGE_SIZE, 500.0)
+    parameters[:4] += [3.0, -4.0, 5.5, -7.25]
+    parameters[4:] = rng.uniform(-0.02, 0.02, len(parameters) - 4)
+    return parameters
+
+
+def sample_points(model, parameters, count=200, seed=2):
+    """Points inside the domain, up to 65° from the axis, 0.5 to 5 away; one on the axis."""
+    rng = np.random.default_rng(seed)
+    theta = rng.uniform(0, min(0.99 * model.domain(parameters).max_theta, np.radians(65)), count)
+    theta[0] = 0.0
+    azimuth, distance = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.5, 5, count)
+    return distance[:, None] * rays(theta, azimuth)
+
+
+def rays(theta, azimuth):
+    return np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
+
+
+def angles_between(directions, points):
+    """The angles (rad), accurate near zero."""
+    return np.arctan2(np.linalg.norm(np.cross(directions, points), axis=1), np.sum(directions * points, axis=1))
+
+
+def central_differences(function, at, step):
+    """The derivatives (..., K) of a function of a vector (K,) by each of its elements."""
+    columns = [(function(at + step * unit) - function(at - step * unit)) / (2 * step) for unit in np.eye(len(at))]
+    return np.stack(columns, axis=-1)
+
+
+@every_model
+def test_jacobian_by_parameters_is_the_slope_of_the_projection(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters)
+    numeric = central_differences(lambda p: model.project(p, points).pixels, parameters, 1e-6)
+    analytic = model.project_with_jacobians(parameters, points).d_parameters
+    # central differences at h = 1e-6 of pixels near 1000 are good to 1e-7; the tilt reaches 1e4 px per radian
+    np.testing.assert_allclose(analytic, numeric, rtol=1e-8, atol=2e-6)
+
+
+@every_model
+def test_jacobian_by_point_is_the_slope_of_the_projection(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters)
+    numeric = central_differences(lambda d: model.project(parameters, points + d).pixels, np.zeros(3), 1e-6)
+    analytic = model.project_with_jacobians(parameters, points).d_point
+    # third derivatives of up to 1e6 px at half a metre cost 1e-6, rounding 1e-7
+    np.testing.assert_allclose(analytic, numeric, rtol=1e-8, atol=2e-6)
+
+
+@every_model
+def test_projection_is_the_same_with_and_without_jacobians(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters)
+    plain, full = model.project(parameters, points), model.project_with_jacobians(parameters, points)
+    np.testing.assert_array_equal(plain.pixels, full.pixels)
+    assert plain.valid.all()
+    assert full.valid.all()
+
+
+def test_projection_meets_the_golden_vectors(real_data):
+    path = real_data.parent / "reference" / "golden_vectors.json"
+    if not path.is_file():
+        pytest.skip(f"no golden vectors: {path} is not a file")
+    vectors = [vector for vector in json.loads(path.read_text())["vectors"] if vector["model"] in MODELS]
+    assert len(vectors) >= 6
+    for vector in vectors:
+        model = MODELS[vector["model"]]
+        parameters = np.array([vector["params"][name] for name in model.parameter_names])
+        pixels = model.project(parameters, np.array(vector["points_cam"])).pixels
+        np.testing.assert_allclose(pixels, vector["pixels"], atol=1e-9)  # the tolerance the vectors state
+
+
+@every_model
+def test_unprojection_inverts_projection(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters, 1000)
+    found = model.unproject(parameters, model.project(parameters, points).pixels)
+    assert found.valid.all()
+    np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1, rtol=1e-15)
+    assert angles_between(found.directions, points).max() < 1e-9
+
+
+@every_model
+def test_points_without_an_image_are_nan_and_do_not_touch_their_neighbours(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters, 20)
+    broken = points.copy()
+    broken[[3, 5, 8, 13]] = [[0, 0, -1], [np.nan, 0, 1], [0, 0, 0], [np.inf, 0, 1]]
+    bad = np.isin(np.arange(20), [3, 5, 8, 13])
+    for result in (model.project(parameters, broken), model.project_with_jacobians(parameters, broken)):
+        np.testing.assert_array_equal(result.valid, ~bad)
+        assert np.isnan(result.pixels[bad]).all()
+        np.testing.assert_array_equal(result.pixels[~bad], model.project(parameters, points).pixels[~bad])
+    assert np.isnan(result.d_point[bad]).all()
+    assert np.isnan(result.d_parameters[bad]).all()
+    assert np.isfinite(result.d_parameters[~bad]).all()
+
+
+@every_model
+def test_pixels_that_are_no_numbers_have_no_ray(model):
+    found = model.unproject(sample_parameters(model), np.array([[300.0, 200.0], [np.nan, 200.0], [300.0, np.inf]]))
+    np.testing.assert_array_equal(found.valid, [True, False, False])
+    assert np.isnan(found.directions[1:]).all()
+
+
+@every_model
+@pytest.mark.parametrize("seed", range(5))
+def test_domain_is_where_points_are_valid(model, seed):
+    parameters = sample_parameters(model, seed)
+    limit = model.domain(parameters).max_theta
+    azimuth = np.linspace(0, 2 * np.pi, 16)
+    # a tilted sensor has a horizon of its own
+    inside = min(limit, np.radians(45)) if "tau_x" in model.parameter_names else limit
+    assert model.project(parameters, rays(np.full(16, inside - 1e-6), azimuth)).valid.all()
+    if limit < np.pi:
+        assert not model.project(parameters, rays(np.full(16, limit + 1e-6), azimuth)).valid.any()
+
+
+@every_model
+def test_solver_may_leave_the_domain(model):
+    parameters = sample_parameters(model)
+    parameters[4:5] = -1.0
+    beyond = rays(np.array([1.2]), np.array([0.5]))
+    strict = model.project_with_jacobians(parameters, beyond)
+    free = model.project_with_jacobians(parameters, beyond, within_domain=False)
+    assert strict.valid.all() == (model.name == "pinhole")
+    assert free.valid.all()
+    assert np.isfinite(free.d_parameters).all()
+    assert not model.project_with_jacobians(parameters, np.array([[0.0, 0, -1]]), within_domain=False).valid.any()
+
+
+@every_model
+def test_rescaling_follows_the_pixel_centres(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters)
+    scale, offset = (0.5, 0.75), (11.0, -3.0)
+    before = model.project(parameters, points).pixels
+    after = model.project(model.rescale(parameters, scale, offset), points).pixels
+    np.testing.assert_allclose(after, (before + 0.5) * scale - 0.5 - offset, atol=1e-10)  # rounding of 1e3 px
+
+
+@every_model
+def test_start_is_centred_and_undistorted(model):
+    parameters = model.start(IMAGE_SIZE, 500.0)
+    angle = 1e-4  # where every projection is a pinhole to 1e-12 rad
+    pixels = model.project(parameters, rays(np.array([0.0, angle]), np.zeros(2))).pixels
+    np.testing.assert_allclose(pixels, [[320, 240], [320 + 500 * angle, 240]], atol=1e-8)
+
+
+@every_model
+def test_results_do_not_depend_on_layout_or_number_of_points(model):
+    parameters = sample_parameters(model)
+    points = sample_points(model, parameters, PART + 300)
+    by_rows = np.ascontiguousarray(points.T).T
+    whole, alone = model.project_with_jacobians(parameters, by_rows), model.project_with_jacobians(parameters, points)
+    tail = model.project_with_jacobians(parameters, points[PART - 5 :])
+    np.testing.assert_array_equal(whole.d_parameters, alone.d_parameters)
+    # vector units may round the odd elements at an end differently
+    np.testing.assert_allclose(whole.d_point[PART - 5 :], tail.d_point, rtol=1e-12, atol=1e-12)
+
+
+@every_model
+def test_jacobians_are_laid_out_for_sums_over_points(model):
+    parameters = sample_parameters(model)
+    result = model.project_with_jacobians(parameters, sample_points(model, parameters))
+    for jacobian in (result.d_point, result.d_parameters):
+        assert jacobian.transpose(1, 2, 0).flags.c_contiguous
+
+
+@every_model
+def test_no_points_give_no_pixels(model):
+    parameters = sample_parameters(model)
+    assert model.project_with_jacobians(parameters, np.zeros((0, 3))).d_point.shape == (0, 2, 3)
+    assert model.unproject(parameters, np.zeros((0, 2))).directions.shape == (0, 3)
+
+
+@every_model
+def test_wrong_shapes_are_refused(model):
+    parameters = sample_parameters(model)
+    with pytest.raises(InvalidInput, match="points has shape"):
+        model.project(parameters, np.zeros((4, 2)))
+    with pytest.raises(InvalidInput, match="parameters has shape"):
+        model.project(np.append(parameters, 0.0), np.zeros((4, 3)))
+
+
+@every_model
+def test_model_survives_the_way_to_a_worker_process(model):
+    assert pickle.loads(pickle.dumps(model)) == model

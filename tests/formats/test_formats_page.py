@@ -1,0 +1,77 @@
+"""docs/formats.md: its examples are accepted by the readers it describes, and no key is left out."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from camcal.cameras.catalogue import MODELS
+from camcal.formats import boards, covariance, detections, detections_csv, native, native_board_shape, native_entry
+from camcal.formats.native_lens import CORE
+from camcal.targets.board import parse_board
+from camcal.targets.surface import TIERS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"^```(\w+ \w+)\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
+
+
+def read_camera_file(path):
+    assert native.read(path).warnings == ()
+
+
+def read_board(path):
+    assert boards.read(path).count == 54 or boards.read(path).type == "charuco"
+
+
+def read_csv(path):
+    found = detections.read(path)
+    assert len(found.views) == 2
+
+
+def read_vnl(path):
+    found = detections.read(path, parse_board("chessboard:2x2"), (640, 480))
+    assert [len(view.ids) for view in found.views] == [3, 0]
+
+
+READERS = {
+    "yaml camera": (".yaml", read_camera_file),
+    "yaml board": (".yaml", read_board),
+    "csv detections": (".csv", read_csv),
+    "vnl corners": (".vnl", read_vnl),
+}
+
+
+@pytest.mark.parametrize(("kind", "content"), EXAMPLES)
+def test_an_example_of_the_page_is_accepted(tmp_path, kind, content):
+    suffix, reader = READERS[kind]
+    path = tmp_path / f"example{suffix}"
+    path.write_text(content, encoding="utf-8")
+    reader(path)
+
+
+def test_the_page_has_examples_of_every_kind():
+    assert {kind for kind, _ in EXAMPLES} == set(READERS)
+
+
+def test_every_key_and_column_is_named_on_the_page():
+    keys = [
+        *covariance.KEYS,
+        *native_entry.VALID,
+        *native_entry.SENSOR,
+        *native_entry.FIGURES,
+        *native_entry.COUNTS,
+        *native_board_shape.KEY_OF_TERM.values(),
+        *boards.LENGTHS,
+        *boards.MARKERS,
+        *detections_csv.COLUMNS,
+        *detections_csv.OPTIONAL,
+        *TIERS,
+        *MODELS,
+    ]
+    assert [key for key in keys if f"`{key}`" not in PAGE] == []
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_coefficients_of_a_model_stand_in_its_row(name):
+    coefficients = " ".join(parameter for parameter in MODELS[name].parameter_names if parameter not in CORE)
+    assert not coefficients or f"| `{name}` | {coefficients} |" in PAGE

@@ -1,0 +1,64 @@
+"""Demosaicing real images: quality on the Kodak set, and camera files whose levels and patterns are known."""
+
+import cv2
+import numpy as np
+import pytest
+
+from camcal.errors import InvalidInput
+from camcal.images.demosaic import demosaic
+from camcal.images.develop import Development, develop
+from camcal.images.mosaic import read_mosaic, sites
+
+BORDER = 5
+KODAK_CPSNR = 30.24  # dB, bilinear, RGGB, mean over the 24 images; two other programs agree (baseline_cpsnr.json)
+
+
+def sampled(image, pattern):
+    mosaic = np.empty(image.shape[:2], np.uint8)
+    for channel, colour in enumerate("BGR"):
+        for site in sites(pattern, colour):
+            mosaic[site] = image[..., channel][site]
+    return mosaic
+
+
+def cpsnr(image, truth):
+    difference = (image.astype(float) - truth)[BORDER:-BORDER, BORDER:-BORDER]
+    return 10 * np.log10(255**2 / np.mean(difference**2))
+
+
+def test_bilinear_has_its_known_quality_on_the_kodak_images(real_data):
+    paths = sorted((real_data / "demosaic_gt" / "kodak24").glob("*.png"))
+    assert len(paths) == 24
+    truths = [cv2.imread(str(path)) for path in paths]
+    found = [cpsnr(demosaic(sampled(truth, "RGGB"), "RGGB"), truth) for truth in truths]
+    assert np.mean(found) == pytest.approx(KODAK_CPSNR, abs=0.1)  # the reference crops another border
+
+
+def test_a_camera_dng_brings_pattern_levels_and_white_balance(real_data):
+    frame = read_mosaic(real_data / "raw" / "tinydng-colorchart" / "colorchart.dng")
+    assert (frame.values.shape, frame.pattern, frame.white) == ((1156, 1734), "RGGB", 15000)
+    np.testing.assert_array_equal(frame.black, 2056)
+    np.testing.assert_allclose(frame.camera_gains, [1, 0.4037, 0.6840], atol=1e-4)  # as printed by another reader
+
+
+def test_linear_light_of_a_colour_chart_has_the_published_reflectances_of_its_grays(real_data):
+    frame = read_mosaic(real_data / "raw" / "tinydng-colorchart" / "colorchart.dng")
+    green = develop(frame, Development(depth="float")).pixels[..., 1]
+    patches = np.array([green[915:945, column - 15 : column + 15].mean() for column in (700, 815, 930, 1040)])
+    # ColorChecker neutrals 9.5, 8, 6.5 and 5; the light falls off over the chart by a few per cent
+    np.testing.assert_allclose(patches / patches[0], np.array([0.900, 0.591, 0.362, 0.198]) / 0.900, rtol=0.05)
+
+
+def test_a_file_name_with_an_accent_is_read(real_data):
+    frame = read_mosaic(next((real_data / "raw" / "rawpy-kodak-dc50").glob("*.KDC")))
+    assert (frame.values.shape, frame.pattern) == ((512, 768), "GRBG")
+
+
+def test_a_pattern_that_contradicts_the_camera_is_refused(real_data):
+    with pytest.raises(InvalidInput, match="the file says RGGB, --pattern says BGGR"):
+        read_mosaic(real_data / "raw" / "tinydng-colorchart" / "colorchart.dng", "BGGR")
+
+
+def test_a_raw_file_in_full_colour_is_not_a_mosaic(real_data):
+    with pytest.raises(InvalidInput, match="full colour"):
+        read_mosaic(real_data / "raw" / "photoprism-eos6d-dng" / "canon_eos_6d.dng")

@@ -1,0 +1,50 @@
+"""Every file under sample_configs is what its folder says and would be accepted by the command that reads it."""
+
+from pathlib import Path
+
+import pytest
+
+from camcal.cli.main import app
+from camcal.formats import boards, native
+
+FOLDER = Path(__file__).parents[1] / "sample_configs"
+FILES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*") if path.is_file())
+
+
+def load_board(path: Path) -> None:
+    board = boards.read(path)
+    assert board.count >= 4
+
+
+def load_camera(path: Path) -> None:
+    file = native.read(path)
+    assert file.cameras
+    assert file.warnings == ()
+
+
+def load_settings(path: Path) -> None:
+    """A file at the top holds the options of the command it is named after; --config is read before --help answers."""
+    with pytest.raises(SystemExit) as ended:
+        app([*path.stem.split("_"), "--config", str(path), "--help"])
+    assert ended.value.code == 0
+
+
+LOADERS = {"boards": load_board, "cameras": load_camera, ".": load_settings}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_sample_is_loaded_by_what_it_is_a_sample_of(name):
+    path = Path(name)
+    LOADERS[path.parent.as_posix()](FOLDER / path)
+
+
+def test_there_are_samples_of_every_kind():
+    assert {Path(name).parent.as_posix() for name in FILES} == set(LOADERS)
+
+
+def test_a_settings_file_with_an_unknown_key_would_be_noticed(tmp_path):
+    path = tmp_path / "demosaic.yaml"
+    path.write_text("algorythm: bilinear\n")
+    with pytest.raises(SystemExit) as ended:
+        app(["demosaic", "--config", str(path), "--help"])
+    assert ended.value.code == 2
