@@ -1,3 +1,49 @@
-"""camcal: calibrate, rectify and measure with cameras from the shell."""
+"""camcal: calibrate, rectify and measure with cameras from the shell.
+
+The names a program needs are here; each is imported when it is first used, so that `import camcal` costs nothing.
+"""
+
+from importlib import import_module
+from typing import Any
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Board": "targets.board:Board",
+    "Calibration": "calibrate.intrinsics:Calibration",
+    "CalibrationOptions": "calibrate.intrinsics:Options",
+    "CamcalError": "errors:CamcalError",
+    "Camera": "cameras.model:Camera",
+    "CameraFile": "formats.camera_file:CameraFile",
+    "CameraModel": "cameras.model:CameraModel",
+    "Detection": "targets.board:Detection",
+    "Detections": "targets.board:Detections",
+    "FileError": "errors:FileError",
+    "InsufficientData": "errors:InsufficientData",
+    "InvalidInput": "errors:InvalidInput",
+    "MODELS": "cameras.catalogue:MODELS",
+    "NotConverged": "errors:NotConverged",
+    "Pose": "geometry.pose:Pose",
+    "calibrate_camera": "calibrate.intrinsics:calibrate",
+    "estimate_poses": "estimate.pnp:estimate_poses",
+    "load_board": "formats.boards:load_board",
+    "model_named": "cameras.catalogue:model_named",
+    "read_camera": "formats.native:read_camera",
+    "read_camera_file": "formats.native:read",
+    "read_detections": "formats.detections:read",
+    "write_camera_file": "formats.native:write",
+    "write_detections": "formats.detections:write",
+}
+
+__all__ = list(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'camcal' has no attribute {name!r}")
+    module, _, attribute = _HOMES[name].partition(":")
+    return getattr(import_module(f"camcal.{module}"), attribute)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -6,7 +6,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
-from camcal.calibrate.orientation import best_turns, opposed_views, turned
+from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
 from camcal.calibrate.outliers import CUT, robust_sigma, screen
 from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
 from camcal.calibrate.shape import Verdict, judge, offsets_matter, with_terms
@@ -165,18 +165,20 @@ def _oriented(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
         return result
     result = _sorted_apart(result, present, shape)
     for _ in range(_ROUNDS):
-        turns = best_turns(result.problem, result.state)
+        turns, state = best_turns(result.problem, result.state, present)
         if not turns.any():
             break
-        result = _turn(result, turns, present, shape)
+        result = _restarted(result, renumbered(result.problem, turns), state, turns, present, shape)
     return result
 
 
-def _turn(result: Fit, turns: Array, present: Array, shape: ShapeOptions) -> Fit:
-    drawn = replace(result.problem, offsets=False), replace(result.state, offsets=0 * result.state.offsets)
-    problem, state = turned(*drawn, turns)
+def _restarted(
+    result: Fit, problem: BoardProblem, state: State, turns: Array, present: Array, shape: ShapeOptions
+) -> Fit:
+    """Return the solution after some views were turned; points freed under the old numbering start anew."""
+    problem = replace(problem, offsets=False)
     total = (result.turns + turns) % len(problem.board.symmetries())
-    return replace(_refine(problem, state, present, shape), turns=total)
+    return replace(_refine(problem, replace(state, offsets=0 * state.offsets), present, shape), turns=total)
 
 
 def _sorted_apart(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
@@ -186,8 +188,8 @@ def _sorted_apart(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
     opposed = opposed_views(result.verdict.factors, result.verdict.names)
     if not opposed.any():
         return result
-    half_turn = len(result.problem.board.symmetries()) // 2
-    trial = _turn(result, opposed * half_turn, present, shape)
+    turns = opposed * (len(result.problem.board.symmetries()) // 2)
+    trial = _restarted(result, *turned(result.problem, result.state, turns), turns, present, shape)
     sigma = result.problem.sigma
     gain = _chi_square(result, present, sigma) - _chi_square(trial, present, sigma)
     return trial if gain > len(present) else result

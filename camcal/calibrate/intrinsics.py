@@ -110,6 +110,7 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     observations = Observations.of(usable)
     result = fit(options.model, board, observations, size, held, guess, options.shape)
     if not result.solution.converged:
+        require_tilts(result.state.rotations)  # the likeliest cause, and a better thing to say
         reason = result.solution.reason
         raise NotConverged(f"the calibration did not settle ({reason} after {result.iterations} iterations)")
     return _record(result, detections, reasons, size, options)

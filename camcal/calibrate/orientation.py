@@ -13,6 +13,7 @@ from camcal.calibrate.outliers import CUT
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Factors
 from camcal.targets.board import Board
 from camcal.targets.surface import TIERS
@@ -21,19 +22,19 @@ _MARGIN = 9.0  # a fall of χ² by 3σ turns a view; less is noise
 _POSES = Stopping(relative_decrease=1e-6, iterations=20)
 
 
+def renumbered(problem: BoardProblem, turns: Array) -> BoardProblem:
+    """Return the problem with view v numbered by symmetry turns[v] of the board."""
+    ids = np.take_along_axis(np.stack(problem.board.symmetries())[turns], problem.observations.ids, axis=1)
+    return replace(problem, observations=replace(problem.observations, ids=ids))
+
+
 def turned(problem: BoardProblem, state: State, turns: Array) -> tuple[BoardProblem, State]:
     """Return problem and state with view v numbered by symmetry turns[v] of the board, the poses turned along."""
-    symmetries = np.stack(problem.board.symmetries())
-    motions = [_motion(problem.board, permutation) for permutation in symmetries]
+    motions = [_motion(problem.board, permutation) for permutation in problem.board.symmetries()]
     rotations = np.stack([motion[0] for motion in motions])[turns]
     shifts = np.stack([motion[1] for motion in motions])[turns]
-    observations = problem.observations
-    ids = np.take_along_axis(symmetries[turns], observations.ids, axis=1)
     moved = np.einsum("vij,vj->vi", state.rotations, shifts) + state.translations
-    return (
-        replace(problem, observations=replace(observations, ids=ids)),
-        replace(state, rotations=state.rotations @ rotations, translations=moved),
-    )
+    return renumbered(problem, turns), replace(state, rotations=state.rotations @ rotations, translations=moved)
 
 
 def _motion(board: Board, permutation: Array) -> tuple[Array, Array]:
@@ -45,19 +46,30 @@ def _motion(board: Board, permutation: Array) -> tuple[Array, Array]:
     return rotation, centre - rotation @ centre
 
 
-def best_turns(problem: BoardProblem, state: State) -> Array:
-    """Return for every view the symmetry (V,) under which the board's shape fits it best, 0 where none is better."""
+def best_turns(problem: BoardProblem, state: State, present: Array) -> tuple[Array, State]:
+    """Return for every view the symmetry (V,) under which the board's shape fits it best, 0 where none is better, and
+    the state with the poses of the views so turned.
+
+    Every present point (V, P) has its say: a view may have been rejected because it was numbered from another end.
+    """
     poses, bare = problem.poses_only(state)
-    costs = [_view_costs(poses, bare)]
+    observations = replace(poses.observations, weights=present.astype(float))
+    poses = replace(poses, observations=observations, loss=Cauchy(CUT))
+    states, costs = [bare], [_view_costs(poses, bare)]
     for index, permutation in enumerate(problem.board.symmetries()[1:], start=1):
         if _looks_the_same(problem.board, problem.board_points(state), permutation):
+            states.append(bare)
             costs.append(costs[0])
             continue
-        trial, start = turned(poses, bare, np.full(len(state.rotations), index))
-        costs.append(_view_costs(trial, minimise(trial, start, _POSES).state))
+        trial, start = turned(poses, bare, np.full(len(present), index))
+        states.append(minimise(trial, start, _POSES).state)
+        costs.append(_view_costs(trial, states[-1]))
     gains = costs[0] - np.stack(costs)
-    best = np.argmax(gains, axis=0)
-    return np.where(np.take_along_axis(gains, best[None], axis=0)[0] > _MARGIN, best, 0)
+    views, best = np.arange(len(present)), np.argmax(gains, axis=0)
+    turns = np.where(gains[best, views] > _MARGIN, best, 0)
+    rotations = np.stack([trial.rotations for trial in states])[turns, views]
+    translations = np.stack([trial.translations for trial in states])[turns, views]
+    return turns, replace(state, rotations=rotations, translations=translations)
 
 
 def _looks_the_same(board: Board, points: Array, permutation: Array) -> bool:

@@ -8,6 +8,7 @@ from camcal.arrays import Array
 
 CUT = 4.5  # in σ: 4 of 100 000 clean corners are lost
 _VIEW_CUT = 4.0  # a view whose median error is this many times the typical view's
+_FINEST = 1e-3  # px; noise-free input must not be judged by its rounding errors
 _RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 
 
@@ -27,8 +28,7 @@ def robust_sigma(distances: Array, present: Array, freedom: float = 1.0) -> floa
     """
     values = distances[present]
     median = float(np.median(np.where(np.isnan(values), np.inf, values))) if len(values) else 0.0
-    floor = 1e-9  # noise-free input must not divide by zero
-    return max(float(median / _RAYLEIGH_MEDIAN / np.sqrt(freedom)), floor)
+    return max(float(median / _RAYLEIGH_MEDIAN / np.sqrt(freedom)), _FINEST)
 
 
 def screen(distances: Array, present: Array, freedom: float) -> Screening:

@@ -129,7 +129,7 @@ class Distortion:
         bound = np.convolve(self._asymmetry(), np.convolve(denominator, denominator))
         pole = first_root(denominator)
         radius = min(first_root(_difference(along, bound)), first_root(_difference(across, bound)), pole, reach)
-        if radius == pole:
+        if radius >= (1 - 1e-6) * pole:  # a double pole is a root of the others too, but for the rounding
             return Limit(radius, math.inf)
         return Limit(radius, float(radius * self.radial(np.array([radius * radius]))[0][0]))
 

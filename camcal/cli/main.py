@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from camcal import __version__
-from camcal.cli import calibrate, demosaic, doctor, inspect, show, stereo
+from camcal.cli import calibrate, demosaic, doctor, inspect, pnp, show, stereo
 from camcal.cli.options import SETTINGS
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
 from camcal.run.startup import BLAS_THREADS
@@ -130,9 +130,10 @@ stereo_app = typer.Typer(help="What two cameras measure.")
 stereo_app.command("cloud")(stereo.cloud)
 
 app.command("calibrate")(calibrate.calibrate)
+app.command("inspect")(inspect.inspect)
 app.command("demosaic")(demosaic.demosaic)
 app.add_typer(stereo_app, name="stereo")
-app.command("inspect")(inspect.inspect)
+app.command("pnp")(pnp.pnp)
 app.command("doctor")(doctor.doctor)
 
 

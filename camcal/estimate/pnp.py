@@ -283,7 +283,10 @@ def _refined(problem: PoseProblem, camera_T_object: Pose) -> Solution[Pose] | No
         camera_T_object = minimise(problem.take(inside), camera_T_object).state
         if not np.isfinite(problem.squared(camera_T_object)).all():
             return None
-    return minimise(problem, camera_T_object)
+    solution = minimise(problem, camera_T_object)
+    if solution.cost < len(problem.points) * _ROUNDING**2:
+        return replace(solution, converged=True, reason="the points are met exactly")
+    return solution
 
 
 def _distinct(poses: Sequence[Pose], tolerance: float) -> list[int]:

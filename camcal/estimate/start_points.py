@@ -44,6 +44,8 @@ def poses_from_afar(rays: Array, points: Array) -> list[Pose]:
     centre, image_centre = points.mean(axis=0), normalised.mean(axis=0)
     rows = np.linalg.lstsq(points - centre, normalised - image_centre, rcond=None)[0].T
     size = np.linalg.norm(rows, axis=1).mean()
+    if not size > 0:  # all pixels are one
+        return []
     rotation = so3.nearest(np.vstack([rows / size, np.cross(*rows) / size**2]))
     axis_T_object = Pose(rotation, np.append(image_centre, 1.0) / size - rotation @ centre)
     return [axis_T_camera.inverse() @ axis_T_object]

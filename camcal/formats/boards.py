@@ -63,7 +63,7 @@ def load_board(text: str) -> Board:
 def check(data: Any, path: str) -> Iterator[Fault]:
     """Check that plain data is a board."""
     kind = data.get("type") if isinstance(data, dict) else None
-    if kind not in _CHECKS:
+    if not isinstance(kind, str) or kind not in _CHECKS:
         yield from mapping({"type": one_of(tuple(_CHECKS), "board type")}, others=lambda _value, _path: ())(data, path)
         return
     faults = list(_CHECKS[kind](data, path))

@@ -47,7 +47,18 @@ def _block(data: Mapping[str, Any], indent: str) -> Iterator[str]:
             yield from _block(value, indent + "  ")
         else:
             yield start
-            yield from (f"{indent}  - {_flow(item)}" for item in value)
+            for item in value:
+                yield from _item(item, f"{indent}  ")
+
+
+def _item(value: Any, indent: str) -> Iterator[str]:
+    """Yield the lines of an item of a list: one, or a block for a mapping that holds more than scalars."""
+    if isinstance(value, Mapping) and any(map(_is_container, value.values())):
+        first, *rest = _block(value, f"{indent}  ")
+        yield f"{indent}- {first.lstrip()}"
+        yield from rest
+    else:
+        yield f"{indent}- {_flow(value)}"
 
 
 def _on_one_line(value: Mapping[str, Any] | Sequence[Any], line: str) -> bool:

@@ -57,11 +57,12 @@ VERSION = 1
 COMMENT = "camcal camera file. Units: pixels, metres, radians. Pixel (0, 0) = centre of the top-left pixel.\n"
 TRANSFORMS = "a_T_b takes points in b to points in a."
 
+_JOINT = mapping({}, covariance.KEYS)
 _FILE = mapping(
     {"format": text, "version": integer(1), "cameras": mapping({}, others=native_entry.check)},
     {
         "transforms": mapping({}, others=plain),  # native_transforms.check needs the cameras' names as well
-        "joint_covariance": mapping({}, covariance.KEYS),
+        "joint_covariance": _JOINT,
         "board_shape": native_board_shape.check,
         "provenance": provenance.check,
         "converted_from": mapping(
@@ -137,17 +138,16 @@ def check(data: Any, path: str = "") -> Iterator[Fault]:
         yield stranger
         return
     yield from _FILE(data, path)
-    cameras = data.get("cameras")
+    cameras, transforms, joint = (data.get(key, {}) for key in ("cameras", "transforms", "joint_covariance"))
     if not isinstance(cameras, dict):
         return
     if not cameras:
         yield Fault("cameras", "no camera; a file has at least one")
     for name in cameras:
         yield from native_transforms.check_name(name, child("cameras", name))
-    yield from native_transforms.check(data.get("transforms", {}), "transforms", list(cameras))
-    if not any(mapping({}, covariance.KEYS)(data.get("joint_covariance", {}), "")):
-        names = list(_joint_names(cameras, data.get("transforms", {})))
-        yield from covariance.check(data.get("joint_covariance", {}), "joint_covariance", names)
+    yield from native_transforms.check(transforms, "transforms", list(cameras))
+    if isinstance(transforms, dict) and not any(_JOINT(joint, "")):
+        yield from covariance.check(joint, "joint_covariance", list(_joint_names(cameras, transforms)))
 
 
 def _why_not_ours(data: Mapping[str, Any]) -> Fault | None:

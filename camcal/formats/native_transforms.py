@@ -62,10 +62,11 @@ def _check_transform(data: Any, path: str) -> Iterator[Fault]:
 
 
 def _check_rotation(matrix: Array, path: str) -> Iterator[Fault]:
-    error = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    if np.linalg.det(matrix) < 0:
-        yield Fault(path, f"not a rotation: det = {np.linalg.det(matrix):.3g}, a reflection; is an axis flipped?")
-    elif error > 0.1:  # far from any rotation, the nearest one says nothing
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are no rotation
+        error, determinant = np.abs(matrix @ matrix.T - np.eye(3)).max(), np.linalg.det(matrix)
+    if determinant < 0:
+        yield Fault(path, f"not a rotation: det = {determinant:.3g}, a reflection; is an axis flipped?")
+    elif not error < 0.1:  # far from any rotation, the nearest one says nothing
         yield Fault(path, f"not a rotation (orthonormality error {error:.1e})")
     elif error > ORTHONORMAL:
         angle = math.degrees(np.linalg.norm(matrix - so3.nearest(matrix)) / math.sqrt(2))

@@ -23,13 +23,14 @@ from camcal.geometry.pose import Pose
 
 FORMAT = "camcal-poses"
 VERSION = 1
+QUATERNION = ("qw", "qx", "qy", "qz")  # a bare y is a truth value to YAML 1.1
 ORDER = ("tx", "ty", "tz", "rx", "ry", "rz")
 STEPS = "R <- Exp(dr) R, t <- t + dt"
 SUFFIXES = (".yaml", ".yml", ".json", ".csv")
 
 _PAIRS = tuple(combinations_with_replacement(range(6), 2))
 _COLUMNS = (
-    *("image", "points", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz", "rms_px", "p_wrong", "status"),
+    *("image", "points", "tx", "ty", "tz", *QUATERNION, "rx", "ry", "rz", "rms_px", "p_wrong", "status"),
     *(f"cov_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS),
 )
 
@@ -108,7 +109,7 @@ def _transform(a_T_b: Pose) -> dict[str, Any]:
     quaternion = so3.to_quaternion(a_T_b.rotation).tolist()
     return {
         "translation": a_T_b.translation.tolist(),
-        "quaternion": dict(zip("wxyz", quaternion, strict=True)),
+        "quaternion": dict(zip(QUATERNION, quaternion, strict=True)),
         "rotation_vector": a_T_b.vector().tolist(),
     }
 

@@ -25,6 +25,10 @@ _CODES = {
 }
 _MARGIN = 2  # an even number of pixels keeps the phase; OpenCV leaves the outermost one unfinished
 
+_RED_OR_BLUE = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
+_GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
+_KERNELS = {"B": _RED_OR_BLUE, "G": _GREEN, "R": _RED_OR_BLUE}
+
 
 def demosaic(values: Array, pattern: str, algorithm: str = BILINEAR) -> Array:
     """Return colour (H, W, 3) blue, green, red of a mosaic, in its own type; for "none" the mosaic (H, W) itself.
@@ -73,9 +77,5 @@ def _bilinear_float(values: Array, pattern: str) -> Array:
         cv2.filter2D(plane, -1, _KERNELS[colour], dst=plane, borderType=cv2.BORDER_REFLECT_101)
     return cv2.merge(planes)
 
-
-_RED_OR_BLUE = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
-_GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
-_KERNELS = {"B": _RED_OR_BLUE, "G": _GREEN, "R": _RED_OR_BLUE}
 
 ALGORITHMS: Mapping[str, Callable[[Array, str], Array]] = MappingProxyType({BILINEAR: _bilinear, NONE: _untouched})

@@ -16,8 +16,8 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.demosaic import BILINEAR, demosaic, require_algorithm
 from camcal.images.mosaic import Mosaic, full_scale, sites
 
-BALANCES = ("none", "camera", "gray-world", "R,G,B")
-TONES = ("linear", "power:GAMMA", "srgb", "bt709")
+BALANCES = ("none", "camera", "gray-world")
+TONES = ("linear", "srgb", "bt709")
 DEPTHS: dict[str, np.dtype[Any]] = {"8": np.dtype(np.uint8), "16": np.dtype(np.uint16), "float": np.dtype(np.float32)}
 
 _GRAY_WORLD_CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour of the light
@@ -39,9 +39,9 @@ class Development:
 
     def __post_init__(self) -> None:
         require_algorithm(self.algorithm)
-        if self.balance not in BALANCES[:-1]:
+        if self.balance not in BALANCES:
             _parse_gains(self.balance)
-        if self.tone not in (TONES[0], *TONES[2:]):
+        if self.tone not in TONES:
             _parse_power(self.tone)
         if self.depth is not None and self.depth not in DEPTHS:
             raise InvalidInput(f"depth {self.depth!r} is unknown; use one of {', '.join(DEPTHS)}")
@@ -160,7 +160,9 @@ def _parse_gains(text: str) -> tuple[float, float, float]:
     try:
         red, green, blue = (float(part) for part in text.split(","))
     except ValueError:
-        raise InvalidInput(f"white balance {text!r} is not understood; use one of {', '.join(BALANCES)}") from None
+        raise InvalidInput(
+            f"white balance {text!r} is unknown; use {', '.join(BALANCES)} or three gains R,G,B"
+        ) from None
     if not all(isfinite(gain) and gain > 0 for gain in (red, green, blue)):
         raise InvalidInput(f"white balance {text!r}: gains must be positive numbers")
     return red, green, blue
@@ -169,5 +171,5 @@ def _parse_gains(text: str) -> tuple[float, float, float]:
 def _parse_power(tone: str) -> float:
     match = _POWER.match(tone)
     if match is None or not float(match[1]) > 0:
-        raise InvalidInput(f"tone {tone!r} is not understood; use one of {', '.join(TONES)}")
+        raise InvalidInput(f"tone {tone!r} is unknown; use {', '.join(TONES)} or power:GAMMA")
     return float(match[1])

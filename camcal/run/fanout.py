@@ -149,7 +149,8 @@ class _Worker:
         self.ready = False
         self.task: tuple[int, Any] | None = None
         self.deadline = float("inf")
-        resource_tracker.ensure_running()  # starting it would unblock Ctrl-C, which the next line blocks
+        if os.name == "posix":  # starting the tracker later would unblock Ctrl-C, which the next line blocks
+            resource_tracker.ensure_running()
         with surroundings_of_a_worker(needs_main=b"__main__" in payload):
             self.process.start()
         theirs.close()
@@ -160,13 +161,14 @@ class _Worker:
 
     def end(self) -> str:
         """Return how the process ended, in words."""
-        self.process.join()
+        self.process.join(_GRACE)
         code = self.process.exitcode or 0
-        if code == -signal.SIGKILL:
+        if code >= 0:
+            return f"its worker process ended with code {code}"
+        name = signal.Signals(-code).name
+        if name == "SIGKILL":
             return "its worker process was killed (SIGKILL); if memory ran out, use fewer --jobs"
-        if code < 0:
-            return f"its worker process crashed ({signal.Signals(-code).name}); the input may be damaged"
-        return f"its worker process ended with code {code}"
+        return f"its worker process crashed ({name}); the input may be damaged"
 
 
 class _Crew(Generic[Item, Value]):

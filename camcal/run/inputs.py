@@ -7,6 +7,7 @@ else was named on purpose and is read.
 
 import difflib
 import glob
+import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -62,7 +63,9 @@ def find_images(inputs: Sequence[Path | str], recursive: bool = False) -> list[P
 def record_outputs(folder: Path, names: Iterable[str]) -> None:
     """Add file names to the list of what camcal wrote into `folder`."""
     known = _outputs(folder) | set(names)
-    files.write_text(folder / OUTPUT_INDEX, "".join(f"{name}\n" for name in sorted(known, key=files.natural_key)))
+    if known:
+        lines = "".join(f"{name}\n" for name in sorted(known, key=files.natural_key))
+        files.write_bytes(folder / OUTPUT_INDEX, os.fsencode(lines))  # a file name need not be UTF-8
 
 
 def split_address(text: str) -> tuple[Path, str | None]:
@@ -131,7 +134,7 @@ def _without_outputs(paths: list[Path]) -> list[Path]:
 
 def _outputs(folder: Path) -> set[str]:
     index = folder / OUTPUT_INDEX
-    return set(files.read_text(index).splitlines()) if index.is_file() else set()
+    return set(os.fsdecode(files.read_bytes(index)).splitlines()) if index.is_file() else set()
 
 
 def _contents(paths: Iterable[Path]) -> str:

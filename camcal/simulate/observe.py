@@ -53,7 +53,9 @@ def observe(
     """
     if noise_px < 0 or not 0 <= outliers <= 1:
         raise InvalidInput(f"noise {noise_px} must not be negative, the share of outliers {outliers} within 0…1")
-    exact, valid = project_all(camera, shape.points(board), poses)
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
+    exact, valid = project_all(camera, shape.points(board), rotations, translations)
     displaced = rng.random(valid.shape) < outliers
     angle = rng.uniform(0, 2 * np.pi, valid.shape)
     jump = outlier_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -64,15 +66,16 @@ def observe(
     return Detections(board, views), Truth(camera, board, shape, tuple(poses), masks)
 
 
-def project_all(camera: Camera, points: Array, poses: Sequence[Pose]) -> tuple[Array, Array]:
-    """Return pixels (V, N, 2) and the mask (V, N) of board points (N, 3) seen from V poses camera_T_board."""
-    if not poses:
-        return np.zeros((0, len(points), 2)), np.zeros((0, len(points)), dtype=bool)
-    rotations = np.stack([pose.rotation for pose in poses])
-    translations = np.stack([pose.translation for pose in poses])
-    in_camera = points @ np.swapaxes(rotations, -1, -2) + translations[:, None]
-    projection = camera.project(in_camera.reshape(-1, 3))
-    return projection.pixels.reshape(len(poses), -1, 2), projection.valid.reshape(len(poses), -1)
+def project_all(camera: Camera, points: Array, rotations: Array, translations: Array) -> tuple[Array, Array]:
+    """Return pixels (V, N, 2) and the mask (V, N) of board points (N, 3) under V poses (V, 3, 3), (V, 3)."""
+    projection = camera.project(in_camera(points, rotations, translations).reshape(-1, 3))
+    shape = (len(rotations), len(points))
+    return projection.pixels.reshape(*shape, 2), projection.valid.reshape(shape)
+
+
+def in_camera(points: Array, rotations: Array, translations: Array) -> Array:
+    """Return board points (N, 3) in the camera frame (V, N, 3) under V poses camera_T_board (V, 3, 3), (V, 3)."""
+    return np.asarray(points @ np.swapaxes(rotations, -1, -2) + translations[:, None])
 
 
 def in_image(camera: Camera, pixels: Array) -> Array:

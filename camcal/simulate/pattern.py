@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
+from camcal.opencv import marker_dictionary
 from camcal.targets.board import CHARUCO, Board
 
 BLACK, WHITE = 0.0, 1.0
@@ -50,10 +50,7 @@ def pattern_of(board: Board) -> Pattern:
 
 
 def _checker(board: Board) -> Array:
-    """Return the squares (rows + 1, columns + 1); the first is black.
-
-    The legacy ChArUco pattern of an even number of rows of squares starts with white (OpenCV 4.6, issue 3291 there).
-    """
+    """Return the squares (rows + 1, columns + 1); the first is black, but white in a legacy ChArUco of even rows."""
     rows, columns = np.indices((board.rows + 1, board.columns + 1))
     first = 1 if board.legacy and (board.rows + 1) % 2 == 0 else 0
     return np.where((rows + columns + first) % 2 == 0, BLACK, WHITE)
@@ -61,29 +58,24 @@ def _checker(board: Board) -> Array:
 
 def _markers(board: Board, count: int) -> Array:
     """Return the cells (count, n, n) of the board's markers, black border included."""
-    name = board.dictionary or ""
-    if not name.startswith("DICT_") or not hasattr(cv2.aruco, name):
-        raise InvalidInput(f"marker dictionary {name!r} is unknown; write it as OpenCV does, such as DICT_5X5_100")
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    known = len(dictionary.bytesList)
-    if board.first_marker + count > known:
-        raise InvalidInput(f"{name} has {known} markers, the board needs {board.first_marker + count}")
-    side = dictionary.markerSize + 2
+    dictionary = marker_dictionary(board.dictionary or "")
+    available = len(dictionary.bytesList)
     ids = range(board.first_marker, board.first_marker + count)
-    return np.stack([cv2.aruco.generateImageMarker(dictionary, marker, side) for marker in ids]) / 255.0
+    if ids.stop > available:
+        raise InvalidInput(
+            f"the board needs markers {ids.start} to {ids.stop - 1}, {board.dictionary} ends at {available - 1}"
+        )
+    side = dictionary.markerSize + 2
+    return np.stack([dictionary.generateImageMarker(marker, side) for marker in ids]) / 255.0
 
 
 def _bordered(board: Board, ink: Array, steps: Array) -> Pattern:
     """Return the pattern of ink (rows, columns) whose lines repeat in every square at `steps`, shares of its side."""
-    lines = [
-        np.concatenate(
-            [
-                [-1 - QUIET],
-                (np.arange(count + 1)[:, None] - 1 + steps).ravel(),
-                [count, count + QUIET],
-            ]
-        )
-        * board.pitch
-        for count in (board.columns, board.rows)
-    ]
-    return Pattern(lines[0], lines[1], np.pad(ink, 1, constant_values=WHITE))
+    x, y = (_lines(count + 1, steps) * board.pitch for count in (board.columns, board.rows))
+    return Pattern(x, y, np.pad(ink, 1, constant_values=WHITE))
+
+
+def _lines(squares: int, steps: Array) -> Array:
+    """Return the lines of a row of squares and its border, in squares; the second square begins at 0."""
+    inner = (np.arange(squares)[:, None] - 1 + steps).ravel()
+    return np.concatenate([[-1 - QUIET], inner, [squares - 1, squares - 1 + QUIET]])

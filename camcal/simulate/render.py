@@ -108,7 +108,7 @@ def _project(camera: Camera, camera_T_board: Pose, points: Array) -> Array:
 
 
 def light(size: tuple[int, int], exposure: Exposure, direction: float) -> Array:
-    """Return the light (height, width) that falls on each pixel, 1 in the middle; direction (rad) is its bright side."""
+    """Return the light (height, width) on each pixel, 1 in the middle; direction (rad): where it is brightest."""
     x, y = (np.arange(length) / (length - 1) - 0.5 for length in size)
     slope = np.cos(direction) * x + np.sin(direction) * y[:, None]
     return np.asarray((1 + exposure.gradient * slope) * (1 - exposure.vignetting * 2 * (x**2 + y[:, None] ** 2)))
@@ -120,4 +120,4 @@ def develop(brightness: Array, exposure: Exposure, rng: np.random.Generator) -> 
     encoded = np.clip(brightness, 0, 1) ** (1 / exposure.gamma)
     noise = rng.standard_normal(brightness.shape, dtype=np.float32) * (exposure.noise_dn / 255)
     values = np.rint(np.clip(encoded + noise, 0, 1) * full)
-    return values.astype(np.uint8 if exposure.depth == 8 else np.uint16)
+    return np.asarray(values, dtype=np.uint8 if exposure.depth == 8 else np.uint16)

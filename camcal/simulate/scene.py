@@ -9,7 +9,8 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import in_image
+from camcal.simulate.observe import in_camera, in_image, project_all
+from camcal.simulate.pattern import QUIET
 from camcal.targets.board import Board
 
 ROUNDS = 200  # attempts for a view that does not fit
@@ -33,22 +34,25 @@ class _Attempts:
 
 @dataclass(frozen=True, eq=False)
 class _Outline:
-    """Points (K, 3) around the board, its centre (3,), and its corners (C, 3), in the board frame."""
+    """Points (K, 3) around what must be seen and around the sheet, the centre (3,), the corners (C, 3), board frame."""
 
     rim: Array
+    sheet: Array
     centre: Array
     corners: Array
 
     @classmethod
     def of(cls, board: Board) -> "_Outline":
-        ramp = np.linspace(0, 1, 7)
-        low, high = np.zeros(7), np.ones(7)
-        loop = np.concatenate(
-            [np.column_stack(side) for side in ((ramp, low), (ramp, high), (low, ramp), (high, ramp))]
-        )
-        reach = RIM * board.pitch
-        flat = loop * (np.array(board.extent) + 2 * reach) - reach
-        return cls(np.column_stack([flat, np.zeros(len(flat))]), np.array([*board.extent, 0.0]) / 2, board.points())
+        return cls(_loop(board, RIM), _loop(board, 1 + QUIET), np.array([*board.extent, 0.0]) / 2, board.points())
+
+
+def _loop(board: Board, squares: float) -> Array:
+    """Return points (K, 3) on a rectangle that many squares outside the corners."""
+    ramp, low, high = np.linspace(0, 1, 7), np.zeros(7), np.ones(7)
+    sides = [np.column_stack(side) for side in ((ramp, low), (ramp, high), (low, ramp), (high, ramp))]
+    reach = squares * board.pitch
+    flat = np.concatenate(sides) * (np.array(board.extent) + 2 * reach) - reach
+    return np.column_stack([flat, np.zeros(len(flat))])
 
 
 def views(
@@ -83,7 +87,7 @@ def views(
 
 
 def _draw(camera: Camera, slots: Array, rng: np.random.Generator, partial: bool, max_tilt: float) -> _Attempts:
-    """Return attempts for the views `slots`: the aims walk over a 3 × 3 grid of the image, sizes and tilts are spread."""
+    """Return attempts for the views `slots`: aims walk over a 3 × 3 grid of the image, sizes and tilts are spread."""
     count = len(slots)
     cell = np.column_stack([slots % 3, slots // 3 % 3])
     aim = (cell + rng.random((count, 2))) / 3 * np.array(camera.image_size) - 0.5
@@ -106,19 +110,19 @@ def _spread(rng: np.random.Generator, count: int) -> Array:
 
 def _settle(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
     """Return rotations (V, 3, 3) and translations (V, 3) of boards brought to their size and into the image."""
-    size = np.array(camera.image_size)
+    size = np.asarray(camera.image_size)
     middle = (size - 1) / 2
     aim = attempts.aim
-    distance = np.full(len(aim), 2 * np.linalg.norm(outline.rim[-1] - outline.rim[0]))
+    distance = np.full(len(aim), 2 * float(np.linalg.norm(outline.rim[-1] - outline.rim[0])))
     rays = np.tile([0.0, 0.0, 1.0], (len(aim), 1))
     for _ in range(STEPS):
         sight = camera.unproject(aim)
         rays = np.where(sight.valid[:, None], sight.directions, rays)
         rotations, translations = _place(rays, distance, attempts.turn, outline.centre)
-        pixels, valid = _project(camera, outline.rim, rotations, translations)
+        pixels, valid = project_all(camera, outline.rim, rotations, translations)
         whole = valid.all(axis=1)
         lowest, highest = pixels.min(axis=1), pixels.max(axis=1)
-        growth = ((highest - lowest) / size).max(axis=1) / attempts.fill
+        growth = np.max((highest - lowest) / size, axis=1) / attempts.fill
         distance = distance * np.where(whole, np.clip(growth, 0.7, 1.5), 1.5)
         back = np.maximum(-lowest, 0) - np.maximum(highest - size + 1, 0)
         back = np.where(whole[:, None] & ~attempts.cut[:, None], back, 0)
@@ -135,24 +139,14 @@ def _place(rays: Array, distance: Array, turn: Array, centre: Array) -> tuple[Ar
     return rotations, distance[:, None] * rays - rotations @ centre
 
 
-def _project(camera: Camera, points: Array, rotations: Array, translations: Array) -> tuple[Array, Array]:
-    """Return pixels (V, N, 2) and the mask (V, N) of board points (N, 3) under V poses."""
-    projection = camera.project(_in_camera(points, rotations, translations).reshape(-1, 3))
-    shape = (len(rotations), len(points))
-    return projection.pixels.reshape(*shape, 2), projection.valid.reshape(shape)
-
-
-def _in_camera(points: Array, rotations: Array, translations: Array) -> Array:
-    return np.asarray(points @ np.swapaxes(rotations, -1, -2) + translations[:, None])
-
-
 def _acceptable(camera: Camera, outline: _Outline, attempts: _Attempts, rotations: Array, translations: Array) -> Array:
     """Return the mask (V,) of views in the lens's domain, not too oblique, with as many corners as they should have."""
-    pixels, valid = _project(camera, outline.rim, rotations, translations)
-    corners, seen = _project(camera, outline.corners, rotations, translations)
+    rim, _ = project_all(camera, outline.rim, rotations, translations)
+    corners, seen = project_all(camera, outline.corners, rotations, translations)
     shown = (seen & in_image(camera, corners)).mean(axis=1)
-    whole = in_image(camera, pixels).all(axis=1)
-    rim = _in_camera(outline.rim, rotations, translations)
-    cosine = np.einsum("vni,vi->vn", rim, rotations[:, :, 2]) / np.linalg.norm(rim, axis=-1)
+    whole = in_image(camera, rim).all(axis=1)
+    _, valid = project_all(camera, outline.sheet, rotations, translations)
+    sheet = in_camera(outline.sheet, rotations, translations)
+    cosine = np.einsum("vni,vi->vn", sheet, rotations[:, :, 2]) / np.linalg.norm(sheet, axis=-1)
     facing = (cosine > np.cos(STEEPEST)).all(axis=1)
     return np.asarray(valid.all(axis=1) & facing & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))

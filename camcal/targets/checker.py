@@ -12,19 +12,24 @@ from camcal.arrays import Array
 from camcal.targets import grid as grids
 from camcal.targets.subpixel import fit_corners
 
-MIN_AGREEMENT = 0.6  # share of a window's variance explained by two crossing edges
+MIN_AGREEMENT = 0.75  # of a window with two crossing edges; an outer corner of a board reaches 0.65
 MIN_CONTRAST = 0.25  # of the median over the board
 MAX_START = 0.5  # steps from a detector's corner to the fitted one
+STRAY = 0.2  # steps from where the neighbours put a corner that make it worth a second look
 MAX_STRAY = 0.5  # steps from where the neighbours put a corner
 MIN_SIDE = 0.5  # of a row or column beyond the board
 
 
 @dataclass(frozen=True, eq=False)
 class Checker:
-    """Verified corners: pixels (rows, columns, 2), NaN where none; sign: 1 if the square before node (0, 0) is dark."""
+    """Verified corners: pixels (rows, columns, 2), NaN where none.
+
+    sign: 1 if the square before node (0, 0) is dark, else -1. contrast: median over the corners, gray levels.
+    """
 
     grid: Array
     sign: int
+    contrast: float
 
     @property
     def count(self) -> int:
@@ -40,7 +45,8 @@ def settle(gray: Array, start: Array, clearance: float = np.inf) -> Checker:
     known = ~np.isnan(start[..., 0])
     grid, look = _fit(gray, start, known, MAX_START, clearance)
     sign = 1 if np.nansum(look) >= 0 else -1
-    least = MIN_CONTRAST * float(np.median(np.abs(look[known]))) if known.any() else 0.0
+    contrast = float(np.median(np.abs(look[known]))) if known.any() else 0.0
+    least = MIN_CONTRAST * contrast
     grid[~(sign * look > least)] = np.nan
     grid[_stray(grid)] = np.nan
     for _ in range(sum(grid.shape[:2])):
@@ -48,13 +54,22 @@ def settle(gray: Array, start: Array, clearance: float = np.inf) -> Checker:
         if np.array_equal(np.isnan(grown), np.isnan(grid)):
             break
         grid = grown
-    return Checker(grid, sign)
+    return Checker(_polish(gray, grid, clearance), sign, contrast)
+
+
+def _polish(gray: Array, grid: Array, clearance: float) -> Array:
+    """Return the grid fitted once more with all samples, which leaves no trace of where a detector put the corners."""
+    known = ~np.isnan(grid[..., 0])
+    result = grid.copy()
+    if known.any():
+        result[known] = fit_corners(gray, grid[known], grids.steps(grid)[known], clearance).pixels
+    return result
 
 
 def continues(gray: Array, checker: Checker) -> bool:
     """Return whether the checker pattern goes on beyond the grid, so that the board is larger than thought."""
     wide = np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    known = ~np.isnan(_grow(gray, wide, -checker.sign, 0.0, np.inf)[..., 0])
+    known = ~np.isnan(_grow(gray, wide, checker.sign, MIN_CONTRAST * checker.contrast, np.inf)[..., 0])
     sides = (known[0, 1:-1], known[-1, 1:-1], known[1:-1, 0], known[1:-1, -1])
     return any(side.mean() > MIN_SIDE for side in sides)
 
@@ -77,10 +92,10 @@ def _fit(gray: Array, grid: Array, where: Array, limit: float, clearance: float)
     if not where.any():
         return grid.copy(), look
     steps = grids.steps(grid)
-    fits = fit_corners(gray, grid[where], steps[where], clearance)
+    fits = fit_corners(gray, grid[where], steps[where], clearance, quick=True)
     near = np.linalg.norm(fits.pixels - grid[where], axis=1) < limit * grids.spacing(steps[where])
     inside = ((fits.pixels > -0.5) & (fits.pixels < np.array(gray.shape[::-1]) - 0.5)).all(axis=1)
-    seen = near & inside & fits.settled & (fits.agreement > MIN_AGREEMENT)
+    seen = near & inside & (fits.agreement > MIN_AGREEMENT)
     row, column = np.nonzero(where)
     look[where] = np.where(seen, fits.contrast, 0.0) * np.where((row + column) % 2, -1, 1)
     result = grid.copy()
@@ -91,4 +106,4 @@ def _fit(gray: Array, grid: Array, where: Array, limit: float, clearance: float)
 def _stray(grid: Array) -> Array:
     """Return which corners (rows, columns) are not where their neighbours put them."""
     away = np.linalg.norm(grid - grids.predict(grid), axis=-1)
-    return np.asarray(away > MAX_STRAY * grids.spacing(grids.steps(grid)))
+    return np.asarray(away > STRAY * grids.spacing(grids.steps(grid)))

@@ -15,7 +15,7 @@ from camcal.formats import native, strict_yaml
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.schema import did_you_mean
 from camcal.report.uncertain import value_and_std
-from camcal.targets.surface import Surface
+from camcal.targets.surface import TIERS, Surface
 
 
 @dataclass(frozen=True)
@@ -152,15 +152,16 @@ def _transform_words(transform: Transform) -> str:
 
 
 def _board_lines(surface: Surface) -> Iterator[str]:
-    unit = surface.board.unit
-    bend, std = value_and_std(surface.deflection, surface.deflection_std)
+    factor, unit = (1e3, "mm") if surface.board.unit == "m" else (1.0, "squares")
     size = f"{surface.board.columns} x {surface.board.rows}"
+    bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
     yield f"board {surface.board.type}, {size} corners, bent by {bend} ± {std} {unit} peak to peak"
     for term, value, spread in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
-        shown, sigma = value_and_std(float(value), float(spread))
-        yield f"board {term}: {shown} ± {sigma}"
+        scale, what = (100.0, "%") if term in TIERS["stretch"] else (factor, unit)
+        shown, sigma = value_and_std(scale * float(value), scale * float(spread))
+        yield f"board {term}: {shown} ± {sigma} {what}"
     if surface.offsets is not None:
-        yield f"board corners moved by up to {np.abs(surface.offsets).max():.3g} {unit}"
+        yield f"board corners moved by up to {factor * np.abs(surface.offsets).max():.3g} {unit}"
 
 
 def image_rows(file: CameraFile) -> list[list[str]]:

@@ -9,7 +9,6 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.cli.main import app
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
@@ -19,19 +18,6 @@ NUMBERS = ["--fx", 100, "--cx", 1, "--cy", 0, "--baseline", 0.5]
 SIZE = (3, 2)
 DISPARITY = np.array([[0, 10, 25], [50, 0, 5]], np.uint8)  # none, 5, 2; 1, none, 10 m with NUMBERS
 DEPTHS = [5, 2, 1, 10]
-
-
-@pytest.fixture
-def run(capsys):
-    """Return a function that runs a command line and gives exit code, stdout and stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as leaving:
-            app([str(argument) for argument in arguments])
-        printed = capsys.readouterr()
-        return leaving.value.code, printed.out, printed.err
-
-    return call
 
 
 @pytest.fixture

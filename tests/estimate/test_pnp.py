@@ -6,7 +6,7 @@ Noise is Gaussian and the lens is exactly known here; what a wrong lens does to 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -25,6 +25,7 @@ FISHEYE = Camera(model_named("kannala_brandt4"), (1400, 1400), [320.0, 320.0, 70
 LENSES = {"pinhole": PINHOLE, "opencv5": WIDE, "kannala_brandt4": FISHEYE}
 
 BOARD = np.array([[x, y, 0.0] for y in range(6) for x in range(9)]) * 0.03
+CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.05
 TAG = np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]) * 0.05
 
 
@@ -98,7 +99,7 @@ def test_points_beyond_ninety_degrees_give_the_pose():
 
 def test_a_board_at_the_side_partly_behind_the_camera_gives_the_pose():
     rng = np.random.default_rng(6)
-    truth = Pose.from_vector(np.array([0.0, -1.5, 0.1]), np.array([0.4, -0.1, 0.1]))
+    truth = Pose.from_vector(np.array([0.0, -1.5, 0.1]), np.array([0.4, -0.1, -0.1]))
     assert np.ptp(np.sign(truth.apply(BOARD)[:, 2])) == 2
     found = estimate(FISHEYE, observed(FISHEYE, truth, BOARD, rng))
     np.testing.assert_allclose(error_of(found.transform, truth), 0, atol=1e-10)
@@ -124,29 +125,27 @@ def test_the_minimum_is_that_of_opencv_refinement():
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-15)
     vector, place = cv2.solvePnPRefineLM(
-        view.points, view.pixels, matrix, None, truth.vector(), truth.translation.copy(), criteria
+        view.points, view.pixels, matrix, None, truth.vector()[:, None], truth.translation[:, None].copy(), criteria
     )
     reference = Pose.from_vector(vector.ravel(), place.ravel())
     np.testing.assert_allclose(error_of(found.transform, reference), 0, atol=1e-6)  # rad and m
 
 
-@pytest.mark.parametrize(
-    "points", [BOARD[::3], np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 0.05]
-)
+@pytest.mark.parametrize("points", [BOARD[::5], CUBE], ids=["plane", "cube"])
 def test_errors_are_as_large_as_the_covariance_says(points):
     rng = np.random.default_rng(8)
-    sigma, runs = 0.3, 200
+    sigma, runs = 0.3, 100
     truths = [some_pose(rng, (0.4, 0.7)) for _ in range(runs)]
-    views = [observed(WIDE, truth, points, rng, sigma) for truth in truths]
-    found = [outcome.value for outcome in estimate_poses(WIDE, views, sigma)]
+    views = [observed(PINHOLE, truth, points, rng, sigma) for truth in truths]
+    # the noise is estimated from all views, to 3 % here, which the interval below is too wide to feel
+    found = [outcome.value for outcome in estimate_poses(PINHOLE, views)]
     errors = [error_of(pose.transform, truth) for pose, truth in zip(found, truths, strict=True)]
     total = sum(error @ np.linalg.solve(pose.covariance, error) for error, pose in zip(errors, found, strict=True))
     low, high = stats.chi2.interval(0.99, 6 * runs)
     assert low < total < high
-    estimated = estimate_poses(WIDE, views)[0].value
-    low, high = stats.chi2.interval(0.99, estimated.freedom)
-    assert estimated.freedom == runs * (2 * len(points) - 6)
-    assert low < estimated.freedom * (estimated.sigma_px / sigma) ** 2 < high
+    assert found[0].freedom == runs * (2 * len(points) - 6)
+    low, high = stats.chi2.interval(0.99, found[0].freedom)
+    assert low < found[0].freedom * (found[0].sigma_px / sigma) ** 2 < high
 
 
 def test_a_small_far_tag_reports_both_of_its_poses():
@@ -164,7 +163,7 @@ def test_a_small_far_tag_reports_both_of_its_poses():
 
 def test_the_probability_of_the_wrong_pose_is_how_often_it_wins():
     rng = np.random.default_rng(10)
-    truths = [some_pose(rng, (2.0, 4.0), 0.3) for _ in range(150)]
+    truths = [some_pose(rng, (2.0, 4.0), 0.3) for _ in range(100)]
     outcomes = estimate_poses(PINHOLE, [observed(PINHOLE, truth, TAG, rng, 0.3) for truth in truths], 0.3)
     pairs = [(outcome.value, truth) for outcome, truth in zip(outcomes, truths, strict=True)]
     decided = [(found, truth) for found, truth in pairs if found.alternative]
@@ -219,8 +218,8 @@ def test_pose_jacobian_is_the_derivative_of_the_whitened_residuals():
     sides = [[problem.blocks(pose.retract(s * h * axis))[0].residuals for s in (1, -1)] for axis in np.eye(6)]
     numeric = np.stack([(ahead - behind) / (2 * h) for ahead, behind in sides], axis=-1)
     values = problem.blocks(pose)[0].shared[0].values
-    # central differences at h = 1e-6 of numbers near 1e3 are good to 1e-13 · 1e3 / 1e-6
-    np.testing.assert_allclose(values, numeric, atol=1e-4 * np.abs(values).max() * 1e-2)
+    # central differences at h = 1e-6 of pixels near 1e3: 1e-13 of rounding over 1e-6, values up to 1e4
+    np.testing.assert_allclose(values, numeric, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -269,6 +268,7 @@ def test_numbers_that_are_not_finite_are_refused():
         estimate_poses(PINHOLE, [], -1.0)
 
 
+@settings(max_examples=25)  # each costs four refinements
 @given(st.lists(st.tuples(st.floats(0, 1279), st.floats(0, 959)), min_size=4, max_size=8), st.booleans())
 def test_any_pixels_give_a_pose_or_one_clear_error(pixels, flat):
     rng = np.random.default_rng(18)

@@ -1,5 +1,6 @@
 """camcal's own camera file: what it keeps, what it refuses and in which words, what it warns of."""
 
+import copy
 import math
 from pathlib import Path
 
@@ -7,6 +8,8 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
@@ -330,6 +333,7 @@ def test_a_fixed_parameter_has_no_uncertainty(saved):
         ("[[1.0, 0.0, 0.0], [0.0", "[[1.0, 0.0003, 0.0], [0.0", "nearest rotation differs by 0.0086°; write R"),
         ("[[1.0, 0.0, 0.0], [0.0", "[[-1.0, 0.0, 0.0], [0.0", "det = -1, a reflection"),
         ("[[1.0, 0.0, 0.0], [0.0", "[[2.0, 0.0, 0.0], [0.0", "not a rotation (orthonormality error 3.0e+00)"),
+        ("[[1.0, 0.0, 0.0], [0.0", "[[1.0e+200, 0.0, 0.0], [0.0", "not a rotation (orthonormality error inf)"),
         ("[[1.0, 0.0, 0.0], [0.0", "[[1.0, 0.0], [0.0", "transforms.right_T_left.R[0]: 2 items; 3 are needed"),
         ("    t: [-0.11, 0.0, 0.0]\n", "", "transforms.right_T_left: missing key 't'"),
     ],
@@ -427,3 +431,32 @@ def test_what_looks_wrong_is_warned_of_with_its_line(saved, old, new, expected):
 def test_a_file_that_is_cut_off_is_no_camera(saved):
     with pytest.raises(FileError, match="cut off"):
         native.read(saved(GOOD[:-5]))
+
+
+ODD = st.sampled_from([None, [], {}, "", "x", -1, 0, 2.5, True, [[]], [None], {"a": 1}, math.inf, math.nan, "1e-05"])
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    path = tmp_path_factory.mktemp("odd") / "rig.yaml"
+    native.write(path, full_file(np.random.default_rng(5)))
+    return yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
+
+
+@given(st.data())
+def test_a_file_with_any_one_value_exchanged_is_read_or_refused(tmp_path_factory, tree, data):
+    changed = place = copy.deepcopy(tree)
+    while True:
+        key = data.draw(st.sampled_from(list(place) if isinstance(place, dict) else range(len(place))))
+        if not isinstance(place[key], (dict, list)) or not place[key] or data.draw(st.booleans()):
+            break
+        place = place[key]
+    place[key] = data.draw(ODD)
+    path = tmp_path_factory.mktemp("odd") / "rig.yaml"
+    path.write_text(yaml.dump(changed, Dumper=yaml.CSafeDumper), encoding="utf-8")
+    try:
+        found = native.read(path)
+    except (InvalidInput, FileError) as error:
+        assert str(error).startswith(str(path))  # noqa: PT017 either outcome is right, a traceback is not
+    else:
+        assert found.cameras

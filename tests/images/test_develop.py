@@ -138,12 +138,12 @@ def test_the_depth_of_the_frame_is_kept_when_none_is_asked_for():
     [
         ({"algorithm": "ri"}, "bilinear, none"),
         ({"balance": "auto"}, "gray-world"),
-        ({"balance": "1,2"}, "not understood"),
+        ({"balance": "1,2"}, "unknown"),
         ({"balance": "1,0,2"}, "positive"),
         ({"balance": "1,nan,2"}, "positive"),
         ({"tone": "gamma"}, "power:GAMMA"),
-        ({"tone": "power:0"}, "not understood"),
-        ({"tone": "power:-2"}, "not understood"),
+        ({"tone": "power:0"}, "unknown"),
+        ({"tone": "power:-2"}, "unknown"),
         ({"depth": "12"}, "8, 16, float"),
     ],
 )

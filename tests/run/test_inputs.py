@@ -1,5 +1,6 @@
 """Files, folders, patterns and camera addresses as people type them."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,19 @@ def test_images_camcal_wrote_are_left_out_beside_others(folder):
     assert names(find_images([folder])) == ["photos/a.dng"]
     assert names(find_images([folder], recursive=True)) == ["photos/a.dng"]
     assert names(find_images(["photos/a.*"])) == ["photos/a.dng"]
+
+
+def test_a_name_that_is_not_utf8_is_remembered_too(folder):
+    odd = os.fsdecode(b"caf\xe9.png")
+    fill(folder, "a.dng", odd)
+    record_outputs(folder, [odd])
+    assert names(find_images([folder])) == ["photos/a.dng"]
+
+
+def test_no_outputs_leave_no_list(folder):
+    fill(folder, "a.png")
+    record_outputs(folder, [])
+    assert [path.name for path in folder.iterdir()] == ["a.png"]
 
 
 def test_images_camcal_wrote_are_read_when_named_or_alone(folder):

@@ -7,24 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.cli.main import app
 from camcal.images.mosaic import sites
 
 CONFIG = Path(__file__).parents[2] / "sample_configs" / "demosaic.yaml"
 COLOUR = (40, 90, 200)  # blue, green, red
-
-
-@pytest.fixture
-def run(capsys):
-    """Return a function that runs a command line and gives exit code, stdout and stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as leaving:
-            app([str(argument) for argument in arguments])
-        printed = capsys.readouterr()
-        return leaving.value.code, printed.out, printed.err
-
-    return call
 
 
 def mosaic_of_one_colour(pattern="RGGB", size=(9, 6), scale=1):
@@ -102,6 +88,16 @@ def test_one_unreadable_frame_is_reported_and_the_rest_is_written(run, tmp_path)
     assert err == "camcal: error: 1 of 2 frames failed, the rest is written\n"
     assert (tmp_path / "out" / "good.tiff").exists()
     assert not (tmp_path / "out" / "bad.tiff").exists()
+
+
+def test_a_failed_frame_stands_in_the_one_json_document(run, tmp_path):
+    write(tmp_path / "raw" / "good.png", mosaic_of_one_colour())
+    (tmp_path / "raw" / "bad.png").write_bytes(b"not an image")
+    code, out, _ = run("demosaic", tmp_path / "raw", "--pattern", "RGGB", "-o", tmp_path / "out", "--json")
+    document = json.loads(out)
+    assert code == 6
+    assert [Path(failure["source"]).name for failure in document["failed"]] == ["bad.png"]
+    assert len(document["images"]) == 1
 
 
 def test_a_single_unreadable_frame_is_a_file_error(run, tmp_path):

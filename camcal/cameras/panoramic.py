@@ -1,0 +1,123 @@
+"""Views that hold more than a pinhole can: cylinder, equirectangular and stereographic, with fx fy cx cy and no more.
+
+They are what images are undistorted to when a lens sees 180° or more. fx, fy: pixels per radian at the image's middle.
+Source: Snyder, Map projections: a working manual, USGS 1987 (perspective cylinder, plate carrée, stereographic).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.distortion import Distorted
+from camcal.cameras.model import Rays
+from camcal.cameras.plane_model import Flat, PlaneModel
+
+
+@dataclass(frozen=True)
+class Panorama(PlaneModel):
+    """A plane without distortion; a pixel beyond the seam behind the camera has no ray."""
+
+    coefficients: tuple[str, ...] = ()
+    reach: ClassVar[float] = math.inf
+    kinds: ClassVar[dict[str, tuple[str, ...]]] = {}
+
+    def unproject(self, parameters: Array, pixels: Array) -> Rays:
+        """Return the unit rays (N, 3) of pixels (N, 2)."""
+        rays = super().unproject(parameters, pixels)
+        return Rays(rays.directions, np.isfinite(rays.directions[:, 0]))
+
+    def _angle(self, radius: float) -> float:  # noqa: ARG002
+        return math.pi
+
+
+@dataclass(frozen=True)
+class Cylinder(Panorama):
+    """Azimuth across, height on a cylinder of radius 1 down: upright lines stay straight."""
+
+    name: str = "cylinder"
+
+    def _flatten(self, points: Array) -> Flat:
+        x, y, z = points.T
+        scale = 1.0 / np.hypot(x, z)
+        height = y * scale
+        return Flat(np.arctan2(x, z), height, scale, _has_a_place(x, z, scale, height))
+
+    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
+        del distorted
+        x, y, z = points.T
+        _turn(x, z, flat.scale, focal[0], d_point[0])
+        cubed = -focal[1] * y * flat.scale**3
+        d_point[1] = x * cubed, focal[1] * flat.scale, z * cubed
+
+    def _lift(self, x: Array, y: Array) -> Array:
+        across = np.where(np.abs(x) < np.pi, 1.0, np.nan) / np.sqrt(1.0 + y * y)
+        return np.stack([np.sin(x) * across, y * across, np.cos(x) * across])
+
+
+@dataclass(frozen=True)
+class Equirectangular(Panorama):
+    """Azimuth across, elevation down, both as angles."""
+
+    name: str = "equirectangular"
+
+    def _flatten(self, points: Array) -> Flat:
+        x, y, z = points.T
+        scale = 1.0 / np.hypot(x, z)
+        height = y * scale
+        return Flat(np.arctan2(x, z), np.arctan(height), scale, _has_a_place(x, z, scale, height))
+
+    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
+        del distorted
+        x, y, z = points.T
+        _turn(x, z, flat.scale, focal[0], d_point[0])
+        inverse = focal[1] / (x * x + y * y + z * z)
+        leaning = -y * flat.scale * inverse
+        d_point[1] = x * leaning, inverse / flat.scale, z * leaning
+
+    def _lift(self, x: Array, y: Array) -> Array:
+        across = np.where((np.abs(x) < np.pi) & (np.abs(y) < np.pi / 2), np.cos(y), np.nan)
+        return np.stack([np.sin(x) * across, np.sin(y), np.cos(x) * across])
+
+
+@dataclass(frozen=True)
+class Stereographic(Panorama):
+    """A point θ from the axis stands 2 tan(θ/2) from the middle: small shapes keep their form everywhere."""
+
+    name: str = "stereographic"
+
+    def _flatten(self, points: Array) -> Flat:
+        x, y, z = points.T
+        scale = 2.0 / (np.sqrt(x * x + y * y + z * z) + z)
+        return Flat(x * scale, y * scale, scale, np.isfinite(scale))
+
+    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
+        del distorted
+        x, y, z = points.T
+        bend = -0.5 * flat.scale**2
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        across = bend * inverse * x * y
+        d_point[0] = flat.scale + bend * inverse * x * x, across, bend * x * (1.0 + z * inverse)
+        d_point[1] = across, flat.scale + bend * inverse * y * y, bend * y * (1.0 + z * inverse)
+        for rows, length in zip(d_point, focal, strict=True):
+            np.multiply(rows, length, out=rows)
+
+    def _lift(self, x: Array, y: Array) -> Array:
+        quarter = 0.25 * (x * x + y * y)
+        return np.stack([x, y, 1.0 - quarter]) / (1.0 + quarter)
+
+
+def _has_a_place(x: Array, z: Array, scale: Array, height: Array) -> Array:
+    """Return the mask (n,) of points off the upright axis and not straight behind, where left and right meet."""
+    return np.asarray((scale > 0) & np.isfinite(height) & ((z > 0) | (x != 0)))
+
+
+def _turn(x: Array, z: Array, scale: Array, focal: float, rows: Array) -> None:
+    """Write the derivatives (3, n) of the azimuth, in pixels, by the point; scale: 1 / √(X² + Z²)."""
+    square = focal * scale * scale
+    rows[:] = z * square, np.zeros_like(square), -x * square
+
+
+MODELS = (Cylinder(), Equirectangular(), Stereographic())

@@ -1,0 +1,49 @@
+"""The record of one image: its pixels, and what its file said about them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+
+DTYPES = (np.uint8, np.uint16, np.float32)
+CHANNELS = (1, 3, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """An image as the sensor saw it.
+
+    pixels: (H, W) gray, (H, W, 3) blue, green, red, or (H, W, 4) with alpha; uint8, uint16 or float32; read-only,
+    not copied. orientation: the EXIF tag 1 … 8, how to turn the image for looking at it, never applied to pixels.
+    exif: the EXIF block as it stood in the file, empty without one.
+    """
+
+    pixels: Array
+    orientation: int = 1
+    exif: bytes = b""
+
+    def __post_init__(self) -> None:
+        pixels = np.asarray(self.pixels)
+        if pixels.ndim == 3 and pixels.shape[2] == 1:
+            pixels = pixels[:, :, 0]
+        channels = 1 if pixels.ndim == 2 else pixels.shape[-1]
+        if pixels.ndim not in (2, 3) or channels not in CHANNELS or pixels.size == 0:
+            raise InvalidInput(f"an image is (H, W), (H, W, 3) or (H, W, 4), found the shape {pixels.shape}")
+        if pixels.dtype not in DTYPES:
+            raise InvalidInput(f"an image is uint8, uint16 or float32, found {pixels.dtype}")
+        if self.orientation not in range(1, 9):
+            raise InvalidInput(f"an orientation is 1 … 8, found {self.orientation}")
+        pixels = pixels.view()
+        pixels.setflags(write=False)
+        object.__setattr__(self, "pixels", pixels)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+    @property
+    def channels(self) -> int:
+        return 1 if self.pixels.ndim == 2 else self.pixels.shape[2]

@@ -1,0 +1,207 @@
+"""Calibration end to end on synthetic corners: truth recovered, uncertainty honest, degenerate input refused."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from conftest import PARAMETERS, make_scene
+from scipy.stats import chi2
+
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.simulate.observe import observe
+from camcal.targets.board import Board, Detection
+
+
+def sigmas(calibration, truth):
+    return (calibration.camera.parameters - truth.parameters) / np.sqrt(np.diag(calibration.camera.covariance))
+
+
+@pytest.mark.parametrize("model", PARAMETERS)
+def test_truth_is_recovered_within_four_sigma(model):
+    scene = make_scene(model)
+    calibration = calibrate(scene.observe(3, noise_px=0.1), scene.board, Options(scene.camera.model))
+    assert np.abs(sigmas(calibration, scene.camera)).max() < 4  # 1 in 16 000 per parameter
+    assert calibration.sigma_px == pytest.approx(0.1, rel=0.1)  # 2 700 coordinates: 1.4 % standard deviation
+    assert len(calibration.used) == len(scene.poses)
+
+
+def test_noise_free_views_give_the_truth(scene):
+    calibration = calibrate(scene.observe(0), scene.board, Options(scene.camera.model))
+    np.testing.assert_allclose(calibration.camera.parameters, scene.camera.parameters, rtol=1e-5, atol=1e-6)
+    assert calibration.rms_px < 1e-4
+
+
+def test_opencv_finds_the_same_minimum_on_a_rigid_board(scene):
+    seen = scene.observe(5, noise_px=0.1)
+    options = Options(scene.camera.model, shape=ShapeOptions(smooth=False))
+    ours = calibrate(seen, scene.board, options)
+    assert not ours.rejected  # or the two would not see the same corners
+    points = scene.board.points().astype(np.float32)
+    rms, matrix, distortion, *_ = cv2.calibrateCamera(
+        [points[view.ids] for view in seen],
+        [view.pixels.astype(np.float32) for view in seen],
+        scene.camera.image_size,
+        None,
+        None,
+        criteria=(3, 200, 1e-12),
+    )
+    assert ours.rms_px == pytest.approx(rms, rel=1e-5)
+    theirs = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()]
+    spread = np.sqrt(np.diag(ours.camera.covariance))
+    # the corners were rounded to float32 for OpenCV, and its stopping rule is its own
+    assert np.abs((ours.camera.parameters - theirs) / spread).max() < 0.02
+
+
+@pytest.mark.slow
+def test_claimed_uncertainty_is_the_one_found_in_repetitions():
+    scene = make_scene(count=15)
+    runs = [
+        calibrate(scene.observe([7, seed], noise_px=0.1), scene.board, Options(scene.camera.model))
+        for seed in range(40)
+    ]
+    errors = np.array([run.camera.parameters - scene.camera.parameters for run in runs])
+    squared = [e @ np.linalg.solve(run.camera.covariance, e) for e, run in zip(errors, runs, strict=True)]
+    low, high = chi2.ppf([0.0005, 0.9995], 9 * len(runs))
+    assert low < np.sum(squared) < high
+
+
+def test_the_same_observations_give_the_same_bits(scene):
+    seen = scene.observe(9, noise_px=0.1)
+    first, second = (calibrate(seen, scene.board, Options(scene.camera.model)) for _ in range(2))
+    assert np.array_equal(first.camera.parameters, second.camera.parameters)
+    assert np.array_equal(first.camera.covariance, second.camera.covariance)
+
+
+def test_fixed_parameters_stay_and_have_no_uncertainty(scene):
+    calibration = calibrate(scene.observe(3, noise_px=0.1), scene.board, Options(scene.camera.model, fixed=("k3",)))
+    assert calibration.camera.value("k3") == 0.0
+    assert calibration.camera.std("k3") is None
+    assert calibration.camera.fixed == ("k3",)
+
+
+def test_a_guess_holds_what_is_fixed(scene):
+    options = Options(scene.camera.model, fixed=("fx", "fy"), guess=scene.camera)
+    calibration = calibrate(scene.observe(3, noise_px=0.1), scene.board, options)
+    assert calibration.camera.value("fx") == scene.camera.value("fx")
+    with pytest.raises(InvalidInput, match="--guess"):
+        calibrate(scene.observe(3), scene.board, replace(options, guess=None))
+    with pytest.raises(InvalidInput, match="no parameter 'k9'"):
+        calibrate(scene.observe(3), scene.board, Options(scene.camera.model, fixed=("k9",)))
+
+
+def test_partial_views_are_used():
+    scene = make_scene(partial=True, count=30)
+    seen = scene.observe(2, noise_px=0.1)
+    assert min(len(view.ids) for view in seen) < scene.board.count
+    calibration = calibrate(seen, scene.board, Options(scene.camera.model))
+    assert np.abs(sigmas(calibration, scene.camera)).max() < 4
+
+
+def test_weights_from_covariances_are_better_than_none(scene):
+    rng, noise = np.random.default_rng(8), np.array([0.05, 0.2])
+    seen = [
+        replace(
+            view,
+            pixels=view.pixels + noise[index % 2] * rng.normal(size=view.pixels.shape),
+            covariance=np.tile(noise[index % 2] ** 2 * np.eye(2), (len(view.ids), 1, 1)),
+        )
+        for index, view in enumerate(scene.observe(0))
+    ]
+    weighted = calibrate(seen, scene.board, Options(scene.camera.model))
+    assert np.abs(sigmas(weighted, scene.camera)).max() < 4
+    assert weighted.sigma_px == pytest.approx(1.0, rel=0.1)  # in units of what the covariances claim
+    alike = [replace(view, covariance=None) for view in seen[1::2]]
+    coarse = calibrate(alike, scene.board, Options(scene.camera.model))
+    assert weighted.camera.std("fx") < 0.5 * coarse.camera.std("fx")  # four times the noise, half the views
+
+
+def test_many_views_start_from_a_few():
+    scene = make_scene(count=90)
+    calibration = calibrate(scene.observe(4, noise_px=0.1), scene.board, Options(scene.camera.model))
+    assert len(calibration.used) == 90
+    assert np.abs(sigmas(calibration, scene.camera)).max() < 4
+
+
+def test_fewer_than_three_views_are_refused(scene):
+    with pytest.raises(InsufficientData, match="2 usable views of 2"):
+        calibrate(scene.observe(0)[:2], scene.board, Options(scene.camera.model))
+    with pytest.raises(InsufficientData, match="0 usable views"):
+        calibrate([Detection.nothing("a.png", (640, 480), "no board found")], scene.board, Options(scene.camera.model))
+
+
+def test_one_image_repeated_is_refused(scene):
+    view = scene.observe(0, noise_px=0.1)[0]
+    copies = [replace(view, image=f"{index}.png") for index in range(10)]
+    with pytest.raises(InsufficientData, match="9 more repeat"):
+        calibrate(copies, scene.board, Options(scene.camera.model))
+
+
+def test_a_repeated_image_counts_once(scene):
+    seen = list(scene.observe(0, noise_px=0.1))
+    calibration = calibrate([*seen, replace(seen[3], image="copy.png")], scene.board, Options(scene.camera.model))
+    assert calibration.views[-1].reason == f"repeats {seen[3].image}"
+    assert len(calibration.used) == len(seen)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_fronto_parallel_views_are_refused(scene, noise):
+    rng = np.random.default_rng(2)
+    flat = [
+        Pose(so3.about_z(rng.uniform(-0.3, 0.3)), np.array([*rng.uniform(-0.25, -0.1, 2), rng.uniform(0.5, 0.9)]))
+        for _ in range(15)
+    ]
+    seen, _ = observe(scene.camera, scene.board, flat, rng=rng, noise_px=noise)
+    with pytest.raises(InsufficientData, match=r"focal length|undetermined"):
+        calibrate(seen.views, scene.board, Options(scene.camera.model))
+
+
+def test_images_of_another_size_are_listed_not_used(scene):
+    seen = list(scene.observe(0, noise_px=0.1))
+    other = replace(seen[0], image="other.png", size=(640, 480))
+    calibration = calibrate([*seen[1:], other], scene.board, Options(scene.camera.model))
+    assert "640x480 differs from the others' 1600x1200" in calibration.views[-1].reason
+
+
+def test_views_without_enough_corners_carry_their_reason(scene):
+    seen = list(scene.observe(0, noise_px=0.1))
+    few = replace(seen[0], ids=seen[0].ids[:4], pixels=seen[0].pixels[:4])
+    line = replace(seen[1], ids=seen[1].ids[:9], pixels=seen[1].pixels[:9])
+    calibration = calibrate([few, line, *seen[2:]], scene.board, Options(scene.camera.model))
+    assert calibration.views[0].reason == "only 4 corners, 6 are needed"
+    assert calibration.views[1].reason == "all corners are on one line of the board"
+
+
+def test_a_board_of_unknown_size_calibrates_in_squares(scene):
+    unknown = Board("chessboard", 9, 6)
+    seen = scene.observe(3, noise_px=0.1)
+    metric = calibrate(seen, scene.board, Options(scene.camera.model))
+    squares = calibrate(seen, unknown, Options(scene.camera.model))
+    np.testing.assert_allclose(squares.camera.parameters, metric.camera.parameters, rtol=1e-6)
+    ratio = squares.views[0].camera_T_board.translation / metric.views[0].camera_T_board.translation
+    np.testing.assert_allclose(ratio, 1 / 0.040, rtol=1e-6)
+
+
+def test_a_lens_beyond_180_degrees_needs_no_hint():
+    camera = Camera(
+        model_named("kannala_brandt4"), (1200, 1200), np.array([330.0, 331, 602, 597, 0.01, -0.004, 0.001, 0])
+    )
+    board = Board("chessboard", 8, 6, 0.05)
+    rng = np.random.default_rng(3)
+    poses = []
+    for azimuth in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+        axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        swing = so3.exp(axis * rng.uniform(0.4, 1.45)) @ so3.exp(0.5 * rng.normal(size=3))
+        direction = so3.exp(axis * rng.uniform(0.6, 1.35)) @ np.array([0.0, 0.0, 0.45])
+        poses.append(Pose(swing, direction - swing @ np.array([0.175, 0.125, 0.0])))
+    seen, _ = observe(camera, board, poses, rng=rng, noise_px=0.1)
+    beyond = [np.arccos((camera.unproject(view.pixels).directions[:, 2]).min()) for view in seen.views if view.found]
+    assert max(beyond) > np.radians(90)
+    calibration = calibrate(seen.views, board, Options(camera.model))
+    assert np.abs(sigmas(calibration, camera)).max() < 4

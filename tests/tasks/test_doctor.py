@@ -1,0 +1,92 @@
+"""What `camcal doctor` sees, on this machine and on planted ones."""
+
+import json
+import sys
+from importlib import metadata
+
+import cv2
+import pytest
+
+from camcal.cli.main import app
+from camcal.tasks import doctor
+
+
+@pytest.fixture
+def versions(monkeypatch):
+    """Let packages have other versions than those installed; None takes one away."""
+    installed = metadata.version
+
+    def plant(**changed: str | None) -> None:
+        names = {name.replace("_", "-"): version for name, version in changed.items()}
+
+        def version(name: str) -> str:
+            found = names.get(name, "")
+            if found is None:
+                raise metadata.PackageNotFoundError(name)
+            return found or installed(name)
+
+        monkeypatch.setattr(metadata, "version", version)
+
+    return plant
+
+
+def test_this_environment_is_complete():
+    found = doctor.examine()
+    assert found.problems == ()
+    assert {"numpy", "opencv", "rawpy", "rich", "scipy", "typer", "matplotlib"} <= {p.name for p in found.packages}
+    assert found.cores >= 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"numpy": "1.26.4"}, "numpy: version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'"),
+        ({"typer": "0.30.1"}, "typer: version 0.30.1 is not < 0.30; pip install 'typer<0.30,>=0.29'"),
+        ({"rawpy": None}, "rawpy: not installed; pip install 'rawpy>=0.24'"),
+    ],
+)
+def test_a_package_that_does_not_fit_is_named_with_the_remedy(versions, changed, problem):
+    versions(**changed)
+    assert doctor.examine().problems == (problem,)
+
+
+def test_several_opencv_wheels_are_in_the_way(versions):
+    versions(opencv_python="4.10.0.84")
+    [problem] = doctor.examine().problems
+    assert problem.startswith("opencv: opencv-python 4.10.0.84, opencv-contrib-python-headless ")
+    assert "overwrite each other" in problem
+
+
+def test_an_opencv_that_is_too_old_is_in_the_way(monkeypatch):
+    monkeypatch.setattr(cv2, "__version__", "4.11.0")
+    [problem] = doctor.examine().problems
+    assert problem.startswith("opencv: version 4.11.0 is not >= 4.14")
+
+
+def test_an_opencv_without_its_contributed_modules_is_in_the_way(monkeypatch):
+    monkeypatch.delattr(cv2, "ximgproc")
+    [problem] = doctor.examine().problems
+    assert problem.startswith("opencv: has no ximgproc;")
+
+
+def test_an_opencv_that_cannot_be_imported_is_in_the_way(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    [problem] = doctor.examine().problems
+    assert problem.startswith("opencv: cannot be imported")
+
+
+def test_the_command_exits_with_7_and_still_prints_its_document(versions, capsys):
+    versions(numpy="1.26.4")
+    with pytest.raises(SystemExit) as exit_:
+        app(["doctor", "--json"])
+    output = capsys.readouterr()
+    assert exit_.value.code == 7
+    assert json.loads(output.out)["problems"] == ["numpy: version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'"]
+    assert output.err == "camcal: error: numpy: version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'\n"
+
+
+def test_the_command_exits_with_0_when_nothing_is_in_the_way(capsys):
+    with pytest.raises(SystemExit) as exit_:
+        app(["doctor"])
+    assert exit_.value.code == 0
+    assert capsys.readouterr().out.endswith("Nothing is in the way.\n")
