@@ -36,15 +36,13 @@ class Brown(PlaneModel):
 
     def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
         del points  # the plane says it all
+        minus_x, minus_y = -flat.x, -flat.y
         slopes = ((distorted.x_x, distorted.x_y), (distorted.y_x, distorted.y_y))
-        for axis, by_plane, length in zip(d_point, slopes, focal, strict=True):
-            scale = flat.scale * -length
-            by_x, by_y = scale * by_plane[0], scale * by_plane[1]
-            np.negative(by_x, out=axis[0])
-            np.negative(by_y, out=axis[1])
-            by_x *= flat.x
-            by_y *= flat.y
-            np.add(by_x, by_y, out=axis[2])
+        for axis, (by_x, by_y), length in zip(d_point, slopes, focal, strict=True):
+            scale = flat.scale * length
+            np.multiply(scale, by_x, out=axis[0])
+            np.multiply(scale, by_y, out=axis[1])
+            np.add(minus_x * axis[0], minus_y * axis[1], out=axis[2])
 
     def _lift(self, x: Array, y: Array) -> Array:
         depth = 1.0 / np.sqrt(1.0 + x * x + y * y)

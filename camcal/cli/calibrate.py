@@ -46,6 +46,9 @@ def calibrate(
     save_detections: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the corners too, so that a second solve needs no images.")
     ] = None,
+    image_size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Size of the images of a .vnl file, which does not say.")
+    ] = None,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -59,7 +62,8 @@ def calibrate(
     its standard deviation.
     """
     from camcal.errors import ItemsFailed
-    from camcal.tasks.calibrate import CalibrateOptions, document
+    from camcal.report.calibration import as_data
+    from camcal.tasks.calibrate import CalibrateOptions
     from camcal.tasks.calibrate import calibrate as run
 
     report = run(
@@ -75,13 +79,20 @@ def calibrate(
             max_rejected / 100,
             name,
             save_detections,
+            shared.parse_size(image_size) if image_size else None,
             recursive,
             jobs,
         ),
         show.progress(quiet),
     )
     if json:
-        show.document("calibrate", document(report, output))
+        verdict = {
+            "trustworthy": report.advice.trustworthy,
+            "reasons": report.advice.reasons,
+            "remarks": report.advice.remarks,
+        }
+        said = {"notes": report.notes, "failed": report.failed}
+        show.document("calibrate", {"output": output, **as_data(report.calibration), **verdict, **said})
     elif not quiet:
         _show(report, output, verbose)
     if report.failed:
@@ -89,13 +100,18 @@ def calibrate(
 
 
 def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
+    from camcal.report.calibration import parameter_rows, summary
+
     calibration = report.calibration
     for note in report.notes:
         show.text(note)
-    rows = [[value.name, value.value, value.std] for value in report.parameters()]
     width, height = calibration.camera.image_size
-    show.table(f"{calibration.camera.model.name}, {width}x{height}", ["parameter", "value", "± std"], rows)
-    for line in report.summary():
+    show.table(
+        f"{calibration.camera.model.name}, {width}x{height}",
+        ["parameter", "value", "± std"],
+        parameter_rows(calibration),
+    )
+    for line in summary(calibration):
         show.text(line)
     _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
     corners = [

@@ -20,7 +20,7 @@ def demosaic(
     inputs: Annotated[
         list[str],
         typer.Argument(
-            metavar="IN…", help="Camera raw files, or bare mosaics (PNG, TIFF, PGM, NPY); folders and globs too."
+            metavar="IN", help="Camera raw files, or bare mosaics (PNG, TIFF, PGM, NPY); folders and globs too."
         ),
     ],
     output: shared.Output,

@@ -65,3 +65,13 @@ CameraName = Annotated[
     str | None,
     typer.Option("--camera", metavar="NAME", help="Which camera of a file with several; FILE#NAME does the same."),
 ]
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return (width, height) from a size written as 1920x1080; raises InvalidInput for anything else."""
+    from camcal.errors import InvalidInput
+
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise InvalidInput(f"{text!r} is not a size; write WIDTHxHEIGHT, such as 1920x1080")
+    return int(width), int(height)

@@ -17,23 +17,22 @@ def cloud(
         Path, typer.Argument(metavar="DISPARITY", help="Disparity map of the left image: PNG, TIFF, PFM or NPY.")
     ],
     output: shared.Output,
-    image: Annotated[
-        str | None, typer.Argument(metavar="[IMAGE]", help="The rectified left image, for colour.")
-    ] = None,
+    image: Annotated[str | None, typer.Argument(metavar="IMAGE", help="The rectified left image, for colour.")] = None,
     camera_file: Annotated[
-        str | None, typer.Argument(metavar="[CAMERA]", help="Camera file of the rectified pair, or FILE#NAME.")
+        str | None, typer.Argument(metavar="CAMERA", help="Camera file of the rectified pair, or FILE#NAME.")
     ] = None,
     camera: shared.CameraName = None,
-    fx: Annotated[float | None, typer.Option(help="Focal length, pixels.")] = None,
-    fy: Annotated[float | None, typer.Option(help="Focal length along y, pixels; by default fx.")] = None,
-    cx: Annotated[float | None, typer.Option(help="Principal point of the left image, pixels.")] = None,
-    cy: Annotated[float | None, typer.Option(help="Principal point, pixels.")] = None,
-    baseline: Annotated[float | None, typer.Option(help="Distance of the cameras, metres.")] = None,
+    fx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length.")] = None,
+    fy: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length along y; by default fx.")] = None,
+    cx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point of the left image, x.")] = None,
+    cy: Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point, y.")] = None,
+    baseline: Annotated[float | None, typer.Option(metavar="METRES", help="Distance of the cameras.")] = None,
     doffs: Annotated[
-        float | None, typer.Option(help="cx of the right image minus cx of the left; by default 0.")
+        float | None, typer.Option(metavar="PIXELS", help="cx of the right image minus cx of the left; by default 0.")
     ] = None,
     scale: Annotated[
-        float | None, typer.Option(help="Counts per pixel of disparity; by default 256 for 16-bit maps, else 1.")
+        float | None,
+        typer.Option(metavar="COUNTS", help="Counts per pixel of disparity; by default 256 for 16-bit maps, else 1."),
     ] = None,
     min_depth: Annotated[float, typer.Option(metavar="METRES", help="Leave out what is nearer.")] = 0.0,
     max_depth: Annotated[float, typer.Option(metavar="METRES", help="Leave out what is farther.")] = float("inf"),

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 JPEG = b"\xff\xd8\xff"
 PNG = b"\x89PNG\r\n\x1a\n"
+LONGEST_EXIF = 0xFF00  # bytes that a segment of a JPEG file holds, with room for one entry more
 
 _EXIF_HEADER = b"Exif\0\0"
 _APP1, _SCAN, _END = 0xE1, 0xDA, b"\xff\xd9"
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # tables and extensions share the range
 _ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # markers without a segment
-_LONGEST_SEGMENT = 0xFFFF - 2
 
 
 @dataclass(frozen=True)
@@ -59,15 +59,13 @@ def read_png_exif(content: bytes) -> bytes:
 def insert_exif(content: bytes, block: bytes) -> bytes:
     """Return a JPEG or PNG file, that has none yet, with an EXIF block.
 
-    Raises ValueError if the block is too long for a JPEG file.
+    block: at most 65 527 bytes for a JPEG file.
     """
     if content.startswith(PNG):
         chunk = b"eXIf" + block
         whole = len(block).to_bytes(4, "big") + chunk + zlib.crc32(chunk).to_bytes(4, "big")
         return _inserted(content, content.index(b"IDAT") - 4, whole)
     payload = _EXIF_HEADER + block
-    if len(payload) > _LONGEST_SEGMENT:
-        raise ValueError(f"an EXIF block of {len(block)} bytes does not fit a JPEG file")
     return _inserted(content, 2, bytes([0xFF, _APP1]) + (len(payload) + 2).to_bytes(2, "big") + payload)
 
 

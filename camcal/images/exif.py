@@ -24,12 +24,14 @@ class _Directory(NamedTuple):
 
 
 def is_readable(block: bytes) -> bool:
-    """Return whether the block has a first directory that can be read."""
+    """Return whether the block has directories that can be read."""
     try:
         order = _ORDERS[block[:4]]
-        return bool(_first_directory(block, order).entries)
+        entries = _first_directory(block, order).entries
+        _capture_directory(block, order, entries)
     except (KeyError, struct.error):
         return False
+    return bool(entries)
 
 
 def orientation(block: bytes) -> int:
@@ -61,12 +63,10 @@ def of_image(block: bytes, size: tuple[int, int]) -> bytes:
     order = _ORDERS[block[:4]]
     first = _first_directory(block, order)
     struct.pack_into(order + "I", result, first.end, 0)  # the second directory is the thumbnail's
-    if _EXIF_DIRECTORY in first.entries:
-        (start,) = struct.unpack_from(order + "I", block, first.entries[_EXIF_DIRECTORY] + 8)
-        entries = _directory(block, order, start).entries
-        for tag, value in ((_WIDTH, size[0]), (_HEIGHT, size[1])):
-            if tag in entries:
-                struct.pack_into(order + "HHII", result, entries[tag], tag, _LONG, 1, value)
+    entries = _capture_directory(block, order, first.entries)
+    for tag, value in ((_WIDTH, size[0]), (_HEIGHT, size[1])):
+        if tag in entries:
+            struct.pack_into(order + "HHII", result, entries[tag], tag, _LONG, 1, value)
     return bytes(result)
 
 
@@ -84,6 +84,14 @@ def _with_entry(block: bytearray, order: str, directory: _Directory, entry: byte
 def _first_directory(block: bytes | bytearray, order: str) -> _Directory:
     (start,) = struct.unpack_from(order + "I", block, 4)
     return _directory(block, order, start)
+
+
+def _capture_directory(block: bytes, order: str, first: dict[int, int]) -> dict[int, int]:
+    """Return the entries of the directory about the capture, which the first one points to; empty without one."""
+    if _EXIF_DIRECTORY not in first:
+        return {}
+    (start,) = struct.unpack_from(order + "I", block, first[_EXIF_DIRECTORY] + 8)
+    return _directory(block, order, start).entries
 
 
 def _directory(block: bytes | bytearray, order: str, start: int) -> _Directory:

@@ -15,12 +15,12 @@ from camcal.arrays import Array, readonly
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.images.load import load
-from camcal.images.npy import read_npy
 
 PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR")
 BARE_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy"})
 HEADERLESS_SUFFIXES = frozenset({".raw", ".bin"})
 
+_ORIENTATIONS = {3: 3, 5: 8, 6: 6}  # LibRaw's turns of 180°, 90° to the left, 90° to the right, as EXIF counts them
 _CELL = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
@@ -30,6 +30,7 @@ class Mosaic:
 
     black: (2, 2) counts without light, laid out like the first cell of the pattern. white: counts at saturation.
     camera_gains: (3,) red, green, blue that the camera proposes for its white balance, None when it says nothing.
+    orientation: the EXIF tag 1 … 8, how to turn the image for looking at it; never applied.
     """
 
     values: Array
@@ -37,6 +38,7 @@ class Mosaic:
     black: Array
     white: float
     camera_gains: Array | None = None
+    orientation: int = 1
 
     def __post_init__(self) -> None:
         require_pattern(self.pattern)
@@ -96,10 +98,11 @@ def read_mosaic(path: Path, pattern: str | None = None) -> Mosaic:
 def _read_bare(path: Path, pattern: str | None) -> Mosaic:
     if pattern is None:
         raise InvalidInput(f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}")
-    values = read_npy(path) if path.suffix.lower() == ".npy" else load(path).pixels
-    if values.ndim != 2:
-        raise InvalidInput(f"a mosaic has one channel, this has the shape {values.shape}: it is in colour already")
-    return Mosaic(values, pattern, np.zeros((2, 2)), full_scale(values.dtype))
+    image = load(path)
+    if image.channels != 1:
+        raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
+    values = image.pixels
+    return Mosaic(values, pattern, np.zeros((2, 2)), full_scale(values.dtype), orientation=image.orientation)
 
 
 def _read_camera(path: Path, pattern: str | None) -> Mosaic:
@@ -112,7 +115,14 @@ def _read_camera(path: Path, pattern: str | None) -> Mosaic:
                 raise InvalidInput("holds full colour already, not a mosaic")
             found = pattern_of(raw.raw_pattern, raw.color_desc)
             black = np.asarray(raw.black_level_per_channel, dtype=float)[raw.raw_pattern]
-            frame = Mosaic(raw.raw_image_visible, found, black, _white_level(raw), _camera_gains(raw))
+            frame = Mosaic(
+                raw.raw_image_visible,
+                found,
+                black,
+                _white_level(raw),
+                _camera_gains(raw),
+                _ORIENTATIONS.get(raw.sizes.flip, 1),
+            )
     except rawpy.LibRawError as error:
         raise FileError(f"not a camera raw file that can be read ({_reason(error)})", where=str(path)) from error
     if pattern not in (None, found):

@@ -17,7 +17,7 @@ def read_npy(path: Path) -> Array:
     """
     try:
         values: Array = np.load(BytesIO(read_bytes(path)), allow_pickle=False)
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, MemoryError) as error:  # a header may promise more than any memory holds
         raise FileError("not a NumPy array file that can be read", where=str(path)) from error
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "uif":
         raise FileError("holds no plain array of numbers", where=str(path))

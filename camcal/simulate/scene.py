@@ -120,7 +120,7 @@ def _settle(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Arr
         rays = np.where(sight.valid[:, None], sight.directions, rays)
         rotations, translations = _place(rays, distance, attempts.turn, outline.centre)
         pixels, valid = project_all(camera, outline.rim, rotations, translations)
-        whole = valid.all(axis=1)
+        whole = np.asarray(valid.all(axis=1))
         lowest, highest = pixels.min(axis=1), pixels.max(axis=1)
         growth = np.max((highest - lowest) / size, axis=1) / attempts.fill
         distance = distance * np.where(whole, np.clip(growth, 0.7, 1.5), 1.5)

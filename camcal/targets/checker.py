@@ -48,7 +48,7 @@ def settle(gray: Array, start: Array, clearance: float = np.inf) -> Checker:
     contrast = float(np.median(np.abs(look[known]))) if known.any() else 0.0
     least = MIN_CONTRAST * contrast
     grid[~(sign * look > least)] = np.nan
-    grid[_stray(grid)] = np.nan
+    grid[grids.stray(grid) > STRAY] = np.nan
     for _ in range(sum(grid.shape[:2])):
         grown = _grow(gray, grid, sign, least, clearance)
         if np.array_equal(np.isnan(grown), np.isnan(grid)):
@@ -69,9 +69,11 @@ def _polish(gray: Array, grid: Array, clearance: float) -> Array:
 def continues(gray: Array, checker: Checker) -> bool:
     """Return whether the checker pattern goes on beyond the grid, so that the board is larger than thought."""
     wide = np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    known = ~np.isnan(_grow(gray, wide, checker.sign, MIN_CONTRAST * checker.contrast, np.inf)[..., 0])
-    sides = (known[0, 1:-1], known[-1, 1:-1], known[1:-1, 0], known[1:-1, -1])
-    return any(side.mean() > MIN_SIDE for side in sides)
+    beyond = np.isnan(wide[..., 0])
+    wide[beyond] = grids.predict(wide)[beyond]
+    look, agreement = _look(gray, wide, beyond & ~np.isnan(wide[..., 0]))
+    alike = (agreement > SURE_AGREEMENT) & (np.abs(checker.sign * look / checker.contrast - 1) < ALIKE)
+    return any(side.mean() > MIN_SIDE for side in (alike[0], alike[-1], alike[:, 0], alike[:, -1]))
 
 
 def _grow(gray: Array, grid: Array, sign: int, least: float, clearance: float) -> Array:
@@ -101,9 +103,3 @@ def _fit(gray: Array, grid: Array, where: Array, limit: float, clearance: float)
     result = grid.copy()
     result[where] = fits.pixels
     return result, look
-
-
-def _stray(grid: Array) -> Array:
-    """Return which corners (rows, columns) are not where their neighbours put them."""
-    away = np.linalg.norm(grid - grids.predict(grid), axis=-1)
-    return np.asarray(away > STRAY * grids.spacing(grids.steps(grid)))

@@ -16,20 +16,36 @@ def predict(grid: Array) -> Array:
     The median of the estimates along rows and columns, exact for quadratic spacing, so that perspective and strong
     distortion pass and a wrong neighbour or two is outvoted; where there are none, of linear ones.
     """
+    quadratic, linear = _estimates(grid)
+    best = _median(quadratic)
+    return np.where(np.isnan(best), _median(linear), best)
+
+
+def stray(grid: Array) -> Array:
+    """Return how far every node (rows, columns) is from the nearest estimate of its neighbours, in steps.
+
+    The nearest one, because on the rim of a fisheye image the estimates scatter. NaN where there is none.
+    """
+    away = np.linalg.norm(np.concatenate(_estimates(grid)) - grid, axis=-1)
+    nearest = np.where(np.isnan(away), np.inf, away).min(axis=0)
+    return np.where(np.isfinite(nearest), nearest / spacing(steps(grid)), np.nan)
+
+
+def _estimates(grid: Array) -> tuple[Array, Array]:
+    """Return estimates (K, rows, columns, 2) of every node from its neighbours: quadratic ones and linear ones."""
     near = _neighbours(grid)
-    good, fair = [], []
+    quadratic, linear = [], []
     for along in (np.array([0, 1]), np.array([1, 0])):
         across = along[::-1]
         for sign in (-1, 1):
             one, two, three = (near(sign * k * along) for k in (1, 2, 3))
-            good.append(3 * one - 3 * two + three)
-            fair.append(2 * one - two)
-            fair.append(one + near(sign * across) - near(sign * (along + across)))
+            quadratic.append(3 * one - 3 * two + three)
+            linear.append(2 * one - two)
+            linear.append(one + near(sign * across) - near(sign * (along + across)))
         before, after = near(-along), near(along)
-        good.append((4 * (before + after) - near(-2 * along) - near(2 * along)) / 6)
-        fair.append((before + after) / 2)
-    best = _median(np.array(good))
-    return np.where(np.isnan(best), _median(np.array(fair)), best)
+        quadratic.append((4 * (before + after) - near(-2 * along) - near(2 * along)) / 6)
+        linear.append((before + after) / 2)
+    return np.array(quadratic), np.array(linear)
 
 
 def steps(grid: Array) -> Array:

@@ -18,7 +18,9 @@ SHARE = 0.4  # of a step: the window's radius, so that it ends before the next e
 REACH_PX = 12.0  # its largest radius; more edge adds little, and lens distortion bends longer edges
 REACH_SHARE = 1 / 8  # … or this share of the spacing, for images whose blur grew with their pixels
 CORE_PX = 2.5  # its smallest radius: fewer pixels than parameters determine nothing
-_SAMPLES = 450  # pixels a window holds at most; larger windows take every second, third, …
+BAND_PX = 6.0  # samples lie at most this far from one of the edges; further away there is nothing to be learnt
+BAND_SHARE = 1 / 4  # … or this share of the radius
+_COARSE = 2  # pixels between samples of a quick fit; sharp edges sampled so are good to two tenths of a pixel
 _LEAST_BLUR_PX = 0.3  # of a pixel's own square, √(1/12)
 _LARGEST_BLUR_PX = 4.0
 _ROUNDS = 15
@@ -62,9 +64,9 @@ def fit_corners(
 
     gray: (H, W). steps: (N, 2, 2), columns are the vectors to the next corner along the row and down the column.
     clearance: how far from the nearer edge, in steps, samples may lie: less than the margin around a marker.
-    quick: with a quarter of the samples, to a tenth of a pixel.
+    quick: with a quarter of the samples, to some tenths of a pixel.
     """
-    windows, reach = _windows(gray, pixels, steps, clearance, _SAMPLES // 4 if quick else _SAMPLES)
+    windows, reach = _windows(gray, pixels, steps, clearance, _COARSE if quick else 1)
     parameters = _start(windows, steps)
     parameters, cost = _minimise(windows, parameters, max(_LARGEST_BLUR_PX, reach / 3), 0.02 if quick else _SETTLED_PX)
     moved = parameters[:, [_X, _Y]]
@@ -72,29 +74,40 @@ def fit_corners(
     return CornerFits(pixels + moved, parameters[:, _CONTRAST], agreement)
 
 
-def _windows(gray: Array, pixels: Array, steps: Array, clearance: float, samples: int) -> tuple[_Windows, float]:
+def _windows(gray: Array, pixels: Array, steps: Array, clearance: float, stride: int) -> tuple[_Windows, float]:
     """Return the samples around every start and the largest radius in pixels."""
     lengths = np.linalg.norm(steps, axis=1)
     limit = np.maximum(REACH_PX, REACH_SHARE * lengths.min(axis=1))
     reach = float(max(CORE_PX, np.minimum(SHARE * lengths.max(axis=1), limit).max()))
-    stride = max(1, round(np.sqrt(np.pi * reach**2 / samples)))
     side = np.arange(-int(reach / stride) - 1, int(reach / stride) + 2) * stride
     offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     places = np.rint(pixels).astype(np.intp)[:, None] + offsets
+    used = _in_window(places - pixels[:, None], steps, limit[:, None], clearance)
+    used &= ((places >= 0) & (places < (gray.shape[1], gray.shape[0]))).all(axis=-1)
+    order = np.argsort(~used, axis=1, kind="stable")[:, : int(used.sum(axis=1).max())]
+    places = np.take_along_axis(places, order[..., None], axis=1)
     away = places - pixels[:, None]
+    column, row = np.moveaxis(places, -1, 0)
+    values = gray[np.clip(row, 0, gray.shape[0] - 1), np.clip(column, 0, gray.shape[1] - 1)]
+    weights = np.take_along_axis(used, order, axis=1)
+    return _Windows(away[..., 0], away[..., 1], values.astype(np.float64), weights.astype(np.float64)), reach
+
+
+def _in_window(away: Array, steps: Array, limit: Array, clearance: float) -> Array:
+    """Return which samples (N, K), offsets (N, K, 2) in pixels, belong to the windows: a disc in the board's plane,
+    of which what is far from both edges is left out.
+    """
     in_steps = np.abs(away @ _inverse(steps).swapaxes(1, 2))
     radius = np.hypot(away[..., 0], away[..., 1])
-    disc = (np.hypot(in_steps[..., 0], in_steps[..., 1]) < SHARE) & (radius <= limit[:, None])
-    core = radius <= np.minimum(CORE_PX, limit)[:, None]
-    inside = ((places >= 0) & (places < (gray.shape[1], gray.shape[0]))).all(axis=-1)
-    used = inside & (core | (disc & (in_steps.min(axis=-1) < clearance)))
-    order = np.argsort(~used, axis=1, kind="stable")[:, : int(used.sum(axis=1).max())]
-    x, y, column, row, weights = (
-        np.take_along_axis(part, order, axis=1)
-        for part in (away[..., 0], away[..., 1], places[..., 0], places[..., 1], used)
-    )
-    values = gray[np.clip(row, 0, gray.shape[0] - 1), np.clip(column, 0, gray.shape[1] - 1)]
-    return _Windows(x, y, values.astype(np.float64), weights.astype(np.float64)), reach
+    disc = (np.hypot(in_steps[..., 0], in_steps[..., 1]) < SHARE) & (radius <= limit)
+    edge_distance = (in_steps * _heights(steps)[:, None]).min(axis=-1)
+    near = (edge_distance < np.maximum(BAND_PX, BAND_SHARE * limit)) & (in_steps.min(axis=-1) < clearance)
+    return np.asarray((disc & near) | (radius <= CORE_PX))
+
+
+def _heights(steps: Array) -> Array:
+    """Return how far from an edge (N, 2) one step leads: along the row from the column's edge, and the reverse."""
+    return np.abs(np.linalg.det(steps))[:, None] / np.linalg.norm(steps, axis=1)[:, ::-1]
 
 
 def _inverse(steps: Array) -> Array:

@@ -10,14 +10,13 @@ import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.images.develop import Development, develop
+from camcal.images.image import Image
 from camcal.images.mosaic import BARE_SUFFIXES, PATTERNS, Mosaic, read_mosaic, require_pattern
-from camcal.images.npy import write_npy
-from camcal.images.save import save
+from camcal.images.save import KINDS, save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images, record_outputs
 
-OUTPUT_SUFFIXES = (".tif", ".tiff", ".png", ".ppm", ".npy")
 _SIXTEEN_BITS = 65535.0
 _DEFAULT_SUFFIX = ".tiff"  # 16-bit PNG takes seventeen times as long to write
 
@@ -84,12 +83,12 @@ def _develop_file(source: Path, options: DemosaicOptions, outputs: Mapping[Path,
     output = outputs[source]
     frame = _with_levels(read_mosaic(source, options.pattern), options)
     picture = develop(frame, options.development)
-    write_npy(output, picture.pixels) if output.suffix.lower() == ".npy" else save(output, picture.pixels)
-    height, width = picture.pixels.shape[:2]
+    image = Image(picture.pixels, frame.orientation)
+    save(output, image)
     return DevelopedFrame(
         source=source,
         output=output,
-        size=(width, height),
+        size=image.size,
         pattern=frame.pattern,
         black=tuple(frame.black.ravel().tolist()),
         white=frame.white,
@@ -111,8 +110,8 @@ def _outputs(frames: Sequence[Path], output: Path) -> dict[Path, Path]:
     if output.suffix and not output.is_dir():
         if len(frames) > 1:
             raise InvalidInput(f"{len(frames)} frames do not go into one file; give a folder", where=str(output))
-        if output.suffix.lower() not in OUTPUT_SUFFIXES:
-            raise InvalidInput(f"{output.suffix} is not written; use {', '.join(OUTPUT_SUFFIXES)}", where=str(output))
+        if output.suffix.lower() not in KINDS:
+            raise InvalidInput(f"{output.suffix} is not written; use {', '.join(KINDS)}", where=str(output))
         outputs = {frames[0]: output}
     else:
         outputs = {frame: output / f"{frame.stem}{_DEFAULT_SUFFIX}" for frame in frames}

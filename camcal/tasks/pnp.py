@@ -10,14 +10,13 @@ import numpy as np
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.pnp import Correspondences, PoseEstimate, estimate_poses
-from camcal.formats import boards, correspondences, detections, native, poses
+from camcal.formats import correspondences, native, poses
 from camcal.formats.poses import Poses
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import split_address
-from camcal.targets.board import Detection, Detections
-from camcal.tasks.detect import DetectOptions, detect_images
+from camcal.targets.board import Board, Detection
+from camcal.tasks.board_views import board_views
 
-DETECTION_SUFFIXES = (".csv", ".vnl")
 _LIKELY_DISTANCE_M = (0.05, 100.0)  # outside, the points are likely not in metres
 
 
@@ -119,38 +118,21 @@ def _camera(options: PnpOptions, progress: Progress) -> Camera:
 
 def _seen_boards(options: PnpOptions, camera: Camera, progress: Progress) -> _Seen:
     """Return what images or a detections file show of the board."""
-    found, notes, failed = _detections(options, progress)
-    if found.board is None:
-        raise InvalidInput("no board is known: give --board, such as --board chessboard:9x6:25mm")
-    views = _of_one_camera(found.views, split_address(options.camera)[1] or options.name)
-    nothing = {view.image: view.reason or "nothing found" for view in views if not view.found}
-    resized = [view for view in views if view.found and view.size != camera.image_size]
-    fitting = [view for view in views if view.found and view.size == camera.image_size]
-    points = found.board.points()
+    found = board_views(options.inputs, options.board, options.recursive, options.jobs, progress)
+    views = _of_one_camera(found.detections.views, split_address(options.camera)[1] or options.name)
+    shown = [view for view in views if view.found]
     return _Seen(
-        [Correspondences(view.image, points[view.ids], view.pixels, view.covariance) for view in fitting],
+        [_on_board(view, found.board) for view in shown if view.size == camera.image_size],
         found.board.unit,
-        nothing,
-        {view.image: _other_size(view, camera) for view in resized},
-        notes,
-        failed,
+        {view.image: view.reason or "nothing found" for view in views if not view.found},
+        {view.image: _other_size(view, camera) for view in shown if view.size != camera.image_size},
+        found.notes,
+        found.failed,
     )
 
 
-def _detections(options: PnpOptions, progress: Progress) -> tuple[Detections, tuple[str, ...], tuple[str, ...]]:
-    """Return the detections, remarks on them, and the images that could not be read."""
-    board = boards.load_board(options.board) if options.board else None
-    tables = [text for text in options.inputs if Path(text).suffix.lower() in DETECTION_SUFFIXES]
-    if tables and len(options.inputs) > 1:
-        raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])
-    if tables:
-        return detections.read(Path(tables[0]), board), (), ()
-    if board is None:
-        raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
-    report = detect_images(
-        DetectOptions(options.inputs, board, recursive=options.recursive, jobs=options.jobs), progress
-    )
-    return report.detections, report.notes, report.failed
+def _on_board(view: Detection, board: Board) -> Correspondences:
+    return Correspondences(view.image, board.points()[view.ids], view.pixels, view.covariance)
 
 
 def _of_one_camera(views: Sequence[Detection], name: str | None) -> list[Detection]:

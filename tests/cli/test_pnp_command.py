@@ -1,6 +1,7 @@
 """`camcal pnp` from the outside: what is printed, what is written, how it exits."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,13 @@ import yaml
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cli.main import app
-from camcal.formats import native
+from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
+from camcal.simulate.observe import observe
+from camcal.targets.board import parse_board
 
+SETTINGS = Path(__file__).parents[2] / "sample_configs" / "pnp.yaml"
 CAMERA = Camera(model_named("pinhole"), (640, 480), [500.0, 500.0, 320.0, 240.0])
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.05
 TRUTH = Pose.from_vector(np.array([0.3, 0.2, 0.1]), np.array([0.02, -0.03, 0.7]))
@@ -23,8 +27,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     native.write(tmp_path / "camera.yaml", CameraFile({"cam": CameraEntry(CAMERA)}))
     noise = np.random.default_rng(1).normal(0, 0.2, (8, 2))
-    pixels = CAMERA.project(TRUTH.apply(CUBE)).pixels + noise
-    rows = [f"{image},{x},{y},{z},{u},{v}" for image in ("a", "b") for (x, y, z), (u, v) in zip(CUBE, pixels)]
+    rows_of_a_view = np.column_stack([CUBE, CAMERA.project(TRUTH.apply(CUBE)).pixels + noise]).tolist()
+    rows = [",".join([image, *map(str, row)]) for image in ("a", "b") for row in rows_of_a_view]
     (tmp_path / "points.csv").write_text("image,X,Y,Z,u,v\n" + "\n".join(rows) + "\n")
     (tmp_path / "one_bad.csv").write_text("image,X,Y,Z,u,v\n" + "\n".join(rows[:11]) + "\n")
     return tmp_path
@@ -79,6 +83,15 @@ def test_an_image_without_a_pose_is_exit_6_and_the_rest_is_there(folder, capsys)
     assert "# none b," in (folder / "poses.csv").read_text()
 
 
+def test_the_sample_settings_are_taken(folder, capsys):
+    board = parse_board("chessboard:9x6:25mm")
+    found, _ = observe(CAMERA, board, [TRUTH], rng=np.random.default_rng(2), noise_px=0.2)
+    detections.write(folder / "detections.csv", found)
+    assert run("camera.yaml", "detections.csv", "--config", str(SETTINGS)) == 0
+    assert "noise 0.2 px, as given" in capsys.readouterr().out
+    assert yaml.safe_load((folder / "poses.yaml").read_text())["frames"] == "camera_T_object"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -87,7 +100,7 @@ def test_an_image_without_a_pose_is_exit_6_and_the_rest_is_there(folder, capsys)
         (["--points", "wrong.csv"], 2, "wrong.csv:2: u: 'left' is not a number"),
         (["--points", "points.csv", "--noise", "-1"], 2, "a noise of -1 px is not positive"),
         ([], 2, "nothing to work on: give --points"),
-        (["detections.csv"], 2, "no board is known: give --board"),
+        (["detections.csv"], 2, "detections.csv: names no board: give --board"),
     ],
 )
 def test_bad_input_is_one_line_and_an_exit_code(folder, capsys, arguments, code, message):

@@ -57,8 +57,7 @@ def from_detections(camera_file, tmp_path, found, **options):
 
 def from_points(camera_file, tmp_path, points, pixels, **options):
     path = tmp_path / "points.csv"
-    rows = [",".join(map(repr, [*map(float, point), *map(float, pixel)])) for point, pixel in zip(points, pixels)]
-    path.write_text("X,Y,Z,u,v\n" + "\n".join(rows) + "\n")
+    np.savetxt(path, np.column_stack([points, pixels]), "%.17g", ",", header="X,Y,Z,u,v", comments="")
     return PnpOptions(camera_file, points=path, **options)
 
 
@@ -125,9 +124,10 @@ def test_without_any_pose_the_reason_is_raised_and_nothing_written(camera_file, 
     output = tmp_path / "poses.yaml"
     with pytest.raises(InsufficientData, match=r"empty\.png: no pose from 1 images; no board found"):
         pnp(from_detections(camera_file, tmp_path, empty, output=output))
+    line = np.outer(np.arange(5), [0.1, 0, 0])
+    pixels = CAMERA.project(line + np.array([0, 0, 2])).pixels
     with pytest.raises(InsufficientData, match="all 5 points lie on one line"):
-        line = np.outer(np.arange(5), [0.1, 0, 0])
-        pnp(from_points(camera_file, tmp_path, line, CAMERA.project(line + [0, 0, 2]).pixels, output=output))
+        pnp(from_points(camera_file, tmp_path, line, pixels, output=output))
     assert not output.exists()
 
 

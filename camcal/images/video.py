@@ -1,0 +1,43 @@
+"""Reading videos frame by frame, as the sensor saw them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+
+from camcal.errors import FileError
+from camcal.images.image import Image
+
+_ORIENTATIONS = {0: 1, 90: 6, 180: 3, 270: 8}  # degrees to turn clockwise for looking at it → EXIF
+_LEAST = 0.9  # of the frames a file announces; the announcement may be off by a few
+
+
+def frames(path: Path) -> Iterator[Image]:
+    """Yield the frames of a video in order; how to turn them is noted in their orientation and never applied.
+
+    Raises FileError if the file is missing or no video, and after the last frame if many are missing.
+    """
+    if not path.is_file() or path.stat().st_size == 0:
+        raise FileError("is empty" if path.is_file() else "no such file", where=str(path))
+    capture = cv2.VideoCapture(str(path))
+    try:
+        if not capture.isOpened():
+            raise FileError("not a video that can be read; it may be cut off", where=str(path))
+        yield from _read(path, capture)
+    finally:
+        capture.release()
+
+
+def _read(path: Path, capture: cv2.VideoCapture) -> Iterator[Image]:
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    turned = _ORIENTATIONS.get(int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360, 1)
+    announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    count = 0
+    while True:
+        there, pixels = capture.read()
+        if not there:
+            break
+        count += 1
+        yield Image(pixels, turned)
+    if count == 0 or count < _LEAST * announced:
+        raise FileError(f"ends after {count} of {max(announced, 0)} frames; it may be cut off", where=str(path))

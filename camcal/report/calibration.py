@@ -1,0 +1,88 @@
+"""A calibration in words and as plain data."""
+
+from typing import Any
+
+from camcal.calibrate.intrinsics import Calibration, View
+from camcal.formats import boards
+from camcal.report.uncertain import value_and_std
+from camcal.targets.surface import TIERS
+
+
+def parameter_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
+    """Return name, value and standard deviation of the lens parameters as text."""
+    camera = calibration.camera
+    rows = [(name, *value_and_std(camera.value(name), camera.std(name))) for name in camera.model.parameter_names]
+    return [(name, value, "fixed" if name in camera.fixed else std) for name, value, std in rows]
+
+
+def summary(calibration: Calibration) -> list[str]:
+    """Return what the numbers say of the residuals and the board, a line each."""
+    unused = len(calibration.views) - len(calibration.used)
+    residuals = (
+        f"RMS {calibration.rms_px:.3f} px over {len(calibration.residuals)} corners of "
+        f"{len(calibration.used)} views ({unused} not used, {len(calibration.rejected)} corners rejected); "
+        f"noise {calibration.sigma_px:.3f} px"
+    )
+    return [residuals, *_board_lines(calibration)]
+
+
+def _board_lines(calibration: Calibration) -> list[str]:
+    surface = calibration.surface
+    factor, unit = (1e3, "mm") if calibration.board.unit == "m" else (1.0, "squares")
+    lines = []
+    if surface.deflection:
+        bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
+        lines.append(f"board: bent by {bend} ± {std} {unit} peak to peak")
+    for term, value, std in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
+        if term in TIERS["stretch"]:
+            shown = " ± ".join(value_and_std(100 * value, 100 * std))
+            pairs = calibration.correlations.items()
+            with_focal = ", ".join(f"{pair[1]} {share:+.2f}" for pair, share in pairs if pair[0] == term)
+            lines.append(f"board: {term} {shown} %" + (f" (correlation with {with_focal})" if with_focal else ""))
+    if surface.offsets is not None:
+        largest = factor * float(abs(surface.offsets).max())
+        lines.append(f"board: every corner free; the largest is off by {largest:.2g} {unit}")
+    return lines or ["board: flat and true to the drawing as far as these views can tell"]
+
+
+def view_record(view: View) -> dict[str, Any]:
+    """Return what became of one image as plain data."""
+    record: dict[str, Any] = {"file": view.image, "used": view.used, "points": view.points}
+    if view.rms_px is not None:
+        record["rms_px"] = view.rms_px
+    return record | ({"reason": view.reason} if view.reason else {})
+
+
+def as_data(calibration: Calibration) -> dict[str, Any]:
+    """Return everything of a calibration that a program may want, as plain data; lengths in `board_shape.unit`."""
+    camera, surface = calibration.camera, calibration.surface
+    return {
+        "model": camera.model.name,
+        "image_size": list(camera.image_size),
+        "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
+        "std": {name: camera.std(name) for name in camera.model.parameter_names},
+        "rms_px": calibration.rms_px,
+        "sigma_px": calibration.sigma_px,
+        "degrees_of_freedom": calibration.freedom,
+        "board": boards.block(calibration.board),
+        "board_shape": {
+            "unit": calibration.board.unit,
+            "tiers": list(surface.tiers),
+            "terms": dict(zip(surface.terms, surface.coefficients.tolist(), strict=True)),
+            "std": dict(zip(surface.terms, surface.coefficients_std().tolist(), strict=True)),
+            "deflection": surface.deflection,
+            "deflection_std": surface.deflection_std,
+            "free_corners": surface.offsets is not None,
+            "correlations": {f"{term}, {focal}": share for (term, focal), share in calibration.correlations.items()},
+        },
+        "views": [view_record(view) | {"turned": view.turned} for view in calibration.views],
+        "rejected": [
+            {
+                "image": corner.image,
+                "id": corner.id,
+                "pixel": corner.pixel.tolist(),
+                "residual": corner.residual.tolist(),
+            }
+            for corner in calibration.rejected
+        ],
+    }

@@ -1,0 +1,62 @@
+"""What is seen of a board, from images or from a detections file: the first step of every task that needs a board."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from camcal.errors import InvalidInput
+from camcal.formats import boards, detections
+from camcal.images.load import load
+from camcal.progress import Progress
+from camcal.targets.board import Board, Detections
+from camcal.tasks.detect import DetectOptions, detect_images
+
+DETECTION_SUFFIXES = (".csv", ".vnl")
+
+
+@dataclass(frozen=True)
+class BoardViews:
+    """The board, its detections, remarks on them, and the images that could not be read."""
+
+    board: Board
+    detections: Detections
+    notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+
+def board_views(
+    inputs: tuple[str, ...],
+    board: str | None,
+    recursive: bool,
+    jobs: int | None,
+    progress: Progress,
+    image_size: tuple[int, int] | None = None,
+) -> BoardViews:
+    """Return what images, folders and globs show of a board, or what one detections file holds.
+
+    board: a board file or short form; it may be None where a detections file names the board.
+    image_size: (width, height) of the images of a .vnl file, which has none; None: the images beside it tell.
+    Raises InvalidInput if no board is known or a detections file is not alone, FileError.
+    """
+    known = boards.load_board(board) if board else None
+    tables = [text for text in inputs if Path(text).suffix.lower() in DETECTION_SUFFIXES]
+    if tables and len(inputs) > 1:
+        raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])
+    if tables:
+        path = Path(tables[0])
+        found = detections.read(path, known, image_size or (lambda name: _size_beside(path, name)))
+        if found.board is None:
+            raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm", where=tables[0])
+        return BoardViews(found.board, found)
+    if known is None:
+        raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
+    report = detect_images(DetectOptions(inputs, known, recursive=recursive, jobs=jobs), progress)
+    return BoardViews(report.detections.board or known, report.detections, report.notes, report.failed)
+
+
+def _size_beside(table: Path, image: str) -> tuple[int, int]:
+    """Return the size of an image that a table names, relative to the table's folder or to where we are."""
+    candidates = [folder / image for folder in (table.parent, Path())]
+    for path in candidates:
+        if path.is_file():
+            return load(path).size
+    raise InvalidInput(f"has no image size and {image} is not there: pass --image-size WxH", where=str(table))
