@@ -17,6 +17,8 @@ _SB_THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALI
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SEED_LIMIT = 1 << 31
 
+CharucoDetector = cv2.aruco.CharucoDetector
+
 
 @contextmanager
 def repeatable(seed: int) -> Iterator[None]:
@@ -36,6 +38,12 @@ def repeatable(seed: int) -> Iterator[None]:
 def corner_array(corners: Array) -> Array:
     """Return the corners of any OpenCV function as (N, 2) pixels."""
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+
+
+def resized(gray: Array, scale: float) -> Array:
+    """Return an image at another scale: the mean over pixels when it is reduced, cubic interpolation otherwise."""
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=interpolation))
 
 
 def find_chessboard_sb(gray: Array, columns: int, rows: int, *, thorough: bool = False) -> Array | None:
@@ -77,7 +85,7 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 def charuco_detector(
     squares: tuple[int, int], marker_ratio: float, dictionary: str, first_marker: int, *, legacy: bool
-) -> cv2.aruco.CharucoDetector:
+) -> CharucoDetector:
     """Return a detector for a ChArUco board of (columns, rows) squares.
 
     marker_ratio: side of a marker as a share of its square. legacy: the pattern of OpenCV before 4.6.
@@ -94,7 +102,7 @@ def charuco_detector(
     return cv2.aruco.CharucoDetector(board, parameters)
 
 
-def find_charuco(detector: cv2.aruco.CharucoDetector, gray: Array) -> tuple[Array, Array, int]:
+def find_charuco(detector: CharucoDetector, gray: Array) -> tuple[Array, Array, int]:
     """Return the ids (N,) and pixels (N, 2) of the corners found, and the number of markers seen."""
     corners, ids, _, markers = detector.detectBoard(gray)
     seen = 0 if markers is None else len(markers)

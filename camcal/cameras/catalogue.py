@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from types import MappingProxyType
 
-from camcal.cameras import brown, kannala_brandt
+from camcal.cameras import brown, kannala_brandt, panoramic
 from camcal.cameras.model import CameraModel
 from camcal.errors import InvalidInput
 
 MODELS: Mapping[str, CameraModel] = MappingProxyType(
-    {model.name: model for model in (*brown.MODELS, *kannala_brandt.MODELS)}
+    {model.name: model for model in (*brown.MODELS, *kannala_brandt.MODELS, *panoramic.MODELS)}
 )
 
 

@@ -53,7 +53,8 @@ class Cylinder(Panorama):
         d_point[1] = x * cubed, focal[1] * flat.scale, z * cubed
 
     def _lift(self, x: Array, y: Array) -> Array:
-        across = np.where(np.abs(x) < np.pi, 1.0, np.nan) / np.sqrt(1.0 + y * y)
+        there = np.where(np.abs(x) < np.pi, 1.0, np.nan)
+        across = there / np.sqrt(1.0 + y * y)
         return np.stack([np.sin(x) * across, y * across, np.cos(x) * across])
 
 
@@ -78,8 +79,9 @@ class Equirectangular(Panorama):
         d_point[1] = x * leaning, inverse / flat.scale, z * leaning
 
     def _lift(self, x: Array, y: Array) -> Array:
-        across = np.where((np.abs(x) < np.pi) & (np.abs(y) < np.pi / 2), np.cos(y), np.nan)
-        return np.stack([np.sin(x) * across, np.sin(y), np.cos(x) * across])
+        there = np.where((np.abs(x) < np.pi) & (np.abs(y) < np.pi / 2), 1.0, np.nan)
+        across = np.cos(y)
+        return np.asarray(np.stack([np.sin(x) * across, np.sin(y), np.cos(x) * across]) * there)
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class Stereographic(Panorama):
 
     def _lift(self, x: Array, y: Array) -> Array:
         quarter = 0.25 * (x * x + y * y)
-        return np.stack([x, y, 1.0 - quarter]) / (1.0 + quarter)
+        return np.asarray(np.stack([x, y, 1.0 - quarter]) / (1.0 + quarter))
 
 
 def _has_a_place(x: Array, z: Array, scale: Array, height: Array) -> Array:

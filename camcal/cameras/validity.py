@@ -26,13 +26,13 @@ class Fold:
 
 def folds_inside(camera: Camera) -> Fold:
     """Return where the model stops being one-to-one on the way from the principal point to the image's border."""
-    return _rim(camera)[1]
+    return rim(camera)[1]
 
 
 def valid_block(camera: Camera) -> dict[str, float]:
     """Return max_theta_deg and max_radius_px: how far from the axis the model holds, the image's corner at most."""
-    rim, fold = _rim(camera)
-    rays = camera.unproject(rim).directions
+    border, fold = rim(camera)
+    rays = camera.unproject(border).directions
     theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     return {
         "max_theta_deg": float(np.degrees(np.nanmax(theta))),
@@ -71,9 +71,12 @@ def _openings(rays: Array) -> Array:
     return np.asarray(angles[:, 1] - angles[:, 0])
 
 
-def _rim(camera: Camera) -> tuple[Array, Fold]:
-    """Return the farthest pixels (S, 2) with a ray on the way from the principal point to the border, and the fold."""
-    border, centre = _border(*camera.image_size), np.array([camera.value("cx"), camera.value("cy")])
+def rim(camera: Camera, per_edge: int = PER_EDGE) -> tuple[Array, Fold]:
+    """Return the farthest pixels (4 · per_edge, 2) with a ray on the way from the principal point to the border.
+
+    The second is where the model folds on the way.
+    """
+    border, centre = _border(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
     folded = ~camera.unproject(border).valid
     reach = border[folded] - centre
     low, high = np.zeros((len(reach), 1)), np.ones((len(reach), 1))
@@ -81,15 +84,15 @@ def _rim(camera: Camera) -> tuple[Array, Fold]:
         middle = 0.5 * (low + high)
         valid = camera.unproject(centre + middle * reach).valid[:, None]
         low, high = np.where(valid, middle, low), np.where(valid, high, middle)
-    rim = border.copy()
-    rim[folded] = centre + low * reach
+    farthest = border.copy()
+    farthest[folded] = centre + low * reach
     nearest = np.linalg.norm(low * reach, axis=1).min(initial=math.inf)
     corner = np.linalg.norm(border - centre, axis=1).max()
-    return rim, Fold(bool(folded.any()), float(nearest), float(corner))
+    return farthest, Fold(bool(folded.any()), float(nearest), float(corner))
 
 
-def _border(width: int, height: int) -> Array:
-    """Return pixels (4 · PER_EDGE, 2) around the image, its corners among them."""
+def _border(width: int, height: int, per_edge: int) -> Array:
+    """Return pixels (4 · per_edge, 2) around the image, its corners among them."""
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=float)
-    share = np.linspace(0, 1, PER_EDGE, endpoint=False)[:, None]
+    share = np.linspace(0, 1, per_edge, endpoint=False)[:, None]
     return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from camcal import __version__
-from camcal.cli import calibrate, demosaic, doctor, inspect, pnp, show, stereo
+from camcal.cli import calibrate, demo, demosaic, doctor, inspect, pnp, show, simulate, stereo, targets, undistort
 from camcal.cli.options import SETTINGS
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
 from camcal.run.startup import BLAS_THREADS
@@ -129,7 +129,11 @@ def camcal(
 stereo_app = typer.Typer(help="What two cameras measure.")
 stereo_app.command("cloud")(stereo.cloud)
 
+app.command("demo")(demo.demo)
+app.command("simulate")(simulate.simulate)
+app.command("detect")(targets.detect)
 app.command("calibrate")(calibrate.calibrate)
+app.command("undistort")(undistort.undistort)
 app.command("inspect")(inspect.inspect)
 app.command("demosaic")(demosaic.demosaic)
 app.add_typer(stereo_app, name="stereo")

@@ -21,7 +21,7 @@ def pnp(
     inputs: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[IMAGES…|DETECTIONS]", help="Images of the board, folders, globs; or one detections file."
+            metavar="IMAGES…|DETECTIONS", help="Images of the board, folders, globs; or one detections file."
         ),
     ] = None,
     points: Annotated[
@@ -72,9 +72,10 @@ def pnp(
     elif not quiet:
         _show(report, output, verbose)
     if report.unsettled:
-        raise NotConverged(f"{len(report.unsettled)} poses did not converge: {', '.join(report.unsettled[:LISTED])}")
-    if report.failed:
-        raise ItemsFailed(f"{len(report.failed)} images have no pose: {', '.join(report.failed[:LISTED])}")
+        raise NotConverged(f"these poses did not converge: {', '.join(report.unsettled[:LISTED])}")
+    if failed := report.failed:
+        total = len(failed) + len(report.poses.estimates)
+        raise ItemsFailed(f"{len(failed)} of {total} images have no pose: {', '.join(failed[:LISTED])}")
 
 
 def _show(report: "PnpReport", output: Path | None, verbose: bool) -> None:

@@ -218,8 +218,10 @@ def _require_enough(view: Correspondences, inside: Correspondences) -> Extent:
     count = len(np.unique(inside.points, axis=0))
     if count < MIN_POINTS:
         outside = len(view.points) - len(inside.points)
-        lost = f" ({outside} more are outside the lens's domain)" if outside else ""
-        raise InsufficientData(f"{count} different points{lost}; a pose needs at least {MIN_POINTS}", where=view.image)
+        lost = f" ({outside} more outside the lens's domain)" if outside else ""
+        raise InsufficientData(
+            f"a pose needs {MIN_POINTS} different points or more, found {count}{lost}", where=view.image
+        )
     extent = Extent.of(inside.points)
     if extent.spread[1] < _COLLINEAR * extent.spread[0]:
         raise InsufficientData(

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from camcal.cameras import panoramic
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -24,8 +25,9 @@ def findings(file: CameraFile) -> Iterator[Fault]:
         path = child("cameras", name)
         yield from _principal_point(entry.camera, child(path, "intrinsics"))
         yield from _aspect(entry.camera, child(path, "intrinsics"))
-        yield from _opening(entry.camera, child(path, "intrinsics"))
-        yield from _folding(entry.camera, child(path, "distortion"))
+        if entry.camera.model not in panoramic.MODELS:  # a view, not a lens: it may show all around
+            yield from _opening(entry.camera, child(path, "intrinsics"))
+            yield from _folding(entry.camera, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
     for name, transform in file.transforms.items():
         distance = float(np.linalg.norm(transform.pose.translation))

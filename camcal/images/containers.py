@@ -41,7 +41,7 @@ def read_jpeg(content: bytes) -> JpegHeader:
             height, width = (int.from_bytes(content[at : at + 2], "big") for at in (start + 1, start + 3))
             size, channels = (width, height), content[start + 5]
         elif marker == _SCAN:
-            return JpegHeader(size, channels, exif, content.find(_END, end) >= 0)
+            return JpegHeader(size, channels, exif, content.rfind(_END, end) >= 0)
     return JpegHeader(size, channels, exif, complete=False)
 
 
@@ -70,7 +70,7 @@ def insert_exif(content: bytes, block: bytes) -> bytes:
 
 
 def _segments(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield the markers of a JPEG file with the start and end of their segments, as far as they go."""
+    """Yield the markers of a JPEG file with the start and end of their segments, as far as they are whole."""
     position = 2
     while position + 4 <= len(content) and content[position] == 0xFF:
         marker = content[position + 1]
@@ -80,6 +80,8 @@ def _segments(content: bytes) -> Iterator[tuple[int, int, int]]:
             position += 2
         else:
             end = position + 2 + int.from_bytes(content[position + 2 : position + 4], "big")
+            if end > len(content):
+                return
             yield marker, position + 4, end
             position = end
 

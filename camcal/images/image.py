@@ -9,6 +9,7 @@ from camcal.errors import InvalidInput
 
 DTYPES = (np.uint8, np.uint16, np.float32)
 CHANNELS = (1, 3, 4)
+RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
 
 
 @dataclass(frozen=True, eq=False)

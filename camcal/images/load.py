@@ -9,12 +9,11 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.images import containers, exif
-from camcal.images.image import CHANNELS, DTYPES, Image
+from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image
 from camcal.images.npy import read_npy
+from camcal.images.scratch import Scratch
 
-__all__ = ["RAW_SUFFIXES", "Image", "gray_8bit", "load", "load_gray"]
-
-RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
+__all__ = ["Image", "gray_8bit", "load", "load_gray"]
 
 _FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
 _STARTS = {
@@ -35,10 +34,10 @@ _TAIL = 0.001  # share of the pixels that may lie beyond either end of the 8-bit
 _SAMPLES = 1 << 20
 
 
-def load(path: Path, out: Array | None = None) -> Image:
+def load(path: Path, scratch: Scratch | None = None) -> Image:
     """Return the image of a file: 8 or 16 bits or floating point, gray, colour or with alpha; or a NumPy file.
 
-    out: an array whose memory is used if the image is a JPEG of its shape: fresh memory takes a third of the time.
+    scratch: memory for the pixels of a JPEG file, theirs until the next image is loaded with it.
     Raises FileError if the file is missing, empty, cut off or no image, InvalidInput if it is a camera raw file.
     """
     suffix = path.suffix.lower()
@@ -48,7 +47,7 @@ def load(path: Path, out: Array | None = None) -> Image:
         return _load_npy(path)
     content = read_bytes(path)
     if content.startswith(containers.JPEG):
-        return _load_jpeg(path, content, out)
+        return _load_jpeg(path, content, scratch)
     if content.startswith(containers.PNG):
         return _with_exif(_decode(path, content), containers.read_png_exif(content))
     turned = exif.orientation(content)
@@ -88,17 +87,20 @@ def _load_npy(path: Path) -> Image:
         raise FileError(error.message, where=str(path)) from error
 
 
-def _load_jpeg(path: Path, content: bytes, out: Array | None) -> Image:
+def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:
     header = containers.read_jpeg(content)
     if not header.complete:
         raise FileError("is cut off: the end of the JPEG data is missing", where=str(path))
-    shape = header.size[::-1] if header.channels == 1 else (*header.size[::-1], header.channels)
-    if out is not None and out.shape == shape and out.dtype == np.uint8 and header.channels in (1, 3):
-        pixels = cv2.imread(str(path), out, _FLAGS)
-        if pixels is None:
-            raise _unreadable(path, content)
-    else:
-        pixels = _decode(path, content)
+    if scratch is None:
+        return _with_exif(_decode(path, content), header.exif)
+    height_and_width = header.size[::-1]
+    shape = height_and_width if header.channels == 1 else (*height_and_width, 3)
+    try:
+        pixels = cv2.imread(str(path), scratch.array("decoded", shape, np.uint8), _FLAGS)
+    except cv2.error as error:
+        raise _unreadable(path, content) from error
+    if pixels is None:
+        raise _unreadable(path, content)
     return _with_exif(pixels, header.exif)
 
 

@@ -77,8 +77,10 @@ def require_kind(path: Path, image: Image) -> None:
 
 
 def _encoded(path: Path, pixels: Array, quality: int) -> bytes:
+    suffix = path.suffix.lower()
+    parameters = [cv2.IMWRITE_JPEG_QUALITY, quality] if KINDS[suffix] is _JPEG else []
     try:
-        done, content = cv2.imencode(path.suffix.lower(), pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        done, content = cv2.imencode(suffix, pixels, parameters)
     except cv2.error as error:
         raise FileError("cannot be encoded; is the image too large for its type of file?", where=str(path)) from error
     if not done:

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput
+from camcal.images.image import RAW_SUFFIXES
 
-RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".npy"
 }  # fmt: skip

@@ -17,7 +17,7 @@ from camcal.arrays import Array, readonly
 
 REACH = 4.0  # standard deviations of blur after which the spread ends; 6e-5 of it is further out
 FINENESS = 1 << 14  # entries of the spread's table per pixel: edges are placed to 3e-5 px
-CHUNK = 8192  # pieces whose temporaries stay in the processor's cache
+PART = 500_000  # pixels that are worked on at once: their temporaries stay near the processor's cache
 
 
 def piece_length(blur_px: float) -> float:
@@ -45,8 +45,9 @@ def draw(size: tuple[int, int], path: Array, jumps: Array, blur_px: float) -> Ar
     kept = (v[:-1] != v[1:]) & (jumps != 0)
     pieces = np.stack([u[kept], v[:-1][kept], v[1:][kept], jumps[kept]])
     steps = np.zeros(shape[0] * shape[1])
-    for first in range(0, pieces.shape[1], CHUNK):
-        places, values = _steps(pieces[:, first : first + CHUNK], blur_px, int(shape[1]))
+    part = max(1, PART // margin**2)
+    for first in range(0, pieces.shape[1], part):
+        places, values = _steps(pieces[:, first : first + part], blur_px, int(shape[1]))
         np.add.at(steps, places, values)
     image = np.cumsum(steps.reshape(shape), axis=1)
     return np.asarray(image[margin:-margin, margin:-margin])

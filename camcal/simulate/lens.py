@@ -11,6 +11,7 @@ from camcal.errors import InvalidInput
 # A barrel distortion that stays one-to-one at any field of view, and a little decentring.
 TYPICAL = {"k1": -0.2, "k2": 0.05, "p1": 0.0008, "p2": -0.0005}
 TYPICAL_FISHEYE = {"k1": -0.02, "k2": 0.003}
+WIDEST = 100.0  # half an image's width in focal lengths, 178.9° for a pinhole
 OFF_CENTRE = (0.006, -0.004)  # of the principal point, as shares of the image's width
 
 
@@ -26,7 +27,7 @@ def make_camera(
         raise InvalidInput(f"images of {size[0]} × {size[1]} are not simulated; use 16 to 32000 a side")
     unit = _distorted(model, model.start((1, 1), 1.0), distortion)
     edge = model.project(unit, np.array([[np.sin(fov / 2), 0.0, np.cos(fov / 2)]]))
-    if not 0 < fov < 2 * np.pi or not edge.valid[0] or not edge.pixels[0, 0] > 0:
+    if not 0 < fov < 2 * np.pi or not edge.valid[0] or not 0 < edge.pixels[0, 0] < WIDEST:
         raise InvalidInput(f"{model.name} cannot hold a field of view of {np.degrees(fov):g}° with this distortion")
     parameters = _distorted(model, model.start(size, size[0] / 2 / edge.pixels[0, 0]), distortion)
     if distortion is None:

@@ -35,14 +35,19 @@ class Exposure:
     depth: int = 8
 
     def __post_init__(self) -> None:
-        if not 0 <= self.blur_px <= 20:
-            raise InvalidInput(f"blur of {self.blur_px} px: use 0 to 20")
+        if not 0 <= self.blur_px <= 5:
+            raise InvalidInput(f"blur of {self.blur_px} px: use 0 to 5")
         if not 0 <= self.noise_dn <= 255:
             raise InvalidInput(f"noise of {self.noise_dn}: use 0 to 255 (in 1/255 of full scale)")
         if not 0.1 <= self.gamma <= 10:
             raise InvalidInput(f"gamma of {self.gamma}: use 0.1 to 10")
         if self.depth not in (8, 16):
             raise InvalidInput(f"depth of {self.depth} bits: use 8 or 16")
+        shares = (self.black, self.white, self.background, self.gradient, self.vignetting)
+        if not all(0 <= share <= 1 for share in shares):
+            raise InvalidInput(
+                "brightnesses, the gradient and the vignetting of an exposure are shares of 0 to 1 (100 %)"
+            )
 
 
 def render(

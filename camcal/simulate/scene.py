@@ -1,6 +1,6 @@
 """Where the board is held: poses that a careful person would take, spread over the image, tilted, near and far."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from camcal.simulate.observe import in_camera, in_image, project_all
 from camcal.simulate.pattern import QUIET
 from camcal.targets.board import Board
 
-ROUNDS = 200  # attempts for a view that does not fit
+ROUNDS = 30  # attempts for a view that does not fit, each with a smaller board
 STEPS = 12  # of moving a board back into the image and to its size
 STEEPEST = np.radians(70)  # corners seen more obliquely than that are hard to find
 FILL = (0.35, 0.95)  # share of the image's width or height that a whole board takes
@@ -72,11 +72,12 @@ def views(
     """
     outline = _Outline.of(board)
     found: dict[int, Pose] = {}
-    for _ in range(ROUNDS):
+    for ease in np.linspace(1, 0.4, ROUNDS):
         missing = np.array([index for index in range(count) if index not in found], dtype=np.intp)
         if not missing.size:
             return [found[index] for index in range(count)]
         attempts = _draw(camera, missing, rng, partial, max_tilt)
+        attempts = replace(attempts, fill=ease * attempts.fill)
         rotations, translations = _settle(camera, outline, attempts)
         for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
             found[int(missing[slot])] = Pose(rotations[slot], translations[slot])

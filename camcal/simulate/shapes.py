@@ -4,11 +4,12 @@ They are written apart from the basis that calibration estimates (targets/surfac
 does not hide in the other. x and y run over [-1, 1] on the grid of points, as drawn; the border follows the formulas.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.errors import InvalidInput
 from camcal.targets.board import Board
 
 
@@ -24,6 +25,10 @@ class Shape:
     twist: float = 0.0
     cubic: float = 0.0
     stretch: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(astuple(self)).all() or abs(self.stretch) >= 1:
+            raise InvalidInput(f"not the shape of a board: {self}; amplitudes are finite, the stretch is below 100 %")
 
     def __add__(self, other: "Shape") -> "Shape":
         return Shape(

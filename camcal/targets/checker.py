@@ -11,13 +11,19 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.targets import grid as grids
 from camcal.targets.subpixel import fit_corners
+from camcal.targets.windows import FINE, QUICK, WIDE
 
-MIN_AGREEMENT = 0.75  # of a window with two crossing edges; an outer corner of a board reaches 0.65
-MIN_CONTRAST = 0.25  # of the median over the board
-MAX_START = 0.5  # steps from a detector's corner to the fitted one
-STRAY = 0.2  # steps from where the neighbours put a corner that make it worth a second look
-MAX_STRAY = 0.5  # steps from where the neighbours put a corner
-MIN_SIDE = 0.5  # of a row or column beyond the board
+AGREEMENT = 0.75  # of a window with two crossing edges at least; an outer corner of a board reaches 0.65
+CONTRAST = 0.05  # at least, of the median over the board: a corner of it may lie in deep shade
+START = 0.5  # steps from a proposed corner to the fitted one at most
+STRAY = 0.3  # steps from where the neighbours put a corner that cost it a second look
+REPAIR = 0.5  # steps from where the neighbours put a missing corner to the fitted one at most
+# A pattern that goes on beyond its stated size looks like the rest of it in most places of a side; a board's margin
+# and what lies behind it reach neither.
+SAME_AGREEMENT = 0.9
+SAME_CONTRAST = 0.3  # largest relative difference
+SIDE = 0.5
+MAX_EXTENSION = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +38,27 @@ class Checker:
     contrast: float
 
     @property
-    def count(self) -> int:
-        """The number of corners."""
-        return int((~np.isnan(self.grid[..., 0])).sum())
+    def found(self) -> Array:
+        """Which corners were found, (rows, columns)."""
+        return ~np.isnan(self.grid[..., 0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What is seen at the nodes of a grid (rows, columns), NaN where nobody looked.
+
+    contrast: gray levels, its sign changed on every other node so that a checker pattern has one sign.
+    moved: steps from the start.
+    """
+
+    grid: Array
+    contrast: Array
+    agreement: Array
+    moved: Array
+
+    def crossing(self, limit: float) -> Array:
+        """Return where two edges cross within `limit` steps of the start."""
+        return np.asarray((self.agreement > AGREEMENT) & (self.moved < limit))
 
 
 def settle(gray: Array, start: Array, clearance: float = np.inf) -> Checker:
@@ -42,64 +66,76 @@ def settle(gray: Array, start: Array, clearance: float = np.inf) -> Checker:
 
     gray: (H, W). clearance: see fit_corners.
     """
-    known = ~np.isnan(start[..., 0])
-    grid, look = _fit(gray, start, known, MAX_START, clearance)
-    sign = 1 if np.nansum(look) >= 0 else -1
-    contrast = float(np.median(np.abs(look[known]))) if known.any() else 0.0
-    least = MIN_CONTRAST * contrast
-    grid[~(sign * look > least)] = np.nan
+    look = _look(gray, start, ~np.isnan(start[..., 0]), clearance)
+    crossing = look.crossing(START)
+    if not crossing.any():
+        return Checker(np.full_like(start, np.nan), 1, 0.0)
+    sign = 1 if look.contrast[crossing].sum() >= 0 else -1
+    contrast = float(np.median(np.abs(look.contrast[crossing])))
+    grid = np.where((crossing & (sign * look.contrast > CONTRAST * contrast))[..., None], look.grid, np.nan)
     grid[grids.stray(grid) > STRAY] = np.nan
-    for _ in range(sum(grid.shape[:2])):
-        grown = _grow(gray, grid, sign, least, clearance)
-        if np.array_equal(np.isnan(grown), np.isnan(grid)):
+    checker = Checker(grid, sign, contrast)
+    for _ in range(sum(start.shape[:2])):
+        grown = _grown(gray, checker, clearance)
+        if (grown.found == checker.found).all():
             break
-        grid = grown
-    return Checker(_polish(gray, grid, clearance), sign, contrast)
+        checker = grown
+    return Checker(_polished(gray, checker.grid, clearance), sign, contrast)
 
 
-def _polish(gray: Array, grid: Array, clearance: float) -> Array:
+def extended(gray: Array, checker: Checker) -> Checker:
+    """Return the checker with rows and columns added as long as the pattern goes on beyond a side.
+
+    A board of the stated size comes back as it is.
+    """
+    for _ in range(MAX_EXTENSION):
+        wide = np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+        beyond = np.pad(np.zeros_like(checker.found), 1, constant_values=True)
+        places = np.where(beyond[..., None], grids.predict(wide), wide)
+        look = _look(gray, places, beyond & ~np.isnan(places[..., 0]), np.inf, far=True)
+        likeness = np.abs(checker.sign * look.contrast / checker.contrast - 1)
+        same = look.crossing(REPAIR) & (look.agreement > SAME_AGREEMENT) & (likeness < SAME_CONTRAST)
+        sides = (same[0, 1:-1], same[-1, 1:-1], same[1:-1, 0], same[1:-1, -1])
+        top, bottom, left, right = (bool(side.mean() > SIDE) for side in sides)
+        if not (top or bottom or left or right):
+            break
+        grid = np.where(same[..., None], look.grid, wide)
+        grid = grid[(not top) : len(grid) - (not bottom), (not left) : grid.shape[1] - (not right)]
+        checker = Checker(grid, checker.sign * (-1) ** (top + left), checker.contrast)
+    return checker
+
+
+def _grown(gray: Array, checker: Checker, clearance: float) -> Checker:
+    """Return the checker with missing corners that are seen where their neighbours put them."""
+    places = np.where(checker.found[..., None], checker.grid, grids.predict(checker.grid))
+    look = _look(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
+    seen = look.crossing(REPAIR) & (checker.sign * look.contrast > CONTRAST * checker.contrast)
+    return Checker(np.where(seen[..., None], look.grid, checker.grid), checker.sign, checker.contrast)
+
+
+def _polished(gray: Array, grid: Array, clearance: float) -> Array:
     """Return the grid fitted once more with all samples, which leaves no trace of where a detector put the corners."""
     known = ~np.isnan(grid[..., 0])
     result = grid.copy()
     if known.any():
-        result[known] = fit_corners(gray, grid[known], grids.steps(grid)[known], clearance).pixels
+        result[known] = fit_corners(gray, grid[known], grids.steps(grid)[known], FINE, clearance).pixels
     return result
 
 
-def continues(gray: Array, checker: Checker) -> bool:
-    """Return whether the checker pattern goes on beyond the grid, so that the board is larger than thought."""
-    wide = np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    beyond = np.isnan(wide[..., 0])
-    wide[beyond] = grids.predict(wide)[beyond]
-    look, agreement = _look(gray, wide, beyond & ~np.isnan(wide[..., 0]))
-    alike = (agreement > SURE_AGREEMENT) & (np.abs(checker.sign * look / checker.contrast - 1) < ALIKE)
-    return any(side.mean() > MIN_SIDE for side in (alike[0], alike[-1], alike[:, 0], alike[:, -1]))
-
-
-def _grow(gray: Array, grid: Array, sign: int, least: float, clearance: float) -> Array:
-    """Return the grid with missing corners that are seen where their neighbours put them."""
-    missing = np.isnan(grid[..., 0])
-    places = np.where(missing[..., None], grids.predict(grid), grid)
-    found, look = _fit(gray, places, missing & ~np.isnan(places[..., 0]), MAX_STRAY, clearance)
-    return np.where((missing & (sign * look > least))[..., None], found, grid)
-
-
-def _fit(gray: Array, grid: Array, where: Array, limit: float, clearance: float) -> tuple[Array, Array]:
-    """Return the grid fitted at the nodes `where`, and their look (rows, columns).
-
-    The look is the contrast, its sign changed on every other node, so that a checker pattern has one sign; 0 where no
-    two edges cross within `limit` steps of the start.
-    """
-    look = np.zeros(grid.shape[:2])
+def _look(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> _Look:
+    """Return what is seen near the nodes `where` (rows, columns) of a grid; far: the corners may be steps/2 away."""
+    shape = grid.shape[:2]
+    result = _Look(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
     if not where.any():
-        return grid.copy(), look
-    steps = grids.steps(grid)
-    fits = fit_corners(gray, grid[where], steps[where], clearance, quick=True)
-    near = np.linalg.norm(fits.pixels - grid[where], axis=1) < limit * grids.spacing(steps[where])
+        return result
+    steps, pixels = grids.steps(grid)[where], grid[where]
+    if far:
+        pixels = fit_corners(gray, pixels, steps, WIDE, clearance).pixels
+    fits = fit_corners(gray, pixels, steps, QUICK, clearance)
     inside = ((fits.pixels > -0.5) & (fits.pixels < np.array(gray.shape[::-1]) - 0.5)).all(axis=1)
-    seen = near & inside & (fits.agreement > MIN_AGREEMENT)
     row, column = np.nonzero(where)
-    look[where] = np.where(seen, fits.contrast, 0.0) * np.where((row + column) % 2, -1, 1)
-    result = grid.copy()
-    result[where] = fits.pixels
-    return result, look
+    result.grid[where] = fits.pixels
+    result.contrast[where] = fits.contrast * np.where((row + column) % 2, -1, 1)
+    result.agreement[where] = np.where(inside, fits.agreement, 0.0)
+    result.moved[where] = np.linalg.norm(fits.pixels - grid[where], axis=1) / grids.spacing(steps)
+    return result

@@ -51,16 +51,22 @@ def _estimates(grid: Array) -> tuple[Array, Array]:
 def steps(grid: Array) -> Array:
     """Return the vectors to the next column and the next row at every node (rows, columns, 2, 2), pixels.
 
-    The last axis is (along the row, down the column). A node without neighbours takes the median over the grid.
+    The last axis is (along the row, down the column). A node without neighbours takes the steps of an affine map.
     """
     near = _neighbours(grid)
     pairs = []
-    for along in (np.array([0, 1]), np.array([1, 0])):
+    for along, everywhere in zip((np.array([0, 1]), np.array([1, 0])), _affine_steps(grid), strict=True):
         step = _mean(np.array([near(along) - grid, grid - near(-along)]))
-        missing = np.isnan(step[..., 0])
-        step[missing] = _median(step[~missing])
-        pairs.append(step)
+        pairs.append(np.where(np.isnan(step), everywhere, step))
     return np.stack(pairs, axis=-1)
+
+
+def _affine_steps(grid: Array) -> tuple[Array, Array]:
+    """Return the steps (2,) along rows and down columns of the affine map that fits the grid best."""
+    row, column = np.nonzero(~np.isnan(grid[..., 0]))
+    design = np.column_stack([column, row, np.ones(len(row))])
+    solution = np.linalg.lstsq(design, grid[row, column], rcond=None)[0]
+    return solution[0], solution[1]
 
 
 def spacing(steps_at_nodes: Array) -> Array:
@@ -73,20 +79,12 @@ def right_handed(grid: Array) -> Array:
 
     A board seen from the front has x right and y down; a checker pattern without markers looks the same mirrored.
     """
-    return grid if clockwise(grid) else grid[:, ::-1]
+    clockwise = np.nanmedian(np.linalg.det(steps(grid))) > 0
+    return grid if clockwise else grid[:, ::-1]
 
 
-def clockwise(grid: Array) -> bool:
-    """Return whether rows turn clockwise (in an image, y down) to columns, as on a board seen from the front."""
-    return bool(np.nanmedian(np.linalg.det(steps(grid))) > 0)
-
-
-def turned_to_the_right(grids: list[Array]) -> Array:
-    """Return the one of several turned grids whose rows run most nearly to the right in the image."""
-    return max(grids, key=_rightness)
-
-
-def _rightness(grid: Array) -> float:
+def rightness(grid: Array) -> float:
+    """Return the cosine of the angle from the image's x axis to the rows of a grid."""
     along = np.nansum(grid[:, -1] - grid[:, 0], axis=0)
     return float(along[0] / max(np.hypot(*along), 1e-9))
 

@@ -7,7 +7,10 @@ from camcal.errors import InvalidInput
 
 
 def test_models_are_found_by_their_names():
-    assert list(MODELS) == ["pinhole", "opencv4", "opencv5", "opencv8", "opencv12", "opencv14", "kannala_brandt4"]
+    assert list(MODELS) == [
+        "pinhole", "opencv4", "opencv5", "opencv8", "opencv12", "opencv14", "kannala_brandt4",
+        "cylinder", "equirectangular", "stereographic",
+    ]  # fmt: skip
     assert all(model_named(name).name == name for name in MODELS)
 
 

@@ -78,8 +78,8 @@ def test_json_is_one_document_with_its_schema_first(folder, capsys):
 def test_an_image_without_a_pose_is_exit_6_and_the_rest_is_there(folder, capsys):
     assert run("camera.yaml", "--points", "one_bad.csv", "-o", "poses.csv") == 6
     out, err = capsys.readouterr()
-    assert "no pose: b: 3 different points; a pose needs at least 4" in out
-    assert "1 images have no pose: b" in err
+    assert "no pose: b: a pose needs 4 different points or more, found 3" in out
+    assert "1 of 2 images have no pose: b" in err
     assert "# none b," in (folder / "poses.csv").read_text()
 
 
@@ -95,7 +95,7 @@ def test_the_sample_settings_are_taken(folder, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["--points", "few.csv"], 4, "few.csv: 3 different points; a pose needs at least 4"),
+        (["--points", "few.csv"], 4, "few.csv: a pose needs 4 different points or more, found 3"),
         (["--points", "none.csv"], 3, "none.csv: no such file"),
         (["--points", "wrong.csv"], 2, "wrong.csv:2: u: 'left' is not a number"),
         (["--points", "points.csv", "--noise", "-1"], 2, "a noise of -1 px is not positive"),

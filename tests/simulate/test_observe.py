@@ -33,9 +33,7 @@ def test_without_noise_the_corners_are_the_projections_of_the_bent_board():
 
 
 def test_noise_has_the_standard_deviation_asked_for():
-    exact, noisy = (
-        np.stack([v.pixels for v in seen(INSIDE * 50, noise_px=noise)[0].views]) for noise in (0.0, 0.25)
-    )
+    exact, noisy = (np.stack([v.pixels for v in seen(INSIDE * 50, noise_px=noise)[0].views]) for noise in (0.0, 0.25))
     # 21 600 draws: the standard deviation is known to 0.5 %
     assert np.std(noisy - exact) == pytest.approx(0.25, rel=0.02)
     assert abs(np.mean(noisy - exact)) < 4 * 0.25 / np.sqrt(noisy.size)
@@ -44,9 +42,9 @@ def test_noise_has_the_standard_deviation_asked_for():
 def test_outliers_are_displaced_by_their_distance_and_listed():
     exact, _ = seen(INSIDE * 20)
     found, truth = seen(INSIDE * 20, outliers=0.1, outlier_px=6.0)
-    away = np.concatenate([
-        np.linalg.norm(a.pixels - b.pixels, axis=1) for a, b in zip(found.views, exact.views, strict=True)
-    ])
+    away = np.concatenate(
+        [np.linalg.norm(a.pixels - b.pixels, axis=1) for a, b in zip(found.views, exact.views, strict=True)]
+    )
     mask = np.concatenate(truth.outliers)
     assert away[mask] == pytest.approx(6.0)
     assert np.all(away[~mask] == 0)

@@ -43,7 +43,8 @@ def test_markers_count_from_the_first_one():
     assert not np.array_equal(shifted.ink, pattern_of(board).ink)
     step = 8  # lines per square: 6 cells and the white on both sides
     assert np.array_equal(
-        shifted.ink[1 : 1 + step, 1 + step : 1 + 2 * step], pattern_of(board).ink[1 : 1 + step, 1 + 3 * step : 1 + 4 * step]
+        shifted.ink[1 : 1 + step, 1 + step : 1 + 2 * step],
+        pattern_of(board).ink[1 : 1 + step, 1 + 3 * step : 1 + 4 * step],
     )
 
 

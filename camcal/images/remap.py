@@ -1,0 +1,141 @@
+"""Undistortion and rectification maps, and images drawn through them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.images.lattice import LONGEST_SIDE, Trace, bands, exact_bands
+from camcal.images.scratch import Scratch
+
+NEAREST_TRUNCATE = "nearest-truncate"
+INTERPOLATIONS: Mapping[str, int] = MappingProxyType(
+    {
+        NEAREST_TRUNCATE: cv2.INTER_NEAREST,
+        "nearest": cv2.INTER_NEAREST,
+        "linear": cv2.INTER_LINEAR,
+        "cubic": cv2.INTER_CUBIC,
+        "lanczos": cv2.INTER_LANCZOS4,
+    }
+)
+_BAND = 32
+_FOUR_ARE_FASTER = int(cv2.__version__.partition(".")[0]) >= 5
+_OUTSIDE = -16.0  # so far from the image that no interpolation reaches it
+_EDGE = 2e-3  # px; a position off the image by less than the map's own error is on its border
+_HAIR = 1e-9  # px; rounding must not take a whole pixel from a position that is one
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Where every pixel of a view comes from.
+
+    x, y: (H, W) float32 source pixels, rounded already for the nearest pixel; far outside where there is none.
+    source_size: (width, height) of the images these maps are for.
+    """
+
+    x: Array
+    y: Array
+    source_size: tuple[int, int]
+    interpolation: str
+
+    def valid(self) -> Array:
+        """Return the mask (H, W) of pixels that come from inside the source image."""
+        return np.asarray(self.x != np.float32(_OUTSIDE))
+
+    def apply(self, pixels: Array, border: Sequence[float] = (0.0,), scratch: Scratch | None = None) -> Array:
+        """Return the view (H, W[, C]) of an image (h, w[, C]) of the source's size, in the image's own type.
+
+        border: what pixels without a source become, one number for all channels or one for each.
+        scratch: memory for the result, which is its own until the next image is drawn with it.
+        OpenCV places what it draws to 0.001 px (5.x) or 0.02 px (4.14) for linear interpolation, 0.06 px for cubic
+        and 0.03 px for Lanczos interpolation: where the image is measured, linear is best.
+        Raises InvalidInput for an image of another size, or a border that its type cannot hold.
+        """
+        if pixels.shape[1::-1] != self.source_size:
+            raise InvalidInput("is {}x{}, the maps are for {}x{}".format(*pixels.shape[1::-1], *self.source_size))
+        value = _border_value(border, pixels)
+        scratch = scratch or Scratch()
+        result = scratch.array("drawn", (*self.x.shape, *pixels.shape[2:]), pixels.dtype)
+        colour = pixels.dtype == np.uint8 and pixels.shape[2:] == (3,)
+        if _FOUR_ARE_FASTER and colour and self.interpolation == "linear":
+            self._draw_with_alpha(pixels, value, scratch, result)
+            return result
+        narrow = INTERPOLATIONS[self.interpolation] in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
+        if narrow and np.isfinite(value).all():
+            self._draw(pixels, cv2.BORDER_CONSTANT, value, result)
+            return result
+        # A wide kernel near the edge is to see the image's edge again, not the border value; nor may NaN, times 0.
+        self._draw(pixels, cv2.BORDER_REPLICATE, (), result)
+        result[~self.valid()] = value[: pixels.shape[2]] if pixels.ndim == 3 else value[0]
+        return result
+
+    def _draw(self, pixels: Array, border: int, value: Sequence[float], result: Array) -> None:
+        flag = INTERPOLATIONS[self.interpolation]
+        for rows in self._bands():
+            cv2.remap(pixels, self.x[rows], self.y[rows], flag, result[rows], border, value)
+
+    def _draw_with_alpha(self, pixels: Array, value: Sequence[float], scratch: Scratch, result: Array) -> None:
+        """Draw colour by way of colour with alpha, which gives the same numbers in three quarters of the time."""
+        wide = cv2.cvtColor(pixels, cv2.COLOR_BGR2BGRA, scratch.array("widened", (*pixels.shape[:2], 4), np.uint8))
+        band = np.empty((_BAND, self.x.shape[1], 4), np.uint8)
+        for rows in self._bands():
+            part = band[: rows.stop - rows.start]
+            cv2.remap(wide, self.x[rows], self.y[rows], cv2.INTER_LINEAR, part, cv2.BORDER_CONSTANT, value)
+            cv2.cvtColor(part, cv2.COLOR_BGRA2BGR, result[rows])
+
+    def _bands(self) -> Iterator[slice]:
+        """Yield slices of rows: what a band reads and writes stays in the processor's cache."""
+        height = len(self.x)
+        return (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND))
+
+
+def build_maps(source: Camera, view: Camera, interpolation: str = "linear", source_R_view: Array | None = None) -> Maps:
+    """Return the maps from images of `source` to `view`; source_R_view (3, 3): the view's axes in the source's frame.
+
+    Positions are good to 1e-3 px; for nearest-truncate they are the model's own, so that a textbook's loop over all
+    pixels gives the same image.
+    Raises InvalidInput for an unknown interpolation or an image with a side of 32 767 pixels or more.
+    """
+    if interpolation not in INTERPOLATIONS:
+        raise InvalidInput(f"interpolation {interpolation!r} is unknown; use one of {', '.join(INTERPOLATIONS)}")
+    for size in (source.image_size, view.image_size):
+        if max(size) > LONGEST_SIDE:
+            raise InvalidInput(f"{size[0]}x{size[1]} has a side of more than {LONGEST_SIDE} pixels, which is the limit")
+    trace = Trace(source, view, None if source_R_view is None else readonly(source_R_view, (3, 3), "source_R_view"))
+    width, height = view.image_size
+    x, y = np.empty((2, height, width), np.float32)
+    for rows, band in exact_bands(trace) if interpolation == NEAREST_TRUNCATE else bands(trace):
+        x[rows], y[rows] = _settled(band, source.image_size, interpolation)
+    x.setflags(write=False)
+    y.setflags(write=False)
+    return Maps(x, y, source.image_size, interpolation)
+
+
+def _settled(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
+    """Return positions (2, rows, W) rounded where asked for, on the border if a hair outside, else far outside."""
+    if interpolation == "nearest":
+        np.rint(band, out=band)
+    elif interpolation == NEAREST_TRUNCATE:
+        np.floor(band + _HAIR, out=band)
+    largest = np.array(source_size, band.dtype)[:, None, None] - 1
+    if (band >= 0).all() and (band <= largest).all():
+        return band
+    near = (band >= -_EDGE) & (band <= largest + band.dtype.type(_EDGE))
+    np.clip(band, 0, largest, out=band)
+    np.copyto(band, _OUTSIDE, where=~(near[0] & near[1]))
+    return band
+
+
+def _border_value(border: Sequence[float], pixels: Array) -> tuple[float, ...]:
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    values = tuple(border) * (channels if len(border) == 1 else 1)
+    if len(values) != channels:
+        raise InvalidInput(f"{len(values)} border values for {channels} channels; give one, or one for each")
+    if pixels.dtype != np.float32 and not all(0 <= value <= np.iinfo(pixels.dtype).max for value in values):
+        raise InvalidInput(f"a border of {max(values, key=abs):g} does not fit {pixels.dtype} pixels")
+    return values + (0.0,) * (4 - channels)

@@ -1,0 +1,183 @@
+"""The cameras that images are undistorted to: a pinhole that crops or keeps, or a panorama for lenses beyond it."""
+
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras import panoramic
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.cameras.validity import rim
+from camcal.errors import InvalidInput
+from camcal.images.crop import enclosing_box, largest_box
+from camcal.images.lattice import LONGEST_SIDE, Trace
+
+PINHOLE = "pinhole"
+PANORAMAS = {model.name: model for model in panoramic.MODELS}
+PROJECTIONS = (PINHOLE, *PANORAMAS)
+
+_PER_EDGE = 256  # samples of each edge of the image: between two of them it bends by less than 0.01 px
+_DENSEST = 16  # times that
+_WIDEST_PINHOLE = np.radians(179.0)
+_WIDEST = {PINHOLE: 179.0, "cylinder": 360.0, "equirectangular": 360.0, "stereographic": 350.0}  # degrees
+_SHRINKS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1, 0.2)
+_CHECKED = 64  # pixels a side that are asked whether a crop holds
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """What a view shows.
+
+    alpha: a pinhole from 0, the largest crop without an empty pixel, to 1, every pixel of the source; None is 0.
+    keep_k: the source's own focal lengths and principal point. size: width and height, None the source's.
+    projection: pinhole, cylinder, equirectangular or stereographic. fov_deg: field of view across the width.
+    stretch: the crop may have another shape than the view; its pixels are then not square.
+    """
+
+    alpha: float | None = None
+    keep_k: bool = False
+    size: tuple[int, int] | None = None
+    projection: str = PINHOLE
+    fov_deg: float | None = None
+    stretch: bool = False
+
+    def __post_init__(self) -> None:
+        if self.projection not in PROJECTIONS:
+            raise InvalidInput(f"projection {self.projection!r} is unknown; use one of {', '.join(PROJECTIONS)}")
+        if self.size is not None and not 2 <= min(self.size) <= max(self.size) <= LONGEST_SIDE:
+            raise InvalidInput("a view has 2 … {} pixels a side, asked for {}x{}".format(LONGEST_SIDE, *self.size))
+        if self.alpha is not None and not 0 <= self.alpha <= 1:
+            raise InvalidInput(f"alpha is 0 (crop all black) … 1 (keep all pixels), found {self.alpha:g}")
+        chosen = [
+            name
+            for name, given in (
+                ("--alpha", self.alpha is not None),
+                ("--keep-k", self.keep_k),
+                ("--fov", self.fov_deg is not None),
+            )
+            if given
+        ]
+        if len(chosen) > 1:
+            raise InvalidInput(f"{' and '.join(chosen)} exclude each other: each says what the view shows")
+        if self.projection != PINHOLE and (self.alpha is not None or self.keep_k or self.stretch):
+            raise InvalidInput(f"--alpha, --keep-k and --stretch are for a pinhole; a {self.projection} takes --fov")
+        if self.fov_deg is not None:
+            _check_fov(self.projection, self.fov_deg)
+
+
+def make_view(camera: Camera, options: ViewOptions) -> Camera:
+    """Return the camera of the view, looking along the same axis.
+
+    Raises InvalidInput if a pinhole is to hold what it cannot, with the projections that can.
+    """
+    size = options.size or camera.image_size
+    if options.keep_k:
+        return _kept(camera, size)
+    if options.projection == PINHOLE and options.fov_deg is None:
+        return _cropped(camera, options.alpha or 0.0, size, stretch=options.stretch)
+    return _spanning(camera, options.projection, options.fov_deg, size)
+
+
+def seen_across(camera: Camera) -> float:
+    """Return the angle (rad) a lens sees across the middle of its image: twice the larger side of its axis."""
+    ends = np.array([[0.0, camera.value("cy")], [camera.image_size[0] - 1.0, camera.value("cy")]])
+    angles = _angles(camera.unproject(ends).directions)
+    if not np.isfinite(angles).any():  # the image circle ends before the image does
+        angles = _angles(_outline(camera))
+    return float(2 * np.nanmax(angles))
+
+
+def _kept(camera: Camera, size: tuple[int, int]) -> Camera:
+    model = model_named(PINHOLE)
+    parameters = np.array([camera.value(name) for name in model.parameter_names])
+    scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
+    return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
+
+
+def _spanning(camera: Camera, projection: str, fov_deg: float | None, size: tuple[int, int]) -> Camera:
+    """Return the view that spans the field of view from edge to edge, or what the lens sees across."""
+    fov = np.radians(fov_deg if fov_deg is not None else min(_WIDEST[projection], np.degrees(seen_across(camera))))
+    half_width = {
+        PINHOLE: np.tan(fov / 2),
+        "cylinder": fov / 2,
+        "equirectangular": fov / 2,
+        "stereographic": 2 * np.tan(fov / 4),
+    }[projection]
+    model = PANORAMAS.get(projection) or model_named(PINHOLE)
+    return Camera(model, size, model.start(size, size[0] / 2 / half_width))
+
+
+def _cropped(camera: Camera, alpha: float, size: tuple[int, int], *, stretch: bool) -> Camera:
+    """Return the pinhole between the largest crop without an empty pixel and the smallest frame around all pixels."""
+    shape = (size[0] - 1) / (size[1] - 1) * camera.value("fy") / camera.value("fx")
+    # The ends of an elongated crop fall between samples of the outline unless there are more of them.
+    rays = _outline(camera, _PER_EDGE * min(_DENSEST, 1 + int(max(shape, 1 / shape) / 8)))
+    widest = 2 * float(_angles(rays).max())
+    in_front = _angles(rays) < _WIDEST_PINHOLE / 2
+    if not in_front.any() or (alpha > 0 and not in_front.all()):
+        _refuse_pinhole(widest)
+    outline = rays[in_front, :2] / rays[in_front, 2:]
+    inner = largest_box(outline, None if stretch else shape)
+    if not _angles(np.append(inner[2:], 1.0)[None])[0] < _WIDEST_PINHOLE / 2:
+        _refuse_pinhole(widest)
+    inner = _without_empty_pixels(camera, inner, size)
+    outer = enclosing_box(outline, None if stretch else shape)
+    return _filled((1 - alpha) * inner + alpha * outer, size)
+
+
+def _without_empty_pixels(camera: Camera, box: Array, size: tuple[int, int]) -> Array:
+    """Return the box, shrunk about its middle until every pixel of its view has a source: the outline is sampled."""
+    middle = (box[:2] + box[2:]) / 2
+    for shrink in _SHRINKS:
+        smaller = np.tile(middle, 2) + (1 - shrink) * (box - np.tile(middle, 2))
+        if _is_full(camera, _filled(smaller, size)):
+            return smaller
+    raise InvalidInput("no crop of {}x{} without an empty pixel was found; use --keep-k or --fov".format(*size))
+
+
+def _is_full(camera: Camera, view: Camera) -> bool:
+    """Return whether the pixels along the edges of a view, and a grid between them, all have a source."""
+    width, height = view.image_size
+    trace = Trace(camera, view)
+    across, down = np.arange(width), np.arange(height)
+    grid = np.linspace(0, width - 1, _CHECKED), np.linspace(0, height - 1, _CHECKED)[:, None]
+    edges = (across, np.array([[0], [height - 1]])), (np.array([0, width - 1]), down[:, None])
+    last = np.array(camera.image_size)[:, None, None] - 1
+    positions = (trace.positions(x, y) for x, y in (grid, *edges))
+    return all(bool(((where >= 0) & (where <= last)).all()) for where in positions)
+
+
+def _filled(box: Array, size: tuple[int, int]) -> Camera:
+    """Return the pinhole whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
+    focal = (np.array(size) - 1) / (box[2:] - box[:2])
+    return Camera(model_named(PINHOLE), size, np.concatenate([focal, -box[:2] * focal]))
+
+
+def _outline(camera: Camera, per_edge: int = _PER_EDGE) -> Array:
+    """Return unit rays (N, 3) around all that the camera sees."""
+    rays = camera.unproject(rim(camera, per_edge)[0])
+    return np.asarray(rays.directions[rays.valid])
+
+
+def _angles(rays: Array) -> Array:
+    """Return the angles (N,) in rad of rays (N, 3) from the optical axis."""
+    return np.asarray(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+
+
+def _check_fov(projection: str, fov_deg: float) -> None:
+    if not isfinite(fov_deg) or fov_deg <= 0:
+        raise InvalidInput(f"a field of view is positive, found {fov_deg:g}°")
+    if fov_deg <= _WIDEST[projection]:
+        return
+    if projection == PINHOLE:
+        _refuse_pinhole(np.radians(fov_deg))
+    raise InvalidInput(f"a {projection} view holds up to {_WIDEST[projection]:g}°, asked for {fov_deg:g}°")
+
+
+def _refuse_pinhole(widest: float) -> None:
+    raise InvalidInput(
+        f"{np.degrees(widest):.0f}° are more than a pinhole can hold (less than 180°): use --projection cylinder, "
+        "equirectangular or stereographic, or --fov for a part of it"
+    )

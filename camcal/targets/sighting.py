@@ -1,0 +1,47 @@
+"""What one image shows of a board."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+
+MIN_CORNERS = 4  # as many as a homography needs
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Corners ids (N,) at pixels (N, 2), or none and the reason.
+
+    pattern: inner corners (columns, rows) of a checker pattern in sight that is not the board.
+    """
+
+    ids: Array
+    pixels: Array
+    reason: str | None = None
+    pattern: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", readonly(self.ids, (None,), "ids", np.intp))
+        object.__setattr__(self, "pixels", readonly(self.pixels, (len(self.ids), 2), "pixels"))
+
+    @classmethod
+    def nothing(cls, reason: str, pattern: tuple[int, int] | None = None) -> "Sighting":
+        """Return the record of an image without corners to use."""
+        return cls(np.zeros(0, np.intp), np.zeros((0, 2)), reason, pattern)
+
+    @classmethod
+    def of(cls, grid: Array) -> "Sighting":
+        """Return the corners of a grid (rows, columns, 2), NaN where none; none if too few for a pose."""
+        found = ~np.isnan(grid[..., 0])
+        count = int(found.sum())
+        if count < MIN_CORNERS:
+            return cls.nothing(f"only {count} corner{'s' if count != 1 else ''}" if count else "no corner found")
+        if min(found.any(axis=0).sum(), found.any(axis=1).sum()) < 2:
+            return cls.nothing(f"only {count} corners, all in one line")
+        return cls(np.flatnonzero(found), grid[found])
+
+    @property
+    def found(self) -> bool:
+        """Whether there are corners."""
+        return len(self.ids) > 0

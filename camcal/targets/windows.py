@@ -1,0 +1,94 @@
+"""The samples of an image around the corners of a checker pattern."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+
+SHARE = 0.4  # of a step: the largest radius, so that a window ends before the next edge
+CORE_PX = 2.5  # the smallest radius: fewer pixels than parameters determine nothing
+BAND_PX = 6.0  # samples lie at most this far from one of the edges; further away there is nothing to be learnt
+BAND_SHARE = 1 / 4  # … or this share of the radius
+
+
+@dataclass(frozen=True)
+class Window:
+    """How far samples are taken and how densely: radius reach_px, or reach_share of the spacing where that is more.
+
+    across: samples on a diameter at most.
+    """
+
+    reach_px: float
+    reach_share: float
+    across: float = np.inf
+
+
+FINE = Window(12.0, 1 / 8)  # more edge adds little, and lens distortion bends it; blur grows with an image's pixels
+QUICK = Window(12.0, 1 / 8, across=12)  # sharp edges sampled so are good to some tenths of a pixel
+WIDE = Window(12.0, SHARE, across=16)  # holds a corner that is looked for at a distance
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples (N, K) of N windows: offsets from the start in pixels, gray values, and 0 for those beyond the window.
+
+    reach: the largest radius in pixels.
+    """
+
+    x: Array
+    y: Array
+    values: Array
+    weights: Array
+    reach: float
+
+    def take(self, rows: Array) -> "Samples":
+        """Return the samples of some of the windows."""
+        return Samples(self.x[rows], self.y[rows], self.values[rows], self.weights[rows], self.reach)
+
+
+def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: float) -> Samples:
+    """Return the samples around pixels (N, 2) of `gray` (H, W).
+
+    steps: (N, 2, 2) pixels, columns are the steps to the next corner along the row and down the column.
+    clearance: how far from the nearer edge, in steps, samples may lie.
+    """
+    lengths = np.linalg.norm(steps, axis=1)
+    limit = np.maximum(window.reach_px, window.reach_share * lengths.min(axis=1))
+    reach = float(max(CORE_PX, np.minimum(SHARE * lengths.max(axis=1), limit).max()))
+    stride = max(1, round(2 * reach / window.across))
+    side = np.arange(-int(reach / stride) - 1, int(reach / stride) + 2) * stride
+    offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    places = np.rint(pixels).astype(np.intp)[:, None] + offsets
+    used = _in_window(places - pixels[:, None], steps, limit[:, None], clearance)
+    used &= ((places >= 0) & (places < (gray.shape[1], gray.shape[0]))).all(axis=-1)
+    first = np.argsort(~used, axis=1, kind="stable")[:, : max(1, int(used.sum(axis=1).max()))]
+    places = np.take_along_axis(places, first[..., None], axis=1)
+    x, y = np.moveaxis(places - pixels[:, None], -1, 0)
+    column, row = np.moveaxis(places, -1, 0)
+    values = gray[np.clip(row, 0, gray.shape[0] - 1), np.clip(column, 0, gray.shape[1] - 1)]
+    weights = np.take_along_axis(used, first, axis=1)
+    return Samples(x, y, values.astype(np.float64), weights.astype(np.float64), reach)
+
+
+def _in_window(away: Array, steps: Array, limit: Array, clearance: float) -> Array:
+    """Return which samples (N, K), offsets (N, K, 2) in pixels, belong to the windows: a disc in the board's plane,
+    of which what is far from both edges is left out.
+    """
+    in_steps = np.abs(away @ _inverse(steps).swapaxes(1, 2))
+    radius = np.hypot(away[..., 0], away[..., 1])
+    disc = (np.hypot(in_steps[..., 0], in_steps[..., 1]) < SHARE) & (radius <= limit)
+    edge_distance = (in_steps * _heights(steps)[:, None]).min(axis=-1)
+    near = (edge_distance < np.maximum(BAND_PX, BAND_SHARE * limit)) & (in_steps.min(axis=-1) < clearance)
+    return np.asarray((disc & near) | (radius <= CORE_PX))
+
+
+def _heights(steps: Array) -> Array:
+    """Return the distance in pixels (N, 2) between neighbouring edges: of the columns, then of the rows."""
+    return np.asarray(np.abs(np.linalg.det(steps))[:, None] / np.linalg.norm(steps, axis=1)[:, ::-1])
+
+
+def _inverse(steps: Array) -> Array:
+    """Return the inverses of (N, 2, 2), the unit matrix for parallel steps: a corner without angle fits nothing."""
+    flat = np.abs(np.linalg.det(steps)) < 1e-3
+    return np.asarray(np.linalg.inv(np.where(flat[:, None, None], np.eye(2), steps)))

@@ -1,0 +1,109 @@
+"""Drawing images and the frames of videos through maps, as many at a time as there are cores."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from camcal.errors import CamcalError, InvalidInput
+from camcal.images.image import Image
+from camcal.images.load import load
+from camcal.images.remap import Maps
+from camcal.images.save import save
+from camcal.images.scratch import Scratch
+from camcal.images.video import frames
+from camcal.progress import Outcome, Progress
+from camcal.run.fanout import fan_out
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """An image written; frame: its number in the video it comes from, from 0, None for an image."""
+
+    output: Path
+    orientation: int
+    frame: int | None = None
+
+
+class _Item(NamedTuple):
+    """An image to draw: of a file, or a frame of a video with its number, or the error that ended the video."""
+
+    source: Path
+    output: Path
+    frame: int | None = None
+    image: Image | CamcalError | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What all images share. border: see `Maps.apply`. quality: of JPEG. size_advice: what to do about another size."""
+
+    maps: Maps
+    border: tuple[float, ...] = (0.0,)
+    quality: int = 95
+    size_advice: str = ""
+    spare: deque[Scratch] = field(default_factory=deque)  # of threads that have finished an image
+
+    def images(
+        self, outputs: Mapping[Path, Path], jobs: int | None, progress: Progress
+    ) -> Iterator[Outcome[Path, Drawn]]:
+        """Yield what became of every image: its source and the file it goes to."""
+        return self._run("images", [_Item(*pair) for pair in outputs.items()], jobs, progress)
+
+    def video(self, source: Path, output: Path, jobs: int | None, progress: Progress) -> Iterator[Outcome[Path, Drawn]]:
+        """Yield what became of every frame; output: its number goes before the suffix. Frames are not kept."""
+        return self._run(source.name, self._frames(source, output), jobs, progress)
+
+    def _run(
+        self, what: str, items: Iterable[_Item], jobs: int | None, progress: Progress
+    ) -> Iterator[Outcome[Path, Drawn]]:
+        for outcome in fan_out(self._draw, items, jobs=jobs, what=what, progress=progress):
+            yield Outcome(outcome.item.source, outcome.value, outcome.error)
+
+    def _frames(self, source: Path, output: Path) -> Iterator[_Item]:
+        try:
+            for number, image in enumerate(frames(source)):
+                self._check_size(source, image)
+                yield _Item(source, output.with_stem(f"{output.stem}_{number:06d}"), number, image)
+        except CamcalError as error:
+            yield _Item(source, output, None, error)
+
+    def _draw(self, item: _Item) -> Drawn:
+        """Return what was written of an item; raises CamcalError if it cannot be read, drawn or written."""
+        if isinstance(item.image, CamcalError):
+            raise item.image
+        scratch = self._take_scratch()
+        try:
+            image = item.image or load(item.source, scratch)
+            self._check_size(item.source, image)
+            view = self.maps.apply(image.pixels, self.border, scratch)
+            save(item.output, replace(image, pixels=view), quality=self.quality)
+        finally:
+            self.spare.append(scratch)
+        return Drawn(item.output, image.orientation, item.frame)
+
+    def _take_scratch(self) -> Scratch:
+        with suppress(IndexError):
+            return self.spare.pop()
+        return Scratch()
+
+    def _check_size(self, source: Path, image: Image) -> None:
+        if image.size != self.maps.source_size:
+            found, wanted = ("{}x{}".format(*size) for size in (image.size, self.maps.source_size))
+            advice = self.size_advice if same_shape(image.size, self.maps.source_size) else ""
+            raise InvalidInput(f"is {found}, the camera {wanted}{advice}", where=str(source))
+
+
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Return whether one size is the other resized, give or take the pixel that rounding takes."""
+    return abs(one[0] * other[1] - one[1] * other[0]) <= max(*one, *other)
+
+
+def require_success(outcomes: Sequence[Outcome[Path, Drawn]]) -> None:
+    """Raise the first error if there is nothing but errors."""
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    if errors and len(errors) == len(outcomes):
+        more = f" ({len(errors)} images failed, none is written)" if len(errors) > 1 else ""
+        raise type(errors[0])(f"{errors[0].message}{more}", where=errors[0].where)

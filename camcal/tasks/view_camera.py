@@ -1,0 +1,91 @@
+"""The camera an undistortion starts from, and the camera file of the view it ends with."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from camcal import files
+from camcal.cameras.model import Camera
+from camcal.errors import CamcalError, InvalidInput
+from camcal.formats import native, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.images.views import PINHOLE, ViewOptions
+from camcal.progress import Progress
+from camcal.run.inputs import split_address
+
+_COMMAND = "camcal undistort"
+
+
+@dataclass(frozen=True, eq=False)
+class SourceCamera:
+    """A camera of a file, and its name there."""
+
+    path: Path
+    name: str
+    camera: Camera
+
+
+def read_source(address: str, name: str | None) -> SourceCamera:
+    """Return the camera of FILE or FILE#NAME; raises InvalidInput if it is not clear which one is meant."""
+    path, addressed = split_address(address)
+    file = native.read(path)
+    wanted = name or addressed
+    entry = native.select(file, wanted, str(path))
+    return SourceCamera(path, wanted or next(iter(file.cameras)), entry.camera)
+
+
+def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Raise InvalidInput if an output is one of the inputs."""
+    read = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in read:
+            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(path))
+
+
+def write_view(path: Path, source: SourceCamera, view: Camera, arguments: Sequence[str], progress: Progress) -> None:
+    """Write the camera of a view; a warning is given if it takes the place of that of another view."""
+    before = _earlier(path)
+    origin = {"camera": {"file": source.path.as_posix(), "name": source.name, "sha256": files.sha256(source.path)}}
+    block = provenance.build(arguments, None) | origin
+    native.write(path, CameraFile({source.name: CameraEntry(view)}, provenance=block))
+    if before is not None and not _same(before, view):
+        progress.warn(f"{path}: replaces the camera of another view; images of that one no longer fit it")
+
+
+def require_own(path: Path) -> None:
+    """Raise InvalidInput if there is a file of that name which no undistortion wrote."""
+    if not path.exists():
+        return
+    try:
+        command = str(native.read(path).provenance.get("command", ""))
+    except CamcalError:
+        command = ""
+    if not command.startswith(_COMMAND):
+        raise InvalidInput("was not written by 'camcal undistort' and is kept; choose another output", where=str(path))
+
+
+def _earlier(path: Path) -> Camera | None:
+    """Return the camera of an earlier view in the same place."""
+    return next(iter(native.read(path).cameras.values())).camera if path.exists() else None
+
+
+def _same(one: Camera, other: Camera) -> bool:
+    same_kind = one.model == other.model and one.image_size == other.image_size
+    # 12 digits are written
+    return same_kind and np.allclose(one.parameters, other.parameters, rtol=1e-10, atol=1e-10)
+
+
+def view_arguments(camera_name: str | None, view: ViewOptions) -> list[str]:
+    """Return the options of a command line that choose a view."""
+    given = {
+        "--camera": camera_name,
+        "--alpha": view.alpha,
+        "--size": "{}x{}".format(*view.size) if view.size else None,
+        "--projection": view.projection if view.projection != PINHOLE else None,
+        "--fov": view.fov_deg,
+    }
+    flags = {"--keep-k": view.keep_k, "--stretch": view.stretch}
+    arguments = [part for name, value in given.items() if value is not None for part in (name, f"{value}")]
+    return arguments + [name for name, wanted in flags.items() if wanted]

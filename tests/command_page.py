@@ -1,0 +1,97 @@
+"""docs/commands.md beside the help of the commands: what the page says of each, and what it should say.
+
+Run as a script, this writes the blocks of synopsis and options anew from `--help`.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from typer.core import TyperArgument, TyperGroup, TyperOption
+from typer.main import get_command
+
+from camcal.cli.main import app
+
+PAGE = Path(__file__).parents[1] / "docs" / "commands.md"
+EVERYWHERE = ("jobs", "recursive", "json", "quiet", "verbose", "config")  # described once, for all commands
+
+
+def commands(group: Any) -> dict[str, Any]:
+    """Return every command below a group by its full name, such as 'stereo cloud'."""
+    found: dict[str, Any] = {}
+    for name, command in group.commands.items():
+        below = commands(command) if isinstance(command, TyperGroup) else {"": command}
+        found |= {f"{name} {rest}".strip(): leaf for rest, leaf in below.items()}
+    return found
+
+
+ROOT = get_command(app)
+REGISTERED = commands(ROOT)
+
+
+def sections(page: str) -> dict[str, str]:
+    """Return the text under every heading `## camcal …`, by the command's name."""
+    parts = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
+    titled = (part.split("\n", maxsplit=1) for part in parts)
+    return {title.removeprefix("camcal "): body for title, body in titled if title.startswith("camcal ")}
+
+
+def option_block(command: Any, name: str) -> str:
+    """Return the synopsis and the table of options of a command, from its help."""
+    own = [parameter for parameter in command.params if parameter.name not in EVERYWHERE]
+    needed = [each for each in own if isinstance(each, TyperArgument)]
+    needed += [each for each in own if isinstance(each, TyperOption) and each.required]
+    synopsis = " ".join(["camcal", name, *(_spellings(each)[0] for each in needed), "[OPTIONS]"])
+    table = ["| argument or option | |", "|---|---|", *map(_row, own), ""] if own else []
+    shared = ", ".join(f"`{each.opts[0]}`" for each in command.params if each.name in EVERYWHERE)
+    also = f"{'Also' if own else 'Only'} {shared}: [as everywhere](#options-of-every-command)."
+    return "\n".join(["```", synopsis, "```", "", *table, also, ""])
+
+
+def _spellings(parameter: Any) -> list[str]:
+    """Return how an argument or option is written, the first with its value."""
+    if isinstance(parameter, TyperArgument):
+        word = parameter.metavar.strip("[]")
+        return [word if parameter.required else f"[{word}]"]
+    value = "" if parameter.is_flag else f" {parameter.metavar or parameter.name.upper()}"
+    first, *others = parameter.opts + parameter.secondary_opts
+    return [first + value, *others]
+
+
+def _row(parameter: Any) -> str:
+    spelled = ", ".join(f"`{form}`" for form in _spellings(parameter))
+    said = parameter.help + _default(parameter) + (" Required." if parameter.required else "")
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in (spelled, said)) + " |"
+
+
+def _default(parameter: Any) -> str:
+    """Return the default in words where it is one that the help does not say."""
+    default = parameter.default
+    if default in (None, "", False, float("inf")) or "default" in parameter.help:
+        return ""
+    values = default if isinstance(default, tuple) else [default]
+    return f" By default {'on' if default is True else ' '.join(map(_shown, values))}."
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def with_blocks(page: str) -> str:
+    """Return docs/commands.md with the block of every command as its help has it."""
+    for name, command in REGISTERED.items():
+        start, end = f"<!-- options of camcal {name} -->\n", "<!-- end -->"
+        before, found, rest = page.partition(start)
+        if found:
+            page = f"{before}{start}{option_block(command, name)}{end}{rest.partition(end)[2]}"
+    return page
+
+
+def stale(page: str) -> list[str]:
+    """Return the commands without a section of their own, or with a block that differs from their help."""
+    known = sections(page)
+    return [name for name, command in REGISTERED.items() if option_block(command, name) not in known.get(name, "")]
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_blocks(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

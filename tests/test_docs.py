@@ -1,0 +1,344 @@
+"""The pages, `--help` and the package say the same.
+
+Every rule first meets a planted violation, to show that it can fail. What the sentences between examples and tables
+claim is not tested here.
+"""
+
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+import typer
+from command_page import EVERYWHERE, PAGE, REGISTERED, ROOT, commands, sections, stale
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from camcal import errors
+from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.formats import detections, native
+from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.simulate.observe import observe
+from camcal.simulate.scene import views
+from camcal.targets.board import parse_board
+
+PROJECT = Path(__file__).parents[1]
+README = PROJECT / "README.md"
+PAGES = [README, PROJECT / "CHANGELOG.md", *sorted((PROJECT / "docs").rglob("*.md"))]
+
+OTHER_TOOLS = {"--object-width-n"}  # mrcal's
+
+_FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+_SUBSTITUTION = re.compile(r"\$\(([^()]*)\)")
+_CODE = re.compile(r"`([^`\n]+)`")
+_LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)")
+
+
+@cache
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(PROJECT).as_posix()
+
+
+def without_help(group: Any) -> list[str]:
+    found = [name for name, command in group.commands.items() if not command.help]
+    for name, command in commands(group).items():
+        found += [f"{name} {parameter.name}" for parameter in command.params if not parameter.help]
+    return found
+
+
+def test_every_command_and_option_has_help():
+    def bare(size: int = 0, named: Annotated[int, typer.Option(help="Here.")] = 0) -> None: ...
+
+    planted = typer.Typer()
+    planted.command("bare")(bare)
+    planted.command("other")(lambda: None)
+    assert without_help(get_command(planted)) == ["bare", "other", "bare size"]
+    assert without_help(ROOT) == []
+
+
+def rows_of_commands(page: str) -> list[str]:
+    """Return the commands that the first cells of a page's tables name."""
+    return re.findall(r"^\| \[`camcal ([^`]+)`\]\(docs/commands\.md#camcal-[a-z-]+\) \|", page, flags=re.MULTILINE)
+
+
+def test_the_readme_lists_every_command():
+    lost = re.sub(r"^\| \[`camcal inspect`.*\n", "", text_of(README), flags=re.MULTILINE)
+    assert set(REGISTERED) - set(rows_of_commands(lost)) == {"inspect"}
+    assert sorted(rows_of_commands(text_of(README))) == sorted(REGISTERED)
+
+
+def test_the_page_of_commands_has_every_option_as_the_help_says_it():
+    page = text_of(PAGE)
+    assert stale(page.replace("`--get KEY`", "`--git KEY`")) == ["inspect"]
+    assert stale(page.replace("## camcal inspect\n", "## Other\n")) == ["inspect"]
+    assert stale(page) == [], "run: python tests/command_page.py"
+
+
+def test_the_page_of_commands_has_no_other_commands():
+    assert set(sections(text_of(PAGE) + "\n## camcal zap\n")) - set(REGISTERED) == {"zap"}
+    assert set(sections(text_of(PAGE))) - set(REGISTERED) == set()
+
+
+def without_example(page: str) -> list[str]:
+    return [name for name, body in sections(page).items() if f"\ncamcal {name}" not in body.partition("```sh")[2]]
+
+
+def test_every_command_has_an_example_its_exit_codes_and_its_schema():
+    page = text_of(PAGE)
+    assert without_example(page.replace("\ncamcal doctor\n", "\n")) == ["doctor"]
+    assert without_example(page) == []
+    for name, body in sections(page).items():
+        assert f"`camcal/{name.replace(' ', '-')}/1`" in body, name
+        assert "Exit codes:" in body, name
+
+
+def test_the_options_of_every_command_are_described_once():
+    described = text_of(PAGE).partition("## Options of every command")[2].partition("\n## ")[0]
+    every = [parameter for command in REGISTERED.values() for parameter in command.params]
+    shared = {option for parameter in every if parameter.name in EVERYWHERE for option in parameter.opts}
+    assert missing(shared, described.replace("`--jobs N`", "")) == {"--jobs"}
+    assert missing(shared, described) == set()
+
+
+def missing(options: set[str], page: str) -> set[str]:
+    return {option for option in options if not re.search(rf"`{option}[ `]", page)}
+
+
+def command_lines(page: str) -> Iterator[list[str]]:
+    """Yield every `camcal …` of a page's shell examples, as words after the program's name."""
+    for language, block in _FENCE.findall(page):
+        if language == "sh":
+            for line in block.replace("\\\n", " ").splitlines():
+                bare = re.sub(r"(^|\s)#.*$", "", line)
+                for part in (_SUBSTITUTION.sub("x", bare), *_SUBSTITUTION.findall(bare)):
+                    yield from _calls(part)
+
+
+def _calls(line: str) -> Iterator[list[str]]:
+    lexer = shlex.shlex(line, posix=True, punctuation_chars="();<>|&")
+    lexer.whitespace_split, lexer.commenters = True, ""
+    words: list[str] = []
+    for word in [*lexer, ";"]:
+        if set(word) <= set("();<>|&"):
+            if words and words[0].removeprefix(".venv/bin/") == "camcal":
+                yield words[1:]
+            words = []
+        else:
+            words.append(word)
+
+
+def refused(words: list[str]) -> str | None:
+    """Return why a command line would be refused before any work, None if it would not."""
+    command, names = ROOT, []
+    while isinstance(command, TyperGroup) and words and words[0] in command.commands:
+        names.append(words[0])
+        command, words = command.commands[words[0]], words[1:]
+    try:
+        if isinstance(command, TyperGroup):
+            command.parse_args(command.context_class(command), list(words))
+            return None if words and words[0].startswith("-") else f"no command: {' '.join([*names, *words])}"
+        command.make_context(" ".join(names), list(words))
+    except (typer.TyperException, errors.CamcalError) as error:
+        return f"{' '.join(names)}: {error}"
+    except typer.Exit:
+        return None
+    return None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_shell_example_would_be_accepted(page, monkeypatch):
+    monkeypatch.chdir(PROJECT)  # examples name sample_configs/
+    refusals = {" ".join(words): reason for words in command_lines(text_of(page)) if (reason := refused(words))}
+    assert refusals == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "camcal callibrate photos -o a.yaml",
+        "camcal calibrate photos --bord x -o a.yaml",
+        "x=$(camcal inspect)",
+        'test "$(camcal inspect a.yaml --got b)" = true',
+        "true && camcal stereo cluod a -o b",
+        "camcal undistort a.yaml b -o c --quality best",
+    ],
+)
+def test_a_wrong_shell_example_would_be_noticed(line):
+    assert [words for words in command_lines(f"```sh\n{line}\n```") if refused(words)]
+
+
+def strangers(page: str) -> list[str]:
+    """Return the commands and long options in a page's code that do not exist."""
+    options = {
+        spelling
+        for command in REGISTERED.values()
+        for each in command.params
+        for spelling in (*each.opts, *each.secondary_opts)
+    }
+    options |= OTHER_TOOLS | {"--help", "--version"}
+    verbs = {name.split()[0] for name in REGISTERED} | {"COMMAND"}
+    code = [
+        *_CODE.findall(_FENCE.sub("", page)),
+        *(block for language, block in _FENCE.findall(page) if language != "python"),
+    ]
+    found = []
+    for part in code:
+        found += [option for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", part) if option not in options]
+        found += [
+            verb
+            for verb in re.findall(r"(?:^|bin/| )camcal ([A-Za-z]+)", part, flags=re.MULTILINE)
+            if verb not in verbs
+        ]
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_page_names_a_command_or_an_option_that_does_not_exist(page):
+    assert strangers("`camcal zap --zip`, `--jobs 2`") == ["--zip", "zap"]
+    assert strangers(text_of(page)) == []
+
+
+def first_screen(page: str) -> list[str]:
+    """Return the commands of the two shell blocks that stand first."""
+    return [block.strip() for language, block in _FENCE.findall(page) if language == "sh"][:2]
+
+
+def steps(script: str) -> list[str]:
+    """Return the steps of a shell script that make, fill and use a virtual environment, wherever it lies."""
+    found = []
+    for line in re.split(r"&&|\n|[()]", script):
+        words = [word for word in shlex.split(line, comments=True) if word != "--quiet"] if _is_step(line) else []
+        if words[:3] == ["python3", "-m", "venv"]:
+            found.append("make")
+        elif words and "/bin/" in words[0]:
+            found.append(" ".join([words[0].rpartition("/bin/")[2], *words[1:]]))
+    return found
+
+
+def _is_step(line: str) -> bool:
+    return "/bin/" in line or "python3 -m venv" in line
+
+
+def is_within(wanted: list[str], script: list[str]) -> bool:
+    """Return whether the wanted steps stand in the script, in their order; it may say more, such as an output."""
+    left = iter(script)
+    return all(any(step == want or step.startswith(f"{want} -o ") for step in left) for want in wanted)
+
+
+def test_the_first_screen_has_two_commands_and_the_checks_of_a_change_run_both():
+    script = steps((PROJECT / ".ci" / "run").read_text(encoding="utf-8"))
+    demonstration, tests = first_screen(text_of(README))
+    assert demonstration == "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/camcal demo"
+    assert tests == "python3 -m venv .venv && .venv/bin/pip install -e '.[dev]' && .venv/bin/pytest"
+    assert is_within(steps(demonstration), script)
+    assert is_within(steps(tests), script)
+    assert not is_within(steps(demonstration.replace("install .", "install camcal")), script)
+    assert len(text_of(README).partition("bin/pytest")[0].splitlines()) < 25  # they stand on the first screen
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    """A folder with what the examples read: detections of a board, and the camera they belong to."""
+    folder = tmp_path_factory.mktemp("docs")
+    rng = np.random.default_rng(5)
+    board = parse_board("chessboard:9x6:25mm")
+    camera = Camera(model_named("opencv5"), (1280, 960), np.array([900, 902, 640, 478, -0.2, 0.05, 1e-4, -2e-4, 0.0]))
+    seen, _ = observe(camera, board, views(camera, board, 12, rng=rng), rng=rng, noise_px=0.1)
+    detections.write(folder / "detections.csv", seen)
+    found = calibrate(seen.views, board, Options(camera.model)).camera
+    native.write(folder / "camera.yaml", CameraFile({"camera": CameraEntry(found)}))
+    return folder
+
+
+def python_examples() -> list[tuple[str, str]]:
+    return [
+        (f"{name_of(page)} {number}", block)
+        for page in PAGES
+        for number, (language, block) in enumerate(_FENCE.findall(text_of(page)))
+        if language == "python"
+    ]
+
+
+@pytest.mark.parametrize(
+    "example", [block for _, block in python_examples()], ids=[name for name, _ in python_examples()]
+)
+def test_every_python_example_runs(example, workplace, monkeypatch, capsys):
+    monkeypatch.chdir(workplace)
+    with pytest.raises(AttributeError):
+        exec(example.replace("camcal.", "camcal.un"), {})  # a wrong name would be noticed
+    exec(example, {})
+    assert capsys.readouterr().out
+
+
+def test_the_readme_has_an_example_of_the_library():
+    assert any(name.startswith("README.md") for name, _ in python_examples())
+
+
+def exit_codes(page: str) -> dict[int, str]:
+    """Return the kinds of error by exit code in the tables `| code | kind | …`."""
+    rows = re.findall(r"^\| (\d+) \| (?:`(\w+)`)? ?\|", page, flags=re.MULTILINE)
+    return {int(code): kind for code, kind in rows}
+
+
+def test_the_exit_codes_are_those_of_the_errors():
+    known = {error.exit_code: error.kind for error in [errors.CamcalError, *errors.CamcalError.__subclasses__()]}
+    known |= {0: "", errors.EXIT_INTERRUPTED: "interrupted"}
+    for page in (README, PAGE):
+        assert exit_codes(text_of(page).replace("| 4 |", "| 8 |")) != known
+        assert exit_codes(text_of(page)) == known
+    order = ", ".join(str(code) for code in errors.EXIT_PRECEDENCE if code)
+    assert f"the first of {order} is the exit" in text_of(PAGE)
+
+
+def test_the_readme_names_what_the_demo_leaves():
+    from camcal.tasks import demo
+
+    left = re.findall(r"^([\w.]+/?)  +", demo._README, flags=re.MULTILINE)
+    assert "camera.yaml" in left
+    assert [name for name in left if f"`{name}`" not in text_of(README)] == []
+
+
+def anchors(page: str) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.+)$", _FENCE.sub("", page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def broken_links(page: Path, content: str) -> list[str]:
+    found = []
+    for link in _LINK.findall(_FENCE.sub("", content)):
+        target, _, anchor = link.partition("#")
+        path = (page.parent / target) if target else page
+        if "://" in link:
+            continue
+        if not path.exists() or (anchor and anchor not in anchors(text_of(path) if target else content)):
+            found.append(link)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_link_leads_somewhere(page):
+    planted = "# A b\n[x](nowhere.md) [y](#a-b) [z](#c)"
+    assert broken_links(page, planted) == ["nowhere.md", "#c"]
+    assert broken_links(page, text_of(page)) == []
+
+
+def test_every_page_is_linked_from_the_readme_or_the_list_of_decisions():
+    linked = {(README.parent / link.partition("#")[0]).resolve() for link in _LINK.findall(text_of(README))}
+    assert {name_of(page) for page in PAGES if page not in linked | {README}} == set()
+
+
+def test_a_decision_fits_on_a_page():
+    decisions = [page for page in PAGES if page.parent.name == "adr"]
+    assert decisions
+    assert [name_of(page) for page in decisions if len(text_of(page).splitlines()) > 40] == []
