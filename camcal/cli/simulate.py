@@ -23,7 +23,7 @@ def simulate(
     output: shared.Output,
     camera_file: Annotated[
         str | None,
-        typer.Argument(metavar="[CAMERA]", help="A camera file, FILE#NAME for one of several; else --model and so on."),
+        typer.Argument(metavar="CAMERA", help="A camera file, FILE#NAME for one of several; else --model and so on."),
     ] = None,
     model: Annotated[
         str | None, typer.Option(help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4; by default opencv5.")

@@ -3,8 +3,8 @@
 Around a corner the image is modelled as  level + slope · (x, y) + contrast · erf(t₁ / √2 σ) · erf(t₂ / √2 σ)  with
 t₁, t₂ the distances from two straight edges through the corner and σ the blur. All corners are fitted at once, each by
 its own Levenberg-Marquardt iteration. On real sets this leaves a smaller reprojection error than cv2.cornerSubPix or
-findChessboardCornersSB (benchmarks/detection.py): it takes nothing but edges, so that print within the squares does
-not draw it, and it does not mind where its window is centred.
+findChessboardCornersSB (benchmarks/detection.py): nothing but edges counts, so that print within the squares does not
+draw a corner, nor does the place where its window was centred.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from camcal.targets.windows import FINE, Samples, Window, sample
 
 _LEAST_BLUR_PX = 0.3  # of a pixel's own square, √(1/12)
 _LARGEST_BLUR_PX = 4.0  # or a third of the window
+_ROUNDING = 1 / 12  # gray levels squared
 _ROUNDS = 15
 _SETTLED_PX = 1e-3  # the step after such a step is of the order of 1e-5 px
 _SETTLED_COARSE_PX = 0.02
@@ -50,7 +51,8 @@ def fit_corners(
     samples = sample(gray, pixels, steps, window, clearance)
     settled = _SETTLED_PX if window.across == np.inf else _SETTLED_COARSE_PX
     parameters, cost = _minimise(samples, _start(samples, steps), settled)
-    agreement = 1 - cost / np.maximum(_variation(samples), 1e-9)
+    rounding = _ROUNDING * samples.weights.sum(axis=1)  # so that nothing agrees with an empty wall
+    agreement = 1 - (cost + rounding) / (_variation(samples) + rounding)
     return CornerFits(pixels + parameters[:, [_X, _Y]], parameters[:, _CONTRAST], agreement)
 
 
@@ -69,6 +71,7 @@ def _variation(samples: Samples) -> Array:
 def _start(samples: Samples, steps: Array) -> Array:
     """Return the parameters (N, 9) at the start: edges along the steps, gray levels by linear least squares."""
     parameters = np.zeros((len(steps), _COUNT))
+    parameters[:, _LOG_BLUR] = np.log(samples.blur)
     parameters[:, _ANGLE_1] = np.arctan2(steps[:, 1, 0], steps[:, 0, 0])
     parameters[:, _ANGLE_2] = np.arctan2(steps[:, 1, 1], steps[:, 0, 1])
     residuals, jacobian = _evaluate(parameters, samples)
@@ -128,14 +131,15 @@ def _evaluate(parameters: Array, samples: Samples) -> tuple[Array, Array]:
     own_blur = np.exp(2 * parameters[:, [_LOG_BLUR]])
     scale = _ROOT_HALF / np.sqrt(_LEAST_BLUR_PX**2 + own_blur)
     side_1, side_2 = erf(scale * distance_1), erf(scale * distance_2)
-    # First term of the tetrachoric series: blur mixes edges that are not at right angles (Pearson 1900).
-    mixed = (2 / np.pi) * (cos_1 * cos_2 + sin_1 * sin_2) * np.exp(-((scale * distance_1) ** 2 + (scale * distance_2) ** 2))
+    fall_1, fall_2 = np.exp(-((scale * distance_1) ** 2)), np.exp(-((scale * distance_2) ** 2))
+    # Blur mixes edges that are not at right angles: first term of the tetrachoric series (Pearson 1900).
+    mixed = (2 / np.pi) * (cos_1 * cos_2 + sin_1 * sin_2) * fall_1 * fall_2
     crossing = side_1 * side_2 + mixed
     contrast, slope_x, slope_y = (parameters[:, [k]] for k in (_CONTRAST, _SLOPE_X, _SLOPE_Y))
     model = parameters[:, [_LEVEL]] + contrast * crossing + slope_x * samples.x + slope_y * samples.y
-    gain = contrast * weights * scale * 2
-    by_1 = gain * (np.exp(-((scale * distance_1) ** 2)) * side_2 / np.sqrt(np.pi) - scale * distance_1 * mixed)
-    by_2 = gain * (np.exp(-((scale * distance_2) ** 2)) * side_1 / np.sqrt(np.pi) - scale * distance_2 * mixed)
+    gain = 2 * contrast * weights * scale
+    by_1 = gain * (fall_1 * side_2 / np.sqrt(np.pi) - scale * distance_1 * mixed)
+    by_2 = gain * (fall_2 * side_1 / np.sqrt(np.pi) - scale * distance_2 * mixed)
     jacobian = np.stack(
         [
             by_1 * sin_1 + by_2 * sin_2,

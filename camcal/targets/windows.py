@@ -16,24 +16,25 @@ BAND_SHARE = 1 / 4  # … or this share of the radius
 class Window:
     """How far samples are taken and how densely: radius reach_px, or reach_share of the spacing where that is more.
 
-    across: samples on a diameter at most.
+    across: samples on a diameter at most. blur: share of the radius that edges are blurred by at the start.
     """
 
     reach_px: float
     reach_share: float
     across: float = np.inf
+    blur: float = 0.0
 
 
 FINE = Window(12.0, 1 / 8)  # more edge adds little, and lens distortion bends it; blur grows with an image's pixels
 QUICK = Window(12.0, 1 / 8, across=12)  # sharp edges sampled so are good to some tenths of a pixel
-WIDE = Window(12.0, SHARE, across=16)  # holds a corner that is looked for at a distance
+WIDE = Window(12.0, SHARE, across=16, blur=0.25)  # for a corner at a distance: blurred edges attract from afar
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Samples (N, K) of N windows: offsets from the start in pixels, gray values, and 0 for those beyond the window.
 
-    reach: the largest radius in pixels.
+    reach: the largest radius, blur: that of the edges at the start, pixels.
     """
 
     x: Array
@@ -41,10 +42,11 @@ class Samples:
     values: Array
     weights: Array
     reach: float
+    blur: float
 
     def take(self, rows: Array) -> "Samples":
         """Return the samples of some of the windows."""
-        return Samples(self.x[rows], self.y[rows], self.values[rows], self.weights[rows], self.reach)
+        return Samples(self.x[rows], self.y[rows], self.values[rows], self.weights[rows], self.reach, self.blur)
 
 
 def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: float) -> Samples:
@@ -68,7 +70,8 @@ def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: 
     column, row = np.moveaxis(places, -1, 0)
     values = gray[np.clip(row, 0, gray.shape[0] - 1), np.clip(column, 0, gray.shape[1] - 1)]
     weights = np.take_along_axis(used, first, axis=1)
-    return Samples(x, y, values.astype(np.float64), weights.astype(np.float64), reach)
+    blur = max(1.0, window.blur * reach)
+    return Samples(x, y, values.astype(np.float64), weights.astype(np.float64), reach, blur)
 
 
 def _in_window(away: Array, steps: Array, limit: Array, clearance: float) -> Array:

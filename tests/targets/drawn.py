@@ -1,4 +1,4 @@
-"""Pictures of boards for the tests: drawn through a homography, every pixel the mean of many rays through its square."""
+"""Pictures of boards for the tests: drawn through a homography, every pixel the mean of rays through its square."""
 
 import cv2
 import numpy as np

@@ -63,6 +63,6 @@ def test_a_whole_board_is_not_extended_whatever_lies_behind_it():
     homography = upright(board, SIZE, 0.7)
     grid = truth(board, homography).reshape(4, 6, 2)
     dark_wall = picture(board, homography, SIZE)
-    x, y, step = *np.rint(grid[0, 0]).astype(int), int(grid[0, 1, 0] - grid[0, 0, 0])
-    dark_wall[: y - step] = 30  # the sheet cut off along its first row of squares
+    top, step = grid[0, 0, 1], grid[0, 1, 0] - grid[0, 0, 0]
+    dark_wall[: round(top - step)] = 30  # the sheet cut off along its first row of squares
     assert extended(dark_wall, settle(dark_wall, grid)).grid.shape == grid.shape

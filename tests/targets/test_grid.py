@@ -31,7 +31,8 @@ def test_a_missing_corner_is_put_where_it_belongs():
     grid = curved(np.linspace(-3, 3, 12))
     holes = grid.copy()
     holes[2, 3] = holes[0, 0] = holes[4, 6] = np.nan
-    np.testing.assert_allclose(grids.predict(holes), grid, atol=1e-9)
+    missing = np.isnan(holes)
+    np.testing.assert_allclose(grids.predict(holes)[missing], grid[missing], atol=1e-9)
 
 
 def test_a_wrong_neighbour_is_outvoted():
