@@ -4,6 +4,7 @@ Every rule first meets a planted violation, to show that it can fail. What the s
 claim is not tested here.
 """
 
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ from camcal import errors
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cli.main import app
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.simulate.observe import observe
@@ -278,6 +280,40 @@ def test_every_python_example_runs(example, workplace, monkeypatch, capsys):
         exec(example.replace("camcal.", "camcal.un"), {})  # a wrong name would be noticed
     exec(example, {})
     assert capsys.readouterr().out
+
+
+RUNS = """\
+simulate chessboard:5x4:30mm -o scene --views 1 --size 320x240 --jobs 1
+detect scene/images --board chessboard:5x4:30mm -o found.csv --jobs 1
+calibrate detections.csv -o again.yaml
+inspect camera.yaml
+undistort scene/truth.yaml scene/images -o straight --jobs 1
+pnp camera.yaml detections.csv
+demosaic mosaic.npy -o colour.tiff --pattern RGGB
+stereo cloud disparity.npy -o cloud.ply --fx 100 --cx 3.5 --cy 3.5 --baseline 0.1
+"""
+
+
+def test_every_key_of_a_json_document_is_named_in_the_section_of_its_command(workplace, monkeypatch, capsys):
+    """`demo` takes too long for it; what `doctor` finds depends on the machine."""
+    monkeypatch.chdir(workplace)
+    np.save("mosaic.npy", np.full((8, 8), 100, np.uint8))
+    np.save("disparity.npy", np.ones((8, 8), np.float32))
+    page = sections(text_of(PAGE))
+    for line in RUNS.splitlines():
+        with pytest.raises(SystemExit) as leaving:
+            app([*line.split(), "--json"])
+        document = json.loads(capsys.readouterr().out)
+        assert not leaving.value.code, document
+        name = document.pop("schema").split("/")[1].replace("stereo-", "stereo ")
+        body = page[name]
+        assert unnamed({*document, "zap"}, body) == ["zap"]
+        assert unnamed(set(document), body) == []
+
+
+def unnamed(keys: set[str], body: str) -> list[str]:
+    said = body.partition("JSON, ")[2]
+    return sorted(key for key in keys if f"`{key}`" not in said)
 
 
 def test_the_readme_has_an_example_of_the_library():

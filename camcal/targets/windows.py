@@ -6,28 +6,30 @@ import numpy as np
 
 from camcal.arrays import Array
 
-SHARE = 0.4  # of a step: the largest radius, so that a window ends before the next edge
 CORE_PX = 2.5  # the smallest radius: fewer pixels than parameters determine nothing
-BAND_PX = 6.0  # samples lie at most this far from one of the edges; further away there is nothing to be learnt
-BAND_SHARE = 1 / 4  # … or this share of the radius
+REACH_PX = 12.0  # a radius that holds edge enough; lens distortion bends longer edges
+BAND_PX = 6.0  # samples so near to an edge are always taken
 
 
 @dataclass(frozen=True)
 class Window:
-    """How far samples are taken and how densely: radius reach_px, or reach_share of the spacing where that is more.
+    """How far samples are taken and how densely.
 
-    across: samples on a diameter at most. blur: share of the radius that edges are blurred by at the start.
+    reach: radius as a share of the spacing where that is more than REACH_PX. share: largest radius, of a step.
+    band: share of the radius, how far from an edge samples lie. across: samples on a diameter at most.
+    blur: share of the radius that the edges are blurred by at the start of a fit.
     """
 
-    reach_px: float
-    reach_share: float
+    reach: float
+    share: float
+    band: float
     across: float = np.inf
     blur: float = 0.0
 
 
-FINE = Window(12.0, 1 / 8)  # more edge adds little, and lens distortion bends it; blur grows with an image's pixels
-QUICK = Window(12.0, 1 / 8, across=12)  # sharp edges sampled so are good to some tenths of a pixel
-WIDE = Window(12.0, SHARE, across=16, blur=0.25)  # for a corner at a distance: blurred edges attract from afar
+FINE = Window(reach=1 / 8, share=0.4, band=0.25)  # an image's blur grows with its pixels; the next edge is far
+QUICK = Window(reach=1 / 8, share=0.4, band=0.25, across=12)  # sharp edges sampled so are good to tenths of a pixel
+WIDE = Window(reach=0.7, share=0.7, band=1.0, across=16, blur=0.3)  # blurred edges attract from up to 0.4 steps away
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +58,13 @@ def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: 
     clearance: how far from the nearer edge, in steps, samples may lie.
     """
     lengths = np.linalg.norm(steps, axis=1)
-    limit = np.maximum(window.reach_px, window.reach_share * lengths.min(axis=1))
-    reach = float(max(CORE_PX, np.minimum(SHARE * lengths.max(axis=1), limit).max()))
+    limit = np.maximum(REACH_PX, window.reach * lengths.min(axis=1))
+    reach = float(max(CORE_PX, np.minimum(window.share * lengths.max(axis=1), limit).max()))
     stride = max(1, round(2 * reach / window.across))
     side = np.arange(-int(reach / stride) - 1, int(reach / stride) + 2) * stride
     offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     places = np.rint(pixels).astype(np.intp)[:, None] + offsets
-    used = _in_window(places - pixels[:, None], steps, limit[:, None], clearance)
+    used = _in_window(places - pixels[:, None], steps, limit[:, None], window, clearance)
     used &= ((places >= 0) & (places < (gray.shape[1], gray.shape[0]))).all(axis=-1)
     first = np.argsort(~used, axis=1, kind="stable")[:, : max(1, int(used.sum(axis=1).max()))]
     places = np.take_along_axis(places, first[..., None], axis=1)
@@ -74,15 +76,15 @@ def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: 
     return Samples(x, y, values.astype(np.float64), weights.astype(np.float64), reach, blur)
 
 
-def _in_window(away: Array, steps: Array, limit: Array, clearance: float) -> Array:
+def _in_window(away: Array, steps: Array, limit: Array, window: Window, clearance: float) -> Array:
     """Return which samples (N, K), offsets (N, K, 2) in pixels, belong to the windows: a disc in the board's plane,
     of which what is far from both edges is left out.
     """
     in_steps = np.abs(away @ _inverse(steps).swapaxes(1, 2))
     radius = np.hypot(away[..., 0], away[..., 1])
-    disc = (np.hypot(in_steps[..., 0], in_steps[..., 1]) < SHARE) & (radius <= limit)
+    disc = (np.hypot(in_steps[..., 0], in_steps[..., 1]) < window.share) & (radius <= limit)
     edge_distance = (in_steps * _heights(steps)[:, None]).min(axis=-1)
-    near = (edge_distance < np.maximum(BAND_PX, BAND_SHARE * limit)) & (in_steps.min(axis=-1) < clearance)
+    near = (edge_distance < np.maximum(BAND_PX, window.band * limit)) & (in_steps.min(axis=-1) < clearance)
     return np.asarray((disc & near) | (radius <= CORE_PX))
 
 

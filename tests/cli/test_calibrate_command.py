@@ -1,0 +1,154 @@
+"""`camcal calibrate` from a detections file: the file it writes, its bytes, its exit codes, what it prints."""
+
+import json
+
+import numpy as np
+import pytest
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.formats import detections, native
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.simulate.observe import observe
+from camcal.simulate.scene import views
+from camcal.simulate.shapes import bow
+from camcal.targets.board import Board, Detections
+
+BOARD = Board("chessboard", 9, 6, 0.040)
+CAMERA = Camera(
+    model_named("opencv5"), (1600, 1200), np.array([1200.0, 1205, 805, 590, -0.12, 0.06, 5e-4, -3e-4, 0.01])
+)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    rng = np.random.default_rng(1)
+    poses = views(CAMERA, BOARD, 15, rng=rng)
+    return observe(CAMERA, BOARD, poses, rng=rng, noise_px=0.1, outliers=0.004, shape=bow(1e-3, 5e-4))[0]
+
+
+@pytest.fixture
+def table(tmp_path, seen):
+    path = tmp_path / "corners.csv"
+    detections.write(path, seen)
+    return path
+
+
+def test_the_camera_file_holds_the_lens_its_covariance_and_the_board(run, table, tmp_path):
+    output = tmp_path / "camera.yaml"
+    code, out, err = run("calibrate", table, "-o", output)
+    assert (code, err) == (0, "")
+    file = native.read(output)
+    camera = file.cameras["camera"].camera
+    error = (camera.parameters - CAMERA.parameters) / np.sqrt(np.diag(camera.covariance))
+    assert np.abs(error).max() < 4
+    assert file.board_shape.tiers == ("bow",)
+    assert file.cameras["camera"].quality["images_used"] == 15
+    assert "± std" in out
+    assert "bent by" in out
+    assert "Rejected corners:" in out
+
+
+def test_the_same_input_gives_the_same_bytes(run, table, tmp_path):
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    assert run("calibrate", table, "-o", first)[0] == 0
+    assert run("calibrate", table, "-o", second, "--jobs", 1)[0] == 0
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
+    code, out, _ = run("calibrate", table, "-o", tmp_path / "camera.yaml", "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert list(document) == [
+        "schema", "output", "model", "image_size", "parameters", "std", "rms_px", "sigma_px", "degrees_of_freedom",
+        "board", "board_shape", "views", "rejected", "trustworthy", "reasons", "remarks", "notes", "failed",
+    ]  # fmt: skip
+    assert document["schema"] == "camcal/calibrate/1"
+    assert len(document["views"]) == 15
+    assert all(np.hypot(*corner["residual"]) > 0.4 for corner in document["rejected"])
+
+
+def test_fix_and_guess_reach_the_solver(run, table, tmp_path):
+    guess, output = tmp_path / "guess.yaml", tmp_path / "camera.yaml"
+    assert run("calibrate", table, "-o", guess, "--model", "opencv4")[0] == 0
+    assert run("calibrate", table, "-o", output, "--guess", guess, "--fix", "fx,k3")[0] == 0
+    camera = native.read_camera(output)
+    assert camera.fixed == ("fx", "k3")
+    assert camera.value("fx") == native.read_camera(guess).value("fx")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--model", "opencv6"], 2, "opencv"),
+        (["--fix", "k9"], 2, "no parameter 'k9'"),
+        (["--board", "chessboard:9by6"], 2, "9by6"),
+        (["--guess", "nowhere.yaml"], 3, "no such file"),
+        (["--max-rejected", "200"], 2, "max-rejected"),
+    ],
+)
+def test_wrong_arguments_get_one_line_and_write_nothing(run, table, tmp_path, arguments, code, words):
+    output = tmp_path / "camera.yaml"
+    found, out, err = run("calibrate", table, "-o", output, *arguments)
+    assert found == code
+    assert words in err
+    assert len(err.splitlines()) == 1
+    assert out == ""
+    assert not output.exists()
+
+
+def test_an_input_is_never_overwritten(run, table):
+    before = table.read_bytes()
+    code, _, err = run("calibrate", table, "-o", table)
+    assert code == 2
+    assert "not overwritten" in err
+    assert table.read_bytes() == before
+
+
+def test_fronto_parallel_views_end_with_exit_4_and_the_reason(run, tmp_path):
+    rng = np.random.default_rng(2)
+    flat = [
+        Pose(so3.about_z(rng.uniform(-0.3, 0.3)), np.array([*rng.uniform(-0.25, -0.1, 2), rng.uniform(0.5, 0.9)]))
+        for _ in range(12)
+    ]
+    path, output = tmp_path / "flat.csv", tmp_path / "camera.yaml"
+    detections.write(path, observe(CAMERA, BOARD, flat, rng=rng, noise_px=0.1)[0])
+    code, _, err = run("calibrate", path, "-o", output)
+    assert code == 4
+    assert "tilted" in err
+    assert not output.exists()
+
+
+def test_two_views_end_with_exit_4(run, seen, tmp_path):
+    path = tmp_path / "two.csv"
+    detections.write(path, Detections(seen.board, seen.views[:2]))
+    code, out, _ = run("calibrate", path, "-o", tmp_path / "camera.yaml", "--json")
+    assert code == 4
+    assert json.loads(out)["error"]["kind"] == "insufficient_data"
+
+
+def test_a_lens_that_the_default_model_cannot_hold_gets_another_and_it_is_said(run, tmp_path):
+    camera = Camera(
+        model_named("kannala_brandt4"), (1600, 1200), np.array([520.0, 521, 803, 596, 0.02, -0.01, 0.004, 0])
+    )
+    rng = np.random.default_rng(4)
+    found = observe(camera, BOARD, views(camera, BOARD, 25, rng=rng), rng=rng, noise_px=0.05)[0]
+    path, output = tmp_path / "wide.csv", tmp_path / "camera.yaml"
+    detections.write(path, found)
+    code, out, _ = run("calibrate", path, "-o", output)
+    assert code == 0
+    assert native.read_camera(output).model.name == "kannala_brandt4"
+    assert "kannala_brandt4 is used" in out or "kannala_brandt4" in out.splitlines()[0]
+
+
+def test_mrcal_corner_files_are_calibrated_from(run, seen, tmp_path):
+    path, output = tmp_path / "corners.vnl", tmp_path / "camera.yaml"
+    detections.write(path, seen)
+    size = ["--image-size", "1600x1200"]
+    assert run("calibrate", path, "-o", output, "--board", "chessboard:9x6:40mm", *size)[0] == 0
+    assert abs(native.read_camera(output).value("fx") - 1200) < 5
+    code, _, err = run("calibrate", path, "-o", tmp_path / "b.yaml", "--board", "chessboard:9x6:40mm")
+    assert code == 2
+    assert "--image-size" in err
