@@ -160,8 +160,9 @@ def _record(
     problem, state = result.problem, result.state
     factors = _factors(result)
     present = Observations.of([v for v, r in zip(detections, reasons, strict=True) if r is None]).weights > 0
-    kept = problem.observations.weights > 0
     residuals = problem.residuals(state)
+    # the solver may pass the edge of the lens's domain; what it leaves beyond has no residual to count
+    kept = (problem.observations.weights > 0) & np.isfinite(residuals).all(axis=0)
     used = np.asarray(kept.any(axis=1))
     require_views(int(used.sum()), len(detections), 0)
     _require_kept(int(present.sum()), int(kept.sum()), options)
@@ -175,7 +176,7 @@ def _record(
     camera = _camera(result, size, covariance)
     for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
         require_focal(camera.value(focal), camera.std(focal) or 0.0)
-    views = _views(result, detections, reasons, factors.group_covariances() * scale, residuals)
+    views = _views(result, detections, reasons, factors.group_covariances() * scale, residuals, kept)
     return Calibration(
         camera,
         problem.board,
@@ -220,9 +221,13 @@ def _camera(result: Fit, size: tuple[int, int], covariance: Array) -> Camera:
 
 
 def _views(
-    result: Fit, detections: Sequence[Detection], reasons: list[str | None], covariances: Array, residuals: Array
+    result: Fit,
+    detections: Sequence[Detection],
+    reasons: list[str | None],
+    covariances: Array,
+    residuals: Array,
+    kept: Array,
 ) -> tuple[View, ...]:
-    kept = result.problem.observations.weights > 0
     squared = np.where(kept, np.nansum(residuals**2, axis=0), 0.0)
     views, row = [], 0
     for detection, reason in zip(detections, reasons, strict=True):

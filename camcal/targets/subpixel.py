@@ -51,9 +51,16 @@ def fit_corners(
     samples = sample(gray, pixels, steps, window, clearance)
     settled = _SETTLED_PX if window.across == np.inf else _SETTLED_COARSE_PX
     parameters, cost = _minimise(samples, _start(samples, steps), settled)
-    rounding = _ROUNDING * samples.weights.sum(axis=1)  # so that nothing agrees with an empty wall
-    agreement = 1 - (cost + rounding) / (_variation(samples) + rounding)
-    return CornerFits(pixels + parameters[:, [_X, _Y]], parameters[:, _CONTRAST], agreement)
+    # so that nothing agrees with an empty wall, or with a window that lies outside the image
+    return CornerFits(pixels + parameters[:, [_X, _Y]], parameters[:, _CONTRAST], _agreement(samples, cost))
+
+
+def _agreement(samples: Samples, cost: Array) -> Array:
+    """Return the share (N,) of the variation about a plane that is explained; 0 of an empty wall, or by few samples."""
+    count = samples.weights.sum(axis=1)
+    rounding = _ROUNDING * np.maximum(count, 1)
+    explained = 1 - (cost + rounding) / (_variation(samples) + rounding)
+    return np.where(count >= 2 * _COUNT, explained, 0.0)
 
 
 def _variation(samples: Samples) -> Array:
