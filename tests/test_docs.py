@@ -181,27 +181,25 @@ def test_a_wrong_shell_example_would_be_noticed(line):
 
 def strangers(page: str) -> list[str]:
     """Return the commands and long options in a page's code that do not exist."""
-    options = {
-        spelling
-        for command in REGISTERED.values()
-        for each in command.params
-        for spelling in (*each.opts, *each.secondary_opts)
-    }
-    options |= OTHER_TOOLS | {"--help", "--version"}
-    verbs = {name.split()[0] for name in REGISTERED} | {"COMMAND"}
-    code = [
-        *_CODE.findall(_FENCE.sub("", page)),
-        *(block for language, block in _FENCE.findall(page) if language != "python"),
-    ]
+    options, verbs = known_options(), {name.split()[0] for name in REGISTERED} | {"COMMAND"}
+    fenced = [block for language, block in _FENCE.findall(page) if language != "python"]
     found = []
-    for part in code:
-        found += [option for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", part) if option not in options]
-        found += [
-            verb
-            for verb in re.findall(r"(?:^|bin/| )camcal ([A-Za-z]+)", part, flags=re.MULTILINE)
-            if verb not in verbs
-        ]
+    for part in (*_CODE.findall(_FENCE.sub("", page)), *fenced):
+        named = re.findall(r"(?<![\w-])--[a-z][a-z-]*", part)
+        found += [option for option in named if option not in options]
+        called = re.findall(r"(?:^|bin/| )camcal ([A-Za-z]+)", part, flags=re.MULTILINE)
+        found += [verb for verb in called if verb not in verbs]
     return found
+
+
+@cache
+def known_options() -> set[str]:
+    """Return the options of all commands, of the scripts of benchmarks, and of other tools that pages speak of."""
+    parameters = [parameter for command in REGISTERED.values() for parameter in command.params]
+    found = {spelling for each in parameters for spelling in (*each.opts, *each.secondary_opts)}
+    for script in (PROJECT / "benchmarks").glob("*.py"):
+        found |= set(re.findall(r'add_argument\("(--[a-z-]+)"', text_of(script)))
+    return found | OTHER_TOOLS | {"--help", "--version"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -255,7 +253,7 @@ def workplace(tmp_path_factory):
     rng = np.random.default_rng(5)
     board = parse_board("chessboard:9x6:25mm")
     camera = Camera(model_named("opencv5"), (1280, 960), np.array([900, 902, 640, 478, -0.2, 0.05, 1e-4, -2e-4, 0.0]))
-    seen, _ = observe(camera, board, views(camera, board, 12, rng=rng), rng=rng, noise_px=0.1)
+    seen, _ = observe(camera, board, views(camera, board, 8, rng=rng), rng=rng, noise_px=0.1)
     detections.write(folder / "detections.csv", seen)
     found = calibrate(seen.views, board, Options(camera.model)).camera
     native.write(folder / "camera.yaml", CameraFile({"camera": CameraEntry(found)}))
@@ -312,7 +310,7 @@ def test_every_key_of_a_json_document_is_named_in_the_section_of_its_command(wor
 
 
 def unnamed(keys: set[str], body: str) -> list[str]:
-    said = body.partition("JSON, ")[2]
+    said = body.partition("JSON,")[2]
     return sorted(key for key in keys if f"`{key}`" not in said)
 
 

@@ -12,10 +12,9 @@ from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.checker import settle
-from camcal.targets.sighting import Sighting
+from camcal.targets.sighting import MIN_CORNERS, Sighting
 
 MARGIN_USED = 0.8  # of a marker's white margin, so that a blurred marker stays out of the samples
-MIRRORED_MARKERS = 3  # so many markers in the mirrored image are no accident
 
 
 def arrangements(board: Board) -> tuple[Board, ...]:
@@ -44,8 +43,11 @@ def find_charuco(gray: Array, board: Board) -> Sighting:
         return max(sightings, key=lambda sighting: len(sighting.ids))
     detector = _detector(board)
     ids, pixels, markers = opencv.find_charuco(detector, gray)
+    if len(ids) < MIN_CORNERS and _markers_mirrored(detector, gray) > markers:
+        return Sighting.nothing("the image is mirrored: its markers can be read only from behind")
     if not len(ids):
-        return Sighting.nothing(_reason(detector, gray, board, markers))
+        seen = f"{markers} markers, but no corner between them that fits the board"
+        return Sighting.nothing(seen if markers else f"no marker of {board.dictionary} found")
     start = np.full((board.rows, board.columns, 2), np.nan)
     start[np.divmod(ids, board.columns)] = pixels
     checker = settle(gray, start, MARGIN_USED * (1 - _ratio(board)) / 2)
@@ -73,9 +75,6 @@ def _sign(board: Board) -> int:
     return -1 if board.legacy and _patterns_differ(board) else 1
 
 
-def _reason(detector: opencv.CharucoDetector, gray: Array, board: Board, markers: int) -> str:
-    if markers:
-        return f"{markers} markers, but no corner between them that fits the board"
-    if opencv.find_charuco(detector, np.ascontiguousarray(gray[:, ::-1]))[2] >= MIRRORED_MARKERS:
-        return "the image is mirrored: its markers can be read only from behind"
-    return f"no marker of {board.dictionary} found"
+def _markers_mirrored(detector: opencv.CharucoDetector, gray: Array) -> int:
+    """Return the number of markers that are read in the mirrored image; a few of them are read by accident."""
+    return opencv.find_charuco(detector, np.ascontiguousarray(gray[:, ::-1]))[2]

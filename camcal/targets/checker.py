@@ -83,6 +83,22 @@ def settle(gray: Array, start: Array, clearance: float = np.inf) -> Checker:
     return Checker(_polished(gray, checker.grid, clearance), sign, contrast)
 
 
+def trimmed(checker: Checker) -> Checker:
+    """Return the checker without outer rows and columns of which most corners were not found.
+
+    A detector may take the rim of a board for a row of corners when the true one at the other end is out of sight.
+    """
+    while checker.found.any():
+        found = checker.found
+        top, bottom, left, right = (side.mean() <= SIDE for side in (found[0], found[-1], found[:, 0], found[:, -1]))
+        if not (top or bottom or left or right):
+            break
+        rows, columns = found.shape
+        grid = checker.grid[int(top) : rows - int(bottom), int(left) : columns - int(right)]
+        checker = Checker(grid, checker.sign * (-1) ** (int(top) + int(left)), checker.contrast)
+    return checker
+
+
 def extended(gray: Array, checker: Checker) -> Checker:
     """Return the checker with rows and columns added as long as the pattern goes on beyond a side.
 

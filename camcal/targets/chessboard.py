@@ -5,50 +5,65 @@ is dark. Otherwise the board looks the same turned, and the turn whose rows run 
 transposed it is the same object, found and numbered along the columns it is given.
 """
 
+from itertools import chain
+
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.targets import grid as grids
 from camcal.targets.board import Board
-from camcal.targets.checker import SIDE, Checker, extended, settle
-from camcal.targets.proposals import largest_pattern, proposals
+from camcal.targets.checker import SIDE, Checker, extended, settle, trimmed
+from camcal.targets.proposals import largest_patterns, proposals
 from camcal.targets.sighting import Sighting
 
-MIN_SHARE = 0.75  # of the corners; a proposal of which the image bears out fewer is not this board
-MIN_PATTERN = 0.5  # of the corners of a pattern that is only told of
+MIN_PROPOSED = 0.5  # of a proposal's corners; one of which the image bears out fewer is a mistake
+MIN_SHARE = 0.75  # of the board's corners
 
 
 def find_chessboard(gray: Array, board: Board) -> Sighting:
-    """Return the corners of a chessboard in `gray`, (H, W) uint8, or the reason why there are none."""
-    best = 0
-    for proposal in proposals(gray, board.columns, board.rows):
-        checker = settle(gray, grids.right_handed(proposal))
-        if checker.found.mean() >= MIN_SHARE:
-            return _judged(gray, extended(gray, checker), board)
+    """Return the corners of a chessboard in `gray`, (H, W) uint8, or the reason why there are none.
+
+    Up to a quarter of the corners may be hidden, but on each side of the board most must be seen: they say where it
+    ends.
+    """
+    best, seen = 0, None
+    for start in chain(proposals(gray, board.columns, board.rows), largest_patterns(gray)):
+        checker = settle(gray, grids.right_handed(start))
         best = max(best, int(checker.found.sum()))
-    pattern = largest_pattern(gray)
-    if pattern is not None:
-        checker = settle(gray, grids.right_handed(pattern))
-        if checker.found.mean() >= MIN_PATTERN:
-            return _judged(gray, extended(gray, checker), board)
-    seen = f"of {board.count} corners only {best} look like a checker pattern; blurred or hidden?"
-    return Sighting.nothing(seen if best else "no chessboard found")
+        if checker.found.mean() < MIN_PROPOSED:
+            continue
+        checker = extended(gray, trimmed(checker))
+        seen = _judged(gray, checker, board)
+        if seen.found or _larger(_size(checker), board):
+            return seen
+    return seen or Sighting.nothing(f"only {best} clear corners" if best else "no chessboard found")
 
 
 def _judged(gray: Array, checker: Checker, board: Board) -> Sighting:
     """Return the corners of a checker pattern if it is the board, else what it is."""
-    rows, columns = checker.grid.shape[:2]
-    if (rows, columns) == (board.columns, board.rows):
+    size = _size(checker)
+    if checker.grid.shape[:2] == (board.columns, board.rows):
         checker = _quarter_turned(checker)
     if checker.grid.shape[:2] == (board.rows, board.columns):
+        if checker.found.mean() < MIN_SHARE:
+            return Sighting.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
         return Sighting.of(_numbered(checker))
-    size = (max(rows, columns), min(rows, columns))
     seen, wanted = f"{size[0]} x {size[1]}", f"{board.columns} x {board.rows}"
-    if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
+    if _larger(size, board):
         return Sighting.nothing(f"a checker pattern of {seen} corners, not {wanted}", size)
     if _leaves(gray, checker.grid):
         return Sighting.nothing(f"board partly outside the image ({seen} corners in sight)")
     return Sighting.nothing(f"only {seen} of {wanted} corners in sight", size)
+
+
+def _size(checker: Checker) -> tuple[int, int]:
+    """Return columns and rows of a pattern, the larger number first: it does not say which are its rows."""
+    rows, columns = checker.grid.shape[:2]
+    return max(rows, columns), min(rows, columns)
+
+
+def _larger(size: tuple[int, int], board: Board) -> bool:
+    return size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows)
 
 
 def _quarter_turned(checker: Checker) -> Checker:

@@ -33,12 +33,13 @@ def proposals(gray: Array, columns: int, rows: int) -> Iterator[Array]:
             yield _from_copy(corners, copy, gray)
 
 
-def largest_pattern(gray: Array) -> Array | None:
-    """Return the corners (rows, columns, 2), in pixels of `gray`, of the largest checker pattern in sight, if any."""
+def largest_patterns(gray: Array) -> Iterator[Array]:
+    """Yield the corners (rows, columns, 2), in pixels of `gray`, of the largest checker pattern in sight, if any."""
     scale = _scale(gray.size, SMALL)
     copy = gray if scale == 1 else opencv.resized(gray, scale)
     corners = opencv.largest_chessboard(copy)
-    return None if corners is None else _from_copy(corners, copy, gray)
+    if corners is not None:
+        yield _from_copy(corners, copy, gray)
 
 
 def _attempts(size: int) -> Iterator[tuple[float, _Finder]]:

@@ -51,7 +51,6 @@ def fit_corners(
     samples = sample(gray, pixels, steps, window, clearance)
     settled = _SETTLED_PX if window.across == np.inf else _SETTLED_COARSE_PX
     parameters, cost = _minimise(samples, _start(samples, steps), settled)
-    # so that nothing agrees with an empty wall, or with a window that lies outside the image
     return CornerFits(pixels + parameters[:, [_X, _Y]], parameters[:, _CONTRAST], _agreement(samples, cost))
 
 
