@@ -182,12 +182,12 @@ def test_a_wrong_shell_example_would_be_noticed(line):
 def strangers(page: str) -> list[str]:
     """Return the commands and long options in a page's code that do not exist."""
     options, verbs = known_options(), {name.split()[0] for name in REGISTERED} | {"COMMAND"}
-    fenced = [block for language, block in _FENCE.findall(page) if language != "python"]
+    fenced = [block for language, block in _FENCE.findall(page) if language not in ("python", "text")]
     found = []
     for part in (*_CODE.findall(_FENCE.sub("", page)), *fenced):
         named = re.findall(r"(?<![\w-])--[a-z][a-z-]*", part)
         found += [option for option in named if option not in options]
-        called = re.findall(r"(?:^|bin/| )camcal ([A-Za-z]+)", part, flags=re.MULTILINE)
+        called = re.findall(r"(?:^|bin/|\$\(|&& )camcal ([A-Za-z]+)", part, flags=re.MULTILINE)
         found += [verb for verb in called if verb not in verbs]
     return found
 

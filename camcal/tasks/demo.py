@@ -27,7 +27,7 @@ What `camcal demo` left here
 images/           {count} photographs, rendered: a chessboard of 10 x 7 inner corners, squares of 30 mm, slightly bent,
                   under a lens whose numbers are known
 board.yaml        what was printed; commands take it as --board
-detections.csv    the corners that were found in the images, with their uncertainty; a calibration can start from it
+detections.csv    the corners that were found in the images; a calibration can start from them
 camera.yaml       the result: the camera as it was estimated, with standard deviations and the board's shape
 undistorted/      one image with straight lines, and the camera file that fits it
 truth.yaml        the camera and the board's bend as they truly are; nothing but this folder knows them
