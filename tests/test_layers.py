@@ -21,6 +21,7 @@ LAYERS = (
     {"geometry", "solve", "optics"},
     {"cameras"},
     {"images", "targets", "estimate"},
+    {"raw"},
     {"stereo", "calibrate", "simulate"},
     {"quality"},
     {"formats"},
@@ -36,7 +37,7 @@ MAY_USE_SIMULATE = {"tasks"}
 OPENCV_EDGES = {
     "opencv.py",
     "estimate/start_points.py",
-    "images/demosaic.py",
+    "raw/demosaic.py",
     "images/load.py",
     "images/remap.py",
     "images/save.py",

@@ -61,7 +61,7 @@ def demosaic(
     the output may be a file (.tiff, .png, .ppm, .npy), else it is a folder of TIFFs.
     """
     from camcal.errors import ItemsFailed
-    from camcal.images.develop import Development
+    from camcal.raw.develop import Development
     from camcal.tasks.demosaic import DemosaicOptions, document
     from camcal.tasks.demosaic import demosaic as run
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.images.mosaic import full_scale
+from camcal.raw.mosaic import full_scale
 from camcal.stereo.geometry import StereoGeometry
 
 _BLOCK_ROWS = 32  # of a 12 MP map: what stands between disparity and points then stays in the cache

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from camcal.errors import InvalidInput
-from camcal.images.develop import Development, develop
 from camcal.images.image import Image
-from camcal.images.mosaic import BARE_SUFFIXES, PATTERNS, Mosaic, read_mosaic, require_pattern
 from camcal.images.save import KINDS, save
 from camcal.progress import SILENT, Outcome, Progress
+from camcal.raw.develop import Development, develop
+from camcal.raw.mosaic import PATTERNS, Mosaic, require_pattern
+from camcal.raw.reading import BARE_SUFFIXES, read_mosaic
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images, record_outputs
 

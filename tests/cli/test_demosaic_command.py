@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.images.mosaic import sites
+from camcal.raw.mosaic import sites
 
 CONFIG = Path(__file__).parents[2] / "sample_configs" / "demosaic.yaml"
 COLOUR = (40, 90, 200)  # blue, green, red

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.images.demosaic import demosaic
-from camcal.images.develop import Development, develop
-from camcal.images.mosaic import read_mosaic, sites
+from camcal.raw.demosaic import demosaic
+from camcal.raw.develop import Development, develop
+from camcal.raw.mosaic import sites
+from camcal.raw.reading import read_mosaic
 
 BORDER = 5
 KODAK_CPSNR = 30.24  # dB, bilinear, RGGB, mean over the 24 images; two other programs agree (baseline_cpsnr.json)

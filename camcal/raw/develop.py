@@ -13,8 +13,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.images.demosaic import BILINEAR, demosaic, require_algorithm
-from camcal.images.mosaic import Mosaic, full_scale, sites
+from camcal.raw.demosaic import BILINEAR, demosaic, require_algorithm
+from camcal.raw.mosaic import Mosaic, full_scale, sites
 
 BALANCES = ("none", "camera", "gray-world")
 TONES = ("linear", "srgb", "bt709")

@@ -11,7 +11,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.images.mosaic import require_pattern, sites
+from camcal.raw.mosaic import require_pattern, sites
 
 BILINEAR = "bilinear"
 NONE = "none"

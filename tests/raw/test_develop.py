@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.images.develop import Development, develop, encode, linearise, quantise, white_balance
-from camcal.images.mosaic import PATTERNS, Mosaic, sites
+from camcal.raw.develop import Development, develop, encode, linearise, quantise, white_balance
+from camcal.raw.mosaic import PATTERNS, Mosaic, sites
 
 
 def frame(light, pattern="RGGB", black=(64.0, 64.0, 64.0, 64.0), white=1023.0, camera_gains=None):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.images.demosaic import ALGORITHMS, demosaic
-from camcal.images.mosaic import PATTERNS, sites
+from camcal.raw.demosaic import ALGORITHMS, demosaic
+from camcal.raw.mosaic import PATTERNS, sites
 
 SIZES = [(2, 2), (2, 3), (3, 2), (3, 3), (6, 8), (7, 8), (6, 9), (21, 35)]
 PEAK = {np.uint8: 255, np.uint16: 65535, np.float32: 1}

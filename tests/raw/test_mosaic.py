@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.images.mosaic import PATTERNS, Mosaic, pattern_of, read_mosaic, sites
+from camcal.raw.camera_raw import pattern_of
+from camcal.raw.mosaic import PATTERNS, Mosaic, sites
+from camcal.raw.reading import read_mosaic
 
 SAMPLES = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
 
