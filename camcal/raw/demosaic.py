@@ -1,81 +1,152 @@
-"""From one colour sample per pixel to three: the demosaicing filters.
+"""From one colour sample per pixel to three: every way there is, by its name.
 
 Colour comes back as (H, W, 3) in the order blue, green, red, as everywhere in this package.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
-import cv2
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.raw.mosaic import require_pattern, sites
+from camcal.raw import libraw, simple_filters
+from camcal.raw.malvar import malvar
+from camcal.raw.mosaic import MONO, cell_side, full_scale, is_x_trans
+from camcal.raw.planes import Each, one_by_one
+from camcal.raw.residual import residual_interpolation
+from camcal.raw.vng import vng
 
-BILINEAR = "bilinear"
+AUTO = "auto"
+LIBRAW = "libraw:"
 NONE = "none"
-
-# OpenCV's two-letter names count from the second row and column; the four-letter names mean the first cell.
-_CODES = {
-    "RGGB": cv2.COLOR_BayerRGGB2BGR,
-    "GRBG": cv2.COLOR_BayerGRBG2BGR,
-    "GBRG": cv2.COLOR_BayerGBRG2BGR,
-    "BGGR": cv2.COLOR_BayerBGGR2BGR,
-}
-_MARGIN = 2  # an even number of pixels keeps the phase; OpenCV leaves the outermost one unfinished
-
-_RED_OR_BLUE = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
-_GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
-_KERNELS = {"B": _RED_OR_BLUE, "G": _GREEN, "R": _RED_OR_BLUE}
+HALF = "half"
+GRAY = "gray"
 
 
-def demosaic(values: Array, pattern: str, algorithm: str = BILINEAR) -> Array:
-    """Return colour (H, W, 3) blue, green, red of a mosaic, in its own type; for "none" the mosaic (H, W) itself.
+@dataclass(frozen=True)
+class Job:
+    """A mosaic (H, W) of uint8, uint16 or float32, and how to read its numbers.
 
-    values: (H, W) uint8, uint16 or float32, at least 2 × 2; white balance belongs before this step.
-    Outside the border the mosaic continues as its mirror image about the border pixels, which keeps the colours.
-    Raises InvalidInput for an unknown pattern or algorithm, or a mosaic without a whole cell.
+    white: the number that means saturation; nothing in the result is above it. linear: the numbers are proportional to
+    light, not gamma-encoded. each: runs the work on tiles.
     """
-    require_pattern(pattern)
+
+    values: Array
+    pattern: str
+    white: float
+    linear: bool = True
+    each: Each = one_by_one
+
+
+def demosaic(
+    values: Array,
+    pattern: str,
+    algorithm: str = AUTO,
+    *,
+    white: float | None = None,
+    linear: bool | None = None,
+    each: Each = one_by_one,
+) -> Array:
+    """Return what the algorithm makes of a mosaic (H, W), in its type: colour (H, W, 3) or, see ALGORITHMS, another.
+
+    values: uint8, uint16 or float32; white balance belongs before this step. white: by default the full scale of the
+    type. linear: by default 8 bits are gamma-encoded and everything else is linear. Beyond the border the mosaic
+    continues as its mirror image about the border pixels, which keeps the colours in their places.
+    A MONO frame has no colour: it comes back as it is.
+    Raises InvalidInput for an unknown pattern or algorithm, and for one that cannot do this mosaic.
+    """
     require_algorithm(algorithm)
-    if values.ndim != 2 or min(values.shape) < 2:
-        raise InvalidInput(f"a mosaic needs at least 2 × 2 pixels of one channel, found the shape {values.shape}")
-    return ALGORITHMS[algorithm](values, pattern)
+    side = cell_side(pattern)
+    if values.ndim != 2 or min(values.shape) < side:
+        raise InvalidInput(f"a mosaic needs at least {side} × {side} pixels of one channel, found {values.shape}")
+    if pattern == MONO:
+        return values
+    job = Job(
+        values,
+        pattern,
+        full_scale(values.dtype) if white is None else white,
+        values.dtype != np.uint8 if linear is None else linear,
+        each,
+    )
+    if algorithm.startswith(LIBRAW):
+        return _by_libraw(job, algorithm.removeprefix(LIBRAW))
+    if is_x_trans(pattern):
+        return _x_trans(job, algorithm)
+    return ALGORITHMS[algorithm].run(job)
 
 
 def require_algorithm(algorithm: str) -> str:
-    """Return the algorithm; raises InvalidInput unless it exists."""
-    if algorithm not in ALGORITHMS:
-        raise InvalidInput(f"algorithm {algorithm!r} does not exist; use one of {', '.join(ALGORITHMS)}")
+    """Return the algorithm; raises InvalidInput, with what there is, unless it exists."""
+    if algorithm.startswith(LIBRAW):
+        libraw.require_name(algorithm.removeprefix(LIBRAW))
+    elif algorithm not in ALGORITHMS:
+        names = ", ".join([*ALGORITHMS, f"{LIBRAW}NAME"])
+        raise InvalidInput(f"algorithm {algorithm!r} does not exist; use one of {names}")
     return algorithm
 
 
-def _untouched(values: Array, pattern: str) -> Array:  # noqa: ARG001
-    return values
+def _x_trans(job: Job, algorithm: str) -> Array:
+    if algorithm == NONE:
+        return job.values
+    if algorithm == AUTO:
+        return _by_libraw(job, libraw.X_TRANS_NAME)
+    raise InvalidInput(
+        f"{algorithm} is for Bayer sensors, this is X-Trans; use auto or {LIBRAW}{libraw.X_TRANS_NAME}, or none"
+    )
 
 
-def _bilinear(values: Array, pattern: str) -> Array:
-    """Return every missing colour as the mean of its nearest samples: two or four of them."""
-    if values.dtype in (np.uint8, np.uint16):
-        return _bilinear_integer(values, pattern)
-    return _bilinear_float(values.astype(np.float32, copy=False), pattern)
+def _by_libraw(job: Job, name: str) -> Array:
+    """Return the colour that LibRaw makes; it works on 16 bits, so that others are scaled there and back."""
+    scale = np.float32(full_scale(np.dtype(np.uint16)) / job.white)
+    counts = np.rint(np.clip(job.values * scale, 0, full_scale(np.dtype(np.uint16)))).astype(np.uint16)
+    colour = libraw.demosaic_with_libraw(counts, job.pattern, name) / scale
+    return np.asarray((colour if job.values.dtype == np.float32 else np.rint(colour)).astype(job.values.dtype))
 
 
-def _bilinear_integer(values: Array, pattern: str) -> Array:
-    margin = (_MARGIN,) * 4
-    padded = cv2.copyMakeBorder(values, *margin, borderType=cv2.BORDER_REFLECT_101)
-    return cv2.demosaicing(padded, _CODES[pattern])[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
+@dataclass(frozen=True)
+class Algorithm:
+    """A way of demosaicing: what it does in words, and the function."""
+
+    words: str
+    run: Callable[[Job], Array]
 
 
-def _bilinear_float(values: Array, pattern: str) -> Array:
-    """Return the same means as a convolution of each colour's samples, all other pixels zero."""
-    planes = [np.zeros_like(values) for _ in "BGR"]
-    for plane, colour in zip(planes, "BGR", strict=True):
-        for site in sites(pattern, colour):
-            plane[site] = values[site]
-        cv2.filter2D(plane, -1, _KERNELS[colour], dst=plane, borderType=cv2.BORDER_REFLECT_101)
-    return cv2.merge(planes)
+def _ri(job: Job) -> Array:
+    return residual_interpolation(job.values, job.pattern, job.white, linear=job.linear, each=job.each)
 
 
-ALGORITHMS: Mapping[str, Callable[[Array, str], Array]] = MappingProxyType({BILINEAR: _bilinear, NONE: _untouched})
+def _capped(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
+    """Return a filter whose result ends at the white level."""
+
+    def run(job: Job) -> Array:
+        colour = function(job.values, job.pattern)
+        return (
+            colour if job.white == full_scale(colour.dtype) != 1 else np.minimum(colour, colour.dtype.type(job.white))
+        )
+
+    return run
+
+
+ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
+    {
+        AUTO: Algorithm("ri for Bayer sensors, LibRaw's for X-Trans", _ri),
+        "ri": Algorithm("residual interpolation: the best colour", _ri),
+        "malvar": Algorithm(
+            "linear 5 x 5 filters: fast", lambda job: malvar(job.values, job.pattern, job.white, each=job.each)
+        ),
+        "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(simple_filters.bilinear)),
+        "ea": Algorithm("OpenCV's edge-aware filter", _capped(simple_filters.edge_aware)),
+        "vng": Algorithm("variable number of gradients", lambda job: vng(job.values, job.pattern, job.white)),
+        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(simple_filters.half)),
+        "green": Algorithm(
+            "one channel: green, its gaps filled; for calibration, whatever the lens", _capped(simple_filters.green)
+        ),
+        GRAY: Algorithm(
+            "one channel: the balanced mosaic; for calibration, if the lens has no lateral colour",
+            lambda job: job.values,
+        ),
+        NONE: Algorithm("the mosaic itself", lambda job: job.values),
+    }
+)

@@ -1,175 +1,184 @@
-"""Developing a raw frame: levels, white balance, demosaicing, tone and depth, in that order.
+"""Developing a raw frame: levels, bad pixels, flat field, balance, exposure, demosaicing, colour, tone, depth.
 
-Every step is neutral unless asked for. Light is linear, 0 at black and 1 at saturation, until the tone curve; white
-balance acts on the mosaic, because the filters compare neighbours of different colours.
+In that order, and every step is neutral unless asked for. Light is linear, 0 at black and 1 at saturation, until the
+tone curve; white balance acts on the mosaic, because filters compare neighbours of different colours.
 """
 
-import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.demosaic import BILINEAR, demosaic, require_algorithm
-from camcal.raw.mosaic import Mosaic, full_scale, sites
+from camcal.errors import InvalidInput
+from camcal.raw import bad_pixels
+from camcal.raw.balance import GRAY_WORLD, NO_BALANCE, Balance, Gains, balance_in_place
+from camcal.raw.colour_matrix import NO_MATRIX, apply_matrix, colour_matrix
+from camcal.raw.demosaic import AUTO, GRAY, demosaic, require_algorithm
+from camcal.raw.mosaic import MONO, Mosaic, full_scale, phases
+from camcal.raw.planes import Each, one_by_one
+from camcal.raw.tone import DEPTHS, LINEAR, encode, quantise, require_tone
 
-BALANCES = ("none", "camera", "gray-world")
-TONES = ("linear", "srgb", "bt709")
-DEPTHS: dict[str, np.dtype[Any]] = {"8": np.dtype(np.uint8), "16": np.dtype(np.uint16), "float": np.dtype(np.float32)}
-
-_GRAY_WORLD_CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour of the light
-_POWER = re.compile(r"power:(\d+(?:\.\d*)?|\.\d+)$")
+ENCODINGS = ("linear", "gamma")
 
 
 @dataclass(frozen=True)
 class Development:
     """What is done to a raw frame.
 
-    balance: none, camera, gray-world, or three gains "R,G,B". tone: linear, power:2.2 (v ↦ v^(1/2.2)), srgb or bt709.
-    depth: 8, 16 or float; None keeps that of the raw frame.
+    balance: see `Balance`. exposure: stops by which the light is multiplied. colour: see `colour_matrix`. tone: linear,
+    power:2.2 (v becomes v^(1/2.2)), srgb or bt709. depth: 8, 16 or float; None keeps that of the raw frame. encoding:
+    what the counts are, linear in light or gamma-encoded; None takes 8 bits that nothing is done to for gamma-encoded.
     """
 
-    algorithm: str = BILINEAR
-    balance: str = "none"
-    tone: str = "linear"
+    algorithm: str = AUTO
+    balance: Balance = field(default_factory=Balance)
+    exposure: float = 0.0
+    colour: str = NO_MATRIX
+    tone: str = LINEAR
     depth: str | None = None
+    encoding: str | None = None
 
     def __post_init__(self) -> None:
         require_algorithm(self.algorithm)
-        if self.balance not in BALANCES:
-            _parse_gains(self.balance)
-        if self.tone not in TONES:
-            _parse_power(self.tone)
+        require_tone(self.tone)
         if self.depth is not None and self.depth not in DEPTHS:
             raise InvalidInput(f"depth {self.depth!r} is unknown; use one of {', '.join(DEPTHS)}")
+        if self.encoding is not None and self.encoding not in ENCODINGS:
+            raise InvalidInput(f"encoding {self.encoding!r} is unknown; use {' or '.join(ENCODINGS)}")
+        if not (isfinite(self.exposure) and abs(self.exposure) <= 20):
+            raise InvalidInput(f"an exposure of {self.exposure:g} stops; give -20 to 20")
+
+    @property
+    def is_neutral(self) -> bool:
+        """Whether light stays as it is until it is demosaiced."""
+        return self.balance.text == NO_BALANCE and self.exposure == 0 and self.colour == NO_MATRIX
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """What other frames of the same sensor say about it, each (H, W).
+
+    dark: counts without light, float32. bad: true where a pixel is to be replaced. flat: what light is divided by.
+    """
+
+    dark: Array | None = None
+    bad: Array | None = None
+    flat: Array | None = None
+
+    def require_size(self, frame: Mosaic) -> None:
+        """Raise InvalidInput unless all of them have the frame's size."""
+        for name in ("dark", "bad", "flat"):
+            known = getattr(self, name)
+            if known is not None and known.shape != frame.values.shape:
+                sizes = "{}x{}, the frame {}x{}".format(*known.shape[::-1], *frame.size)
+                raise InvalidInput(f"the {_WORDS[name]} is {sizes}: they must come from the same sensor and mode")
+
+
+NO_CORRECTIONS = Corrections()
+_WORDS = {"dark": "dark frame", "bad": "map of bad pixels", "flat": "flat field"}
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A developed frame: pixels (H, W, 3) blue, green, red, or (H, W) without demosaicing, and the gains it got.
+    """A developed frame: pixels (H, W, 3) blue, green, red, or (H, W) of one channel, and how they were made.
 
-    gains: red, green, blue factors on the linear light, None when there was no white balance.
+    gains: red, green, blue factors on the linear light, None when there was no white balance. linear: whether the
+    filter took the counts for linear light. clipped: share of the samples at or above white, by place of the cell.
     """
 
     pixels: Array
-    gains: tuple[float, float, float] | None
+    gains: Gains | None
+    linear: bool
+    clipped: tuple[float, ...]
 
 
-def develop(frame: Mosaic, development: Development) -> Picture:
-    """Return the developed frame; floating point is 0 … 1, integers use the full scale of their type.
+def develop(
+    frame: Mosaic,
+    development: Development,
+    corrections: Corrections = NO_CORRECTIONS,
+    each: Each = one_by_one,
+) -> Picture:
+    """Return the developed frame; floating point is 1 at saturation, integers use the full scale of their type.
 
-    Raises InvalidInput if the camera's white balance is asked for and unknown, InsufficientData if gray-world has
-    no unclipped light to go by.
+    each: runs the work on the tiles of the frame.
+    Raises InvalidInput if a correction does not fit, or what is asked for is not known of the frame; InsufficientData
+    if there is no light to balance white by.
     """
+    corrections.require_size(frame)
     depth = DEPTHS[development.depth] if development.depth else frame.values.dtype
-    gains = white_balance(frame, development.balance)
-    neutral = gains is None and not frame.black.any() and frame.white == full_scale(frame.values.dtype)
-    values = frame.values if neutral else balanced(linearise(frame), frame.pattern, gains)
-    pixels = demosaic(values, frame.pattern, development.algorithm)
-    if development.tone == "linear" and pixels.dtype == depth and depth != np.float32:
-        return Picture(pixels, gains)
-    return Picture(quantise(encode(_light(pixels), development.tone), depth), gains)
+    clipped = clipped_shares(frame)
+    if development.is_neutral and _has_full_scale(frame) and corrections.dark is corrections.flat is None:
+        linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
+        if development.algorithm != GRAY:
+            values = _repaired(frame.values, frame, corrections)
+            pixels = demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each)
+            return Picture(_finished(pixels, development.tone, depth), None, linear, clipped)
+    linear = development.encoding != "gamma"
+    light, gains = balanced_light(frame, development, corrections)
+    pixels = demosaic(light, frame.pattern, development.algorithm, linear=linear, each=each)
+    matrix = colour_matrix(frame, development.colour)
+    if matrix is not None:
+        if pixels.ndim != 3:
+            raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
+        pixels = apply_matrix(pixels, matrix)
+    return Picture(_finished(pixels, development.tone, depth), gains, linear, clipped)
 
 
-def linearise(frame: Mosaic) -> Array:
-    """Return the light (H, W), float32, 0 at black and 1 at saturation; noise may fall below 0."""
+def balanced_light(frame: Mosaic, development: Development, corrections: Corrections) -> tuple[Array, Gains | None]:
+    """Return the linear light (H, W), float32, corrected, balanced and exposed, and the gains of the balance.
+
+    The balanced mosaic as a gray image needs a balance; without one asked for it is that of a gray world.
+    """
+    light = _repaired(linearise(frame, corrections.dark), frame, corrections)
+    if corrections.flat is not None:
+        light /= corrections.flat
+    balance = development.balance
+    if development.algorithm == GRAY and balance.text == NO_BALANCE:
+        balance = Balance(GRAY_WORLD)
+    gains = None if frame.pattern == MONO else balance.find(light, frame.pattern, frame.camera_gains)
+    if gains is not None:
+        balance_in_place(light, frame.pattern, gains)
+    if development.exposure:
+        light *= np.float32(2**development.exposure)
+    return light, gains
+
+
+def linearise(frame: Mosaic, dark: Array | None = None) -> Array:
+    """Return the light (H, W), float32, 0 at black and 1 at saturation; noise may fall below 0.
+
+    dark: (H, W) counts without light, which take the place of the black level.
+    """
     result = np.empty(frame.values.shape, np.float32)
-    for row, column in np.ndindex(2, 2):
-        site = (slice(row, None, 2), slice(column, None, 2))
-        black = frame.black[row, column]
-        np.subtract(frame.values[site], np.float32(black), out=result[site])
-        result[site] *= np.float32(1 / (frame.white - black))
+    for site, black in zip(phases(frame.pattern), frame.black.ravel(), strict=True):
+        level = black if dark is None else float(np.median(dark[site]))
+        np.subtract(frame.values[site], np.float32(black) if dark is None else dark[site], out=result[site])
+        result[site] *= np.float32(1 / (frame.white - level))
     return result
 
 
-def white_balance(frame: Mosaic, balance: str) -> tuple[float, float, float] | None:
-    """Return the gains of red, green and blue, None for no balance.
-
-    Gains from the camera and from the gray world have their smallest at 1, so that what is saturated turns white;
-    gains given as numbers are taken as they are.
-    """
-    if balance == "none":
-        return None
-    if balance == "camera":
-        return _normalised(_camera_gains(frame))
-    if balance == "gray-world":
-        return _normalised(_gray_world(frame))
-    return _parse_gains(balance)
+def clipped_shares(frame: Mosaic) -> tuple[float, ...]:
+    """Return the share of the samples at or above white, for every place of the cell."""
+    return tuple(
+        float(np.count_nonzero(values >= frame.white) / values.size)
+        for values in (frame.values[site] for site in phases(frame.pattern))
+    )
 
 
-def balanced(light: Array, pattern: str, gains: tuple[float, float, float] | None) -> Array:
-    """Return the mosaic (H, W) with every sample multiplied, in place, by the gain of its colour."""
-    for colour, gain in zip("RGB", gains or (), strict=False):
-        for site in sites(pattern, colour):
-            light[site] *= np.float32(gain)
-    return light
+def _has_full_scale(frame: Mosaic) -> bool:
+    return not frame.black.any() and frame.white == full_scale(frame.values.dtype)
 
 
-def encode(light: Array, tone: str) -> Array:
-    """Return the light, clipped to 0 … 1, behind a tone curve.
-
-    Source: IEC 61966-2-1 (srgb), Rec. ITU-R BT.709-6 item 1.2 (bt709); power:γ is v^(1/γ).
-    """
-    light = np.clip(light, 0, 1)
-    if tone == "linear":
-        return light
-    if tone == "srgb":
-        return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - 0.055)
-    if tone == "bt709":
-        return np.where(light < 0.018, 4.5 * light, 1.099 * light ** np.float32(0.45) - 0.099)
-    return np.asarray(light ** np.float32(1 / _parse_power(tone)))
+def _repaired(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
+    return values if corrections.bad is None else bad_pixels.repair(values, corrections.bad, frame.pattern)
 
 
-def quantise(values: Array, depth: np.dtype[Any]) -> Array:
-    """Return values 0 … 1 in another type: float32 as they are, integers rounded on the full scale."""
-    if np.issubdtype(depth, np.floating):
-        return values
-    return np.rint(values * np.float32(full_scale(depth))).astype(depth)
+def _finished(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:
+    """Return the demosaiced pixels behind tone curve and depth."""
+    if tone == LINEAR and pixels.dtype == depth:
+        return pixels
+    return quantise(encode(_light(pixels), tone), depth)
 
 
 def _light(pixels: Array) -> Array:
-    return pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
-
-
-def _camera_gains(frame: Mosaic) -> Array:
-    if frame.camera_gains is None:
-        raise InvalidInput("carries no white balance of the camera; use gray-world or three gains R,G,B")
-    return frame.camera_gains
-
-
-def _gray_world(frame: Mosaic) -> Array:
-    """Return gains that make the mean of every colour the same, over the cells without a clipped sample."""
-    height, width = (length // 2 * 2 for length in frame.values.shape)
-    light = linearise(frame)[:height, :width]
-    usable = light.reshape(height // 2, 2, width // 2, 2).max(axis=(1, 3)) < _GRAY_WORLD_CEILING
-    sums = [np.mean([light[site].sum(where=usable) for site in sites(frame.pattern, colour)]) for colour in "RGB"]
-    if min(sums) <= 0:
-        raise InsufficientData("no unclipped light for the gray-world balance; use three gains R,G,B")
-    return 1 / np.array(sums)
-
-
-def _normalised(gains: Array) -> tuple[float, float, float]:
-    red, green, blue = (float(gain) for gain in gains / gains.min())
-    return red, green, blue
-
-
-def _parse_gains(text: str) -> tuple[float, float, float]:
-    try:
-        red, green, blue = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InvalidInput(
-            f"white balance {text!r} is unknown; use {', '.join(BALANCES)} or three gains R,G,B"
-        ) from None
-    if not all(isfinite(gain) and gain > 0 for gain in (red, green, blue)):
-        raise InvalidInput(f"white balance {text!r}: gains must be positive numbers")
-    return red, green, blue
-
-
-def _parse_power(tone: str) -> float:
-    match = _POWER.match(tone)
-    if match is None or not float(match[1]) > 0:
-        raise InvalidInput(f"tone {tone!r} is unknown; use {', '.join(TONES)} or power:GAMMA")
-    return float(match[1])
+    return pixels if pixels.dtype == np.float32 else pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))

@@ -1,0 +1,75 @@
+"""`ri`: demosaicing by residual interpolation, in two passes over tiles that stay in the processor's cache."""
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.raw import ri_green, ri_red_blue
+from camcal.raw.planes import Each, one_by_one
+from camcal.raw.scales import scale_of
+from camcal.raw.tiling import TILE, Box, Missing, TiledMosaic, boxes
+
+_COLOUR_REACH = ri_green.CALMING_REACH + ri_red_blue.REACH
+
+
+def residual_interpolation(
+    values: Array,
+    pattern: str,
+    white: float,
+    *,
+    linear: bool = True,
+    each: Each = one_by_one,
+    tile: tuple[int, int] = TILE,
+) -> Array:
+    """Return colour (H, W, 3) blue, green, red of a Bayer mosaic (H, W), in its own type, nothing above `white`.
+
+    linear: the values are proportional to light, not gamma-encoded; see `scales`. each: runs the work on tiles, one
+    after another unless the caller has threads. tile: rows and columns of cells, even; the result does not depend on
+    it.
+    """
+    scale = scale_of(values, pattern, white, linear=linear)
+    frame = _TwoPasses(TiledMosaic(values, pattern, ri_green.REACH + _COLOUR_REACH, scale))
+    frame.mosaic.fill(each)
+    each(frame.find_differences, boxes(frame.extended, tile))
+    each(frame.find_colours, boxes(frame.mosaic.cells, tile))
+    return frame.mosaic.result()
+
+
+class _TwoPasses:
+    """A mosaic, and the colour differences that the first pass leaves for the second.
+
+    extended: the frame of cells whose differences the second pass needs.
+    """
+
+    def __init__(self, mosaic: TiledMosaic) -> None:
+        self.mosaic = mosaic
+        self.extended = mosaic.cells.widened(_COLOUR_REACH)
+        self._differences = np.empty((2, self.extended.rows, self.extended.columns), np.float32)
+
+    def find_differences(self, box: Box) -> None:
+        """Leave the colour differences of a box of the extended frame."""
+        around = box.widened(ri_green.REACH)
+        with self.mosaic.tile(around) as tile:
+            bayer = self.mosaic.samples(tile, around)
+            found = ri_green.colour_differences(tile, bayer)
+            inside = box._replace(row=ri_green.REACH, column=ri_green.REACH).slices
+            for differences, plane in zip(self._differences, found, strict=True):
+                differences[box.slices] = plane.image[inside]
+            tile.give_back(*bayer, *found)
+
+    def find_colours(self, box: Box) -> None:
+        """Leave the colours of a box of cells."""
+        around = box.widened(_COLOUR_REACH)
+        with self.mosaic.tile(around) as tile:
+            bayer = self.mosaic.samples(tile, around.moved(ri_green.REACH))
+            red, right, below, blue = bayer
+            at_red, at_blue = greens = tile.take(), tile.take()
+            for green, differences, samples in zip(greens, self._differences, (red, blue), strict=True):
+                green.fill(differences[around.slices])
+                ri_green.green_from(tile, green, samples)
+            red_right, red_below, red_at_blue = ri_red_blue.spread_colour(tile, red, at_red, right, below, at_blue, 1)
+            blue_below, blue_right, blue_at_red = ri_red_blue.spread_colour(
+                tile, blue, at_blue, below, right, at_red, -1
+            )
+            missing = Missing(at_red, at_blue, red_right, red_below, red_at_blue, blue_right, blue_below, blue_at_red)
+            self.mosaic.write(tile, box, _COLOUR_REACH, bayer, missing)
+            tile.give_back(*bayer, *missing)

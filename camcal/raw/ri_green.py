@@ -1,0 +1,224 @@
+"""The first half of `ri`: green where the sensor saw red or blue, as its difference from the colour that was seen.
+
+Along rows and along columns every colour is estimated where it is missing: the mean of its two neighbours, corrected
+by the second difference of the colour that is there, times the gain with which the two vary together nearby. Of the
+differences of the colours along rows and columns, each side of a pixel counts the more the smoother it is.
+
+All of it works on tiles of half-size planes (see `planes`), on a scale of 0 … 255.
+Source: Hamilton and Adams, US patent 5629734 (second differences); Kiku et al., Beyond Color Difference, IEEE TIP 2016
+(local gains); Pekkucuksen and Altunbasak, ICIP 2010 (weights by gradients); Zhang and Wu, IEEE TIP 2005 (calming).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.raw.planes import HERE, Plane, Tile, difference, filtered, plus_scaled, weighted
+from camcal.raw.tiling import Bayer
+
+REACH = 12  # half-size pixels around a pixel that its colour difference depends on, rounded up to an even number
+CALMING_REACH = 8  # of green that of the differences
+
+WIDE = np.array([0.8, 1.0, 0.8], np.float32) / np.float32(2.6)  # a window of about 7 × 7
+
+_FLAT = 10.0  # squared second difference below which the gain is not learnt and tends to 1
+_QUIET = 0.25  # a sum of gradients that counts as none
+_BESIDE, _BEYOND, _MIDDLE = 0.35, 0.10, 0.55  # weights of the differences on one side of a pixel, and of its own
+_GAUSSIAN = np.array([0.239, 0.522, 0.239], np.float32)
+_BELIEVED = 0.1  # variance of a colour difference that is taken for detail
+_CALMING = 0.4  # how much of the variance within 3 × 3 pixels is taken for an artefact
+
+
+class _Line(NamedTuple):
+    """Green minus the other colour along rows or along columns, and how smooth the side of a pixel is.
+
+    red, blue: at the samples of these colours. by_red, by_blue: at the green samples in line with them.
+    red_side, blue_side: weight of the side towards higher indices; that of the other side stands two cells before it.
+    """
+
+    red: Plane
+    by_red: Plane
+    blue: Plane
+    by_blue: Plane
+    red_side: Plane
+    blue_side: Plane
+
+
+def colour_differences(tile: Tile, bayer: Bayer) -> tuple[Plane, Plane]:
+    """Return green minus red at the red samples and green minus blue at the blue ones."""
+    rows = _line(tile, bayer.red, bayer.right, bayer.below, bayer.blue, (0, 1))
+    columns = _line(tile, bayer.red, bayer.below, bayer.right, bayer.blue, (1, 0))
+    at_red = _fused(
+        tile,
+        _Sides(rows.red, rows.by_red, rows.red_side, (0, 1), first=True),
+        _Sides(columns.red, columns.by_red, columns.red_side, (1, 0), first=True),
+    )
+    at_blue = _fused(
+        tile,
+        _Sides(rows.blue, rows.by_blue, rows.blue_side, (0, 1), first=False),
+        _Sides(columns.blue, columns.by_blue, columns.blue_side, (1, 0), first=False),
+    )
+    tile.give_back(*rows, *columns)
+    return at_red, at_blue
+
+
+def _line(tile: Tile, red: Plane, by_red: Plane, by_blue: Plane, blue: Plane, step: tuple[int, int]) -> _Line:
+    """Return the differences along one direction; red and by_blue stand first in a cell of that direction."""
+    red_by_red, green_at_red = _estimates(tile, red, by_red, step)
+    green_at_blue, blue_by_blue = _estimates(tile, by_blue, blue, step)
+    at_red, at_blue = green_at_red, green_at_blue
+    np.subtract(green_at_red[HERE], red[HERE], out=at_red[HERE])
+    np.subtract(green_at_blue[HERE], blue[HERE], out=at_blue[HERE])
+    beside_red, beside_blue = red_by_red, blue_by_blue
+    np.subtract(by_red[HERE], red_by_red[HERE], out=beside_red[HERE])
+    np.subtract(by_blue[HERE], blue_by_blue[HERE], out=beside_blue[HERE])
+    return _Line(
+        at_red, beside_red, at_blue, beside_blue, *_side_weights(tile, at_red, beside_red, at_blue, beside_blue, step)
+    )
+
+
+def _estimates(tile: Tile, first: Plane, second: Plane, step: tuple[int, int]) -> tuple[Plane, Plane]:
+    """Return the first colour at the second one's samples, and the second at the first one's, along one direction."""
+    ahead, behind = step, (-step[0], -step[1])
+    first_curve = _second_difference(tile, first, ahead, behind)
+    second_curve = _second_difference(tile, second, ahead, behind)
+    first_at_second = _estimate(tile, first, first_curve, second_curve, ahead, behind)
+    second_at_first = _estimate(tile, second, second_curve, first_curve, behind, ahead)
+    tile.give_back(first_curve, second_curve)
+    return first_at_second, second_at_first
+
+
+def _second_difference(tile: Tile, plane: Plane, ahead: tuple[int, int], behind: tuple[int, int]) -> Plane:
+    result = tile.take()
+    np.add(plane[ahead], plane[behind], out=result[HERE])
+    plus_scaled(result[HERE], plane[HERE], -2, result[HERE])
+    return result
+
+
+def _estimate(
+    tile: Tile, colour: Plane, curve: Plane, other_curve: Plane, towards: tuple[int, int], away: tuple[int, int]
+) -> Plane:
+    """Return a colour at the samples of another, which stand half a cell `towards` its own.
+
+    curve, other_curve: second differences of both. The gain is the slope of the regression of one on the other.
+    """
+    beside = tile.take()
+    weighted(other_curve[HERE], 0.5, other_curve[away], 0.5, beside[HERE])
+    correction = tile.slope(curve, beside, WIDE, _FLAT, 1.0)
+    np.multiply(correction[HERE], other_curve[HERE], out=correction[HERE])
+    result = beside
+    np.add(colour[HERE], colour[towards], out=result[HERE])
+    weighted(result[HERE], 0.5, correction[HERE], -0.25, result[HERE])
+    tile.give_back(correction)
+    return result
+
+
+def _side_weights(
+    tile: Tile, red: Plane, by_red: Plane, blue: Plane, by_blue: Plane, step: tuple[int, int]
+) -> tuple[Plane, Plane]:
+    """Return how smooth the differences are on the side ahead of the red and of the blue samples.
+
+    A weight is K^-3 with K the sum of their gradients along the direction, over 5 × 5 pixels from the sample on.
+    """
+    ahead, behind, twice = step, (-step[0], -step[1]), (2 * step[0], 2 * step[1])
+    across, back = step[::-1], (-step[1], -step[0])
+    at_red, at_by_red, at_blue, at_by_blue = gradients = [tile.take() for _ in range(4)]
+    difference(by_red[HERE], by_red[behind], at_red[HERE])
+    difference(red[HERE], red[ahead], at_by_red[HERE])
+    difference(by_blue[HERE], by_blue[ahead], at_blue[HERE])
+    difference(blue[HERE], blue[behind], at_by_blue[HERE])
+    pairs = [tile.take() for _ in range(4)]
+    for gradient, pair in zip(gradients, pairs, strict=True):
+        np.add(gradient[HERE], gradient[across], out=pair[HERE])
+    red_pair, by_red_pair, blue_pair, by_blue_pair = pairs
+    even, odd = tile.take(), tile.take()
+    # Lines of red are two lines of the mosaic apart, with a line of blue between them.
+    _five(red_pair[back], at_red[across], by_blue_pair[back], even[HERE])
+    _five(by_red_pair[back], at_by_red[across], blue_pair[back], odd[HERE])
+    red_side = tile.take()
+    np.add(even[HERE], odd[HERE], out=odd[HERE])
+    np.add(odd[HERE], odd[ahead], out=red_side[HERE])
+    weighted(red_side[HERE], 1, even[twice], 1, red_side[HERE], _QUIET)
+    _five(blue_pair[back], at_blue[across], by_red_pair[HERE], odd[HERE])
+    _five(by_blue_pair[back], at_by_blue[across], red_pair[HERE], even[HERE])
+    blue_side = tile.take()
+    np.add(even[HERE], odd[HERE], out=even[HERE])
+    np.add(even[ahead], even[twice], out=blue_side[HERE])
+    weighted(blue_side[HERE], 1, odd[HERE], 1, blue_side[HERE], _QUIET)
+    for side in (red_side, blue_side):
+        np.multiply(side[HERE], side[HERE], out=even[HERE])
+        np.multiply(even[HERE], side[HERE], out=even[HERE])
+        np.divide(np.float32(1), even[HERE], out=side[HERE])
+    tile.give_back(*gradients, *pairs, even, odd)
+    return red_side, blue_side
+
+
+def _five(pair: Array, third: Array, between: Array, out: Array) -> None:
+    """Write the sum over five lines: a pair and a third of one kind, and the pair between them."""
+    np.add(pair, third, out=out)
+    np.add(out, between, out=out)
+
+
+class _Sides(NamedTuple):
+    """The differences along one direction at samples of one colour, at the green ones in line, and the sides' weights.
+
+    first: whether the colour comes before green in a cell of the direction.
+    """
+
+    differences: Plane
+    beside: Plane
+    weights: Plane
+    step: tuple[int, int]
+    first: bool
+
+
+def _fused(tile: Tile, *directions: _Sides) -> Plane:
+    """Return the mean of the differences on the four sides of every sample, each with its weight."""
+    total, weight, work, both = tile.take(), tile.take(), tile.take(), tile.take()
+    for sides in directions:
+        dy, dx = sides.step
+        ahead, behind, twice_behind = sides.step, (-dy, -dx), (-2 * dy, -2 * dx)
+        beside_ahead, beside_behind = (HERE, behind) if sides.first else (ahead, HERE)
+        is_first = sides is directions[0]
+        here = sides.differences
+        np.add(sides.weights[HERE], sides.weights[twice_behind], out=both[HERE])
+        np.multiply(both[HERE], here[HERE], out=work[HERE])
+        if is_first:
+            np.copyto(weight[HERE], both[HERE])
+            np.multiply(work[HERE], np.float32(_MIDDLE), out=total[HERE])
+        else:
+            np.add(weight[HERE], both[HERE], out=weight[HERE])
+            plus_scaled(total[HERE], work[HERE], _MIDDLE, total[HERE])
+        for beside, beyond, side in ((beside_behind, behind, twice_behind), (beside_ahead, ahead, HERE)):
+            weighted(sides.beside[beside], _BESIDE, here[beyond], _BEYOND, work[HERE])
+            np.multiply(work[HERE], sides.weights[side], out=work[HERE])
+            np.add(total[HERE], work[HERE], out=total[HERE])
+    np.divide(total[HERE], weight[HERE], out=total[HERE])
+    tile.give_back(weight, work, both)
+    return total
+
+
+def green_from(tile: Tile, differences: Plane, samples: Plane) -> None:
+    """Turn the differences at the samples of a colour into green, calmed where they vary more than their means do.
+
+    Source: Zhang and Wu 2005, eq. 9: the linear least-squares estimate from local means and variances.
+    """
+    mean, square = tile.take(), tile.take()
+    filtered(differences, _GAUSSIAN, mean)
+    np.subtract(differences[HERE], mean[HERE], out=differences[HERE])
+    np.multiply(differences[HERE], differences[HERE], out=square[HERE])
+    noise = tile.mean(square, WIDE)
+    np.multiply(mean[HERE], mean[HERE], out=square[HERE])
+    detail, level = tile.mean(square, WIDE, _BELIEVED), tile.mean(mean, WIDE)
+    np.multiply(level, level, out=level)
+    np.subtract(detail, level, out=detail)
+    plus_scaled(detail, noise, _CALMING, noise)
+    np.divide(detail, noise, out=detail)
+    tile.forget(noise)
+    tile.forget(level)
+    tile.spread(detail, square)
+    np.multiply(square[HERE], differences[HERE], out=differences[HERE])
+    np.add(differences[HERE], mean[HERE], out=differences[HERE])
+    np.add(differences[HERE], samples[HERE], out=differences[HERE])
+    tile.give_back(mean, square)

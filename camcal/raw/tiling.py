@@ -1,0 +1,160 @@
+"""A Bayer mosaic as tiles for filters that work on half-size planes, and the colour image they leave."""
+
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.raw.planes import Each, Plane, Tile, interleave
+from camcal.raw.scales import Scale
+
+TILE = (128, 512)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
+
+_PLACES = "RGGB"  # the four places of a cell, as tiles count cells
+_BAND = 32  # rows of cells
+
+
+class Box(NamedTuple):
+    """Cells of a tile: the first row and column, and the number of both."""
+
+    row: int
+    column: int
+    rows: int
+    columns: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        return slice(self.row, self.row + self.rows), slice(self.column, self.column + self.columns)
+
+    def widened(self, cells: int) -> "Box":
+        """Return the box with more cells on every side, counted from a frame that begins as many cells earlier."""
+        return self._replace(rows=self.rows + 2 * cells, columns=self.columns + 2 * cells)
+
+    def moved(self, cells: int) -> "Box":
+        """Return the box in a frame that begins some cells earlier."""
+        return self._replace(row=self.row + cells, column=self.column + cells)
+
+
+class Bayer(NamedTuple):
+    """The samples of a tile: red, green to the right of red, green below red, blue."""
+
+    red: Plane
+    right: Plane
+    below: Plane
+    blue: Plane
+
+
+class Missing(NamedTuple):
+    """What the cells of a tile lack: each colour at the other three places."""
+
+    green_at_red: Plane
+    green_at_blue: Plane
+    red_right: Plane
+    red_below: Plane
+    red_at_blue: Plane
+    blue_right: Plane
+    blue_below: Plane
+    blue_at_red: Plane
+
+
+class TiledMosaic:
+    """A mosaic (H, W) as the filters' numbers, mirrored at its edges, and the colour image (H, W, 3) to be filled.
+
+    cells: the frame of whole cells, beginning with red, that holds the image. margin: cells around it, even.
+    """
+
+    def __init__(self, values: Array, pattern: str, margin: int, scale: Scale) -> None:
+        place = pattern.index("R")
+        self._offset = place // 2, place % 2  # rows and columns that bring red to the first place
+        self._shape = values.shape
+        rows, columns = ((length + first + 1) // 2 for length, first in zip(values.shape, self._offset, strict=True))
+        self.cells = Box(0, 0, rows + rows % 2, columns + columns % 2)
+        self._margin, self._scale = margin, scale
+        self._source = self._mirrored(values)
+        self._numbers = np.empty((4, len(self._source) // 2, self._source.shape[1] // 2), np.float32)
+        self._colour = np.empty((2 * self.cells.rows, 2 * self.cells.columns, 3), values.dtype)
+        self._spare: deque[Tile] = deque()
+
+    def _mirrored(self, values: Array) -> Array:
+        """Return the mosaic, continued about its border pixels: that keeps the colours in their places."""
+        (down, right), (height, width) = self._offset, values.shape
+        margin = 2 * self._margin
+        below = 2 * self.cells.rows - height - down
+        beyond = 2 * self.cells.columns - width - right
+        edges = margin + down, margin + below, margin + right, margin + beyond
+        return cv2.copyMakeBorder(values, *edges, borderType=cv2.BORDER_REFLECT_101)
+
+    def fill(self, each: Each) -> None:
+        """Turn all counts into the filters' numbers."""
+        height = self._numbers.shape[1]
+        each(self._fill, (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND)))
+
+    def _fill(self, rows: slice) -> None:
+        source = self._source[2 * rows.start : 2 * rows.stop]
+        for place, colour in enumerate(_PLACES):
+            values = self._numbers[place, rows]
+            np.copyto(values, source[place // 2 :: 2, place % 2 :: 2])
+            self._scale.apply(values, colour)
+
+    @contextmanager
+    def tile(self, box: Box) -> Iterator[Tile]:
+        """Lend the planes for a box of cells; they are used again when they are given back."""
+        try:
+            tile = self._spare.pop()
+        except IndexError:
+            tile = Tile(box.rows, box.columns)
+        if not tile.fits(box.rows, box.columns):
+            tile = Tile(box.rows, box.columns)
+        yield tile
+        self._spare.append(tile)
+
+    def samples(self, tile: Tile, box: Box) -> Bayer:
+        """Return the samples of a box of cells, counted in the frame with its margin."""
+        bayer = Bayer(*(tile.take() for _ in range(4)))
+        for numbers, plane in zip(self._numbers, bayer, strict=True):
+            plane.fill(numbers[box.slices])
+        return bayer
+
+    def write(self, tile: Tile, box: Box, inset: int, bayer: Bayer, missing: Missing) -> None:
+        """Write the colours of a box of cells; it lies `inset` cells inside the planes, which are used up."""
+        colours = {
+            "B": (missing.blue_at_red, missing.blue_right, missing.blue_below, bayer.blue),
+            "G": (missing.green_at_red, bayer.right, bayer.below, missing.green_at_blue),
+            "R": (bayer.red, missing.red_right, missing.red_below, missing.red_at_blue),
+        }
+        work = tile.take()
+        for colour, planes in colours.items():
+            for plane in planes:
+                self._scale.undo(plane, colour, work)
+        tile.give_back(work)
+        rows, columns = box._replace(row=inset, column=inset).slices
+        out = self._colour[2 * box.row : 2 * (box.row + box.rows), 2 * box.column : 2 * (box.column + box.columns)]
+        for row in (0, 1):
+            places = 2 * row, 2 * row + 1
+            parts = [planes[place].image[rows, columns] for place in places for planes in colours.values()]
+            interleave(parts, out[row::2])
+
+    def result(self) -> Array:
+        """Return the colours of the mosaic proper."""
+        (down, right), (height, width) = self._offset, self._shape
+        return self._colour[down : down + height, right : right + width]
+
+
+def boxes(whole: Box, most: tuple[int, int]) -> list[Box]:
+    """Return the tiles of a frame, nearly of the same size each, of at most these rows and columns; all are even."""
+    rows, columns = (_starts(length, limit) for length, limit in zip(whole[2:], most, strict=True))
+    return [
+        Box(top, left, bottom - top, right - left)
+        for top, bottom in pairwise(rows)
+        for left, right in pairwise(columns)
+    ]
+
+
+def _starts(length: int, most: int) -> list[int]:
+    count = -(-length // most)
+    return [2 * round(length / 2 * index / count) for index in range(count + 1)]
