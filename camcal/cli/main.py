@@ -15,7 +15,20 @@ import typer
 from typer.core import TyperGroup
 
 from camcal import __version__
-from camcal.cli import calibrate, demo, demosaic, doctor, inspect, pnp, show, simulate, stereo, targets, undistort
+from camcal.cli import (
+    calibrate,
+    demo,
+    demosaic,
+    doctor,
+    inspect,
+    pnp,
+    sensor,
+    show,
+    simulate,
+    stereo,
+    targets,
+    undistort,
+)
 from camcal.cli.options import SETTINGS
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
 from camcal.run.startup import BLAS_THREADS
@@ -136,6 +149,7 @@ app.command("calibrate")(calibrate.calibrate)
 app.command("undistort")(undistort.undistort)
 app.command("inspect")(inspect.inspect)
 app.command("demosaic")(demosaic.demosaic)
+app.command("sensor")(sensor.sensor)
 app.add_typer(stereo_app, name="stereo")
 app.command("pnp")(pnp.pnp)
 app.command("doctor")(doctor.doctor)

@@ -1,6 +1,7 @@
 """`camcal simulate`."""
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -8,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.simulate import SimulateOptions, SimulateReport
+    from camcal.tasks.simulate import RawOptions, SimulateOptions, SimulateReport
 
 
 def simulate(
@@ -48,13 +49,60 @@ def simulate(
     stretch: Annotated[float, typer.Option(metavar="PERCENT", help="How much longer than drawn x is printed.")] = 0.0,
     blur: Annotated[float, typer.Option(metavar="PX", help="Standard deviation of the lens blur.")] = 0.7,
     noise: Annotated[
-        float, typer.Option(metavar="DN", help="Standard deviation of the noise, in 1/255 of full scale.")
-    ] = 2.0,
+        float | None,
+        typer.Option(metavar="DN", help="Standard deviation of the noise, in 1/255 of full scale; by default 2."),
+    ] = None,
     gradient: Annotated[
         float, typer.Option(metavar="PERCENT", help="How much the light changes from side to side.")
     ] = 20.0,
-    gamma: Annotated[float, typer.Option(help="Images hold brightness to the power 1/gamma.")] = 1.0,
-    depth: Annotated[int, typer.Option(metavar="8|16", help="Bits per pixel.")] = 8,
+    vignetting: Annotated[
+        float, typer.Option(metavar="PERCENT", help="How much darker the corners of the image are.")
+    ] = 10.0,
+    gamma: Annotated[
+        float | None, typer.Option(help="Images hold brightness to the power 1/gamma; by default 1.")
+    ] = None,
+    depth: Annotated[int | None, typer.Option(metavar="8|16", help="Bits per pixel; by default 8.")] = None,
+    raw: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Make 16-bit mosaics of a sensor with this pattern: RGGB, GRBG, GBRG, BGGR, or MONO. The options "
+            "below are for them alone.",
+        ),
+    ] = None,
+    gain: Annotated[float | None, typer.Option(metavar="DN/E", help="Counts per electron; by default 0.25.")] = None,
+    read_noise: Annotated[
+        float | None, typer.Option(metavar="E", help="Standard deviation of a reading, electrons; by default 4.")
+    ] = None,
+    full_well: Annotated[
+        float | None, typer.Option(metavar="E", help="Electrons a pixel holds; by default 15000.")
+    ] = None,
+    black: Annotated[float | None, typer.Option(metavar="DN", help="Counts without light; by default 64.")] = None,
+    bits: Annotated[int | None, typer.Option(metavar="N", help="Bits of the sensor; by default 12.")] = None,
+    dark_current: Annotated[
+        float | None, typer.Option(metavar="E/S", help="Electrons per second without light; by default 0.")
+    ] = None,
+    prnu: Annotated[
+        float | None, typer.Option(metavar="PERCENT", help="How much the pixels' responses differ; by default 0.")
+    ] = None,
+    dsnu: Annotated[
+        float | None, typer.Option(metavar="E", help="How much the pixels' dark signals differ; by default 0.")
+    ] = None,
+    light: Annotated[
+        str | None, typer.Option(metavar="R,G,B", help="Light on the colours, such as .5,1,.6; by default 1,1,1.")
+    ] = None,
+    aberration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PX",
+            help="Lateral chromatic aberration: red lies this far outside of green at the corner of the image, and "
+            "blue inside.",
+        ),
+    ] = None,
+    flats: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Levels of flat frames to add, two frames each.")
+    ] = None,
+    darks: Annotated[int | None, typer.Option(metavar="N", min=1, help="Dark frames to add.")] = None,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed gives other poses and noise.")] = 0,
     camera: shared.CameraName = None,
     jobs: shared.Jobs = None,
@@ -66,13 +114,25 @@ def simulate(
     """Photograph a board with a known camera: images, and the truth beside them.
 
     The folder holds images/, truth.yaml (the camera and the board's shape), board.yaml, poses.csv (camera_T_board) and
-    corners.csv (where every corner truly is). The same options and seed give the same bytes.
+    corners.csv (where every corner truly is). The same options and seed give the same bytes. With --raw, flats/ and
+    darks/ hold what `camcal sensor` measures a sensor with, a folder for each exposure.
     """
     from math import radians
 
     from camcal.tasks.simulate import Exposure, Shape, SimulateOptions, document
     from camcal.tasks.simulate import simulate as run
 
+    sensor = {
+        "gain_dn_per_e": gain,
+        "read_noise_e": read_noise,
+        "full_well_e": full_well,
+        "black_dn": black,
+        "bits": bits,
+        "dark_current_e_s": dark_current,
+        "prnu": None if prnu is None else prnu / 100,
+        "dsnu_e": dsnu,
+    }
+    image = {"noise_dn": noise, "gamma": gamma, "depth": depth}
     options = SimulateOptions(
         board,
         output,
@@ -85,15 +145,53 @@ def simulate(
         views,
         partial,
         Shape(bow_mm[0] / 1e3, bow_mm[1] / 1e3, twist_mm / 1e3, cubic_mm / 1e3, stretch / 100),
-        Exposure(blur_px=blur, noise_dn=noise, gradient=gradient / 100, gamma=gamma, depth=depth),
+        Exposure(blur_px=blur, gradient=gradient / 100, vignetting=vignetting / 100, **_given(image)),
         seed,
         jobs,
+        _raw(raw, _given(image), _given(sensor), light, aberration, flats, darks),
     )
     report = run(options, show.progress(quiet))
     if json:
         show.document("simulate", document(report, options))
     elif not quiet:
         _show(report, options, verbose)
+
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _raw(
+    pattern: str | None,
+    image: Mapping[str, float],
+    sensor: Mapping[str, Any],
+    light: str | None,
+    aberration: float | None,
+    flats: int | None,
+    darks: int | None,
+) -> "RawOptions | None":
+    """Return what is asked of the sensor; raises InvalidInput for options that have no meaning beside the others."""
+    from camcal.errors import InvalidInput
+    from camcal.tasks.simulate import RawCamera, RawOptions, Sensor
+
+    if pattern is None:
+        if sensor or any(option is not None for option in (light, aberration, flats, darks)):
+            raise InvalidInput("--gain, --light, --flats and the other options of a sensor need --raw PATTERN")
+        return None
+    if image:
+        raise InvalidInput("with --raw the sensor says it all: leave out --noise, --gamma and --depth")
+    camera = RawCamera(pattern, Sensor(**sensor), _shares(light or "1,1,1"), aberration or 0.0)
+    return RawOptions(camera, flats or 0, darks or 0)
+
+
+def _shares(text: str) -> tuple[float, float, float]:
+    from camcal.errors import InvalidInput
+
+    try:
+        red, green, blue = map(float, text.split(","))
+    except ValueError:
+        raise InvalidInput(f"--light {text!r}: write three numbers as .5,1,.6 (red, green, blue)") from None
+    return red, green, blue
 
 
 def _coefficients(text: str) -> dict[str, float]:
@@ -117,4 +215,16 @@ def _show(report: "SimulateReport", options: "SimulateOptions", verbose: bool) -
         show.table(camera.model.name, ["parameter", "value"], rows)
         show.table("corners", ["image", "corners"], [[view.image, len(view.ids)] for view in report.corners.views])
     show.text(f"wrote {output / 'images'}, and beside it truth.yaml, board.yaml, poses.csv, corners.csv")
-    show.text(f"next: camcal calibrate {output / 'images'} --board {output / 'board.yaml'} -o camera.yaml")
+    if report.frames:
+        show.text(f"wrote {len(report.frames)} flat and dark frames")
+    show.text(f"next: {_next(options)}")
+
+
+def _next(options: "SimulateOptions") -> str:
+    output, raw = options.output, options.raw
+    if raw is None:
+        return f"camcal calibrate {output / 'images'} --board {output / 'board.yaml'} -o camera.yaml"
+    pattern = f"--pattern {raw.camera.pattern}"
+    if raw.flats and raw.darks:
+        return f"camcal sensor {output / 'flats'} --dark {output / 'darks'} {pattern} -o sensor.yaml"
+    return f"camcal demosaic {output / 'images'} {pattern} -o colour"

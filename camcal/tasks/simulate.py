@@ -22,6 +22,7 @@ from camcal.images.save import save
 from camcal.progress import SILENT, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import split_address
+from camcal.simulate import mosaics
 from camcal.simulate.lens import make_camera
 from camcal.simulate.observe import Truth, observe, view_name
 from camcal.simulate.pattern import pattern_of
@@ -30,8 +31,20 @@ from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
 from camcal.targets.surface import Surface
+from camcal.tasks import simulate_raw
+from camcal.tasks.simulate_raw import RawCamera, RawOptions, Sensor
 
-__all__ = ["Exposure", "Shape", "SimulateOptions", "SimulateReport", "document", "simulate"]
+__all__ = [
+    "Exposure",
+    "RawCamera",
+    "RawOptions",
+    "Sensor",
+    "Shape",
+    "SimulateOptions",
+    "SimulateReport",
+    "document",
+    "simulate",
+]
 
 DEFAULT_MODEL = "opencv5"
 DEFAULT_SIZE = (1280, 960)
@@ -54,7 +67,7 @@ class SimulateOptions:
 
     camera: a camera file (FILE or FILE#NAME); name: which of its cameras. Without a file the lens is made of model,
     size (width, height), fov (rad) and distortion (coefficients by name, None for typical ones). shape: in the board's
-    unit. partial: let boards be cut by the image.
+    unit. partial: let boards be cut by the image. raw: make mosaics of a sensor, which then gives noise and depth.
     """
 
     board: str
@@ -71,15 +84,17 @@ class SimulateOptions:
     exposure: Exposure = field(default_factory=Exposure)
     seed: int = 0
     jobs: int | None = None
+    raw: RawOptions | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class SimulateReport:
-    """What was photographed, the corners that are in the images, and the images that were written."""
+    """What was photographed, the corners that are in the images, and the images and other frames written."""
 
     truth: Truth
     corners: Detections
     images: tuple[Path, ...]
+    frames: tuple[Path, ...] = ()
 
 
 def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateReport:
@@ -100,7 +115,8 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     folder = options.output
     _clear(folder, options.views)
     _write_truth(folder, truth, corners, options)
-    return SimulateReport(truth, corners, _photograph_all(folder, truth, options, progress))
+    images = _photograph_all(folder, truth, options, progress)
+    return SimulateReport(truth, corners, images, _take_frames(folder, camera, options, progress))
 
 
 def _require_mild(shape: Shape, board: Board) -> None:
@@ -137,6 +153,7 @@ def _clear(folder: Path, count: int) -> None:
     for path in (folder / IMAGES).glob("view[0-9][0-9][0-9][0-9].png"):
         if path.name not in kept:
             path.unlink()
+    simulate_raw.clear_frames(folder)
 
 
 def _is_ours(folder: Path) -> bool:
@@ -148,7 +165,7 @@ def _is_ours(folder: Path) -> bool:
 
 def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
     items = [(folder / IMAGES / view_name(index), index, pose) for index, pose in enumerate(truth.poses)]
-    work = partial(_photograph, truth.camera, truth.board, truth.shape, options.exposure, options.seed)
+    work = partial(_photograph, truth, options)
     outcomes = list(fan_out(work, items, jobs=options.jobs, processes=True, what="rendering", progress=progress))
     failed = [str(outcome.error) for outcome in outcomes if outcome.error]
     if failed:
@@ -156,13 +173,31 @@ def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progre
     return tuple(path for path, _, _ in items)
 
 
-def _photograph(
-    camera: Camera, board: Board, shape: Shape, exposure: Exposure, seed: int, item: tuple[Path, int, Pose]
-) -> None:
+def _photograph(truth: Truth, options: SimulateOptions, item: tuple[Path, int, Pose]) -> None:
     path, index, pose = item
     # A generator of its own for every view, so that the images do not depend on who renders them.
-    rng = np.random.default_rng([seed, index])
-    save(path, render(camera, board, pose, rng=rng, exposure=exposure, shape=shape))
+    rng = np.random.default_rng([options.seed, index])
+    camera, board, shape, exposure = truth.camera, truth.board, truth.shape, options.exposure
+    if options.raw is None:
+        save(path, render(camera, board, pose, rng=rng, exposure=exposure, shape=shape))
+        return
+    raw = options.raw.camera
+    fixed = simulate_raw.fixed_pattern(raw, camera.image_size, options.seed)
+    save(path, mosaics.photograph(raw, camera, board, pose, exposure=exposure, shape=shape, fixed=fixed, rng=rng))
+
+
+def _take_frames(folder: Path, camera: Camera, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
+    if options.raw is None:
+        return ()
+    return simulate_raw.take_frames(
+        folder,
+        options.raw,
+        camera.image_size,
+        vignetting=options.exposure.vignetting,
+        seed=options.seed,
+        jobs=options.jobs,
+        progress=progress,
+    )
 
 
 def _write_truth(folder: Path, truth: Truth, corners: Detections, options: SimulateOptions) -> None:
@@ -178,8 +213,12 @@ def truth_file(truth: Truth, options: SimulateOptions) -> CameraFile:
     settings = {"views": options.views, "seed": options.seed, "partial": options.partial}
     how = {**settings, "exposure": asdict(options.exposure), f"shape_{truth.board.unit}": asdict(truth.shape)}
     lens = [options.camera] if options.camera else []
+    entry = CameraEntry(truth.camera, valid=ValidRegion.of(truth.camera))
+    if options.raw is not None:
+        entry = simulate_raw.truth_entry(truth.camera, options.raw.camera)
+        how["raw"] = simulate_raw.how_made(options.raw)
     return CameraFile(
-        {"camera": CameraEntry(truth.camera, valid=ValidRegion.of(truth.camera))},
+        {"camera": entry},
         board_shape=surface_of(truth.shape, truth.board) if truth.shape != FLAT else None,
         provenance=provenance.build(["simulate", options.board, *lens], truth.board),
         extra={"x_simulation": how},
@@ -217,6 +256,7 @@ def _poses_text(truth: Truth) -> str:
 def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     camera, board = report.truth.camera, report.truth.board
+    frames = {"frames": [path.as_posix() for path in report.frames]} if options.raw is not None else {}
     return {
         "output": options.output.as_posix(),
         "model": camera.model.name,
@@ -227,4 +267,5 @@ def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]
         "unit": board.unit,
         "images": [path.as_posix() for path in report.images],
         "corners": sum(len(view.ids) for view in report.corners.views),
+        **frames,
     }

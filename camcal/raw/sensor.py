@@ -1,0 +1,152 @@
+"""What a sensor can do, from frames of even light and frames without: the figures of EMVA 1288.
+
+Source: EMVA Standard 1288, Release 4.0 Linear (2021). Its saturation is the signal of the largest variance, which lies
+three deviations below the full well and depends on the levels taken; here it is the signal at which pixels are full.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import hypot, log10
+
+import numpy as np
+
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.raw.emva import Figures, figures_of, together
+from camcal.raw.level import Level
+from camcal.raw.photon_transfer import Curve, Figure, transfer_curve
+
+__all__ = ["Characterisation", "Figure", "Figures", "characterise"]
+
+DECIBELS_A_STOP = 20 * log10(2)
+FULL_WELL, WHITE_LEVEL, NOT_REACHED = "full well", "white level", "not reached"
+
+_DRIFT = (0.01, 0.2)  # of the signal between frames of one level: what is warned of, what is refused
+_SURE = 5.0  # standard deviations at which a difference is no chance
+_SAME_GAIN = 0.02  # by which the gains of two phases may differ
+_CUT_OFF = 1e-3  # share of dark samples at 0
+
+
+@dataclass(frozen=True, eq=False)
+class Characterisation:
+    """The figures of a sensor, over all phases and of each, and the photon transfer curves they come from.
+
+    saturation: what ends the counts, "full well" or "white level", or "not reached" by the light: then the full well
+    is the white level's. white: counts at saturation; peak: the largest count seen. limited: the read noise is hidden
+    by rounding to whole counts.
+    """
+
+    size: tuple[int, int]
+    white: float
+    peak: float
+    figures: Figures
+    phases: Mapping[str, Figures]
+    curves: Mapping[str, Curve]
+    saturation: str
+    limited: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def dynamic_range_stops(self) -> float:
+        return self.figures.dynamic_range_db.value / DECIBELS_A_STOP
+
+
+def characterise(flats: Sequence[Level], darks: Sequence[Level]) -> Characterisation:
+    """Return what a sensor can do from levels of light and at least one level of darkness.
+
+    Raises InsufficientData if the levels tell no gain, if there are none, or if the light
+    of frames of one level differed widely; InvalidInput if they differ in size.
+    """
+    _require_alike(flats, darks)
+    _require_steady(flats, darks)
+    darks = sorted(darks, key=lambda level: level.exposure_s or 0.0)
+    names, white = flats[0].names, min(level.white for level in flats)
+    curves = {name: transfer_curve(flats, darks[0], phase) for phase, name in enumerate(names)}
+    reached = {name for name, curve in curves.items() if curve.saturation is not None}
+    phases = {name: figures_of(curve, phase, flats, darks, white) for phase, (name, curve) in enumerate(curves.items())}
+    return Characterisation(
+        flats[0].size,
+        white,
+        max(level.peak for level in flats),
+        together(phases[name] for name in names if name in reached or not reached),
+        phases,
+        curves,
+        _what_ends(curves, white),
+        any(curve.noise.limited for curve in curves.values()),
+        tuple(_warnings(flats, darks, curves, phases, white)),
+    )
+
+
+def _require_alike(flats: Sequence[Level], darks: Sequence[Level]) -> None:
+    for levels, kind in ((flats, "flat"), (darks, "dark")):
+        if not levels:
+            raise InsufficientData(f"no {kind} frames; photon transfer needs two flat and two dark frames at least")
+    first = flats[0]
+    for level in (*flats, *darks):
+        if (level.size, level.names) != (first.size, first.names):
+            sizes = " and ".join(f"{size[0]} × {size[1]}" for size in (first.size, level.size))
+            raise InvalidInput(f"frames of {sizes}, or of two patterns: flat and dark frames must be alike")
+
+
+def _drifts(flats: Sequence[Level], darks: Sequence[Level]) -> Iterator[tuple[Level, float]]:
+    """Yield the levels whose frames differ in brightness by more than chance, and by what share of their signal."""
+    black = np.mean([level.mean_dn for level in darks], axis=0)
+    for level in flats:
+        signal = level.mean_dn - black
+        change = np.ptp(level.frame_means, axis=0)
+        sure = change > _SURE * np.sqrt(2 * level.temporal / level.samples)
+        if (shares := change[sure & (signal > 0)] / signal[sure & (signal > 0)]).size:
+            yield level, float(shares.max())
+
+
+def _require_steady(flats: Sequence[Level], darks: Sequence[Level]) -> None:
+    for level, share in _drifts(flats, darks):
+        if share > _DRIFT[1]:
+            raise InsufficientData(
+                f"frames of one level ({_described(level)}) differ by {100 * share:.0f} % in brightness: the exposures "
+                "are mixed or the light flickers"
+            )
+
+
+def _described(level: Level) -> str:
+    exposure = "" if level.exposure_s is None else f"{1e3 * level.exposure_s:g} ms, "
+    return f"{exposure}{level.frames} frames, mean {level.mean_dn.mean():.4g}"
+
+
+def _what_ends(curves: Mapping[str, Curve], white: float) -> str:
+    ends = [curve.saturation + curve.noise.mean for curve in curves.values() if curve.saturation is not None]
+    if not ends:
+        return NOT_REACHED
+    return WHITE_LEVEL if max(ends) > white - 1 else FULL_WELL
+
+
+def _warnings(
+    flats: Sequence[Level],
+    darks: Sequence[Level],
+    curves: Mapping[str, Curve],
+    phases: Mapping[str, Figures],
+    white: float,
+) -> Iterator[str]:
+    """Yield what a person should know before believing the figures, a line each."""
+    for level, share in _drifts(flats, darks):
+        if share > _DRIFT[0]:
+            yield f"the light changed by {100 * share:.2g} % between frames of one level ({_described(level)})"
+    if _what_ends(curves, white) == NOT_REACHED:
+        peak = max(level.peak for level in flats)
+        yield (
+            f"the light did not fill the pixels (largest count {peak:g}), so the full well is that of the white level, "
+            f"{white:g} counts; add longer exposures, or give --white"
+        )
+    if max(level.clipped.max() for level in darks) > _CUT_OFF:
+        yield "dark counts are cut off at 0; a higher black level would let the noise be seen whole"
+    if any(curve.noise.limited for curve in curves.values()):
+        yield (
+            "the read noise is limited by rounding: it is too small against a count to be measured well; "
+            "use a higher gain"
+        )
+    gains = {name: figures.gain_dn_per_e for name, figures in phases.items()}
+    for (name, one), (other_name, other) in combinations(gains.items(), 2):
+        apart = abs(one.value - other.value)
+        if apart > _SURE * hypot(one.std, other.std) and apart > _SAME_GAIN * one.value:
+            yield f"{name} and {other_name} differ in gain ({one.value:.4g} and {other.value:.4g} counts per electron)"
+            return

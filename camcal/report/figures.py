@@ -1,0 +1,121 @@
+"""Figures: the one module that draws with matplotlib, without a screen."""
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from camcal.errors import InvalidInput
+from camcal.raw.emva import line_deviation
+from camcal.raw.sensor import Characterisation
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+_COLOURS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue", "mono": "tab:gray"}
+_MARKERS = {"R": "o", "Gr": "^", "Gb": "v", "B": "s", "mono": "o"}
+_LINE = "0.25"
+_DPI = 120
+_STYLE: dict[Any, Any] = {"svg.hashsalt": "camcal", "svg.fonttype": "none", "font.size": 9}
+
+
+def require_suffix(path: Path) -> None:
+    """Raise InvalidInput unless figures are written as this type of file."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InvalidInput(f"figures are {', '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}", where=str(path))
+
+
+def photon_transfer(sensor: Characterisation, suffix: str) -> bytes:
+    """Return a figure of a sensor's photon transfer curves and its linearity, as a file of the type of `suffix`.
+
+    Left: noise over light with the line through the levels that count, and where pixels are full. Right: deviation of
+    the light from a line over exposure, or the signal-to-noise ratio where exposures are unknown.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 4.4))
+        figure.subplots_adjust(left=0.065, right=0.985, bottom=0.11, top=0.93, wspace=0.2)
+        FigureCanvasAgg(figure)
+        transfer, beside = figure.subplots(1, 2)
+        _draw_transfer(transfer, sensor)
+        if sensor.figures.linearity_error is None:
+            _draw_ratio(beside, sensor)
+        else:
+            _draw_linearity(beside, sensor)
+        return _encoded(figure, suffix)
+
+
+def _encoded(figure: Figure, suffix: str) -> bytes:
+    """Return the file; nothing in it says when it was made."""
+    undated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[suffix.lower()]
+    stream = BytesIO()
+    figure.savefig(stream, format=suffix.lower()[1:], dpi=_DPI, metadata=undated)
+    return stream.getvalue()
+
+
+def _draw_transfer(axes: Axes, sensor: Characterisation) -> None:
+    gain = sensor.figures.gain_dn_per_e.value
+    full = sensor.figures.full_well_e.value * gain
+    noise = sensor.figures.read_noise_e.value * gain
+    for name, curve in sensor.curves.items():
+        std = np.sqrt(np.maximum(curve.variance, 0))
+        fitted = curve.fitted & (std > 0)
+        axes.loglog(curve.signal[fitted], std[fitted], _MARKERS[name], color=_COLOURS[name], label=name, ms=5)
+        other = ~curve.fitted & (curve.signal > 0) & (std > 0)
+        axes.loglog(curve.signal[other], std[other], _MARKERS[name], color=_COLOURS[name], mfc="none", ms=5)
+    light = np.geomspace(noise**2 / gain / 5, full, 200)  # from where the read noise rules
+    axes.loglog(light, np.sqrt(gain * light + noise**2), color=_LINE, lw=1, label=f"gain {gain:.4g} DN/e")
+    axes.axhline(noise, color=_LINE, lw=0.8, ls=":", label=f"read noise {sensor.figures.read_noise_e.value:.3g} e")
+    ends = "white level" if sensor.saturation == "not reached" else sensor.saturation
+    axes.axvline(full, color=_LINE, lw=0.8, ls="--", label=f"{ends} {sensor.figures.full_well_e.value:.0f} e")
+    axes.set_ylim(bottom=noise / 2)
+    _label(axes, "photon transfer (open: not fitted)", "signal above black, DN", "noise of a pixel in time, DN")
+    axes.legend(loc="upper left", framealpha=0.9)
+
+
+def _draw_linearity(axes: Axes, sensor: Characterisation) -> None:
+    for name, curve in sensor.curves.items():
+        deviation = 100 * line_deviation(curve, _limit(sensor, name))
+        used = np.isfinite(deviation)
+        axes.plot(
+            curve.signal[used], deviation[used], _MARKERS[name] + "-", color=_COLOURS[name], label=name, ms=5, lw=1
+        )
+    axes.axhline(0, color=_LINE, lw=0.8)
+    largest = max(abs(limit) for limit in axes.get_ylim())
+    axes.set_ylim(-max(largest, 0.1), max(largest, 0.1))
+    _label(
+        axes, "linearity, 5 to 95 % of saturation", "signal above black, DN", "deviation from a line over exposure, %"
+    )
+    axes.legend()
+
+
+def _draw_ratio(axes: Axes, sensor: Characterisation) -> None:
+    gain = sensor.figures.gain_dn_per_e.value
+    for name, curve in sensor.curves.items():
+        seen = (curve.signal > 0) & curve.complete & (curve.variance > 0)
+        ratio = curve.signal[seen] / np.sqrt(curve.variance[seen])
+        axes.loglog(curve.signal[seen] / gain, ratio, _MARKERS[name], color=_COLOURS[name], label=name, ms=5)
+    light = np.geomspace(1, sensor.figures.full_well_e.value, 200)
+    noise = sensor.figures.read_noise_e.value
+    axes.loglog(light, light / np.sqrt(light + noise**2), color=_LINE, lw=1, label="from gain and read noise")
+    _label(axes, "signal-to-noise ratio", "signal, electrons", "ratio")
+    axes.legend()
+
+
+def _limit(sensor: Characterisation, name: str) -> float:
+    """Return the counts above black at which a phase ends."""
+    figures = sensor.phases[name]
+    return figures.full_well_e.value * figures.gain_dn_per_e.value
+
+
+def _label(axes: Axes, title: str, across: str, up: str) -> None:
+    axes.set_title(title)
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(visible=True, which="major", lw=0.4, alpha=0.6)

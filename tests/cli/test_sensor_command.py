@@ -1,0 +1,254 @@
+"""`camcal sensor` as it is called from a shell, on frames that `camcal simulate --raw` made."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from camcal.formats import strict_yaml
+from camcal.formats.native_entry import SENSOR
+from camcal.formats.schema import mapping
+from camcal.images.load import load
+from camcal.images.save import save
+from camcal.raw.dng import write_dng
+from camcal.raw.mosaic import Capture, Mosaic
+from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
+from camcal.simulate.sensor import FixedPattern, Sensor
+from camcal.tasks.simulate import RawOptions, SimulateOptions, simulate
+
+KEYS = [
+    "schema",
+    "output",
+    "image_size",
+    "iso",
+    "levels",
+    "sensor",
+    "saturation",
+    "rounding_limited",
+    "figures",
+    "dynamic_range_stops",
+    "phases",
+    "warnings",
+]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A folder of simulated flats and darks of a sensor of 0.5 counts per electron."""
+    folder = tmp_path_factory.mktemp("sensor") / "scene"
+    raw = RawCamera("RGGB", Sensor(0.5, 3.0, 7000.0, 32.0, 12), (0.5, 1.0, 0.6))
+    options = {"size": (160, 120), "views": 1, "jobs": 1, "raw": RawOptions(raw, 8, 8)}
+    simulate(SimulateOptions("chessboard:7x5:25mm", folder, **options))
+    return folder
+
+
+@pytest.fixture
+def bench(scene, tmp_path):
+    """A copy that a test may change."""
+    return shutil.copytree(scene, tmp_path / "bench")
+
+
+def call(run, folder, output, *options):
+    darks = () if "--dark" in options else ("--dark", folder / "darks")
+    common = ("--pattern", "RGGB", "--jobs", "1", "-o", output)
+    return run("sensor", folder / "flats", *darks, *common, *options)
+
+
+def renamed(folder, kind, name):
+    """Move all frames of a kind into one folder whose name may tell something or not."""
+    target = folder / name
+    target.mkdir()
+    for path in sorted((folder / kind).rglob("*.png")):
+        path.rename(target / path.name)
+    shutil.rmtree(folder / kind)
+    return target
+
+
+def test_a_sensor_file_is_written_and_its_block_fits_a_camera_file(run, scene, tmp_path):
+    output = tmp_path / "sensor.yaml"
+    code, out, err = call(run, scene, output, "--format", "1/2.8")
+    assert (code, err) == (0, "")
+    assert "8 levels of light, 2 of darkness, 160x120" in out
+    assert "the counts end at the full well" in out
+    data = strict_yaml.load(output, lambda _data, _path: ()).data
+    assert list(mapping({}, SENSOR)(data["sensor"], "sensor")) == []
+    assert data["sensor"]["gain_e_per_dn"] == pytest.approx(2.0, rel=0.03)  # 4 800 samples a phase: 0.5 %
+    assert data["sensor"]["pixel_pitch_um"] == pytest.approx(6389 / 200, rel=1e-3)
+    assert "bits" not in data["sensor"]  # a file of 16 bits whose largest count is 3 540
+    assert data["format"] == "camcal-sensor"
+    assert list(data["curves"]) == ["R", "Gr", "Gb", "B"]
+    assert len(data["provenance"]["images"]) == 24
+
+
+def test_a_white_level_gives_the_bits(run, scene, tmp_path):
+    code, out, _ = call(run, scene, tmp_path / "sensor.yaml", "--white", "4095", "--json")
+    assert code == 0
+    assert json.loads(out)["sensor"]["bits"] == 12
+
+
+def test_json_is_one_document_with_a_frozen_schema(run, scene, tmp_path):
+    code, out, err = call(run, scene, tmp_path / "sensor.yaml", "--json", "--plot", tmp_path / "plot.svg")
+    document = json.loads(out)
+    assert (code, err) == (0, "")
+    assert list(document) == [*KEYS[:2], "plot", *KEYS[2:]]
+    assert document["schema"] == "camcal/sensor/1"
+    assert document["levels"] == {"flat": 8, "dark": 2}
+    assert document["figures"]["read_noise_e"]["value"] == pytest.approx(3.0, rel=0.05)
+    assert set(document["figures"]["gain_dn_per_e"]) == {"value", "std"}
+    assert (tmp_path / "plot.svg").read_text().startswith("<?xml")
+
+
+def test_the_same_frames_give_the_same_bytes_whatever_the_jobs(run, scene, tmp_path):
+    for name, jobs in (("one", 1), ("two", 2)):
+        call(run, scene, tmp_path / name, "--jobs", jobs, "--quiet")
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+def test_frames_in_one_folder_are_sorted_by_their_brightness(run, bench, scene, tmp_path):
+    flats, darks = renamed(bench, "flats", "light"), renamed(bench, "darks", "night")
+    common = ("--pattern", "RGGB", "--json", "-o", tmp_path / "sensor.yaml")
+    code, out, _ = run("sensor", flats, "--dark", darks, *common)
+    document = json.loads(out)
+    _, out, _ = call(run, scene, tmp_path / "known.yaml", "--json")
+    known = json.loads(out)
+    assert code == 0
+    assert document["levels"] == {"flat": 8, "dark": 1}
+    assert "linearity_error" in known["figures"]
+    assert "linearity_error" not in document["figures"]
+    assert document["figures"]["gain_dn_per_e"]["value"] == pytest.approx(
+        known["figures"]["gain_dn_per_e"]["value"], rel=0.01
+    )
+
+
+def test_exposures_can_be_given_for_each_input(run, scene, tmp_path):
+    folders = sorted((scene / "flats").iterdir(), key=lambda path: float(path.name[:-2]))[2:5]
+    told = ",".join(str(float(path.name[:-2]) * 2e-3) for path in folders)
+    code, out, _ = run(
+        "sensor", *folders, "--dark", scene / "darks", "--pattern", "RGGB", "--exposure", told, "-o",
+        tmp_path / "sensor.yaml", "--json",
+    )  # fmt: skip
+    assert code == 0
+    assert json.loads(out)["levels"] == {"flat": 3, "dark": 2}
+    exposures = strict_yaml.load(tmp_path / "sensor.yaml", lambda _data, _path: ()).data["curves"]["R"]["exposure_s"]
+    assert ",".join(f"{value:g}" for value in exposures) == ",".join(f"{float(value):g}" for value in told.split(","))
+
+
+def test_two_flats_and_two_darks_are_enough(run, scene, tmp_path):
+    flats = sorted((scene / "flats").iterdir(), key=lambda path: float(path.name[:-2]))[4]
+    darks = sorted((scene / "darks").rglob("*.png"))[:2]
+    options = ("--dark", darks[0], "--dark", darks[1], "--dark-exposure", "0.002", "--pattern", "RGGB")
+    code, out, err = run("sensor", flats, *options, "--white", "4095", "-o", tmp_path / "s.yaml", "--json")
+    assert code == 0
+    assert json.loads(out)["saturation"] == "not reached"
+    assert "did not fill the pixels" in err
+
+
+def test_speeds_named_by_folders_are_told_apart(run, bench, tmp_path):
+    for number, path in enumerate(sorted((bench / "flats").iterdir())):
+        path.rename(path.with_name(f"iso{100 if number % 2 else 400}_{path.name}"))
+    code, _, err = call(run, bench, tmp_path / "sensor.yaml")
+    assert code == 2
+    assert "ISO 100, 400" in err
+    code, out, _ = call(run, bench, tmp_path / "sensor.yaml", "--iso", "400", "--json")
+    assert (code, json.loads(out)["iso"], json.loads(out)["levels"]["flat"]) == (0, 400, 4)
+    code, _, err = call(run, bench, tmp_path / "sensor.yaml", "--iso", "800")
+    assert code == 2
+    assert "no flat frames of ISO 800" in err
+
+
+def test_a_single_frame_of_a_level_is_too_few(run, bench, tmp_path):
+    path = min((bench / "flats").rglob("*.png"))
+    path.unlink()
+    code, _, err = call(run, bench, tmp_path / "sensor.yaml")
+    assert code == 4
+    assert "a single frame of its light" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "sensor.yaml").exists()
+
+
+def test_mixed_exposures_in_a_folder_that_names_one_are_refused(run, bench, tmp_path):
+    low, high = (bench / "flats" / name for name in sorted(path.name for path in (bench / "flats").iterdir())[:2])
+    for path in high.iterdir():
+        path.rename(low / path.name)
+    high.rmdir()
+    code, _, err = call(run, bench, tmp_path / "sensor.yaml")
+    assert code == 4
+    assert "mixed" in err
+
+
+def test_frames_of_another_size_are_refused_with_their_file(run, bench, tmp_path):
+    path = min((bench / "flats").rglob("*.png"))
+    save(path, np.ascontiguousarray(load(path).pixels[:100]))
+    code, _, err = call(run, bench, tmp_path / "sensor.yaml")
+    assert code == 2
+    assert str(path.parent) in err
+    assert "160 × 100" in err
+
+
+def test_saturated_flats_are_refused(run, scene, tmp_path):
+    brightest = max((scene / "flats").iterdir(), key=lambda path: float(path.name[:-2]))
+    code, _, err = run(
+        "sensor", brightest, "--dark", scene / "darks", "--pattern", "RGGB", "-o", tmp_path / "sensor.yaml"
+    )
+    assert code == 4
+    assert "saturated" in err
+
+
+def test_a_missing_folder_and_a_missing_pattern_say_so(run, scene, tmp_path):
+    assert run("sensor", tmp_path / "none", "--dark", scene / "darks", "-o", tmp_path / "s.yaml")[0] == 3
+    code, _, err = run("sensor", scene / "flats", "--dark", scene / "darks", "-o", tmp_path / "s.yaml")
+    assert code == 2
+    assert "--pattern" in err
+
+
+def test_an_input_is_never_overwritten(run, bench):
+    path = min((bench / "flats").rglob("*.png"))
+    before = path.read_bytes()
+    for options in (("-o", path), ("-o", bench / "s.yaml", "--plot", path)):
+        code, _, err = run("sensor", bench / "flats", "--dark", bench / "darks", "--pattern", "RGGB", *options)
+        assert code == 2
+        assert "is not overwritten" in err
+    assert path.read_bytes() == before
+    assert not (bench / "s.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--exposure", "1,2,3"], "3 exposures for 1 inputs"),
+        (["--exposure", "fast"], "write seconds"),
+        (["--exposure", "-1"], "above 0"),
+        (["--format", "1/2.8", "--pitch-um", "3"], "leave out"),
+        (["--format", "fullframe"], "Did you mean 'full frame'"),
+        (["--plot", "plot.jpg"], "figures are"),
+        (["--pitch-um", "nan"], "pixel pitch"),
+        (["--white", "0"], "white level"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_in_one_line(run, scene, tmp_path, options, message):
+    code, out, err = call(run, scene, tmp_path / "sensor.yaml", *options)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_camera_files_say_their_exposure_speed_and_levels(run, tmp_path):
+    raw, rng = RawCamera("GBRG", Sensor(0.5, 3.0, 7000.0, 32.0, 12)), np.random.default_rng(0)
+    fixed = FixedPattern.of(raw.sensor, (96, 72), rng)
+    for iso in (100, 400):
+        shots = [*ladder(raw, 5, 0.1), Shot(0.01, 0.0)]
+        for number, shot in enumerate(shot for shot in shots for _ in range(2)):
+            values = even_frame(raw, shot, 0.1, fixed=fixed, rng=rng)
+            taken = Capture(exposure_s=shot.exposure_s, iso=iso)
+            frame = Mosaic(values, raw.pattern, np.full((2, 2), 32.0), 4095.0, capture=taken)
+            write_dng(tmp_path / ("flat" if shot.share else "dark") / f"{iso}_{number:02d}.dng", frame)
+    common = (tmp_path / "flat", "--dark", tmp_path / "dark", "-o", tmp_path / "sensor.yaml", "--json")
+    code, out, _ = run("sensor", *common)
+    assert (code, "ISO 100, 400" in json.loads(out)["error"]["message"]) == (2, True)
+    code, out, _ = run("sensor", *common, "--iso", "400")
+    document = json.loads(out)
+    assert code == 0
+    assert (document["iso"], document["levels"]) == (400, {"flat": 5, "dark": 1})
+    assert document["sensor"]["bits"] == 12
+    assert document["figures"]["gain_dn_per_e"]["value"] == pytest.approx(0.5, rel=0.05)  # 1 700 samples: 1.3 %
