@@ -288,6 +288,8 @@ inspect camera.yaml
 undistort scene/truth.yaml scene/images -o straight --jobs 1
 pnp camera.yaml detections.csv
 demosaic mosaic.npy -o colour.tiff --pattern RGGB
+simulate chessboard:5x4:30mm -o raw_scene --views 1 --size 320x240 --raw RGGB --flats 3 --darks 2 --jobs 1
+sensor raw_scene/flats --dark raw_scene/darks --pattern RGGB -o sensor.yaml --jobs 1
 stereo cloud disparity.npy -o cloud.ply --fx 100 --cx 3.5 --cy 3.5 --baseline 0.1
 """
 

@@ -37,7 +37,10 @@ MAY_USE_SIMULATE = {"tasks"}
 OPENCV_EDGES = {
     "opencv.py",
     "estimate/start_points.py",
-    "raw/demosaic.py",
+    "raw/planes.py",
+    "raw/simple_filters.py",
+    "raw/tiling.py",
+    "raw/vng.py",
     "images/load.py",
     "images/remap.py",
     "images/save.py",

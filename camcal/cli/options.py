@@ -67,6 +67,24 @@ CameraName = Annotated[
 ]
 
 
+Pattern = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LETTERS", help="Colours of the first 2x2 pixels of bare mosaics: RGGB, GRBG, GBRG, BGGR; or MONO."
+    ),
+]
+PixelFormat = Annotated[
+    str | None,
+    typer.Option("--format", metavar="NAME", help="Pixel format of header-less files, such as BayerRG12p or pRAA."),
+]
+FrameSize = Annotated[str | None, typer.Option("--size", metavar="WxH", help="Size of header-less frames.")]
+Stride = Annotated[int | None, typer.Option(metavar="BYTES", help="Bytes from row to row; by default no padding.")]
+Offset = Annotated[int, typer.Option(metavar="BYTES", help="Bytes before the frame.")]
+Endian = Annotated[str, typer.Option(metavar="little|big", help="Order of the two bytes of unpacked samples.")]
+Frame = Annotated[int | None, typer.Option(metavar="N", help="Which frame of a header-less file with several, from 0.")]
+Align = Annotated[str, typer.Option(metavar="lsb|msb", help="Where the bits of unpacked samples stand in 16.")]
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """Return (width, height) from a size written as 1920x1080; raises InvalidInput for anything else."""
     from camcal.errors import InvalidInput
@@ -75,3 +93,18 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise InvalidInput(f"{text!r} is not a size; write WIDTHxHEIGHT, such as 1920x1080")
     return int(width), int(height)
+
+
+def parse_numbers(option: str, text: str) -> tuple[float, ...]:
+    """Return the finite numbers of a text such as 64,64,65,64; raises InvalidInput, naming the option, for others."""
+    from math import isfinite
+
+    from camcal.errors import InvalidInput
+
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if not numbers or not all(map(isfinite, numbers)):
+        raise InvalidInput(f"{option} {text!r}: numbers are needed, separated by commas")
+    return numbers

@@ -1,17 +1,31 @@
-"""The orientation tag and the little else of EXIF that matters to pixels, in EXIF blocks and in TIFF files alike.
+"""The orientation tag and the little else of EXIF that matters to measuring, in EXIF blocks and in TIFF files alike.
 
 An EXIF block is a TIFF file without an image: a header, then directories of entries of 12 bytes.
 Source: TIFF 6.0, section 2; Exif 2.32 (JEITA CP-3451E), section 4.6.
 """
 
 import struct
-from typing import NamedTuple
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 UPRIGHT = 1
 
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+_RAW_ORDERS = {b"II": "<", b"MM": ">"}  # camera makers have numbers of their own where TIFF has 42
 _ORIENTATION, _EXIF_DIRECTORY, _WIDTH, _HEIGHT = 0x0112, 0x8769, 0xA002, 0xA003
-_SHORT, _LONG = 3, 4
+_SUBDIRECTORIES = 0x014A
+_BLOCKS = ((0x0111, 0x0117), (0x0144, 0x0145))  # offsets and lengths of strips, and of tiles
+_CAPTURE = {
+    "make": (0x010F,),
+    "model": (0x0110,),
+    "exposure_s": (0x829A,),
+    "iso": (0x8827, 0x8832, 0x8831, 0x0017),  # the first ends at 65535; then Exif 2.3's longer ones; Panasonic's
+    "f_number": (0x829D,),
+    "focal_mm": (0x920A,),
+}
+_ASCII, _SHORT, _LONG, _RATIONAL = 2, 3, 4, 5
+_TOO_LARGE = 0xFFFF  # "this or more" in the ISO tag
 _ENTRY_BYTES = 12
 _EMPTY = b"II*\0\x08\0\0\0" + b"\0\0" + b"\0\0\0\0"  # a header and a directory without entries
 
@@ -42,6 +56,36 @@ def orientation(block: bytes) -> int:
     position = _first_directory(block, order).entries.get(_ORIENTATION)
     value = UPRIGHT if position is None else _value(block, order, position)
     return value if value in range(1, 9) else UPRIGHT
+
+
+def capture_facts(block: bytes) -> dict[str, Any]:
+    """Return how the image was taken: make, model, exposure_s, iso, f_number, focal_mm, as far as the block says.
+
+    block: an EXIF block, or a file built like TIFF, as most camera raw files are. Zero counts as not said.
+    """
+    try:
+        order = _RAW_ORDERS[block[:2]]
+        first = _first_directory(block, order).entries
+        entries = first | _capture_directory(block, order, first)
+    except (KeyError, struct.error):
+        return {}
+    said = {
+        name: next(filter(None, (_fact(block, order, entries[tag]) for tag in tags if tag in entries)), None)
+        for name, tags in _CAPTURE.items()
+    }
+    return {name: value for name, value in said.items() if value is not None}
+
+
+def is_cut_off(content: bytes) -> bool:
+    """Return whether a TIFF file lacks its first directory, or pixels that its directories point at."""
+    order = _ORDERS.get(content[:4])
+    if order is None:
+        return False
+    try:
+        first = _first_directory(content, order)
+    except struct.error:
+        return True
+    return any(_pixel_end(content, order, entries) > len(content) for entries in _directories(content, order, first))
 
 
 def with_orientation(block: bytes, value: int) -> bytes:
@@ -101,6 +145,68 @@ def _directory(block: bytes | bytearray, order: str, start: int) -> _Directory:
     struct.unpack_from(order + "I", block, end)
     positions = range(start + 2, end, _ENTRY_BYTES)
     return _Directory({struct.unpack_from(order + "H", block, at)[0]: at for at in positions}, end)
+
+
+def _directories(block: bytes, order: str, first: _Directory) -> Iterator[dict[int, int]]:
+    """Yield the entries of every directory of images once; pointers that lead out of the file lead nowhere."""
+    seen: set[int] = set()
+    waiting = [first]
+    while waiting:
+        directory = waiting.pop()
+        yield directory.entries
+        below = _numbers(block, order, directory.entries.get(_SUBDIRECTORIES))
+        for start in {*below, *struct.unpack_from(order + "I", block, directory.end)} - seen - {0}:
+            seen.add(start)
+            with suppress(struct.error):
+                waiting.append(_directory(block, order, start))
+
+
+def _pixel_end(block: bytes, order: str, entries: dict[int, int]) -> int:
+    """Return where the last strip or tile of a directory ends; 0 without any."""
+    blocks = [
+        (offset, length)
+        for offsets, lengths in _BLOCKS
+        for offset, length in zip(
+            _numbers(block, order, entries.get(offsets)), _numbers(block, order, entries.get(lengths)), strict=False
+        )
+    ]
+    return max((offset + length for offset, length in blocks if length), default=0)
+
+
+def _numbers(block: bytes, order: str, position: int | None) -> tuple[int, ...]:
+    """Return the short or long numbers of the entry at `position`; none for other kinds, and for no entry."""
+    if position is None:
+        return ()
+    kind, count = struct.unpack_from(order + "HI", block, position + 2)
+    letter = {_SHORT: "H", _LONG: "I"}.get(kind)
+    if letter is None:
+        return ()
+    layout = f"{order}{count}{letter}"
+    try:
+        return struct.unpack_from(layout, block, _place(block, order, position, struct.calcsize(layout)))
+    except struct.error:
+        return ()
+
+
+def _fact(block: bytes, order: str, position: int) -> str | float | None:
+    """Return the text or the number of the entry at `position`, None if it has neither or stands outside."""
+    kind, count = struct.unpack_from(order + "HI", block, position + 2)
+    if kind == _ASCII:
+        start = _place(block, order, position, count)
+        return block[start : start + count].partition(b"\0")[0].decode("ascii", errors="replace").strip()
+    if kind == _RATIONAL:
+        try:
+            over, under = struct.unpack_from(order + "II", block, _place(block, order, position, 8))
+        except struct.error:
+            return None
+        return over / under if under else None
+    number = next(iter(_numbers(block, order, position)), None)
+    return None if number == _TOO_LARGE else number
+
+
+def _place(block: bytes, order: str, position: int, length: int) -> int:
+    """Return where the values of an entry stand: in the entry itself, if they are at most 4 bytes long."""
+    return int(position + 8 if length <= 4 else struct.unpack_from(order + "I", block, position + 8)[0])
 
 
 def _value(block: bytes, order: str, position: int) -> int:

@@ -9,7 +9,13 @@ from camcal.errors import InvalidInput
 
 DTYPES = (np.uint8, np.uint16, np.float32)
 CHANNELS = (1, 3, 4)
-RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
+# fmt: off
+RAW_SUFFIXES = frozenset({
+    ".3fr", ".arw", ".cr2", ".cr3", ".dcr", ".dng", ".erf", ".fff", ".gpr", ".iiq", ".k25", ".kdc",
+    ".mef", ".mos", ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".rwl", ".sr2", ".srf",
+    ".srw", ".x3f",
+})
+# fmt: on
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Undistortion and rectification maps, and images drawn through them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import cv2
@@ -23,6 +23,7 @@ INTERPOLATIONS: Mapping[str, int] = MappingProxyType(
         "lanczos": cv2.INTER_LANCZOS4,
     }
 )
+CHANNELS = ("blue", "green", "red")  # of a colour image, in its order
 _BAND = 32
 _FOUR_ARE_FASTER = int(cv2.__version__.partition(".")[0]) >= 5
 _OUTSIDE = -16.0  # so far from the image that no interpolation reaches it
@@ -35,13 +36,15 @@ class Maps:
     """Where every pixel of a view comes from.
 
     x, y: (H, W) float32 source pixels, rounded already for the nearest pixel; far outside where there is none.
-    source_size: (width, height) of the images these maps are for.
+    source_size: (width, height) of the images these maps are for. aligned: maps of their own for channels 0, 1, 2 of
+    colour images, valid where these are; gray and alpha never use them.
     """
 
     x: Array
     y: Array
     source_size: tuple[int, int]
     interpolation: str
+    aligned: Mapping[int, "Maps"] = field(default_factory=dict)
 
     def valid(self) -> Array:
         """Return the mask (H, W) of pixels that come from inside the source image."""
@@ -61,18 +64,35 @@ class Maps:
         value = _border_value(border, pixels)
         scratch = scratch or Scratch()
         result = scratch.array("drawn", (*self.x.shape, *pixels.shape[2:]), pixels.dtype)
+        if self.aligned and pixels.ndim == 3:
+            self._draw_channels(pixels, value, scratch, result)
+        else:
+            self.draw(pixels, value, scratch, result)
+        return result
+
+    def _draw_channels(self, pixels: Array, value: Sequence[float], scratch: Scratch, result: Array) -> None:
+        """Draw every channel through its own maps."""
+        planes = []
+        for channel in range(pixels.shape[2]):
+            plane = scratch.array(f"channel {channel}", pixels.shape[:2], pixels.dtype)
+            planes.append(scratch.array(f"channel {channel} drawn", self.x.shape, pixels.dtype))
+            cv2.extractChannel(pixels, channel, plane)
+            self.aligned.get(channel, self).draw(plane, (value[channel],) * 4, scratch, planes[-1])
+        cv2.merge(planes, result)
+
+    def draw(self, pixels: Array, value: Sequence[float], scratch: Scratch, result: Array) -> None:
+        """Draw all channels of an image alike into `result`; value: four numbers for the border, one a channel."""
         colour = pixels.dtype == np.uint8 and pixels.shape[2:] == (3,)
         if _FOUR_ARE_FASTER and colour and self.interpolation == "linear":
             self._draw_with_alpha(pixels, value, scratch, result)
-            return result
+            return
         narrow = INTERPOLATIONS[self.interpolation] in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
         if narrow and np.isfinite(value).all():
             self._draw(pixels, cv2.BORDER_CONSTANT, value, result)
-            return result
+            return
         # A wide kernel near the edge is to see the image's edge again, not the border value; nor may NaN, times 0.
         self._draw(pixels, cv2.BORDER_REPLICATE, (), result)
         result[~self.valid()] = value[: pixels.shape[2]] if pixels.ndim == 3 else value[0]
-        return result
 
     def _draw(self, pixels: Array, border: int, value: Sequence[float], result: Array) -> None:
         flag = INTERPOLATIONS[self.interpolation]
@@ -116,12 +136,44 @@ def build_maps(source: Camera, view: Camera, interpolation: str = "linear", sour
     return Maps(x, y, source.image_size, interpolation)
 
 
+def align_channels(maps: Maps, lenses: Mapping[str, Camera], view: Camera) -> Maps:
+    """Return maps that draw every colour of CHANNELS through its own lens, so that their images coincide in the view.
+
+    lenses: of the colours that do not follow the camera of `maps`. Where that camera has a source, so has every colour:
+    one that would come from just outside the image takes the pixel on its border.
+    Raises InvalidInput for a colour that images do not have.
+    """
+    unknown = sorted(set(lenses) - set(CHANNELS))
+    if unknown:
+        raise InvalidInput(f"channel {unknown[0]!r} is none of an image; they are {', '.join(CHANNELS)}")
+    own = {CHANNELS.index(colour): _followed(maps, lens, view) for colour, lens in lenses.items()}
+    return replace(maps, aligned=MappingProxyType(own))
+
+
+def _followed(maps: Maps, lens: Camera, view: Camera) -> Maps:
+    """Return the maps of a lens with a source exactly where other maps have one; theirs, where it shows nothing."""
+    x, y = np.empty((2, *maps.x.shape), np.float32)
+    largest = np.array(maps.source_size, np.float32)[:, None, None] - 1
+    trace = Trace(lens, view)
+    for rows, band in exact_bands(trace) if maps.interpolation == NEAREST_TRUNCATE else bands(trace):
+        main = np.stack([maps.x[rows], maps.y[rows]])
+        own = np.clip(_rounded(band, maps.interpolation), 0, largest)
+        x[rows], y[rows] = np.where(np.isfinite(own).all(axis=0) & (main[0] != _OUTSIDE), own, main)
+    x.setflags(write=False)
+    y.setflags(write=False)
+    return replace(maps, x=x, y=y)
+
+
+def _rounded(band: Array, interpolation: str) -> Array:
+    """Return positions rounded in place where the interpolation asks for it."""
+    if interpolation == "nearest":
+        return np.rint(band, out=band)
+    return np.floor(band + _HAIR, out=band) if interpolation == NEAREST_TRUNCATE else band
+
+
 def _settled(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
     """Return positions (2, rows, W) rounded where asked for, on the border if a hair outside, else far outside."""
-    if interpolation == "nearest":
-        np.rint(band, out=band)
-    elif interpolation == NEAREST_TRUNCATE:
-        np.floor(band + _HAIR, out=band)
+    band = _rounded(band, interpolation)
     largest = np.array(source_size, band.dtype)[:, None, None] - 1
     if (band >= 0).all() and (band <= largest).all():
         return band

@@ -101,13 +101,12 @@ def mean_light(light: Array, pattern: str) -> Array:
     side = cell_side(pattern)
     stride = max(1, round(light.size / _ENOUGH))
     whole = light[: len(light) // side * side, : light.shape[1] // side * side]
-    samples = {site: whole[site][::stride] for site in phases(pattern)}
-    usable = np.max(list(samples.values()), axis=0) < _CEILING
-    means = (
-        [np.mean([samples[site].mean(where=usable) for site in sites(pattern, colour)]) for colour in "RGB"]
-        if usable.any()
-        else [0.0]
-    )
+    samples = [whole[site][::stride] for site in phases(pattern)]
+    usable = np.max(samples, axis=0) < _CEILING
+    means = [0.0]
+    if usable.any():
+        by_place = [values.mean(where=usable, dtype=np.float64) for values in samples]
+        means = [np.mean([m for m, letter in zip(by_place, pattern, strict=True) if letter == c]) for c in "RGB"]
     if not min(means) > 0:
         raise InsufficientData("no unclipped light to balance white by; give three gains R,G,B")
     return np.array(means)

@@ -4,7 +4,7 @@ In that order, and every step is neutral unless asked for. Light is linear, 0 at
 tone curve; white balance acts on the mosaic, because filters compare neighbours of different colours.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 
 import numpy as np
@@ -14,7 +14,7 @@ from camcal.errors import InvalidInput
 from camcal.raw import bad_pixels
 from camcal.raw.balance import GRAY_WORLD, NO_BALANCE, Balance, Gains, balance_in_place
 from camcal.raw.colour_matrix import NO_MATRIX, apply_matrix, colour_matrix
-from camcal.raw.demosaic import AUTO, GRAY, demosaic, require_algorithm
+from camcal.raw.demosaic import AUTO, GRAY, NONE, demosaic, require_algorithm
 from camcal.raw.mosaic import MONO, Mosaic, full_scale, phases
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.tone import DEPTHS, LINEAR, encode, quantise, require_tone
@@ -123,6 +123,26 @@ def develop(
             raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
         pixels = apply_matrix(pixels, matrix)
     return Picture(_finished(pixels, development.tone, depth), gains, linear, clipped)
+
+
+def negative(frame: Mosaic, development: Development, corrections: Corrections = NO_CORRECTIONS) -> Mosaic:
+    """Return the raw frame as it is before demosaicing, for files that hold a mosaic.
+
+    Its counts and levels stay as they are, bad pixels apart, unless light is changed: then it is 16 bits, black 0.
+    Raises InvalidInput if more is asked for than a mosaic can hold.
+    """
+    if development.algorithm not in (AUTO, NONE) or development.tone != LINEAR or development.colour != NO_MATRIX:
+        raise InvalidInput("a DNG file holds the mosaic: leave out --algorithm, --tone and --colour, or write TIFF")
+    corrections.require_size(frame)
+    untouched = development.is_neutral and corrections.dark is corrections.flat is None
+    if untouched and frame.values.dtype != np.float32:
+        return replace(frame, values=_repaired(frame.values, frame, corrections))
+    light, gains = balanced_light(frame, development, corrections)
+    counts = quantise(light, np.dtype(np.uint16))
+    known = frame.camera_gains if gains is None else None
+    return replace(
+        frame, values=counts, black=np.zeros_like(frame.black), white=full_scale(counts.dtype), camera_gains=known
+    )
 
 
 def balanced_light(frame: Mosaic, development: Development, corrections: Corrections) -> tuple[Array, Gains | None]:

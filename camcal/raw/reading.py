@@ -1,32 +1,75 @@
 """Reading raw frames of every kind: camera raw files, bare mosaics in image files, header-less dumps of a sensor."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.images.load import load
 from camcal.raw.camera_raw import read_camera_raw
+from camcal.raw.headerless import Layout, missing_layout, read_headerless
 from camcal.raw.mosaic import PATTERNS, Mosaic, full_scale
+from camcal.raw.pixel_formats import pixel_format_named
 
 BARE_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy"})
 HEADERLESS_SUFFIXES = frozenset({".raw", ".bin"})
 
 
-def read_mosaic(path: Path, pattern: str | None = None) -> Mosaic:
-    """Return the raw frame of a camera raw file, or of a bare mosaic (PNG, TIFF, PGM, NPY) whose pattern is given.
+@dataclass(frozen=True)
+class GivenLayout:
+    """What is said of header-less files; see `Layout`. format: a name that `pixel_format_named` knows."""
 
-    A camera file brings its pattern, levels and white balance; a bare mosaic has black 0 and the white of its type.
-    Raises FileError if the file cannot be read, InvalidInput if it holds no mosaic, or the pattern is missing
-    for a bare mosaic or contradicts a camera file.
+    format: str | None = None
+    size: tuple[int, int] | None = None
+    stride: int | None = None
+    offset: int = 0
+    endian: str = "little"
+    align: str = "lsb"
+    frame: int | None = None
+
+    def complete(self, path: Path, pattern: str | None) -> Layout:
+        """Return the layout of a file; raises InvalidInput, with what fits its length, if format or size is missing."""
+        pixel_format = None if self.format is None else pixel_format_named(self.format)
+        if pixel_format is None or self.size is None:
+            raise missing_layout(path, pixel_format, self.size, self.offset)
+        return Layout(pixel_format, self.size, self.stride, self.offset, self.endian, self.align, pattern, self.frame)
+
+    def settings(self) -> dict[str, Any]:
+        """Return what was said as options of a command, without what is so by default."""
+        size = None if self.size is None else "{}x{}".format(*self.size)
+        said = {"format": self.format, "size": size, "stride": self.stride, "offset": self.offset or None}
+        order = {"endian": self.endian, "align": self.align, "frame": self.frame}
+        standard = {"endian": "little", "align": "lsb", "frame": None}
+        return said | {name: value for name, value in order.items() if value != standard[name]}
+
+
+NO_LAYOUT = GivenLayout()
+
+
+def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT) -> Mosaic:
+    """Return the raw frame of a camera raw file, a bare mosaic (PNG, TIFF, PGM, NPY), or a header-less file.
+
+    pattern: of a bare mosaic, and of a header-less file whose pixel format does not name it. layout: of a header-less
+    file (.raw, .bin). A camera file brings its pattern, levels and white balance; the others have black 0 and the
+    white of their type or pixel format.
+    Raises FileError if the file cannot be read, InvalidInput if it holds no mosaic, if the pattern or the layout is
+    missing (with the layouts that fit the file), or if the pattern contradicts the file.
     """
     suffix = path.suffix.lower()
-    if suffix in HEADERLESS_SUFFIXES:
-        raise InvalidInput(f"header-less {suffix} files are not read; give PNG, TIFF, PGM or NPY", where=str(path))
     try:
+        if suffix in HEADERLESS_SUFFIXES:
+            return _read_headerless(path, pattern, layout)
         return _read_bare(path, pattern) if suffix in BARE_SUFFIXES else _read_camera(path, pattern)
     except InvalidInput as error:
-        raise InvalidInput(error.message, where=str(path)) from error
+        raise InvalidInput(error.message, where=error.where or str(path)) from error
+
+
+def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mosaic:
+    complete = layout.complete(path, pattern)
+    values, named = read_headerless(path, complete)
+    return Mosaic(values, named, np.zeros((2, 2)), complete.pixel_format.white)
 
 
 def _read_bare(path: Path, pattern: str | None) -> Mosaic:

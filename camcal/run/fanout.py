@@ -27,7 +27,7 @@ from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run.cores import available_cores
 from camcal.run.startup import surroundings_of_a_worker
 
-__all__ = ["available_cores", "fan_out"]
+__all__ = ["available_cores", "fan_out", "over_threads"]
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
 _PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
@@ -111,6 +111,22 @@ def _threaded(function: Callable[[Item], Value], items: Iterable[Item], count: i
         finally:
             # Items at work are finished, so that no temporary file is left behind; the others are dropped.
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def over_threads(jobs: int | None = None) -> Iterator[Callable[[Callable[[Item], object], Iterable[Item]], None]]:
+    """Lend a function that does one piece of work for every item, on as many threads as there are cores.
+
+    It returns when all are done, in whatever order; so the pieces must not depend on one another. An error of one of
+    them is raised when the others are done. OpenCV has one thread per worker meanwhile.
+    """
+    with _one_opencv_thread(), ThreadPoolExecutor(jobs or available_cores(), thread_name_prefix="camcal") as pool:
+
+        def each(work: Callable[[Item], object], items: Iterable[Item]) -> None:
+            for done in [pool.submit(work, item) for item in items]:
+                done.result()
+
+        yield each
 
 
 @contextmanager

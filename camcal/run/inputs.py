@@ -10,6 +10,7 @@ import glob
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,15 +33,18 @@ class Media:
     videos: tuple[Path, ...]
 
 
-def find_media(inputs: Sequence[Path | str], recursive: bool = False) -> Media:
+def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: AbstractSet[str] = frozenset()) -> Media:
     """Return the images and videos that files, folders and quoted patterns stand for.
 
-    A file is taken whatever its suffix; folders and patterns give files with a known suffix, hidden ones left out.
+    A file is taken whatever its suffix; folders and patterns give files with a known suffix, or one of `also`, hidden
+    ones left out.
     Raises InvalidInput without inputs, FileError for a missing path and for a folder or pattern that yields nothing.
     """
     if not inputs:
         raise InvalidInput("no images given; name files, a folder or a quoted pattern such as 'photos/*.jpg'")
-    found = {path.resolve(): path for text in reversed(inputs) for path in reversed(_expand(str(text), recursive))}
+    known = IMAGE_SUFFIXES | VIDEO_SUFFIXES | also
+    expanded = (_expand(str(text), recursive, known) for text in reversed(inputs))
+    found = {path.resolve(): path for paths in expanded for path in reversed(paths)}
     paths = sorted(found.values(), key=_natural_path)
     return Media(
         images=tuple(path for path in paths if path.suffix.lower() not in VIDEO_SUFFIXES),
@@ -48,12 +52,12 @@ def find_media(inputs: Sequence[Path | str], recursive: bool = False) -> Media:
     )
 
 
-def find_images(inputs: Sequence[Path | str], recursive: bool = False) -> list[Path]:
+def find_images(inputs: Sequence[Path | str], recursive: bool = False, also: AbstractSet[str] = frozenset()) -> list[Path]:
     """Return the images that files, folders and quoted patterns stand for, in natural order; see `find_media`.
 
     Videos in folders are left out. Raises FileError for a video that is named, and if there is nothing but videos.
     """
-    media = find_media(inputs, recursive)
+    media = find_media(inputs, recursive, also)
     named = [path for path in map(Path, inputs) if path in media.videos]
     if named or not media.images:
         raise FileError("is a video, images are needed", where=str((named or media.videos)[0]))
@@ -81,23 +85,23 @@ def split_address(text: str) -> tuple[Path, str | None]:
     return Path(path), camera
 
 
-def _expand(text: str, recursive: bool) -> list[Path]:
+def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:
     path = Path(text)
     try:
         if path.is_dir():
-            return _in_folder(path, recursive)
+            return _in_folder(path, recursive, known)
         if path.exists():
             return [path]
     except OSError as error:  # such as a name that is too long
         raise FileError(f"cannot be read: {error.strerror}", where=text) from error
     if glob.has_magic(text):
-        return _matching(text)
+        return _matching(text, known)
     raise FileError(_missing(path), where=text)
 
 
-def _in_folder(folder: Path, recursive: bool) -> list[Path]:
+def _in_folder(folder: Path, recursive: bool, known: AbstractSet[str]) -> list[Path]:
     everything = list(_walk(folder)) if recursive else list(folder.iterdir())
-    found = _without_outputs([path for path in everything if _is_medium(path)])
+    found = _without_outputs([path for path in everything if _is_medium(path, known)])
     if not found:
         below = not recursive and any(path.is_dir() for path in everything)
         advice = "; --recursive reads the folders below it" if below else ""
@@ -112,19 +116,18 @@ def _walk(folder: Path) -> Iterator[Path]:
             yield from _walk(path)
 
 
-def _matching(pattern: str) -> list[Path]:
+def _matching(pattern: str, known: AbstractSet[str]) -> list[Path]:
     names = glob.glob(pattern, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
     everything = [Path(name) for name in names]
-    found = _without_outputs([path for path in everything if _is_medium(path)])
+    found = _without_outputs([path for path in everything if _is_medium(path, known)])
     if not found:
         matches = f"matches no image ({_contents(everything)})" if everything else "matches nothing"
         raise FileError(matches, where=pattern)
     return found
 
 
-def _is_medium(path: Path) -> bool:
-    suffix = path.suffix.lower()
-    return (suffix in IMAGE_SUFFIXES or suffix in VIDEO_SUFFIXES) and path.name[0] != "." and path.is_file()
+def _is_medium(path: Path, known: AbstractSet[str]) -> bool:
+    return path.suffix.lower() in known and path.name[0] != "." and path.is_file()
 
 
 def _without_outputs(paths: list[Path]) -> list[Path]:

@@ -1,4 +1,7 @@
-"""Settings files of one command (`--config settings.yaml`): option names and values, nothing else."""
+"""Settings files of one command (`--config settings.yaml`): option names and values.
+
+Keys that begin with x_ are notes: whoever wrote the file may keep anything there, and nothing of it is read.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,6 +12,8 @@ from camcal.formats import strict_yaml
 from camcal.formats.strict_yaml import Fault
 
 Value = str | bool | list[str]
+
+_NOTE = "x_"
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ def read_settings(path: Path, options: Mapping[str, bool]) -> Settings:
     given twice and every value that is not a plain one.
     """
     document = strict_yaml.load(path, lambda data, _: _faults(data, options))
-    named = {key.replace("-", "_"): key for key in document}
+    named = {key.replace("-", "_"): key for key in document if not key.startswith(_NOTE)}
     return Settings(
         where=document.where,
         values={name: _typed(document[key], several=options[name]) for name, key in named.items()},
@@ -42,6 +47,8 @@ def read_settings(path: Path, options: Mapping[str, bool]) -> Settings:
 def _faults(data: Any, options: Mapping[str, bool]) -> Iterator[Fault]:
     seen: set[str] = set()
     for key, value in data.items() if isinstance(data, dict) else ():
+        if key.startswith(_NOTE):
+            continue
         name = key.replace("-", "_")
         if name not in options:
             near = strict_yaml.nearest(name, options)

@@ -1,63 +1,77 @@
 """`camcal demosaic`: raw frames to images, as many at a time as there are cores."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from camcal import files
 from camcal.errors import InvalidInput
 from camcal.images.image import Image
 from camcal.images.save import KINDS, save
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.raw.develop import Development, develop
-from camcal.raw.mosaic import PATTERNS, Mosaic, require_pattern
-from camcal.raw.reading import BARE_SUFFIXES, read_mosaic
-from camcal.run.fanout import fan_out
+from camcal.raw.balance import NO_BALANCE
+from camcal.raw.demosaic import HALF
+from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
+from camcal.raw.dng import write_dng
+from camcal.raw.mosaic import PATTERNS, Mosaic
+from camcal.raw.phase import check_phase
+from camcal.raw.planes import Each, one_by_one
+from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES
+from camcal.raw.tone import DEPTHS
+from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import find_images, record_outputs
+from camcal.run.outputs import place, refuse_overwriting
+from camcal.tasks import demosaic_settings
+from camcal.tasks.raw_corrections import CorrectionFiles, RawInput
 
+DNG = ".dng"
+DEFAULT_TYPE = "tiff"  # 16-bit PNG takes seventeen times as long to write
+TYPES = ("tiff", "png", "ppm", "npy", "dng")
 _SIXTEEN_BITS = 65535.0
-_DEFAULT_SUFFIX = ".tiff"  # 16-bit PNG takes seventeen times as long to write
 
 
 @dataclass(frozen=True)
 class DemosaicOptions:
     """Raw frames (files, folders, globs), where the images go, and what is done to them.
 
-    output: a file for a single frame, otherwise a folder. pattern: of bare mosaics; camera files bring their own.
-    black, white: counts that take the place of the file's levels.
+    output: a file for a single frame, otherwise a folder of files of a type. trust_pattern: do not ask the frames
+    whether green stands where the pattern says.
     """
 
     inputs: Sequence[Path | str]
     output: Path
-    pattern: str | None = None
+    reading: RawInput = field(default_factory=RawInput)
     development: Development = field(default_factory=Development)
-    black: float | None = None
-    white: float | None = None
+    corrections: CorrectionFiles = field(default_factory=CorrectionFiles)
+    type: str = DEFAULT_TYPE
+    trust_pattern: bool = False
     recursive: bool = False
     jobs: int | None = None
 
     def __post_init__(self) -> None:
-        if self.pattern is not None:
-            require_pattern(self.pattern)
+        if self.type not in TYPES:
+            raise InvalidInput(f"type {self.type!r} is unknown; use one of {', '.join(TYPES)}")
 
 
 @dataclass(frozen=True)
 class DevelopedFrame:
     """One image written: its source, its size (width, height), and the levels and gains that made it.
 
-    black: counts of the four phases in reading order. peak: the largest count of the raw frame.
+    black: counts of the places of the cell in reading order. peak: the largest count of the raw frame. clipped: share
+    of the samples at or above white, by place of the cell. settings: the file that repeats it.
     """
 
     source: Path
     output: Path
+    settings: Path
     size: tuple[int, int]
     pattern: str
     black: tuple[float, ...]
     white: float
     peak: float
+    clipped: tuple[float, ...]
     gains: tuple[float, float, float] | None
 
 
@@ -67,72 +81,120 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     Raises InvalidInput when the pattern is missing or an output would replace an input, FileError for no input, and
     whatever kept a single frame from being developed.
     """
-    frames = find_images(options.inputs, recursive=options.recursive)
-    _require_pattern(frames, options.pattern)
-    outputs = _outputs(frames, options.output)
-    work = partial(_develop_file, options=options, outputs=outputs)
-    outcomes = list(fan_out(work, frames, jobs=options.jobs, what="demosaic", progress=progress))
-    if len(outcomes) == 1 and outcomes[0].error is not None:
-        raise outcomes[0].error
-    if outputs[frames[0]] != options.output:
+    sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
+    _require_pattern(sources, options.reading.pattern)
+    outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
+    refuse_overwriting([demosaic_settings.path_beside(output) for output in outputs.values()], sources)
+    corrections = options.corrections.load(options.reading, sources[0])
+    if len(sources) == 1:
+        outcomes = [_alone(sources[0], outputs, options, corrections)]
+    else:
+        work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
+        outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
+    if outputs[sources[0]] != options.output:
         record_outputs(options.output, [outputs[outcome.item].name for outcome in outcomes if outcome.value])
     _warn_of_a_short_scale(outcomes, progress)
     return outcomes
 
 
-def _develop_file(source: Path, options: DemosaicOptions, outputs: Mapping[Path, Path]) -> DevelopedFrame:
-    output = outputs[source]
-    frame = _with_levels(read_mosaic(source, options.pattern), options)
-    picture = develop(frame, options.development)
-    image = Image(picture.pixels, frame.orientation)
-    save(output, image)
-    return DevelopedFrame(
+def _alone(
+    source: Path, outputs: Mapping[Path, Path], options: DemosaicOptions, corrections: Corrections
+) -> Outcome[Path, DevelopedFrame]:
+    """Return what became of a single frame: all cores work on its tiles. Raises what keeps it from being developed."""
+    with over_threads(options.jobs) as each:
+        return Outcome(source, _develop_file(source, options, corrections, outputs, each))
+
+
+def _develop_file(
+    source: Path,
+    options: DemosaicOptions,
+    corrections: Corrections,
+    outputs: Mapping[Path, Path],
+    each: Each = one_by_one,
+) -> DevelopedFrame:
+    try:
+        return _developed(source, outputs[source], options, corrections, each)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=error.where or str(source)) from error
+
+
+def _developed(
+    source: Path, output: Path, options: DemosaicOptions, corrections: Corrections, each: Each
+) -> DevelopedFrame:
+    frame = options.reading.read(source)
+    if not options.trust_pattern:
+        check_phase(frame)
+    settings = demosaic_settings.path_beside(output)
+    if output.suffix.lower() == DNG:
+        kept = negative(frame, options.development, corrections)
+        write_dng(output, kept)
+        picture = Picture(kept.values, None, linear=True, clipped=clipped_shares(frame))
+    else:
+        picture = develop(frame, options.development, corrections, each)
+        save(output, Image(picture.pixels, frame.orientation))
+    developed = DevelopedFrame(
         source=source,
         output=output,
-        size=image.size,
+        settings=settings,
+        size=(picture.pixels.shape[1], picture.pixels.shape[0]),
         pattern=frame.pattern,
         black=tuple(frame.black.ravel().tolist()),
         white=frame.white,
         peak=float(frame.values.max()),
+        clipped=picture.clipped,
         gains=picture.gains,
     )
+    files.write_text(settings, demosaic_settings.text(_settings(options, picture), _record(frame, developed, options)))
+    return developed
 
 
-def _with_levels(frame: Mosaic, options: DemosaicOptions) -> Mosaic:
-    black = frame.black if options.black is None else np.full((2, 2), options.black)
-    return replace(frame, black=black, white=frame.white if options.white is None else options.white)
+def _settings(options: DemosaicOptions, picture: Picture) -> dict[str, Any]:
+    """Return the options that repeat a development, with what was found in place of what was to be found."""
+    reading, development, corrections = options.reading, options.development, options.corrections
+    depth = next(name for name, dtype in DEPTHS.items() if dtype == picture.pixels.dtype)
+    return {
+        "pattern": reading.pattern,
+        **reading.layout.settings(),
+        "black": _numbers(reading.black),
+        "white": _numbers((reading.white,) if reading.white is not None else None),
+        "dark": [str(path) for path in corrections.dark],
+        "bad-pixels": None if corrections.bad is None else str(corrections.bad),
+        "flat": [str(path) for path in corrections.flat],
+        "wb": _numbers(picture.gains) or NO_BALANCE,
+        "ev": _numbers((development.exposure,)) if development.exposure else None,
+        "algorithm": development.algorithm,
+        "encoding": "linear" if picture.linear else "gamma",
+        "colour": development.colour,
+        "tone": development.tone,
+        "depth": depth,
+        "trust-pattern": options.trust_pattern or None,
+    }
 
 
-def _outputs(frames: Sequence[Path], output: Path) -> dict[Path, Path]:
-    """Return the file each frame is written to: the output itself for a single frame, else one by its name in a folder.
-
-    Raises InvalidInput if two frames want the same file, or a file is an input or of a kind that is not written.
-    """
-    if output.suffix and not output.is_dir():
-        if len(frames) > 1:
-            raise InvalidInput(f"{len(frames)} frames do not go into one file; give a folder", where=str(output))
-        if output.suffix.lower() not in KINDS:
-            raise InvalidInput(f"{output.suffix} is not written; use {', '.join(KINDS)}", where=str(output))
-        outputs = {frames[0]: output}
-    else:
-        outputs = {frame: output / f"{frame.stem}{_DEFAULT_SUFFIX}" for frame in frames}
-    _refuse_collisions(outputs)
-    return outputs
+def _numbers(values: Sequence[float] | None) -> str | None:
+    """Return numbers as a text that gives the very same ones when it is read."""
+    return None if values is None else ",".join(repr(float(value)) for value in values)
 
 
-def _refuse_collisions(outputs: Mapping[Path, Path]) -> None:
-    inputs = {frame.resolve() for frame in outputs}
-    taken: dict[Path, Path] = {}
-    for frame, file in outputs.items():
-        if file.resolve() in inputs:
-            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(file))
-        if file in taken:
-            raise InvalidInput(f"{taken[file]} and {frame} would both be written to it; rename one", where=str(file))
-        taken[file] = frame
+def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) -> dict[str, Any]:
+    """Return what was found of a frame, for people and programs; nothing of it is needed to repeat it."""
+    record = {
+        "source": developed.source.as_posix(),
+        "sha256": files.sha256(developed.source),
+        "image_size": list(developed.size),
+        "pattern": developed.pattern,
+        "black": list(developed.black),
+        "white": developed.white,
+        "clipped": list(developed.clipped),
+        "capture": demosaic_settings.capture_facts(frame),
+    }
+    if options.development.algorithm == HALF:
+        record["pixel_of_the_mosaic"] = "(2 x + 0.5, 2 y + 0.5)"
+    return record
 
 
-def _require_pattern(frames: Sequence[Path], pattern: str | None) -> None:
-    bare = [frame for frame in frames if frame.suffix.lower() in BARE_SUFFIXES]
+def _require_pattern(sources: Sequence[Path], pattern: str | None) -> None:
+    bare = [source for source in sources if source.suffix.lower() in BARE_SUFFIXES]
     if bare and pattern is None:
         raise InvalidInput(
             f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}", where=str(bare[0])
@@ -152,10 +214,9 @@ def _warn_of_a_short_scale(outcomes: Sequence[Outcome[Path, DevelopedFrame]], pr
 def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any]:
     """Return what became of the frames as plain data for --json."""
     written = [outcome.value for outcome in outcomes if outcome.value is not None]
+    paths = ("source", "output", "settings")
     return {
-        "images": [
-            asdict(frame) | {"source": frame.source.as_posix(), "output": frame.output.as_posix()} for frame in written
-        ],
+        "images": [asdict(frame) | {name: getattr(frame, name).as_posix() for name in paths} for frame in written],
         "failed": [
             {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
         ],

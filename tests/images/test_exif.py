@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image as Pillow
+from PIL.TiffImagePlugin import IFDRational
 
 from camcal.images import exif
 
@@ -94,6 +95,100 @@ def test_a_tiff_file_is_given_an_orientation_and_stays_a_picture():
     picture = Pillow.open(io.BytesIO(content))
     assert picture.getexif()[ORIENTATION] == 6
     assert picture.getpixel((3, 2)) == (10, 20, 30)
+
+
+CAPTURE = {
+    "make": "Acme",
+    "model": "Model 1",
+    "exposure_s": 0.004,
+    "iso": 400,
+    "f_number": 2.8,
+    "focal_mm": 52.5,
+}
+
+
+def capture_block(byte_order="<", **changes):
+    """A block about a capture as Pillow writes it; None leaves a tag out."""
+    said = CAPTURE | changes
+    tags = Pillow.Exif()
+    tags.endian = byte_order
+    tags[0x010F], tags[0x0110] = said["make"], said["model"]
+    capture = tags.get_ifd(0x8769)
+    for name, tag in (("exposure_s", 0x829A), ("f_number", 0x829D), ("focal_mm", 0x920A)):
+        if said[name] is not None:
+            capture[tag] = IFDRational(said[name])
+    for name, tag in (("iso", 0x8827), ("iso_long", 0x8832)):
+        if said.get(name) is not None:
+            capture[tag] = said[name]
+    return tags.tobytes()[6:]
+
+
+@pytest.mark.parametrize("byte_order", ["<", ">"])
+def test_how_an_image_was_taken_is_read(byte_order):
+    assert exif.capture_facts(capture_block(byte_order)) == CAPTURE
+
+
+@pytest.mark.parametrize("magic", [b"II*\0", b"IIU\0", b"IIRO", b"IIRS"])
+def test_the_numbers_that_makers_have_in_place_of_tiffs_own_are_accepted(magic):
+    assert exif.capture_facts(magic + capture_block()[4:]) == CAPTURE
+
+
+def test_what_is_zero_or_left_out_is_not_said():
+    block = capture_block(make="", exposure_s=0, iso=0, f_number=None)
+    assert exif.capture_facts(block) == {"model": "Model 1", "focal_mm": 52.5}
+
+
+def test_a_speed_beyond_sixteen_bits_is_found_in_the_longer_tag():
+    assert exif.capture_facts(capture_block(iso=65535, iso_long=102400))["iso"] == 102400
+
+
+def test_text_that_is_not_ascii_is_no_traceback():
+    block = capture_block().replace(b"Acme", b"\xe9\xe8\0x")
+    assert exif.capture_facts(block)["make"] == "\ufffd\ufffd"
+
+
+@given(st.binary(max_size=300), st.sampled_from([b"", b"II*\0", b"MM\0*", b"II*\0\x08\0\0\0", b"IIU\0\x08\0\0\0"]))
+def test_no_bytes_whatever_say_anything_but_facts(tail, head):
+    assert set(exif.capture_facts(head + tail)) <= set(CAPTURE)
+    assert exif.is_cut_off(head + tail) in (True, False)
+
+
+def tiff(size=(40, 30), **options):
+    stream = io.BytesIO()
+    Pillow.new("L", size, 100).save(stream, "TIFF", **options)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_deflate"])
+def test_a_tiff_file_is_whole_or_cut_off(compression):
+    content = tiff(compression=compression)
+    tags = Pillow.open(io.BytesIO(content)).tag_v2
+    end = tags[0x0111][0] + tags[0x0117][0]  # of the only strip
+    assert not exif.is_cut_off(content)
+    assert not exif.is_cut_off(content + b"something behind it")
+    assert exif.is_cut_off(content[: end - 1])
+
+
+@pytest.mark.parametrize("content", [b"", b"II", b"\xff\xd8\xff\xe0 a photograph", b"IIU\0\x08\0\0\0"])
+def test_what_is_no_tiff_file_is_not_judged(content):
+    assert not exif.is_cut_off(content)
+
+
+def test_pixels_below_another_directory_are_looked_for_too():
+    pages = io.BytesIO()
+    page = Pillow.new("L", (40, 30), 100)
+    page.save(pages, "TIFF", save_all=True, append_images=[Pillow.new("L", (400, 300), 50)])
+    content = pages.getvalue()
+    assert not exif.is_cut_off(content)
+    assert exif.is_cut_off(content[:-1000])
+
+
+def test_directories_that_point_at_each_other_come_to_an_end():
+    content = bytearray(tiff())
+    (start,) = struct.unpack_from("<I", content, 4)
+    (count,) = struct.unpack_from("<H", content, start)
+    struct.pack_into("<I", content, start + 2 + 12 * count, start)
+    assert not exif.is_cut_off(bytes(content))
 
 
 @given(st.binary(max_size=200), st.sampled_from([b"", b"II*\0", b"MM\0*", b"II*\0\x08\0\0\0"]))

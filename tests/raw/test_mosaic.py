@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.raw.camera_raw import pattern_of
 from camcal.raw.mosaic import PATTERNS, Mosaic, sites
 from camcal.raw.reading import read_mosaic
 
@@ -69,11 +68,6 @@ def test_a_colour_image_is_not_a_mosaic(tmp_path):
         read_mosaic(tmp_path / "colour.png", "RGGB")
 
 
-def test_a_header_less_file_is_refused(tmp_path):
-    (tmp_path / "frame.RAW").write_bytes(bytes(64))
-    with pytest.raises(InvalidInput, match="header-less"):
-        read_mosaic(tmp_path / "frame.RAW", "RGGB")
-
 
 @pytest.mark.parametrize("name", ["missing.npy", "missing.png", "missing.dng"])
 def test_a_missing_file_is_a_file_error(tmp_path, name):
@@ -123,19 +117,3 @@ def test_numbers_that_are_not_finite_are_counted_and_refused():
 def test_a_mosaic_that_breaks_a_rule_is_refused(change, message):
     with pytest.raises(InvalidInput, match=message):
         frame(**change)
-
-
-def test_the_second_green_of_a_camera_file_is_green():
-    assert pattern_of(np.array([[0, 1], [3, 2]]), b"RGBG") == "RGGB"
-    assert pattern_of(np.array([[1, 0], [2, 3]]), b"RGBG") == "GRBG"
-
-
-def test_an_x_trans_sensor_is_refused_by_name():
-    with pytest.raises(InvalidInput, match=r"6 × 6 \(X-Trans\)"):
-        pattern_of(np.zeros((6, 6), int), b"RGBG")
-
-
-@pytest.mark.parametrize(("codes", "letters"), [(np.array([[0, 1], [3, 2]]), b"CYMG"), (None, b"RGBG")])
-def test_a_filter_of_other_colours_or_none_is_refused(codes, letters):
-    with pytest.raises(InvalidInput, match="pattern"):
-        pattern_of(codes, letters)

@@ -16,7 +16,7 @@ import fanout_work as work
 import pytest
 
 from camcal.errors import FileError, InvalidInput, ItemsFailed
-from camcal.run.fanout import available_cores, fan_out
+from camcal.run.fanout import available_cores, fan_out, over_threads
 
 WAYS = [
     pytest.param({"jobs": 1}, id="inline"),
@@ -296,3 +296,25 @@ def test_a_main_script_without_a_guard_is_told_so(tmp_path):
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "`if __name__ == '__main__':`" in done.stderr.splitlines()[-1]
+
+
+def test_pieces_of_one_work_are_done_on_threads_before_it_returns():
+    done = [0] * 50
+
+    def work(piece):
+        done[piece] += 1
+
+    with over_threads(3) as each:
+        each(work, range(50))
+        assert done == [1] * 50
+        each(work, (piece for piece in range(0, 50, 2)))
+    assert done == [2, 1] * 25
+
+
+def test_an_error_in_a_piece_is_raised():
+    def work(piece):
+        if piece == 3:
+            raise InvalidInput("the third is bad")
+
+    with pytest.raises(InvalidInput, match="third"), over_threads(2) as each:
+        each(work, range(6))

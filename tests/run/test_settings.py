@@ -32,6 +32,11 @@ def test_values_arrive_as_typed_on_a_command_line(settings):
     assert read.lines == {"square_mm": 1, "flat_board": 2, "jobs": 3, "fix": 4, "model": 5}
 
 
+def test_keys_that_begin_with_x_are_notes_and_may_hold_anything(settings):
+    read = settings("jobs: 2\nx_record: {source: a.dng, black: [1, 2], nothing: null}\n")
+    assert read.values == {"jobs": "2"}
+
+
 def test_one_value_stands_for_a_list_of_one(settings):
     assert settings("fix: k3\n").values == {"fix": ["k3"]}
 

@@ -1,0 +1,42 @@
+"""The settings that repeat a development bit for bit, written beside every image."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import camcal
+from camcal import files
+from camcal.errors import InvalidInput
+from camcal.formats import emit
+from camcal.raw.mosaic import Mosaic
+
+SUFFIX = ".yaml"
+_COMMENT = "What camcal demosaic did; given to --config, this file repeats it."
+
+
+def path_beside(image: Path) -> Path:
+    """Return where the settings of an image stand; raises InvalidInput if something else is there."""
+    path = image.with_name(image.name + SUFFIX)
+    if path.exists() and _COMMENT.encode() not in files.read_bytes(path):
+        raise InvalidInput("was not written by 'camcal demosaic' and is kept; choose another output", where=str(path))
+    return path
+
+
+def text(settings: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+    """Return the settings file: options of the command by name, and under x_record what was found on the way."""
+    said = {name: value for name, value in settings.items() if value not in (None, (), [])}
+    return emit.document({**said, "x_record": {"camcal": camcal.__version__, **record}}, _COMMENT)
+
+
+def capture_facts(frame: Mosaic) -> dict[str, Any]:
+    """Return what the file of a frame says of its capture, without what it does not say."""
+    capture = frame.capture
+    facts = {
+        "make": capture.make,
+        "model": capture.model,
+        "exposure_s": capture.exposure_s,
+        "iso": capture.iso,
+        "f_number": capture.f_number,
+        "focal_mm": capture.focal_mm,
+    }
+    return {name: value for name, value in facts.items() if value not in (None, "")}
