@@ -78,7 +78,10 @@ def require_kind(path: Path, image: Image) -> None:
 
 def _encoded(path: Path, pixels: Array, quality: int) -> bytes:
     suffix = path.suffix.lower()
-    parameters = [cv2.IMWRITE_JPEG_QUALITY, quality] if KINDS[suffix] is _JPEG else []
+    parameters = {
+        _JPEG: [cv2.IMWRITE_JPEG_QUALITY, quality],
+        _TIFF: [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_NONE],  # packing takes twenty times as long
+    }.get(KINDS[suffix], [])
     try:
         done, content = cv2.imencode(suffix, pixels, parameters)
     except cv2.error as error:

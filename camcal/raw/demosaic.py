@@ -19,6 +19,7 @@ from camcal.raw.residual import residual_interpolation
 from camcal.raw.vng import vng
 
 AUTO = "auto"
+RI = "ri"
 LIBRAW = "libraw:"
 NONE = "none"
 HALF = "half"
@@ -57,7 +58,7 @@ def demosaic(
     A MONO frame has no colour: it comes back as it is.
     Raises InvalidInput for an unknown pattern or algorithm, and for one that cannot do this mosaic.
     """
-    require_algorithm(algorithm)
+    algorithm = resolved(require_algorithm(algorithm), pattern)
     side = cell_side(pattern)
     if values.ndim != 2 or min(values.shape) < side:
         raise InvalidInput(f"a mosaic needs at least {side} × {side} pixels of one channel, found {values.shape}")
@@ -72,8 +73,10 @@ def demosaic(
     )
     if algorithm.startswith(LIBRAW):
         return _by_libraw(job, algorithm.removeprefix(LIBRAW))
-    if is_x_trans(pattern):
-        return _x_trans(job, algorithm)
+    if is_x_trans(pattern) and algorithm != NONE:
+        raise InvalidInput(
+            f"{algorithm} is for Bayer sensors, this is X-Trans; use auto, {LIBRAW}{libraw.X_TRANS_NAME}, or none"
+        )
     return ALGORITHMS[algorithm].run(job)
 
 
@@ -87,14 +90,13 @@ def require_algorithm(algorithm: str) -> str:
     return algorithm
 
 
-def _x_trans(job: Job, algorithm: str) -> Array:
-    if algorithm == NONE:
-        return job.values
-    if algorithm == AUTO:
-        return _by_libraw(job, libraw.X_TRANS_NAME)
-    raise InvalidInput(
-        f"{algorithm} is for Bayer sensors, this is X-Trans; use auto or {LIBRAW}{libraw.X_TRANS_NAME}, or none"
-    )
+def resolved(algorithm: str, pattern: str) -> str:
+    """Return the name of the algorithm that `auto` stands for with a pattern; others are themselves."""
+    if algorithm != AUTO:
+        return algorithm
+    if pattern == MONO:
+        return NONE
+    return f"{LIBRAW}{libraw.X_TRANS_NAME}" if is_x_trans(pattern) else RI
 
 
 def _by_libraw(job: Job, name: str) -> Array:
@@ -132,13 +134,15 @@ def _capped(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
 ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
     {
         AUTO: Algorithm("ri for Bayer sensors, LibRaw's for X-Trans", _ri),
-        "ri": Algorithm("residual interpolation: the best colour", _ri),
+        RI: Algorithm("residual interpolation: the best colour", _ri),
         "malvar": Algorithm(
             "linear 5 x 5 filters: fast", lambda job: malvar(job.values, job.pattern, job.white, each=job.each)
         ),
         "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(simple_filters.bilinear)),
         "ea": Algorithm("OpenCV's edge-aware filter", _capped(simple_filters.edge_aware)),
-        "vng": Algorithm("variable number of gradients", lambda job: vng(job.values, job.pattern, job.white)),
+        "vng": Algorithm(
+            "variable number of gradients", lambda job: vng(job.values, job.pattern, job.white, each=job.each)
+        ),
         HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(simple_filters.half)),
         "green": Algorithm(
             "one channel: green, its gaps filled; for calibration, whatever the lens", _capped(simple_filters.green)

@@ -133,10 +133,14 @@ def interleave(parts: list[Array], out: Array) -> None:
     out: (rows, 2 * columns, 3); integers are rounded, and what they cannot hold becomes the nearest they can.
     """
     if out.dtype != np.float32:
-        depth = cv2.CV_8U if out.dtype == np.uint8 else cv2.CV_16U
-        # The fastest of OpenCV's functions that convert, round and saturate.
-        parts = [cv2.addWeighted(part, 1, part, 0, 0, dtype=depth) for part in parts]
+        parts = [rounded(part, 1, out.dtype) for part in parts]
     cv2.merge(parts, out.reshape(*parts[0].shape, 6))
+
+
+def rounded(values: Array, factor: float, dtype: np.dtype[Any]) -> Array:
+    """Return values, times a factor, as uint8 or uint16; what these cannot hold becomes the nearest they can."""
+    # The fastest of OpenCV's functions that convert, round and saturate.
+    return cv2.addWeighted(values, factor, values, 0, 0, dtype=cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U)
 
 
 def limit(plane: Plane, highest: float) -> None:

@@ -30,16 +30,16 @@ _FULL = np.float32(65535)
 def bilinear(values: Array, pattern: str) -> Array:
     """Return every missing colour as the mean of its nearest samples: two or four of them."""
     if values.dtype in (np.uint8, np.uint16):
-        return _by_opencv(values, _BILINEAR[pattern])
+        return by_opencv(values, _BILINEAR[pattern])
     return cv2.merge([_spread(values.astype(np.float32, copy=False), pattern, colour) for colour in "BGR"])
 
 
 def edge_aware(values: Array, pattern: str) -> Array:
     """Return OpenCV's edge-aware colour; floating point, 0 … 1, goes through 16 bits."""
     if values.dtype in (np.uint8, np.uint16):
-        return _by_opencv(values, _EDGE_AWARE[pattern])
+        return by_opencv(values, _EDGE_AWARE[pattern])
     counts = np.rint(np.clip(values * _FULL, 0, _FULL)).astype(np.uint16)
-    return _by_opencv(counts, _EDGE_AWARE[pattern]) / _FULL
+    return by_opencv(counts, _EDGE_AWARE[pattern]) / _FULL
 
 
 def half(values: Array, pattern: str) -> Array:
@@ -59,7 +59,8 @@ def green(values: Array, pattern: str) -> Array:
     return plane if values.dtype == np.float32 else np.rint(plane).astype(values.dtype)
 
 
-def _by_opencv(values: Array, code: int) -> Array:
+def by_opencv(values: Array, code: int) -> Array:
+    """Return the colour that OpenCV makes under a code of its own, the mosaic continued as its mirror image."""
     margin = (_MARGIN,) * 4
     padded = cv2.copyMakeBorder(values, *margin, borderType=cv2.BORDER_REFLECT_101)
     return cv2.demosaicing(padded, code)[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]

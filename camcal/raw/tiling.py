@@ -15,7 +15,7 @@ from camcal.raw.scales import Scale
 
 TILE = (128, 512)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
 
-_PLACES = "RGGB"  # the four places of a cell, as tiles count cells
+PLACES = "RGGB"  # the four places of a cell, as tiles count cells
 _BAND = 32  # rows of cells
 
 
@@ -96,7 +96,7 @@ class TiledMosaic:
 
     def _fill(self, rows: slice) -> None:
         source = self._source[2 * rows.start : 2 * rows.stop]
-        for place, colour in enumerate(_PLACES):
+        for place, colour in enumerate(PLACES):
             values = self._numbers[place, rows]
             np.copyto(values, source[place // 2 :: 2, place % 2 :: 2])
             self._scale.apply(values, colour)

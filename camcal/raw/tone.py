@@ -10,6 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
+from camcal.raw.planes import rounded
 
 LINEAR = "linear"
 TONES = (LINEAR, "srgb", "bt709")
@@ -46,9 +47,7 @@ def quantise(values: Array, depth: np.dtype[Any]) -> Array:
     """Return values in another type: floating point as they are, 0 … 1 rounded on the full scale of integers."""
     if np.issubdtype(depth, np.floating):
         return values
-    scaled = values * np.float32(full_scale(depth))
-    np.clip(scaled, 0, full_scale(depth), out=scaled)
-    return np.rint(scaled, out=scaled).astype(depth)
+    return rounded(values, full_scale(depth), depth)
 
 
 def _gamma(tone: str) -> float:

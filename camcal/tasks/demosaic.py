@@ -12,7 +12,7 @@ from camcal.images.image import Image
 from camcal.images.save import KINDS, save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.raw.balance import NO_BALANCE
-from camcal.raw.demosaic import HALF
+from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import PATTERNS, Mosaic
@@ -144,11 +144,13 @@ def _developed(
         clipped=picture.clipped,
         gains=picture.gains,
     )
-    files.write_text(settings, demosaic_settings.text(_settings(options, picture), _record(frame, developed, options)))
+    files.write_text(
+        settings, demosaic_settings.text(_settings(options, picture, frame.pattern), _record(frame, developed, options))
+    )
     return developed
 
 
-def _settings(options: DemosaicOptions, picture: Picture) -> dict[str, Any]:
+def _settings(options: DemosaicOptions, picture: Picture, pattern: str) -> dict[str, Any]:
     """Return the options that repeat a development, with what was found in place of what was to be found."""
     reading, development, corrections = options.reading, options.development, options.corrections
     depth = next(name for name, dtype in DEPTHS.items() if dtype == picture.pixels.dtype)
@@ -162,7 +164,7 @@ def _settings(options: DemosaicOptions, picture: Picture) -> dict[str, Any]:
         "flat": [str(path) for path in corrections.flat],
         "wb": _numbers(picture.gains) or NO_BALANCE,
         "ev": _numbers((development.exposure,)) if development.exposure else None,
-        "algorithm": development.algorithm,
+        "algorithm": resolved(development.algorithm, pattern),
         "encoding": "linear" if picture.linear else "gamma",
         "colour": development.colour,
         "tone": development.tone,
