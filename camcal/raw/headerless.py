@@ -87,7 +87,7 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     Raises FileError if the file cannot be read or its length is no whole number of frames; InvalidInput if it holds
     several and the layout names none, or samples are larger than the format allows.
     """
-    length = _length(path)
+    length = length_of(path)
     frame = _chosen_frame(path, length, layout)
     content = _read_span(path, layout.offset + frame * layout.frame_step, layout.frame_bytes)
     order = {"endian": layout.endian, "align": layout.align}
@@ -136,7 +136,7 @@ def _require_below_white(path: Path, values: Array, layout: Layout) -> None:
     )
 
 
-def _length(path: Path) -> int:
+def length_of(path: Path) -> int:
     """Return the bytes of a file; raises FileError if it is missing, a folder or empty."""
     try:
         length = path.stat().st_size
@@ -204,7 +204,7 @@ def missing_layout(
 
     Raises FileError if there is no such file or it is empty.
     """
-    length = _length(path)
+    length = length_of(path)
     given = [name for name, value in (("--format", pixel_format), ("--size", size)) if value is None]
     message = f"{length} bytes without a header: {_offer(length - offset, pixel_format, size)}"
     return InvalidInput(f"{message}; give {' and '.join(given)}", where=str(path))

@@ -15,7 +15,7 @@ import numpy as np
 
 from camcal.arrays import Array
 
-BLOCK_GROUPS = 16384  # three buffers of this many words stay in the second cache of a core
+BLOCK_PIXELS = 1 << 16  # three buffers of words, 2 bytes a pixel, stay in the second cache of a core
 _BOTH_HALVES = 1 | 1 << 32
 _WORD_BITS = 64
 
@@ -63,9 +63,8 @@ def _constant(value: int, dtype: np.dtype[Any]) -> Array:
     return np.array(value, dtype)
 
 
-def _through(stages: Sequence[Stage], words: Array, out: Array) -> None:
-    """Fill `out` with `words` after all the stages; `words` is overwritten."""
-    spare = np.empty((2, *words.shape), words.dtype)
+def _through(stages: Sequence[Stage], words: Array, spare: Array, out: Array) -> None:
+    """Fill `out` with `words` after all the stages; `words` and spare (2, …) are overwritten."""
     for stage in stages[:-1]:
         stage.apply(words, spare, words)
     stages[-1].apply(words, spare, out)
@@ -98,17 +97,19 @@ class WordPacking:
         """The bytes that are read from the start of a group."""
         return 2 * self.pixels
 
-    def unpack(self, data: Array, step: int, lanes: Array) -> None:
-        """Fill lanes (rows, groups · pixels) uint16 from bytes, rows beginning `step` bytes apart."""
-        out = lanes.view(f"u{self.reach}")
-        words = np.empty_like(out)
+    def unpack(self, data: Array, step: int, lanes: Array, scratch: Array) -> None:
+        """Fill lanes (rows, groups · pixels) uint16 from bytes, rows beginning `step` bytes apart.
+
+        scratch: (3, rows, groups · pixels) uint16, overwritten.
+        """
+        out, (words, *spare) = lanes.view(f"u{self.reach}"), scratch.view(f"u{self.reach}")
         np.copyto(words, np.ndarray(out.shape, f"{self.order}u{self.reach}", data, 0, (step, self.size)))
-        _through(self.stages, words, out)
+        _through(self.stages, words, spare, out)
 
     def pack(self, lanes: Array) -> Array:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · pixels) uint16."""
         words = lanes.copy().view(f"u{self.reach}")
-        _through(_backwards(self.stages), words, words)
+        _through(_backwards(self.stages), words, np.empty((2, *words.shape), words.dtype), words)
         content = words.astype(f"{self.order}u{self.reach}").view(np.uint8)
         return content.reshape(*words.shape, self.reach)[:, :, : self.size].reshape(len(words), -1)
 
@@ -140,20 +141,23 @@ class HighBytesFirst:
     def _low_word(self) -> str:
         return "u1" if self.size == 5 else "<u4"
 
-    def unpack(self, data: Array, step: int, lanes: Array) -> None:
-        """Fill lanes (rows, groups · 4) uint16 from bytes, rows beginning `step` bytes apart."""
-        out = lanes.view(np.uint64)
+    def unpack(self, data: Array, step: int, lanes: Array, scratch: Array) -> None:
+        """Fill lanes (rows, groups · 4) uint16 from bytes, rows beginning `step` bytes apart.
+
+        scratch: (3, rows, groups · 4) uint16, overwritten.
+        """
+        out, (low, *spare) = lanes.view(np.uint64), scratch.view(np.uint64)
         high = np.ndarray(out.shape, np.uint32, data, 0, (step, self.size)).copy()
         np.copyto(lanes, high.view(np.uint8))
         np.left_shift(out, _constant(self.low_bits, out.dtype), out)
-        low: Array = np.ndarray(out.shape, self._low_word, data, 4, (step, self.size)).astype(out.dtype)
-        _through(self.stages, low, low)
+        np.copyto(low, np.ndarray(out.shape, self._low_word, data, 4, (step, self.size)))
+        _through(self.stages, low, spare, low)
         np.bitwise_or(out, low, out)
 
     def pack(self, lanes: Array) -> Array:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · 4) uint16."""
         low = lanes.copy().view(np.uint64)
-        _through(_backwards(self.stages), low, low)
+        _through(_backwards(self.stages), low, np.empty((2, *low.shape), low.dtype), low)
         low_bytes = low.view(np.uint8).reshape(*low.shape, 8)[:, :, : self.size - 4]
         high = (lanes >> self.low_bits).astype(np.uint8).reshape(*low.shape, 4)
         return np.concatenate([high, low_bytes], axis=2).reshape(len(low), -1)
@@ -207,16 +211,18 @@ def _ones(count: int) -> int:
 
 def unpack_rows(packing: Packing, data: Array, rows: int, groups: int, step: int) -> Array:
     """Return the lanes (rows, groups · pixels) uint16 of rows that begin `step` bytes apart; zeros follow the data."""
-    lanes = np.empty((rows, groups * packing.pixels), np.uint16)
+    width = groups * packing.pixels
+    lanes = np.empty((rows, width), np.uint16)
     extent = (groups - 1) * packing.size + packing.reach
     inside = min(max((len(data) - extent) // step + 1, 0), rows)
-    at_once = max(1, BLOCK_GROUPS // groups)
+    at_once = min(max(1, BLOCK_PIXELS // width), rows)
+    scratch = np.empty((3, at_once, width), np.uint16)
     for first in range(0, inside, at_once):
-        last = min(first + at_once, inside)
-        packing.unpack(data[first * step :], step, lanes[first:last])
+        block = lanes[first : min(first + at_once, inside)]
+        packing.unpack(data[first * step :], step, block, scratch[:, : len(block)])
     if inside < rows:
         rest = np.zeros((rows - inside - 1) * step + extent, np.uint8)
         held = data[inside * step :][: len(rest)]
         rest[: len(held)] = held
-        packing.unpack(rest, step, lanes[inside:])
+        packing.unpack(rest, step, lanes[inside:], np.empty((3, rows - inside, width), np.uint16))
     return lanes

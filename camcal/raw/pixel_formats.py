@@ -15,7 +15,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import MONO
-from camcal.raw.packing import BLOCK_GROUPS, Packing, gige_vision, lsb_first, mipi, msb_first, unpack_rows
+from camcal.raw.packing import BLOCK_PIXELS, Packing, gige_vision, lsb_first, mipi, msb_first, unpack_rows
 
 ENDIANS = ("little", "big")
 ALIGNS = ("lsb", "msb")
@@ -211,7 +211,7 @@ def _unpack_packed(content: Array, packing: Packing, size: tuple[int, int], stri
     width, height = size
     if stride is None and not packing.by_row:  # one stream, cut where it suits the cache
         groups = -(-width * height // packing.pixels)
-        row = min(groups, BLOCK_GROUPS)
+        row = min(groups, BLOCK_PIXELS // packing.pixels)
         lanes = unpack_rows(packing, content, -(-groups // row), row, row * packing.size)
         return lanes.ravel()[: width * height].reshape(height, width)
     groups = -(-width // packing.pixels)

@@ -1,27 +1,143 @@
-"""The bilinear filter, against its definition written out pixel by pixel, and its behaviour at the border."""
+"""What every way of demosaicing has in common, and the simple ones against their definitions.
+
+How good the colours are is measured on real images; see tests/real.
+"""
 
 import numpy as np
 import pytest
+from bayer import PEAK, by_threads, plain_colour, random_mosaic, sampled, scene
+from hypothesis import given
+from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.raw.demosaic import ALGORITHMS, demosaic
-from camcal.raw.mosaic import PATTERNS, sites
+from camcal.raw.demosaic import ALGORITHMS, demosaic, require_algorithm
+from camcal.raw.mosaic import MONO, PATTERNS, sites
 
 SIZES = [(2, 2), (2, 3), (3, 2), (3, 3), (6, 8), (7, 8), (6, 9), (21, 35)]
-PEAK = {np.uint8: 255, np.uint16: 65535, np.float32: 1}
+COLOUR = ("auto", "ri", "malvar", "bilinear", "ea", "vng")
+# Red and blue of X-Trans stand where green does not; 36 letters in reading order.
+X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"
+
+every_pattern = pytest.mark.parametrize("pattern", PATTERNS)
+every_type = pytest.mark.parametrize("dtype", PEAK)
+every_colour_filter = pytest.mark.parametrize("algorithm", COLOUR)
 
 
-def random_mosaic(shape, dtype, seed=5):
-    return (np.random.default_rng(seed).random(shape) * PEAK[dtype]).astype(dtype)
+def rounding(algorithm, dtype):
+    """Return how far a number of floating point, full scale 1, may be from the sample that it was; integers come back.
+
+    Square roots and their squares round a few times; the edge-aware filter goes through 16 bits.
+    """
+    if dtype != np.float32:
+        return 0
+    return 0.51 / 65535 if algorithm == "ea" else 1e-6
 
 
-def sampled(colour_image, pattern):
-    """Return the mosaic that a sensor behind the pattern makes of (H, W, 3) blue, green, red."""
-    mosaic = np.empty(colour_image.shape[:2], colour_image.dtype)
-    for channel, colour in enumerate("BGR"):
-        for site in sites(pattern, colour):
-            mosaic[site] = colour_image[..., channel][site]
-    return mosaic
+def test_every_algorithm_with_colour_is_in_these_tests():
+    assert set(COLOUR) | {"half", "green", "gray", "none"} == set(ALGORITHMS)
+
+
+@every_colour_filter
+@every_pattern
+@every_type
+@pytest.mark.parametrize("shape", [(2, 2), (3, 2), (8, 12), (7, 12), (8, 11), (33, 35)])
+def test_a_plain_colour_comes_back_everywhere_up_to_the_border(algorithm, pattern, dtype, shape):
+    image = plain_colour(shape, dtype)
+    result = demosaic(sampled(image, pattern), pattern, algorithm)
+    assert (result.shape, result.dtype) == ((*shape, 3), dtype)
+    np.testing.assert_allclose(result, image, rtol=0, atol=rounding(algorithm, dtype))
+
+
+@every_colour_filter
+@every_pattern
+@every_type
+@pytest.mark.parametrize("linear", [False, True])
+def test_the_samples_themselves_come_back(algorithm, pattern, dtype, linear):
+    mosaic = random_mosaic((19, 22), dtype)
+    result = demosaic(mosaic, pattern, algorithm, linear=linear)
+    np.testing.assert_allclose(sampled(result, pattern), mosaic, rtol=0, atol=rounding(algorithm, dtype))
+
+
+@given(
+    height=st.integers(2, 12),
+    width=st.integers(2, 12),
+    pattern=st.sampled_from(PATTERNS),
+    algorithm=st.sampled_from(COLOUR),
+    dtype=st.sampled_from(list(PEAK)),
+    seed=st.integers(0, 2**32),
+)
+def test_the_smallest_mosaics_have_colour_as_well(height, width, pattern, algorithm, dtype, seed):
+    mosaic = random_mosaic((height, width), dtype, seed)
+    result = demosaic(mosaic, pattern, algorithm)
+    assert (result.shape, result.dtype) == ((height, width, 3), dtype)
+    np.testing.assert_allclose(sampled(result, pattern), mosaic, rtol=0, atol=rounding(algorithm, dtype))
+    assert np.isfinite(result).all()
+    assert result.max() <= PEAK[dtype]
+
+
+@every_colour_filter
+@every_type
+@pytest.mark.parametrize(("top", "left", "shifted"), [(0, 1, "GRBG"), (1, 0, "GBRG"), (1, 1, "BGGR")])
+def test_a_mosaic_without_its_first_row_or_column_gives_the_same_colours(algorithm, dtype, top, left, shifted):
+    mosaic = sampled((scene((120, 132)) * PEAK[dtype]).astype(dtype), "RGGB")
+    whole = demosaic(mosaic, "RGGB", algorithm, linear=False)
+    part = demosaic(mosaic[top:, left:], shifted, algorithm, linear=False)
+    inside = slice(48, -48)  # farther from the border than any filter reaches
+    np.testing.assert_array_equal(part[inside, inside], whole[top:, left:][inside, inside])
+
+
+@every_colour_filter
+@every_type
+@pytest.mark.parametrize("linear", [False, True])
+def test_threads_change_no_bit(algorithm, dtype, linear):
+    mosaic = sampled((scene((300, 71)) * PEAK[dtype]).astype(dtype), "GBRG")
+    alone = demosaic(mosaic, "GBRG", algorithm, linear=linear)
+    together = demosaic(mosaic, "GBRG", algorithm, linear=linear, each=by_threads)
+    np.testing.assert_array_equal(alone, together)
+
+
+@every_colour_filter
+@every_pattern
+@every_type
+@pytest.mark.parametrize("linear", [False, True])
+def test_nothing_is_above_white_however_hard_the_edges(algorithm, pattern, dtype, linear):
+    white = 0.75 * PEAK[dtype]
+    mosaic = (np.random.default_rng(7).integers(0, 2, (24, 26)) * PEAK[dtype]).astype(dtype)
+    result = demosaic(mosaic, pattern, algorithm, white=white, linear=linear)
+    assert result.max() <= white
+    assert sampled(result, pattern)[mosaic > 0].min() == result.max()
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "ri", "malvar", "bilinear", "vng"])
+@pytest.mark.parametrize("linear", [False, True])
+def test_integers_are_the_numbers_of_floating_point_rounded_and_not_wrapped_around(algorithm, linear):
+    mosaic = np.random.default_rng(8).integers(0, 2, (24, 26)).astype(np.uint16) * np.uint16(65535)
+    whole = demosaic(mosaic, "GRBG", algorithm, linear=linear)
+    exact = demosaic(mosaic.astype(np.float32), "GRBG", algorithm, white=65535, linear=linear)
+    # A half may be rounded up or down; float32 holds these numbers to 0.004.
+    np.testing.assert_allclose(whole, np.clip(exact, 0, 65535), rtol=0, atol=0.51)
+
+
+@pytest.mark.parametrize("algorithm", ["ri", "malvar"])
+def test_eight_and_sixteen_bits_agree(algorithm):
+    mosaic = sampled((scene((40, 50)) * 255).astype(np.uint8), "RGGB")
+    fine = demosaic(mosaic.astype(np.uint16) * np.uint16(257), "RGGB", algorithm, linear=False)
+    coarse = demosaic(mosaic, "RGGB", algorithm, linear=False)
+    np.testing.assert_allclose(coarse, fine / 257, rtol=0, atol=0.51)  # both rounded
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "ri", "malvar", "bilinear", "vng"])
+def test_light_below_black_stays_below_zero(algorithm):
+    image = np.broadcast_to(np.float32([-0.01, -0.002, -0.03]), (9, 10, 3))
+    result = demosaic(sampled(image, "BGGR"), "BGGR", algorithm)
+    np.testing.assert_allclose(result, image, rtol=0, atol=1e-7)  # ten units in the last place of 0.03
+
+
+def test_noise_around_black_keeps_its_mean():
+    dark = np.random.default_rng(11).normal(0, 0.004, (200, 220)).astype(np.float32)
+    result = demosaic(dark, "RGGB", "ri")
+    # Standard error of the mean of 44 000 samples: 2e-5; a filter that lost the half below zero would give 1.6e-3.
+    np.testing.assert_allclose(result.mean((0, 1)), 0, atol=2e-4)
 
 
 def mean_of_neighbours(mosaic, pattern, row, column, colour):
@@ -42,59 +158,91 @@ def mean_of_neighbours(mosaic, pattern, row, column, colour):
     return sum(samples) / len(samples)
 
 
-@pytest.mark.parametrize("pattern", PATTERNS)
-@pytest.mark.parametrize("shape", SIZES)
-@pytest.mark.parametrize("dtype", PEAK)
-def test_every_missing_colour_is_the_mean_of_its_nearest_samples(pattern, shape, dtype):
-    mosaic = random_mosaic(shape, dtype)
-    expected = [
-        [[mean_of_neighbours(mosaic, pattern, row, column, c) for c in "BGR"] for column in range(shape[1])]
-        for row in range(shape[0])
+def means_of_neighbours(mosaic, pattern, colours):
+    height, width = mosaic.shape
+    return [
+        [[mean_of_neighbours(mosaic, pattern, row, column, c) for c in colours] for column in range(width)]
+        for row in range(height)
     ]
+
+
+@every_pattern
+@every_type
+@pytest.mark.parametrize("shape", SIZES)
+def test_bilinear_colours_are_the_means_of_their_nearest_samples(pattern, shape, dtype):
+    mosaic = random_mosaic(shape, dtype)
     # integers round to the nearest; float32 sums of four carry a few units in the last place
     tolerance = 0.5 if dtype != np.float32 else 1e-6
-    result = demosaic(mosaic, pattern)
-    assert result.dtype == dtype
-    np.testing.assert_allclose(result.astype(float), expected, rtol=0, atol=tolerance)
+    result = demosaic(mosaic, pattern, "bilinear")
+    np.testing.assert_allclose(result, means_of_neighbours(mosaic, pattern, "BGR"), rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("pattern", PATTERNS)
-@pytest.mark.parametrize("dtype", PEAK)
-def test_a_plain_colour_comes_back_everywhere_up_to_the_border(pattern, dtype):
-    colour = (np.array([0.8, 0.2, 0.6]) * PEAK[dtype]).astype(dtype)
-    image = np.broadcast_to(colour, (7, 9, 3))
-    np.testing.assert_array_equal(demosaic(sampled(image, pattern), pattern), image)
-
-
-@pytest.mark.parametrize("pattern", PATTERNS)
-def test_the_samples_themselves_are_untouched(pattern):
-    image = np.random.default_rng(2).integers(0, 65536, (8, 11, 3)).astype(np.uint16)
-    result = demosaic(sampled(image, pattern), pattern)
-    np.testing.assert_array_equal(sampled(result, pattern), sampled(image, pattern))
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_full_scale_does_not_overflow(dtype):
-    mosaic = np.full((6, 6), PEAK[dtype], dtype)
-    assert (demosaic(mosaic, "RGGB") == PEAK[dtype]).all()
-
-
-def test_a_linear_ramp_is_exact_inside():
+def test_a_linear_ramp_is_exact_inside_by_linear_filters():
     ramp = np.add.outer(np.arange(12), np.arange(9))[..., None] + np.zeros(3)
-    result = demosaic(sampled(ramp.astype(np.float32), "RGGB"), "RGGB")
-    np.testing.assert_allclose(
-        result[1:-1, 1:-1], ramp[1:-1, 1:-1], rtol=0, atol=1e-5
-    )  # float32 sums of numbers up to 20
+    for algorithm in ("bilinear", "malvar"):
+        result = demosaic(sampled(ramp.astype(np.float32), "RGGB"), "RGGB", algorithm, white=20)
+        # float32 sums of numbers up to 20
+        np.testing.assert_allclose(result[2:-2, 2:-2], ramp[2:-2, 2:-2], rtol=0, atol=1e-5)
 
 
-def test_none_gives_the_mosaic_itself():
+@every_pattern
+@every_type
+def test_green_is_its_samples_and_the_means_of_four_between_them(pattern, dtype):
+    mosaic = random_mosaic((7, 8), dtype)
+    result = demosaic(mosaic, pattern, "green")
+    assert (result.shape, result.dtype) == (mosaic.shape, dtype)
+    tolerance = 0.5 if dtype != np.float32 else 1e-6
+    expected = np.squeeze(means_of_neighbours(mosaic, pattern, "G"), -1)
+    np.testing.assert_allclose(result, expected, rtol=0, atol=tolerance)
+
+
+@every_pattern
+@every_type
+@pytest.mark.parametrize("shape", [(2, 2), (6, 8), (7, 9)])
+def test_half_makes_a_pixel_of_every_whole_cell(pattern, dtype, shape):
+    mosaic = random_mosaic(shape, dtype)
+    height, width = shape[0] // 2, shape[1] // 2
+    result = demosaic(mosaic, pattern, "half")
+    assert (result.shape, result.dtype) == ((height, width, 3), dtype)
+    for channel, colour in enumerate("BGR"):
+        samples = [mosaic[site][:height, :width].astype(float) for site in sites(pattern, colour)]
+        tolerance = 0.5 if dtype != np.float32 else 1e-7  # rounding
+        np.testing.assert_allclose(result[..., channel], np.mean(samples, axis=0), rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("algorithm", ["none", "gray"])
+def test_the_mosaic_itself_can_be_had(algorithm):
     mosaic = random_mosaic((5, 6), np.uint16)
-    np.testing.assert_array_equal(demosaic(mosaic, "BGGR", "none"), mosaic)
+    np.testing.assert_array_equal(demosaic(mosaic, "BGGR", algorithm), mosaic)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "half", "libraw:AHD"])
+def test_a_frame_without_filter_comes_back_as_it_is(algorithm):
+    mosaic = random_mosaic((5, 6), np.uint16)
+    np.testing.assert_array_equal(demosaic(mosaic, MONO, algorithm), mosaic)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_x_trans_is_left_to_libraw(dtype):
+    mosaic = random_mosaic((36, 42), dtype)
+    result = demosaic(mosaic, X_TRANS, "auto")
+    assert (result.shape, result.dtype) == ((36, 42, 3), dtype)
+    # LibRaw brings samples back in 16 bits
+    np.testing.assert_allclose(sampled(result, X_TRANS), mosaic, rtol=0, atol=0 if dtype == np.uint16 else 0.6 / 65535)
+    np.testing.assert_array_equal(demosaic(mosaic, X_TRANS, "none"), mosaic)
+
+
+@pytest.mark.parametrize("algorithm", ["ri", "malvar", "bilinear", "ea", "vng", "half", "green", "gray"])
+def test_x_trans_is_refused_by_the_filters_for_bayer_sensors(algorithm):
+    with pytest.raises(InvalidInput, match=f"{algorithm} is for Bayer sensors, this is X-Trans; use auto"):
+        demosaic(random_mosaic((12, 12), np.uint16), X_TRANS, algorithm)
 
 
 def test_an_algorithm_that_does_not_exist_is_refused_with_those_that_do():
     with pytest.raises(InvalidInput, match=", ".join(ALGORITHMS)):
         demosaic(random_mosaic((4, 4), np.uint8), "RGGB", "magic")
+    with pytest.raises(InvalidInput, match="'AMAZE'"):
+        require_algorithm("libraw:AMAZE")
 
 
 @pytest.mark.parametrize("shape", [(1, 8), (8, 1), (4, 4, 3), (0, 0)])

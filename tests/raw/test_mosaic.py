@@ -68,7 +68,6 @@ def test_a_colour_image_is_not_a_mosaic(tmp_path):
         read_mosaic(tmp_path / "colour.png", "RGGB")
 
 
-
 @pytest.mark.parametrize("name", ["missing.npy", "missing.png", "missing.dng"])
 def test_a_missing_file_is_a_file_error(tmp_path, name):
     with pytest.raises(FileError, match="no such file"):

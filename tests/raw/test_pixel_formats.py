@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.raw.packing import BLOCK_GROUPS
+from camcal.raw.packing import BLOCK_PIXELS
 from camcal.raw.pixel_formats import FAMILIES, FORMATS, frame_bytes, pack, pixel_format_named, row_bytes, unpack
 
 TEN = [0x2A5, 0x13C, 0x3FF, 0x001]
@@ -108,7 +108,7 @@ def test_samples_that_are_packed_come_back(family, width, height, padding, seed)
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
 @pytest.mark.parametrize("padding", [None, 0, 5])
 def test_frames_of_several_blocks_come_back(family, padding):
-    width = 4 * BLOCK_GROUPS // 7 + 3  # seven rows of groups and a bit fill a block; the width is odd
+    width = BLOCK_PIXELS // 7 + 3  # nearly seven rows fill a block; the width is odd
     values = random_samples(family, (16, width))
     stride = None if padding is None else row_bytes(family, width) + padding
     content = pack(values, family, stride=stride)

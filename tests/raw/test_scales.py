@@ -1,0 +1,94 @@
+"""The scales of filters: there and back, and what square roots do to noise and colours."""
+
+import numpy as np
+import pytest
+from bayer import random_mosaic
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camcal.raw.mosaic import PATTERNS, sites
+from camcal.raw.planes import Plane
+from camcal.raw.scales import Counts, Proportional, Root, scale_of
+
+UNBALANCED = {"R": 2.5, "G": 1.0, "B": 0.4}
+
+
+def there_and_back(scale, values, colour="G"):
+    numbers = np.array(values, np.float32)
+    scale.apply(numbers, colour)
+    plane, scratch = Plane(1, len(values)), Plane(1, len(values))
+    plane.fill(numbers[None])
+    scale.undo(plane, colour, scratch)
+    return numbers, plane.image[0].copy()
+
+
+@given(
+    values=st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=30),
+    white=st.sampled_from([1.0, 255.0, 4095.0, 65535.0]),
+    colour=st.sampled_from("RGB"),
+)
+@pytest.mark.parametrize("kind", [Root, Proportional, Counts])
+def test_every_scale_leads_back_to_the_counts_below_zero_too(kind, values, white, colour):
+    scale = kind(white, UNBALANCED) if kind is Root else kind(white)
+    counts = np.float32(values) * np.float32(white)
+    _, back = there_and_back(scale, counts, colour)
+    # A dozen roundings of float32. Next to zero the root is all but linear, so that the error stays relative.
+    np.testing.assert_allclose(back, counts, rtol=1e-6, atol=1e-37)
+
+
+@pytest.mark.parametrize("kind", [Root, Proportional, Counts])
+def test_on_the_way_back_nothing_stays_above_white(kind):
+    scale = kind(1000.0, UNBALANCED) if kind is Root else kind(1000.0)
+    _, back = there_and_back(scale, [900.0, 999.0, 1200.0, 5000.0])
+    np.testing.assert_allclose(back, [900, 999, 1000, 1000], rtol=1e-6)  # float32
+
+
+@pytest.mark.parametrize("scale", [Root(1000.0, {"G": 1.0}), Proportional(1000.0)])
+def test_filters_see_0_to_255(scale):
+    numbers, _ = there_and_back(scale, [0.0, 1000.0])
+    np.testing.assert_allclose(numbers, [0, 255], rtol=1e-6)  # float32
+
+
+def test_the_root_rises_everywhere_and_treats_both_sides_of_zero_alike():
+    light = np.linspace(-1, 1, 2001)
+    numbers, _ = there_and_back(Root(1.0, {"G": 1.0}), light)
+    assert (np.diff(numbers) > 0).all()
+    np.testing.assert_allclose(numbers, -numbers[::-1], atol=1e-6)  # the grid itself is symmetric to 1e-16
+
+
+def test_photon_noise_is_equally_strong_in_shadow_and_light():
+    rng = np.random.default_rng(4)
+    deviations = []
+    for electrons in (200, 1000, 8000):
+        light = rng.poisson(electrons, 20000) / 10000
+        deviations.append(there_and_back(Root(1.0, {"G": 1.0}), light)[0].std())
+    # 0.5 % of sampling error, and the toe, which lowers the darkest by 5 %; counts would differ by a factor of 6
+    np.testing.assert_allclose(deviations, np.mean(deviations), rtol=0.06)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_gains_make_the_detail_of_the_colours_equally_strong(pattern):
+    mosaic = random_mosaic((400, 400), np.float32)
+    for colour, strength in (("R", 0.5), ("B", 0.125)):
+        for site in sites(pattern, colour):
+            mosaic[site] *= np.float32(strength)
+    gains = scale_of(mosaic, pattern, 1, linear=True).gains
+    assert gains["G"] == 1
+    # the mean of 40 000 second differences
+    assert gains["R"] == pytest.approx(2, rel=0.02)
+    assert gains["B"] == pytest.approx(8, rel=0.02)
+
+
+def test_gains_of_a_colour_that_is_almost_missing_end_at_sixteen():
+    mosaic = random_mosaic((80, 80), np.float32)
+    mosaic[::2, ::2] *= np.float32(0.01)
+    assert scale_of(mosaic, "RGGB", 1, linear=True).gains["R"] == 16
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (30, 40)])
+def test_without_detail_colours_keep_their_proportions(shape):
+    assert scale_of(np.ones(shape, np.uint16), "RGGB", 1, linear=True).gains == {"R": 1, "G": 1, "B": 1}
+
+
+def test_gamma_encoded_images_are_on_the_scale_that_filters_were_made_for():
+    assert scale_of(np.ones((4, 4), np.uint8), "RGGB", 255, linear=False) == Proportional(255)
