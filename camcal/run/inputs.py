@@ -52,7 +52,9 @@ def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: Abst
     )
 
 
-def find_images(inputs: Sequence[Path | str], recursive: bool = False, also: AbstractSet[str] = frozenset()) -> list[Path]:
+def find_images(
+    inputs: Sequence[Path | str], recursive: bool = False, also: AbstractSet[str] = frozenset()
+) -> list[Path]:
     """Return the images that files, folders and quoted patterns stand for, in natural order; see `find_media`.
 
     Videos in folders are left out. Raises FileError for a video that is named, and if there is nothing but videos.
