@@ -29,7 +29,7 @@ def plain_colour(shape, dtype):
 
 
 def scene(shape, seed=3):
-    """Return an image (H, W, 3), 0 … 1 float64, with edges, fine texture and colours that vary together, as scenes do."""
+    """Return an image (H, W, 3), 0 … 1, with edges, fine texture and colours that vary together, as scenes do."""
     rng = np.random.default_rng(seed)
     rows, columns = np.indices(shape)
     light = 0.5 + 0.2 * np.sin(columns / 2.9 + rows / 7.3) + 0.15 * np.sign(np.sin(rows / 5.1 - columns / 9.7))

@@ -5,6 +5,7 @@ Colour comes back as (H, W, 3) in the order blue, green, red, as everywhere in t
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import inf, isfinite
 from types import MappingProxyType
 
 import numpy as np
@@ -14,7 +15,7 @@ from camcal.errors import InvalidInput
 from camcal.raw import libraw, simple_filters
 from camcal.raw.malvar import malvar
 from camcal.raw.mosaic import MONO, cell_side, full_scale, is_x_trans
-from camcal.raw.planes import Each, one_by_one
+from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
 from camcal.raw.vng import vng
 
@@ -55,8 +56,10 @@ def demosaic(
     values: uint8, uint16 or float32; white balance belongs before this step. white: by default the full scale of the
     type. linear: by default 8 bits are gamma-encoded and everything else is linear. Beyond the border the mosaic
     continues as its mirror image about the border pixels, which keeps the colours in their places.
-    A MONO frame has no colour: it comes back as it is.
-    Raises InvalidInput for an unknown pattern or algorithm, and for one that cannot do this mosaic.
+    A MONO frame has no colour: it comes back as it is, as a mosaic does by "gray" and "none". Light below black stays
+    negative in floating point, except by "ea" and LibRaw's filters, which work on integers.
+    Raises InvalidInput for an unknown pattern or algorithm, for one that cannot do this mosaic, for another type, and
+    for a white level that its type cannot hold.
     """
     algorithm = resolved(require_algorithm(algorithm), pattern)
     side = cell_side(pattern)
@@ -67,7 +70,7 @@ def demosaic(
     job = Job(
         values,
         pattern,
-        full_scale(values.dtype) if white is None else white,
+        _white_level(values, white),
         values.dtype != np.uint8 if linear is None else linear,
         each,
     )
@@ -90,6 +93,15 @@ def require_algorithm(algorithm: str) -> str:
     return algorithm
 
 
+def _white_level(values: Array, white: float | None) -> float:
+    if values.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InvalidInput(f"a mosaic is uint8, uint16 or float32, found {values.dtype}")
+    highest = full_scale(values.dtype) if values.dtype != np.float32 else inf
+    if white is not None and not (0 < white <= highest and isfinite(white)):
+        raise InvalidInput(f"a white level of {white:g} for {values.dtype}; give a positive number it can hold")
+    return full_scale(values.dtype) if white is None else white
+
+
 def resolved(algorithm: str, pattern: str) -> str:
     """Return the name of the algorithm that `auto` stands for with a pattern; others are themselves."""
     if algorithm != AUTO:
@@ -101,10 +113,15 @@ def resolved(algorithm: str, pattern: str) -> str:
 
 def _by_libraw(job: Job, name: str) -> Array:
     """Return the colour that LibRaw makes; it works on 16 bits, so that others are scaled there and back."""
-    scale = np.float32(full_scale(np.dtype(np.uint16)) / job.white)
-    counts = np.rint(np.clip(job.values * scale, 0, full_scale(np.dtype(np.uint16)))).astype(np.uint16)
+    counts, scale = _sixteen_bits(job)
     colour = libraw.demosaic_with_libraw(counts, job.pattern, name) / scale
     return np.asarray((colour if job.values.dtype == np.float32 else np.rint(colour)).astype(job.values.dtype))
+
+
+def _sixteen_bits(job: Job) -> tuple[Array, np.float32]:
+    """Return the mosaic as uint16 with white at the top, and the factor that took it there."""
+    scale = np.float32(full_scale(np.dtype(np.uint16)) / job.white)
+    return rounded(job.values.astype(np.float32, copy=False), float(scale), np.dtype(np.uint16)), scale
 
 
 @dataclass(frozen=True)
@@ -117,6 +134,14 @@ class Algorithm:
 
 def _ri(job: Job) -> Array:
     return residual_interpolation(job.values, job.pattern, job.white, linear=job.linear, each=job.each)
+
+
+def _edge_aware(job: Job) -> Array:
+    """Return OpenCV's edge-aware colour, which knows integers only."""
+    if job.values.dtype == np.float32:
+        counts, scale = _sixteen_bits(job)
+        return np.asarray(simple_filters.edge_aware(counts, job.pattern) / scale)
+    return _capped(simple_filters.edge_aware)(job)
 
 
 def _capped(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
@@ -139,7 +164,7 @@ ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
             "linear 5 x 5 filters: fast", lambda job: malvar(job.values, job.pattern, job.white, each=job.each)
         ),
         "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(simple_filters.bilinear)),
-        "ea": Algorithm("OpenCV's edge-aware filter", _capped(simple_filters.edge_aware)),
+        "ea": Algorithm("OpenCV's edge-aware filter", _edge_aware),
         "vng": Algorithm(
             "variable number of gradients", lambda job: vng(job.values, job.pattern, job.white, each=job.each)
         ),

@@ -15,7 +15,7 @@ import numpy as np
 
 from camcal.arrays import Array
 
-BLOCK_PIXELS = 1 << 16  # three buffers of words, 2 bytes a pixel, stay in the second cache of a core
+BLOCK_PIXELS = 3 << 15  # three buffers of words, 2 bytes a pixel, stay in the second cache of a core
 _BOTH_HALVES = 1 | 1 << 32
 _WORD_BITS = 64
 
@@ -27,8 +27,8 @@ class Stage:
     moves: tuple[tuple[int, int], ...]
     bits: int = _WORD_BITS
 
-    def apply(self, words: Array, spare: Array, out: Array) -> None:
-        """Fill `out` with the moved bits of `words`, which may be the same array; spare: (2, …), overwritten."""
+    def apply(self, words: Array, spare: Sequence[Array], out: Array) -> None:
+        """Fill `out` with the moved bits of `words`, which may be the same array; two spare ones are overwritten."""
         if self._copies_stay_apart():
             np.multiply(words, _constant(sum(1 << shift for shift, _ in self.moves), words.dtype), out)
             np.bitwise_and(out, _constant(sum(mask for _, mask in self.moves), words.dtype), out)
@@ -63,8 +63,8 @@ def _constant(value: int, dtype: np.dtype[Any]) -> Array:
     return np.array(value, dtype)
 
 
-def _through(stages: Sequence[Stage], words: Array, spare: Array, out: Array) -> None:
-    """Fill `out` with `words` after all the stages; `words` and spare (2, …) are overwritten."""
+def _through(stages: Sequence[Stage], words: Array, spare: Sequence[Array], out: Array) -> None:
+    """Fill `out` with `words` after all the stages; `words` and the two arrays of `spare` are overwritten."""
     for stage in stages[:-1]:
         stage.apply(words, spare, words)
     stages[-1].apply(words, spare, out)
@@ -109,7 +109,7 @@ class WordPacking:
     def pack(self, lanes: Array) -> Array:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · pixels) uint16."""
         words = lanes.copy().view(f"u{self.reach}")
-        _through(_backwards(self.stages), words, np.empty((2, *words.shape), words.dtype), words)
+        _through(_backwards(self.stages), words, [np.empty_like(words), np.empty_like(words)], words)
         content = words.astype(f"{self.order}u{self.reach}").view(np.uint8)
         return content.reshape(*words.shape, self.reach)[:, :, : self.size].reshape(len(words), -1)
 
@@ -147,7 +147,8 @@ class HighBytesFirst:
         scratch: (3, rows, groups · 4) uint16, overwritten.
         """
         out, (low, *spare) = lanes.view(np.uint64), scratch.view(np.uint64)
-        high = np.ndarray(out.shape, np.uint32, data, 0, (step, self.size)).copy()
+        high = spare[0].ravel().view(np.uint32)[: out.size].reshape(out.shape)
+        np.copyto(high, np.ndarray(out.shape, np.uint32, data, 0, (step, self.size)))
         np.copyto(lanes, high.view(np.uint8))
         np.left_shift(out, _constant(self.low_bits, out.dtype), out)
         np.copyto(low, np.ndarray(out.shape, self._low_word, data, 4, (step, self.size)))
@@ -157,7 +158,7 @@ class HighBytesFirst:
     def pack(self, lanes: Array) -> Array:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · 4) uint16."""
         low = lanes.copy().view(np.uint64)
-        _through(_backwards(self.stages), low, np.empty((2, *low.shape), low.dtype), low)
+        _through(_backwards(self.stages), low, [np.empty_like(low), np.empty_like(low)], low)
         low_bytes = low.view(np.uint8).reshape(*low.shape, 8)[:, :, : self.size - 4]
         high = (lanes >> self.low_bits).astype(np.uint8).reshape(*low.shape, 4)
         return np.concatenate([high, low_bytes], axis=2).reshape(len(low), -1)

@@ -24,7 +24,6 @@ _MARGIN = 4  # an even number of pixels keeps the phase; OpenCV leaves the outer
 _RED_OR_BLUE = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
 _GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
 _KERNELS = {"B": _RED_OR_BLUE, "G": _GREEN, "R": _RED_OR_BLUE}
-_FULL = np.float32(65535)
 
 
 def bilinear(values: Array, pattern: str) -> Array:
@@ -35,11 +34,8 @@ def bilinear(values: Array, pattern: str) -> Array:
 
 
 def edge_aware(values: Array, pattern: str) -> Array:
-    """Return OpenCV's edge-aware colour; floating point, 0 … 1, goes through 16 bits."""
-    if values.dtype in (np.uint8, np.uint16):
-        return by_opencv(values, _EDGE_AWARE[pattern])
-    counts = np.rint(np.clip(values * _FULL, 0, _FULL)).astype(np.uint16)
-    return by_opencv(counts, _EDGE_AWARE[pattern]) / _FULL
+    """Return OpenCV's edge-aware colour of a mosaic of uint8 or uint16."""
+    return by_opencv(values, _EDGE_AWARE[pattern])
 
 
 def half(values: Array, pattern: str) -> Array:

@@ -34,7 +34,7 @@ _Step = tuple[int, int]  # rows down and columns to the right of the sample
 class _Way(NamedTuple):
     """A direction: the pairs of samples whose differences, each with its weight, make its gradient; what is seen there.
 
-    seen: samples, the mean of those of one colour is that colour in this direction.
+    seen: samples, those of one colour next to each other; their mean is that colour in this direction.
     """
 
     changes: tuple[tuple[_Step, _Step, float], ...]

@@ -254,3 +254,21 @@ def test_an_array_without_a_whole_cell_is_refused(shape):
 def test_an_unknown_pattern_is_refused():
     with pytest.raises(InvalidInput, match="'RGB'"):
         demosaic(random_mosaic((4, 4), np.uint8), "RGB")
+
+
+def test_edge_aware_floating_point_is_scaled_by_its_own_white_level():
+    mosaic = np.full((8, 10), 1000, np.float32)
+    colour = demosaic(mosaic, "RGGB", "ea", white=4095.0)
+    np.testing.assert_allclose(colour, 1000, atol=0.04)  # half a step of 16 bits
+
+
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 300), (np.uint16, 0), (np.float32, np.nan), (np.uint8, -1)])
+def test_a_white_level_that_the_type_cannot_hold_is_refused(dtype, white):
+    with pytest.raises(InvalidInput, match="white level"):
+        demosaic(np.zeros((4, 4), dtype), "RGGB", "bilinear", white=white)
+
+
+@pytest.mark.parametrize("dtype", [np.int32, np.float64, bool])
+def test_a_type_that_no_mosaic_has_is_refused(dtype):
+    with pytest.raises(InvalidInput, match="uint8, uint16 or float32"):
+        demosaic(np.zeros((4, 4), dtype), "RGGB")
