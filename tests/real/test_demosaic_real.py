@@ -1,38 +1,11 @@
-"""Demosaicing real images: quality on the Kodak set, and camera files whose levels and patterns are known."""
+"""Developing real raw files: camera files whose levels, patterns and gray patches are known."""
 
-import cv2
 import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import Development, develop
-from camcal.raw.mosaic import sites
 from camcal.raw.reading import read_mosaic
-
-BORDER = 5
-KODAK_CPSNR = 30.24  # dB, bilinear, RGGB, mean over the 24 images; two other programs agree (baseline_cpsnr.json)
-
-
-def sampled(image, pattern):
-    mosaic = np.empty(image.shape[:2], np.uint8)
-    for channel, colour in enumerate("BGR"):
-        for site in sites(pattern, colour):
-            mosaic[site] = image[..., channel][site]
-    return mosaic
-
-
-def cpsnr(image, truth):
-    difference = (image.astype(float) - truth)[BORDER:-BORDER, BORDER:-BORDER]
-    return 10 * np.log10(255**2 / np.mean(difference**2))
-
-
-def test_bilinear_has_its_known_quality_on_the_kodak_images(real_data):
-    paths = sorted((real_data / "demosaic_gt" / "kodak24").glob("*.png"))
-    assert len(paths) == 24
-    truths = [cv2.imread(str(path)) for path in paths]
-    found = [cpsnr(demosaic(sampled(truth, "RGGB"), "RGGB", "bilinear"), truth) for truth in truths]
-    assert np.mean(found) == pytest.approx(KODAK_CPSNR, abs=0.1)  # the reference crops another border
 
 
 def test_a_camera_dng_brings_pattern_levels_and_white_balance(real_data):
