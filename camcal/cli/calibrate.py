@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from camcal.cli import options as shared
-from camcal.cli import show
+from camcal.cli import show, targets
 
 if TYPE_CHECKING:
     from camcal.tasks.calibrate import CalibrateReport
@@ -49,6 +49,16 @@ def calibrate(
     image_size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size of the images of a .vnl file, which does not say.")
     ] = None,
+    pattern: targets.Pattern = None,
+    algorithm: targets.Algorithm = "green",
+    channels: Annotated[
+        bool,
+        typer.Option(
+            "--channels",
+            help="Estimate a lens for red and one for blue too, and with them the lateral chromatic aberration: best "
+            "from raw frames, whose samples no demosaicing has mixed.",
+        ),
+    ] = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -56,15 +66,16 @@ def calibrate(
     verbose: shared.Verbose = False,
     config: shared.Config = None,
 ) -> None:
-    """Calibrate one camera from images of a board, or from a detections file.
+    """Calibrate one camera from images of a board, raw frames, or a detections file.
 
     The board's bend and stretch are estimated along with the lens, outliers are listed, and every value comes with
     its standard deviation.
     """
     from camcal.errors import ItemsFailed
     from camcal.report.calibration import as_data
-    from camcal.tasks.calibrate import CalibrateOptions
+    from camcal.tasks.calibrate import CalibrateOptions, channel_data
     from camcal.tasks.calibrate import calibrate as run
+    from camcal.tasks.photographs import Reading
 
     report = run(
         CalibrateOptions(
@@ -82,6 +93,7 @@ def calibrate(
             shared.parse_size(image_size) if image_size else None,
             recursive,
             jobs,
+            Reading(pattern, algorithm, channels),
         ),
         show.progress(quiet),
     )
@@ -92,7 +104,8 @@ def calibrate(
             "remarks": report.advice.remarks,
         }
         said = {"notes": report.notes, "failed": report.failed}
-        show.document("calibrate", {"output": output, **as_data(report.calibration), **verdict, **said})
+        lenses = {"channels": channel_data(report.channels)} if report.channels else {}
+        show.document("calibrate", {"output": output, **as_data(report.calibration), **verdict, **said, **lenses})
     elif not quiet:
         _show(report, output, verbose)
     if report.failed:
@@ -113,6 +126,7 @@ def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
     )
     for line in summary(calibration):
         show.text(line)
+    _show_channels(report)
     _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
     corners = [
         f"  {corner.image}: corner {corner.id}, off by {corner.distance:.2f} px" for corner in calibration.rejected
@@ -123,6 +137,21 @@ def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
     for reason in report.advice.reasons:
         show.text(f"DO NOT TRUST: {reason}")
     show.text(f"wrote {output}")
+
+
+def _show_channels(report: "CalibrateReport") -> None:
+    from camcal.report.uncertain import value_and_std
+
+    if not report.channels:
+        return
+    rows = []
+    for colour, channel in report.channels.items():
+        seen, lens = channel.aberration, channel.lens
+        corner = value_and_std(seen.corner_px, seen.corner_std_px)
+        largest = value_and_std(seen.largest_px, seen.largest_std_px)
+        rows.append([colour, *corner, *largest, lens.points, lens.rejected, f"{lens.sigma_px:.3f}"])
+    header = ["colour", "outwards at the corner", "± std", "largest", "± std", "corners", "rejected", "noise"]
+    show.table("lateral chromatic aberration against green, px", header, rows)
 
 
 def _list(title: str, lines: list[str], verbose: bool) -> None:

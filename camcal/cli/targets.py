@@ -12,11 +12,29 @@ if TYPE_CHECKING:
 
 LISTED = 50
 
+Pattern = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LETTERS",
+        help="Gray images are bare mosaics with these colours in their first 2x2 pixels: RGGB, GRBG, GBRG, BGGR.",
+    ),
+]
+Algorithm = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Of raw frames: green, which a lens's lateral chromatic aberration leaves alone, or gray, all samples "
+        "balanced: as good as a monochrome sensor where the lens has no such aberration.",
+    ),
+]
+
 
 def detect(
     inputs: Annotated[list[str], typer.Argument(metavar="IMAGES…", help="Images, folders and quoted globs.")],
     output: shared.Output,
     board: shared.BoardOption = None,
+    pattern: Pattern = None,
+    algorithm: Algorithm = "green",
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -24,7 +42,7 @@ def detect(
     verbose: shared.Verbose = False,
     config: shared.Config = None,
 ) -> None:
-    """Find the corners of a board in images and write them as a table (.csv, or .vnl for mrcal).
+    """Find the corners of a board in images or raw frames and write them as a table (.csv, or .vnl for mrcal).
 
     Sizes of chessboards count inner corners, sizes of ChArUco boards count squares. Images that show nothing are
     listed with the reason. `camcal calibrate` takes the table in place of the images.
@@ -32,11 +50,13 @@ def detect(
     from camcal.errors import InvalidInput, ItemsFailed
     from camcal.formats.boards import load_board
     from camcal.tasks.detect import DetectOptions, detect_images, document
+    from camcal.tasks.photographs import Reading
 
     if board is None:
         raise InvalidInput("--board is needed, such as --board chessboard:9x6:25mm")
     report = detect_images(
-        DetectOptions(tuple(inputs), load_board(board), output, recursive, jobs), show.progress(quiet)
+        DetectOptions(tuple(inputs), load_board(board), output, recursive, jobs, Reading(pattern, algorithm)),
+        show.progress(quiet),
     )
     if json:
         show.document("detect", document(report, output))

@@ -68,6 +68,13 @@ def undistort(
     rescale: Annotated[
         bool, typer.Option("--rescale", help="Fit the camera to images that were resized (not cropped).")
     ] = False,
+    align_channels: Annotated[
+        bool,
+        typer.Option(
+            help="Draw red and blue of colour images through their own lenses, if the camera file has channels "
+            "('camcal calibrate --channels'), so that the colours coincide."
+        ),
+    ] = True,
     points: Annotated[
         Path | None,
         typer.Option(metavar="CSV", help="Undistort pixels, not images: columns u, v and any others, which are kept."),
@@ -112,6 +119,7 @@ def undistort(
         format=image_format,
         quality=quality,
         rescale=rescale,
+        align_channels=align_channels,
         recursive=recursive,
         jobs=jobs,
     )
@@ -154,6 +162,8 @@ def _show(report: "UndistortReport", verbose: bool) -> None:
         show.text(f"… and {len(written) - LISTED} more (--verbose lists all)")
     for outcome in report.failed:
         show.text(f"failed: {outcome.error}")
+    if report.aligned:
+        show.text(f"{' and '.join(report.aligned)} of colour images are drawn through lenses of their own")
     width, height = report.view.image_size
     focal = " ".join(f"{name}={report.view.value(name):.6g}" for name in ("fx", "fy", "cx", "cy"))
     empty = f"; {100 * (1 - report.valid):.1f} % of its pixels have no source" if report.valid < 1 else ""

@@ -50,10 +50,15 @@ def find_charuco(gray: Array, board: Board) -> Sighting:
         return Sighting.nothing(seen if markers else f"no marker of {board.dictionary} found")
     start = np.full((board.rows, board.columns, 2), np.nan)
     start[np.divmod(ids, board.columns)] = pixels
-    checker = settle(gray, start, MARGIN_USED * (1 - _ratio(board)) / 2)
+    checker = settle(gray, start, clearance(board))
     if checker.found.any() and checker.sign != _sign(board):
         return Sighting.nothing("dark and bright squares are exchanged: not this board")
     return Sighting.of(checker.grid)
+
+
+def clearance(board: Board) -> float:
+    """Return how far from an edge, in squares, an image of a ChArUco board shows nothing but squares."""
+    return MARGIN_USED * (1 - _ratio(board)) / 2
 
 
 def _detector(board: Board) -> opencv.CharucoDetector:

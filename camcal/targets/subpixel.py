@@ -41,14 +41,20 @@ class CornerFits:
 
 
 def fit_corners(
-    gray: Array, pixels: Array, steps: Array, window: Window = FINE, clearance: float = np.inf
+    gray: Array,
+    pixels: Array,
+    steps: Array,
+    window: Window = FINE,
+    clearance: float = np.inf,
+    sites: Array | None = None,
 ) -> CornerFits:
     """Return the corners fitted from starts pixels (N, 2).
 
     gray: (H, W). steps: (N, 2, 2), columns are the vectors to the next corner along the row and down the column.
     clearance: how far from the nearer edge, in steps, samples may lie: less than the margin around a marker.
+    sites: (H, W) mask of the pixels that count, as the samples of one colour do in a mosaic; None for all.
     """
-    samples = sample(gray, pixels, steps, window, clearance)
+    samples = sample(gray, pixels, steps, window, clearance, sites)
     settled = _SETTLED_PX if window.across == np.inf else _SETTLED_COARSE_PX
     parameters, cost = _minimise(samples, _start(samples, steps), settled)
     return CornerFits(pixels + parameters[:, [_X, _Y]], parameters[:, _CONTRAST], _agreement(samples, cost))

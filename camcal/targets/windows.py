@@ -51,11 +51,14 @@ class Samples:
         return Samples(self.x[rows], self.y[rows], self.values[rows], self.weights[rows], self.reach, self.blur)
 
 
-def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: float) -> Samples:
+def sample(
+    gray: Array, pixels: Array, steps: Array, window: Window, clearance: float, sites: Array | None = None
+) -> Samples:
     """Return the samples around pixels (N, 2) of `gray` (H, W).
 
     steps: (N, 2, 2) pixels, columns are the steps to the next corner along the row and down the column.
-    clearance: how far from the nearer edge, in steps, samples may lie.
+    clearance: how far from the nearer edge, in steps, samples may lie. sites: (H, W) mask of the pixels that count,
+    such as those of one colour of a mosaic; None for all.
     """
     lengths = np.linalg.norm(steps, axis=1)
     limit = np.maximum(REACH_PX, window.reach * lengths.min(axis=1))
@@ -66,6 +69,9 @@ def sample(gray: Array, pixels: Array, steps: Array, window: Window, clearance: 
     places = np.rint(pixels).astype(np.intp)[:, None] + offsets
     used = _in_window(places - pixels[:, None], steps, limit[:, None], window, clearance)
     used &= ((places >= 0) & (places < (gray.shape[1], gray.shape[0]))).all(axis=-1)
+    if sites is not None:
+        column, row = np.moveaxis(places, -1, 0)
+        used &= sites[np.clip(row, 0, gray.shape[0] - 1), np.clip(column, 0, gray.shape[1] - 1)]
     first = np.argsort(~used, axis=1, kind="stable")[:, : max(1, int(used.sum(axis=1).max()))]
     places = np.take_along_axis(places, first[..., None], axis=1)
     x, y = np.moveaxis(places - pixels[:, None], -1, 0)

@@ -1,12 +1,14 @@
 """`camcal calibrate`: images or a detections file in, one camera file out."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from camcal import files
 from camcal.calibrate import intrinsics
+from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.cameras.catalogue import model_named
@@ -17,7 +19,10 @@ from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise, misfits
 from camcal.report.calibration import view_record
 from camcal.run.inputs import split_address
+from camcal.run.outputs import refuse_overwriting
+from camcal.targets.board import Detection
 from camcal.tasks.board_views import BoardViews, board_views
+from camcal.tasks.photographs import AS_IMAGES, Reading
 
 DEFAULT_MODEL = "opencv5"
 WIDE_MODELS = ("kannala_brandt4", "opencv8")
@@ -31,7 +36,7 @@ class CalibrateOptions:
     inputs: images, folders and globs, or one detections file. model: None for DEFAULT_MODEL, or where that cannot
     hold the lens, the best of WIDE_MODELS. board: a board file or short form, None when the
     detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height)
-    of the images of a .vnl file.
+    of the images of a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own.
     """
 
     inputs: tuple[str, ...]
@@ -48,17 +53,30 @@ class CalibrateOptions:
     image_size: tuple[int, int] | None = None
     recursive: bool = False
     jobs: int | None = None
+    reading: Reading = AS_IMAGES
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """The lens of a colour, and how far that colour lies from green."""
+
+    lens: ColourLens
+    aberration: Aberration
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrateReport:
-    """The calibration, what is to be said of it, the file that was written, remarks of the detection, failed inputs."""
+    """The calibration, what is to be said of it, the file that was written, remarks of the detection, failed inputs.
+
+    channels: by the names of colours, empty unless asked for.
+    """
 
     calibration: Calibration
     advice: Advice
     file: CameraFile
     notes: tuple[str, ...]
     failed: tuple[str, ...]
+    channels: Mapping[str, Channel] = field(default_factory=dict)
 
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
@@ -66,18 +84,30 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
-    _refuse_overwriting(options)
+    outputs = [path for path in (options.output, options.save_detections) if path is not None]
+    refuse_overwriting(outputs, map(Path, options.inputs))
     how = _solver_options(options)
-    seen = board_views(options.inputs, options.board, options.recursive, options.jobs, progress, options.image_size)
+    seen = board_views(
+        options.inputs, options.board, options.recursive, options.jobs, progress, options.image_size, options.reading
+    )
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
     calibration, remarks = _solve(seen, how, options.model is None)
+    channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
     progress.finish()
     advice = advise(calibration)
-    file = camera_file(calibration, advice, options)
+    file = camera_file(calibration, advice, options, channels)
     native.write(options.output, file)
-    return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed)
+    return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed, channels)
+
+
+def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) -> Channel:
+    try:
+        lens = fit_colour(calibration, views)
+    except (InsufficientData, NotConverged) as error:
+        raise type(error)(f"{colour}: {error.message}") from error
+    return Channel(lens, aberration(calibration.camera, lens))
 
 
 def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool) -> tuple[Calibration, tuple[str, ...]]:
@@ -112,13 +142,6 @@ def _or_raise(calibration: Calibration | None, failure: CamcalError | None) -> C
     return calibration
 
 
-def _refuse_overwriting(options: CalibrateOptions) -> None:
-    outputs = [path for path in (options.output, options.save_detections) if path is not None]
-    for path in outputs:
-        if any(Path(text).resolve() == path.resolve() for text in options.inputs):
-            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(path))
-
-
 def _solver_options(options: CalibrateOptions) -> intrinsics.Options:
     guess = None
     if options.guess is not None:
@@ -135,21 +158,59 @@ def _solver_options(options: CalibrateOptions) -> intrinsics.Options:
     )
 
 
-def camera_file(calibration: Calibration, advice: Advice, options: CalibrateOptions) -> CameraFile:
-    """Return what the camera file says of a calibration."""
+def camera_file(
+    calibration: Calibration,
+    advice: Advice,
+    options: CalibrateOptions,
+    channels: Mapping[str, Channel] = MappingProxyType({}),
+) -> CameraFile:
+    """Return what the camera file says of a calibration; green is the camera itself and no channel of its own."""
     entry = CameraEntry(
         calibration.camera,
         valid=ValidRegion.of(calibration.camera),
         quality=quality_figures(calibration),
         noise=Noise(calibration.sigma_px, calibration.freedom),
         verdict=Verdict(advice.trustworthy, advice.reasons),
+        channels={colour: channel.lens.camera for colour, channel in channels.items()},
     )
     shaped = calibration.surface.tiers or calibration.surface.offsets is not None
     return CameraFile(
         {options.name: entry},
         board_shape=calibration.surface if shaped else None,
-        provenance=_provenance(calibration, options),
+        provenance=_provenance(calibration, options) | channel_figures(channels),
     )
+
+
+def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """Return what is known of the aberration of every colour against green, under the key 'aberration'; pixels."""
+    figures = {
+        colour: {
+            "corner_px": channel.aberration.corner_px,
+            "corner_std_px": channel.aberration.corner_std_px,
+            "largest_px": channel.aberration.largest_px,
+            "largest_std_px": channel.aberration.largest_std_px,
+            "largest_at": channel.aberration.largest_at.tolist(),
+            "terms": list(channel.lens.terms),
+            "sigma_px": channel.lens.sigma_px,
+            "points_used": channel.lens.points,
+            "points_rejected": channel.lens.rejected,
+        }
+        for colour, channel in channels.items()
+    }
+    return {"aberration": figures} if figures else {}
+
+
+def channel_data(channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """Return the lens of every colour and its aberration as plain data for --json."""
+    figures = channel_figures(channels)
+    return {
+        colour: {
+            "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
+            "std": {name: camera.std(name) for name in camera.model.parameter_names},
+            "aberration": figures["aberration"][colour],
+        }
+        for colour, camera in ((colour, channel.lens.camera) for colour, channel in channels.items())
+    }
 
 
 def quality_figures(calibration: Calibration) -> dict[str, float]:
@@ -168,12 +229,13 @@ def quality_figures(calibration: Calibration) -> dict[str, float]:
     }
 
 
-def _provenance(calibration: Calibration, options: CalibrateOptions) -> Mapping[str, Any]:
+def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str, Any]:
     arguments = ["calibrate", *options.inputs, *(["--board", options.board] if options.board else [])]
     arguments += ["--model", options.model] if options.model else []
     arguments += [*(["--fix", ",".join(options.fix)] if options.fix else [])]
     arguments += ["--guess", options.guess] if options.guess else []
     arguments += ["--flat-board"] if options.flat_board else []
+    arguments += options.reading.arguments()
     return provenance.build(arguments, calibration.board, [_image(view) for view in calibration.views])
 
 

@@ -14,6 +14,7 @@ from camcal.geometry.pose import Pose
 from camcal.images.load import load
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import split_address
+from camcal.run.outputs import refuse_overwriting
 from camcal.stereo.cloud import PointCloud, make_cloud
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
 
@@ -68,7 +69,7 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
     """
     pointcloud.require_suffix(options.output)
     image_path, address = _image_and_camera(options.files)
-    _refuse_overwriting(options.output, options.disparity, image_path)
+    refuse_overwriting([options.output], [options.disparity, *([image_path] if image_path else [])])
     found = disparity.read(options.disparity, options.scale)
     geometry = _geometry(options, address, found, progress)
     image = load(image_path).pixels if image_path else None
@@ -85,11 +86,6 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
     if len(cameras) > 1 or len(images) > 1:
         raise InvalidInput(f"one image and one camera file are taken, found {' and '.join(files)}")
     return (images[0] if images else None), (cameras[0] if cameras else None)
-
-
-def _refuse_overwriting(output: Path, *inputs: Path | None) -> None:
-    if any(path is not None and path.resolve() == output.resolve() for path in inputs):
-        raise InvalidInput("is an input and is not overwritten; choose another output", where=str(output))
 
 
 def _geometry(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> StereoGeometry:

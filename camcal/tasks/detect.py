@@ -1,47 +1,61 @@
 """`camcal detect`: the corners of a board in a set of images, as many at a time as there are cores."""
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import boards, detections
-from camcal.images.load import gray_8bit, load
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images
+from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
 from camcal.targets.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.tasks.board_remarks import nothing_found, remarks
+from camcal.tasks.photographs import AS_IMAGES, Reading, in_colours, measured, read_photograph
 
 SUFFIXES = (".csv", ".vnl")
 SAMPLE = 6  # images on which the arrangement of a ChArUco board is found out
 TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
+MIXED = (
+    "red and blue come from demosaiced images, which mix them with green: the aberration may be wrong by tenths of a "
+    "pixel; use raw frames"
+)
 
 Task = tuple[Path, Board]
 
 
 @dataclass(frozen=True)
 class DetectOptions:
-    """Images (files, folders, globs), the board that is looked for, and the detections file, None to write none."""
+    """Images (files, folders, globs), the board that is looked for, and the detections file, None to write none.
+
+    reading: what is made of camera raw files and bare mosaics.
+    """
 
     inputs: Sequence[Path | str]
     board: Board
     output: Path | None = None
     recursive: bool = False
     jobs: int | None = None
+    reading: Reading = AS_IMAGES
 
 
 @dataclass(frozen=True, eq=False)
 class DetectReport:
-    """The detections with the board as it turned out to be, remarks, and the images that could not be read."""
+    """The detections with the board as it turned out to be, remarks, and the images that could not be read.
+
+    colours: the same views by the samples of red and of blue, if the reading asked for them.
+    """
 
     detections: Detections
     notes: tuple[str, ...]
     failed: tuple[str, ...]
+    colours: Mapping[str, tuple[Detection, ...]] = field(default_factory=dict)
 
     @property
     def used(self) -> int:
@@ -51,10 +65,15 @@ class DetectReport:
 
 @dataclass(frozen=True)
 class Seen:
-    """What one image shows; pattern: the size of a checker pattern in sight that is not the board."""
+    """What one image shows, and its colours if asked for; pattern: the size of a checker pattern that is not the board.
+
+    demosaiced: whether the colours had been mixed.
+    """
 
     view: Detection
     pattern: tuple[int, int] | None
+    colours: Mapping[str, Detection] = field(default_factory=dict)
+    demosaiced: bool = False
 
 
 def detect_images(options: DetectOptions, progress: Progress = SILENT) -> DetectReport:
@@ -66,8 +85,8 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     require_findable(options.board)
     images = find_images(options.inputs, recursive=options.recursive)
     _require_output(options.output, images)
-    board = _arranged(options.board, images, options.jobs, progress) if options.board.type == CHARUCO else options.board
-    outcomes = _search([(path, board) for path in images], options.jobs, "detecting", progress)
+    board = _arranged(options, images, progress) if options.board.type == CHARUCO else options.board
+    outcomes = _search([(path, board) for path in images], options, "detecting", progress)
     seen = [outcome.value for outcome in outcomes if outcome.value is not None]
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     if not seen:
@@ -76,7 +95,10 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
         raise error
     views = _of_one_size([item.view for item in seen])
     report = DetectReport(
-        Detections(board, tuple(views)), remarks(views, board, options.board), tuple(map(str, errors))
+        Detections(board, tuple(views)),
+        remarks(views, board, options.board) + ((MIXED,) if any(item.demosaiced for item in seen) else ()),
+        tuple(map(str, errors)),
+        {colour: tuple(item.colours[colour] for item in seen) for colour in seen[0].colours},
     )
     if options.output is not None:
         detections.write(options.output, report.detections)
@@ -88,40 +110,43 @@ def _require_output(output: Path | None, images: Sequence[Path]) -> None:
         return
     if output.suffix.lower() not in SUFFIXES:
         raise InvalidInput(f"detections are written as {' or '.join(SUFFIXES)}", where=str(output))
-    if output.resolve() in {image.resolve() for image in images}:
-        raise InvalidInput("is an input and is not overwritten; choose another output", where=str(output))
+    refuse_overwriting([output], images)
 
 
-def _search(tasks: Sequence[Task], jobs: int | None, what: str, progress: Progress) -> list[Outcome[Task, Seen]]:
-    timeout = None if jobs == 1 else TIMEOUT_S
-    return list(fan_out(_detect_file, tasks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout))
+def _search(tasks: Sequence[Task], options: DetectOptions, what: str, progress: Progress) -> list[Outcome[Task, Seen]]:
+    timeout = None if options.jobs == 1 else TIMEOUT_S
+    work = partial(_detect_file, reading=options.reading)
+    return list(fan_out(work, tasks, jobs=options.jobs, processes=True, what=what, progress=progress, timeout=timeout))
 
 
-def _detect_file(task: Task) -> Seen:
+def _detect_file(task: Task, reading: Reading) -> Seen:
     path, board = task
-    image = load(path)
-    sighting = detect(gray_8bit(image.pixels), board)
-    view = Detection(
+    photograph = read_photograph(path, reading)
+    sighting = detect(photograph.gray, board)
+    height, width = photograph.gray.shape
+    found = Detection(
         path.as_posix(),
-        image.size,
+        (width, height),
         sighting.ids,
         sighting.pixels,
         reason=sighting.reason,
-        orientation=image.orientation,
+        orientation=photograph.orientation,
     )
-    return Seen(view, sighting.pattern)
+    view = measured(photograph, found, board)
+    return Seen(view, sighting.pattern, in_colours(photograph, view, board), photograph.demosaiced)
 
 
-def _arranged(board: Board, images: Sequence[Path], jobs: int | None, progress: Progress) -> Board:
+def _arranged(options: DetectOptions, images: Sequence[Path], progress: Progress) -> Board:
     """Return the arrangement of a ChArUco board with which most corners are found on a sample, else on all images."""
-    candidates = arrangements(board)
+    candidates = arrangements(options.board)
     if len(candidates) == 1:
         return candidates[0]
+    options = replace(options, reading=replace(options.reading, colours=False))
     stride = -(-len(images) // SAMPLE)
     for part in dict.fromkeys((tuple(images[::stride]), tuple(images))):
         tasks = [(path, candidate) for candidate in candidates for path in part]
         corners: Counter[Board] = Counter()
-        for outcome in _search(tasks, jobs, "trying patterns", progress):
+        for outcome in _search(tasks, options, "trying patterns", progress):
             corners[outcome.item[1]] += len(outcome.value.view.ids) if outcome.value else 0
         if corners.total():
             break

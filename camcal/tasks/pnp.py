@@ -14,6 +14,7 @@ from camcal.formats import correspondences, native, poses
 from camcal.formats.poses import Poses
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import split_address
+from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Board, Detection
 from camcal.tasks.board_views import board_views
 
@@ -104,8 +105,7 @@ def _check(options: PnpOptions) -> None:
     poses.require_suffix(options.output)
     inputs = [split_address(options.camera)[0], *map(Path, options.inputs)]
     inputs += [options.points] if options.points else []
-    if any(path.resolve() == options.output.resolve() for path in inputs):
-        raise InvalidInput("is an input and is not overwritten; choose another output", where=str(options.output))
+    refuse_overwriting([options.output], inputs)
 
 
 def _camera(options: PnpOptions, progress: Progress) -> Camera:

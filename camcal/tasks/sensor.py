@@ -22,6 +22,7 @@ from camcal.raw.reading import read_mosaic
 from camcal.raw.sensor import DECIBELS_A_STOP, Characterisation, characterise
 from camcal.report import figures
 from camcal.run.fanout import fan_out
+from camcal.run.outputs import refuse_overwriting
 from camcal.tasks.frame_sets import FrameSet, find_sets
 
 FORMAT, VERSION = "camcal-sensor", 1
@@ -139,11 +140,8 @@ def _at_one_speed(
 
 
 def _refuse_overwriting(options: SensorOptions, sets: Sequence[FrameSet]) -> None:
-    inputs = {path.resolve() for one in sets for path in one.paths}
     outputs = [path for path in (options.output, options.plot) if path is not None]
-    for path in outputs:
-        if path.resolve() in inputs:
-            raise InvalidInput("is one of the frames and is not overwritten; choose another output", where=str(path))
+    refuse_overwriting(outputs, [path for one in sets for path in one.paths])
     if len({path.resolve() for path in outputs}) < len(outputs):
         raise InvalidInput("is asked for twice, as --output and as --plot", where=str(options.output))
 

@@ -1,7 +1,7 @@
 """`camcal undistort`: images and videos to straight lines, and the camera file that fits what was written."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,21 @@ import numpy as np
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images.load import load
-from camcal.images.remap import build_maps
+from camcal.images.remap import align_channels, build_maps
 from camcal.images.save import JPEG_QUALITY, KINDS, save
 from camcal.images.video import frames
 from camcal.images.views import PINHOLE, ViewOptions, make_view
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.inputs import Media, find_media, record_outputs
+from camcal.run.outputs import refuse_collisions, refuse_overwriting
 from camcal.tasks.drawing import Drawing, Drawn, require_success, same_shape
-from camcal.tasks.view_camera import read_source, refuse_overwriting, require_own, view_arguments, write_view
+from camcal.tasks.view_camera import (
+    SourceCamera,
+    read_source,
+    require_own,
+    view_arguments,
+    write_view,
+)
 
 CAMERA_FILE = "camera.yaml"
 MASK_FILE = "valid_mask.png"
@@ -34,7 +41,8 @@ class UndistortOptions:
 
     camera: a camera file or FILE#NAME. output: a folder. border: one number, or one for each channel.
     format: one of FORMATS, None keeps the type of the source. mask: write which pixels have a source, too.
-    rescale: fit the camera to images that were resized.
+    rescale: fit the camera to images that were resized. align_channels: draw the colours of colour images through their
+    own lenses, where the camera file has them.
     """
 
     camera: str
@@ -48,6 +56,7 @@ class UndistortOptions:
     format: str | None = None
     quality: int = JPEG_QUALITY
     rescale: bool = False
+    align_channels: bool = True
     recursive: bool = False
     jobs: int | None = None
 
@@ -61,6 +70,7 @@ class UndistortOptions:
         """Return the command line that gives the same images."""
         kind = ["--interpolation", self.interpolation] if self.interpolation != "linear" else []
         flags = ["--rescale"] if self.rescale else []
+        flags += [] if self.align_channels else ["--no-align-channels"]
         inputs = [str(path) for path in self.inputs]
         return ["undistort", self.camera, *inputs, *view_arguments(self.camera_name, self.view), *kind, *flags]
 
@@ -69,7 +79,7 @@ class UndistortOptions:
 class UndistortReport:
     """The camera of the view, what became of every image, and what was written beside the images.
 
-    valid: share of the view's pixels that have a source.
+    valid: share of the view's pixels that have a source. aligned: the colours that a colour image is aligned in.
     """
 
     view: Camera
@@ -77,6 +87,7 @@ class UndistortReport:
     camera_file: Path
     mask_file: Path | None
     valid: float
+    aligned: tuple[str, ...] = ()
 
     @property
     def failed(self) -> tuple[Outcome[Path, Drawn], ...]:
@@ -93,22 +104,32 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     media = find_media(options.inputs, recursive=options.recursive)
     outputs = {path: options.output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
     camera_file, mask_file = options.output / CAMERA_FILE, options.output / MASK_FILE
-    _refuse_collisions(outputs)
+    refuse_collisions(outputs)
     refuse_overwriting([*outputs.values(), camera_file, mask_file], [source.path, *media.images])
     require_own(camera_file)
-    camera = _rescaled(source.camera, media) if options.rescale else source.camera
-    view = make_view(camera, options.view)
-    _warn_of_shrinking(camera, view, progress)
-    maps = build_maps(camera, view, options.interpolation)
+    if options.rescale:
+        source = _rescaled(source, media)
+    view = make_view(source.camera, options.view)
+    _warn_of_shrinking(source.camera, view, progress)
+    maps = build_maps(source.camera, view, options.interpolation)
+    lenses = source.channels if options.align_channels else {}
+    maps = align_channels(maps, lenses, view) if lenses else maps
     advice = ": if it was resized, not cropped, give --rescale"
     outcomes = tuple(_drawn(Drawing(maps, options.border, options.quality, advice), outputs, media, options, progress))
     require_success(outcomes)
     if options.mask:
         save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
-    write_view(camera_file, source, view, options.arguments(), progress)
+    write_view(camera_file, source, view, options.arguments(), progress, tuple(lenses))
     written = [outcome.value.output.name for outcome in outcomes if outcome.value]
     record_outputs(options.output, [*written, *([MASK_FILE] if options.mask else [])])
-    return UndistortReport(view, outcomes, camera_file, mask_file if options.mask else None, float(maps.valid().mean()))
+    return UndistortReport(
+        view,
+        outcomes,
+        camera_file,
+        mask_file if options.mask else None,
+        float(maps.valid().mean()),
+        tuple(lenses),
+    )
 
 
 def _drawn(
@@ -122,14 +143,6 @@ def _drawn(
         yield from drawing.video(video, options.output / f"{video.stem}{suffix}", options.jobs, progress)
 
 
-def _refuse_collisions(outputs: Mapping[Path, Path]) -> None:
-    taken: dict[Path, Path] = {}
-    for source, output in outputs.items():
-        if output in taken:
-            raise InvalidInput(f"{taken[output]} and {source} would both be written to it", where=str(output))
-        taken[output] = source
-
-
 def _suffix(source: Path, kind: str | None) -> str:
     if kind is not None:
         return f".{kind}"
@@ -137,16 +150,21 @@ def _suffix(source: Path, kind: str | None) -> str:
     return source.suffix if suffix in KINDS else _OTHERWISE.get(suffix, ".png")
 
 
-def _rescaled(camera: Camera, media: Media) -> Camera:
-    """Return the camera for images of the size of the first one that can be read."""
-    size = _first_size(media)
-    if size is None or size == camera.image_size:
-        return camera
-    if not same_shape(size, camera.image_size):
-        found, wanted = ("{}x{}".format(*each) for each in (size, camera.image_size))
+def _rescaled(source: SourceCamera, media: Media) -> SourceCamera:
+    """Return the camera and its channels for images of the size of the first one that can be read."""
+    size, usual = _first_size(media), source.camera.image_size
+    if size is None or size == usual:
+        return source
+    if not same_shape(size, usual):
+        found, wanted = ("{}x{}".format(*each) for each in (size, usual))
         raise InvalidInput(f"images of {found} are no resized images of {wanted}: they need a camera of their own")
-    scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
-    return Camera(camera.model, size, camera.model.rescale(camera.parameters, scale, (0.0, 0.0)))
+    scale = size[0] / usual[0], size[1] / usual[1]
+
+    def resized(camera: Camera) -> Camera:
+        return Camera(camera.model, size, camera.model.rescale(camera.parameters, scale, (0.0, 0.0)))
+
+    channels = {colour: resized(lens) for colour, lens in source.channels.items()}
+    return replace(source, camera=resized(source.camera), channels=channels)
 
 
 def _first_size(media: Media) -> tuple[int, int] | None:
@@ -170,6 +188,7 @@ def _warn_of_shrinking(camera: Camera, view: Camera, progress: Progress) -> None
 def document(report: UndistortReport) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     view = report.view
+    aligned = {"aligned_channels": list(report.aligned)} if report.aligned else {}
     return {
         "camera_file": report.camera_file,
         "mask": report.mask_file,
@@ -185,4 +204,5 @@ def document(report: UndistortReport) -> dict[str, Any]:
             if (drawn := outcome.value) is not None
         ],
         "failed": [{"source": outcome.item, "message": str(outcome.error)} for outcome in report.failed],
+        **aligned,
     }

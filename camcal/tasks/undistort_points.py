@@ -13,7 +13,8 @@ from camcal.errors import InvalidInput
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.views import ViewOptions, make_view
 from camcal.progress import SILENT, Progress
-from camcal.tasks.view_camera import read_source, refuse_overwriting, require_own, view_arguments, write_view
+from camcal.run.outputs import refuse_overwriting
+from camcal.tasks.view_camera import read_source, require_own, view_arguments, write_view
 
 _PIXEL = ("u", "v")
 _DIGITS = 12

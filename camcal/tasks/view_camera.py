@@ -1,7 +1,7 @@
 """The camera an undistortion starts from, and the camera file of the view it ends with."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,12 @@ _COMMAND = "camcal undistort"
 
 @dataclass(frozen=True, eq=False)
 class SourceCamera:
-    """A camera of a file, and its name there."""
+    """A camera of a file, its name there, and the lenses of single colours that the file has besides."""
 
     path: Path
     name: str
     camera: Camera
+    channels: Mapping[str, Camera] = field(default_factory=dict)
 
 
 def read_source(address: str, name: str | None) -> SourceCamera:
@@ -33,22 +34,24 @@ def read_source(address: str, name: str | None) -> SourceCamera:
     file = native.read(path)
     wanted = name or addressed
     entry = native.select(file, wanted, str(path))
-    return SourceCamera(path, wanted or next(iter(file.cameras)), entry.camera)
+    return SourceCamera(path, wanted or next(iter(file.cameras)), entry.camera, entry.channels)
 
 
-def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Raise InvalidInput if an output is one of the inputs."""
-    read = {path.resolve() for path in inputs}
-    for path in outputs:
-        if path.resolve() in read:
-            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(path))
+def write_view(
+    path: Path,
+    source: SourceCamera,
+    view: Camera,
+    arguments: Sequence[str],
+    progress: Progress,
+    aligned: Sequence[str] = (),
+) -> None:
+    """Write the camera of a view; a warning is given if it takes the place of that of another view.
 
-
-def write_view(path: Path, source: SourceCamera, view: Camera, arguments: Sequence[str], progress: Progress) -> None:
-    """Write the camera of a view; a warning is given if it takes the place of that of another view."""
+    aligned: the colours that were drawn through a lens of their own.
+    """
     before = _earlier(path)
     origin = {"camera": {"file": source.path.as_posix(), "name": source.name, "sha256": files.sha256(source.path)}}
-    block = provenance.build(arguments, None) | origin
+    block = provenance.build(arguments, None) | origin | ({"aligned_channels": list(aligned)} if aligned else {})
     native.write(path, CameraFile({source.name: CameraEntry(view)}, provenance=block))
     if before is not None and not _same(before, view):
         progress.warn(f"{path}: replaces the camera of another view; images of that one no longer fit it")

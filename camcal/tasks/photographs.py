@@ -1,0 +1,216 @@
+"""What detectors look at: images as they are, and raw frames as brightness that no demosaicing has moved.
+
+Filling in colours mixes red, green and blue, which a lens does not put in the same place. A corner is therefore found
+where green was sampled, or in all samples alike, and measured by the samples of one colour alone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.images.image import RAW_SUFFIXES, Image
+from camcal.images.load import gray_8bit, load
+from camcal.raw.balance import Gains, balance_in_place
+from camcal.raw.demosaic import demosaic
+from camcal.raw.develop import linearise
+from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, sites
+from camcal.raw.phase import check_phase
+from camcal.raw.reading import HEADERLESS_SUFFIXES, read_mosaic
+from camcal.targets import grid as grids
+from camcal.targets.board import CHARUCO, Board, Detection
+from camcal.targets.charuco import clearance
+from camcal.targets.checker import AGREEMENT, START
+from camcal.targets.subpixel import CornerFits, fit_corners
+
+GREEN, GRAY = "green", "gray"
+ALGORITHMS = (GREEN, GRAY)
+COLOURS = ("red", "blue")
+
+_CHANNELS = {"blue": 0, "green": 1, "red": 2}  # of colour images
+_GRAY_LEVELS, _ROUNDING = 255.0, 1e-6
+_BRIGHTEST = 0.999  # of the samples; what is above may be a lamp
+_USED_CELLS = 1 << 17
+_CLIPPED = 0.98
+_FILLED_BY = 1.0  # px; filling in the missing greens moves a corner by hundredths
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How photographs of a board are read.
+
+    pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
+    algorithm: what is made of a raw frame, one of ALGORITHMS. colours: measure corners in red and in blue as well.
+    """
+
+    pattern: str | None = None
+    algorithm: str = GREEN
+    colours: bool = False
+
+    def __post_init__(self) -> None:
+        if self.pattern is not None and self.pattern not in (*PATTERNS, MONO):
+            raise InvalidInput(f"pattern {self.pattern!r} is unknown; use one of {', '.join((*PATTERNS, MONO))}")
+        if self.algorithm not in ALGORITHMS:
+            raise InvalidInput(
+                f"algorithm {self.algorithm!r} is unknown; corners are found in {' or '.join(ALGORITHMS)}"
+            )
+        if self.colours and self.algorithm != GREEN:
+            raise InvalidInput("channels are measured against green: leave --algorithm out")
+
+    def arguments(self) -> list[str]:
+        """Return the options of a command line that read so."""
+        pattern = ["--pattern", self.pattern] if self.pattern else []
+        algorithm = ["--algorithm", self.algorithm] if self.algorithm != GREEN else []
+        return [*pattern, *algorithm, *(["--channels"] if self.colours else [])]
+
+
+AS_IMAGES = Reading()
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The samples of one colour: values (H, W) in gray levels, and the mask (H, W) of where they are, None: all."""
+
+    values: Array
+    sites: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
+
+    measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
+    demosaiced: whether the colours stem from an image, in which they have been mixed.
+    """
+
+    gray: Array
+    orientation: int
+    measured: Samples | None = None
+    colours: Mapping[str, Samples] = field(default_factory=dict)
+    demosaiced: bool = False
+
+
+def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
+    """Return what detectors look at in an image, a camera raw file or a bare mosaic.
+
+    Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the colours asked for.
+    """
+    suffix = path.suffix.lower()
+    if suffix in HEADERLESS_SUFFIXES:
+        raise InvalidInput("is header-less; 'camcal demosaic --algorithm none' makes a mosaic of it", where=str(path))
+    try:
+        if suffix in RAW_SUFFIXES or reading.pattern is not None:
+            return photograph_of(read_mosaic(path, reading.pattern), reading)
+        return _of_image(load(path), reading)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=error.where or str(path)) from error
+
+
+def _of_image(image: Image, reading: Reading) -> Photograph:
+    if not reading.colours:
+        return Photograph(gray_8bit(image.pixels), image.orientation)
+    if image.channels == 1:
+        raise InvalidInput("is gray and has no channels; if it is a raw frame, give its --pattern")
+    planes = {colour: gray_8bit(image.pixels[:, :, channel]) for colour, channel in _CHANNELS.items()}
+    colours = {colour: Samples(planes[colour]) for colour in COLOURS}
+    return Photograph(planes["green"], image.orientation, colours=colours, demosaiced=True)
+
+
+def photograph_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> Photograph:
+    """Return what detectors look at in a raw frame.
+
+    Raises InvalidInput for X-Trans, a pattern that contradicts the frame, or colours that it has not.
+    """
+    if frame.pattern != MONO and frame.pattern not in PATTERNS:
+        raise InvalidInput("has an X-Trans pattern; corners are found in Bayer mosaics. 'camcal demosaic' develops it")
+    if frame.pattern == MONO:
+        if reading.colours:
+            raise InvalidInput("is of a sensor without colours and has no channels")
+        return Photograph(gray_8bit(linearise(frame)), frame.orientation)
+    check_phase(frame)
+    light = linearise(frame)
+    if reading.algorithm == GRAY:
+        balance_in_place(light, frame.pattern, agreeing_gains(light, frame.pattern))
+        return Photograph(gray_8bit(light), frame.orientation)
+    gray = gray_8bit(demosaic(light, frame.pattern, GREEN))
+    light *= np.float32(_GRAY_LEVELS / max(float(np.quantile(light[::4, ::3], _BRIGHTEST)), _ROUNDING))
+    colours = {name: _samples(light, frame.pattern, name) for name in (COLOURS if reading.colours else ())}
+    return Photograph(gray, frame.orientation, _samples(light, frame.pattern, GREEN), colours)
+
+
+def _samples(light: Array, pattern: str, colour: str) -> Samples:
+    mask = np.zeros(light.shape, np.bool_)
+    for site in sites(pattern, colour[0].upper()):
+        mask[site] = True
+    return Samples(light, mask)
+
+
+def agreeing_gains(light: Array, pattern: str) -> Gains:
+    """Return gains of red, green, blue that make most of a mosaic (H, W) of linear light agree with its green.
+
+    A board is black and white; what stands around it may have any colour and is outvoted: the gain of a colour c is the
+    weighted median of g / c over the cells, which minimises Σ |g - gain · c|.
+    """
+    height, width = (length // 2 * 2 for length in light.shape)
+    stride = max(1, height * width // (4 * _USED_CELLS))
+    cells = {
+        colour: np.mean([light[:height, :width][site][::stride].ravel() for site in sites(pattern, colour)], axis=0)
+        for colour in "RGB"
+    }
+    every = np.stack(list(cells.values()))
+    usable = (every.max(axis=0) < _CLIPPED) & (every.min(axis=0) > 0)
+    green = cells["G"][usable]
+    red, blue = (_weighted_median(green / cells[colour][usable], cells[colour][usable]) for colour in "RB")
+    return red, 1.0, blue
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the value with half of the weight on either side, 1 for none."""
+    if not values.size:
+        return 1.0
+    order = np.argsort(values)
+    heaped = np.cumsum(weights[order], dtype=np.float64)
+    return float(values[order][np.searchsorted(heaped, heaped[-1] / 2)])
+
+
+def measured(photograph: Photograph, view: Detection, board: Board) -> Detection:
+    """Return the view with its corners where the photograph's own samples put them.
+
+    A corner that these do not show clearly stays where it was found.
+    """
+    if photograph.measured is None or not view.found:
+        return view
+    fits, _ = _fitted(photograph.measured, view, board)
+    moved = np.linalg.norm(fits.pixels - view.pixels, axis=1)
+    sure = (fits.agreement > AGREEMENT) & (moved < _FILLED_BY)
+    return _with_pixels(view, view.ids, np.where(sure[:, None], fits.pixels, view.pixels))
+
+
+def in_colours(photograph: Photograph, view: Detection, board: Board) -> dict[str, Detection]:
+    """Return the corners of a view as red and blue show them, each where it is clear; empty if not asked for."""
+    result = {}
+    for colour, samples in photograph.colours.items():
+        if not view.found:
+            result[colour] = view
+            continue
+        fits, spacing = _fitted(samples, view, board)
+        moved = np.linalg.norm(fits.pixels - view.pixels, axis=1)
+        sure = (fits.agreement > AGREEMENT) & (moved < START * spacing)
+        result[colour] = _with_pixels(view, view.ids[sure], fits.pixels[sure])
+    return result
+
+
+def _fitted(samples: Samples, view: Detection, board: Board) -> tuple[CornerFits, Array]:
+    """Return the corners (N,) of a view fitted to samples, and the distance (N,) to their neighbours in pixels."""
+    grid = np.full((board.rows, board.columns, 2), np.nan)
+    grid[np.divmod(view.ids, board.columns)] = view.pixels
+    steps = grids.steps(grid)[np.divmod(view.ids, board.columns)]
+    free = clearance(board) if board.type == CHARUCO else np.inf
+    return fit_corners(samples.values, view.pixels, steps, clearance=free, sites=samples.sites), grids.spacing(steps)
+
+
+def _with_pixels(view: Detection, ids: Array, pixels: Array) -> Detection:
+    return Detection(view.image, view.size, ids, pixels, reason=view.reason, orientation=view.orientation)
