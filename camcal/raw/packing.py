@@ -1,8 +1,8 @@
 """Pixels packed across bytes: the bits of a group move into one 16-bit lane per pixel, and back.
 
 A group of pixels is one word. A stage moves its bits: every move shifts the word to the left (to the right when
-negative) and keeps what lands on its mask, and the results are or-ed. No two bits ever meet, so the same stages, taken
-backwards with the opposite shifts, pack what they unpacked. Whole blocks of words move at once.
+negative) and keeps what lands on its mask, and the results are or-ed. No two bits that count ever meet, so the same
+stages, taken backwards with the opposite shifts, pack what they unpacked. Whole blocks of words move at once.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,10 @@ import numpy as np
 
 from camcal.arrays import Array
 
-BLOCK_PIXELS = 3 << 15  # three buffers of words, 2 bytes a pixel, stay in the second cache of a core
+BLOCK_PIXELS = 1 << 17  # three buffers of words, 2 bytes a pixel, stay in the second cache of a core
 _BOTH_HALVES = 1 | 1 << 32
 _WORD_BITS = 64
+_KEEP_ALL = (1 << _WORD_BITS) - 1
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def _move(words: Array, move: tuple[int, int], out: Array) -> Array:
         words = np.left_shift(words, _constant(shift, words.dtype), out)
     elif shift < 0:
         words = np.right_shift(words, _constant(-shift, words.dtype), out)
-    return np.bitwise_and(words, _constant(mask, words.dtype), out)
+    return words if mask == _KEEP_ALL else np.bitwise_and(words, _constant(mask, words.dtype), out)
 
 
 @cache
@@ -193,10 +194,12 @@ def gige_vision(bits: int) -> WordPacking:
 def mipi(bits: int) -> Packing:
     """Return the packing RAW10, RAW12 or RAW14 of MIPI CSI-2."""
     if bits == 12:
-        moves = ((4, 0xFF0), (-16, 0xF), (-4, 0xF << 16), (12, 0xFF << 20))
-        return WordPacking(2, 3, (Stage(moves),), by_row=True)
+        # with the first byte on top, the high and the low bits of the second pixel touch
+        return WordPacking(2, 3, (Stage(((4, 0xFFF << 16), (-20, 0xFF0), (-8, 0xF))),), ">", by_row=True)
     if bits == 14:
-        return HighBytesFirst(6, _spread(6))
+        # the words have 32 bits, and `lanes` leaves out what they shed above the first two fields
+        apart, lanes = Stage(((20, _KEEP_ALL), (0, _KEEP_ALL))), _spread(6)[1]
+        return HighBytesFirst(6, (apart, lanes))
     return HighBytesFirst(2, (Stage(tuple((14 * pixel, 0x3 << 16 * pixel) for pixel in range(4)), bits=8),))
 
 
