@@ -90,10 +90,11 @@ class Tile:
         """Take the memory of means back."""
         self._coarse.append(means)
 
-    def slope(self, of: Plane, on: Plane, taps: Array, plus: float, highest: float) -> Plane:
-        """Return the slope, 0 … highest, of the regression of a plane on another in windows; it tends to 1 below plus.
+    def slope(self, of: Plane, on: Plane, taps: Array, plus: float, highest: float, times: float = 1.0) -> Plane:
+        """Return the slope, 0 … highest, of the regression of a plane on another in windows, times a factor.
 
-        What is regressed is a difference and has no mean of its own.
+        What is regressed is a difference and has no mean of its own. Where both are below `plus` the slope tends to 1.
+        It is found at half the plane's size and interpolated.
         """
         result, power = self.take(), self.take()
         np.multiply(of[HERE], on[HERE], out=result[HERE])
@@ -101,6 +102,8 @@ class Tile:
         slopes, powers = self.mean(result, taps, plus), self.mean(power, taps, plus)
         np.divide(slopes, powers, out=slopes)
         np.clip(slopes, 0, highest, out=slopes)
+        if times != 1:
+            slopes *= np.float32(times)
         self.forget(powers)
         self.give_back(power)
         self.spread(slopes, result)
@@ -115,6 +118,16 @@ def weighted(a: Array, alpha: float, b: Array, beta: float, out: Array, plus: fl
 def plus_scaled(a: Array, b: Array, beta: float, out: Array) -> None:
     """Write a + beta b."""
     cv2.scaleAdd(b, beta, a, out)
+
+
+def add_product(a: Array, b: Array, out: Array) -> None:
+    """Add a b to what is there."""
+    cv2.accumulateProduct(a, b, out)
+
+
+def blended(a: Array, b: Array, weight_a: Array, weight_b: Array, out: Array) -> None:
+    """Write the weighted mean of a and b; the weights must be large against 1e-5, which OpenCV adds to their sum."""
+    cv2.blendLinear(a, b, weight_a, weight_b, out)
 
 
 def difference(a: Array, b: Array, out: Array) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.raw import ri_green, ri_red_blue
-from camcal.raw.planes import Each, one_by_one
+from camcal.raw.planes import Each, Plane, Tile, one_by_one
 from camcal.raw.scales import scale_of
 from camcal.raw.tiling import TILE, Box, Missing, TiledMosaic, boxes
 
@@ -62,10 +62,10 @@ class _TwoPasses:
         with self.mosaic.tile(around) as tile:
             bayer = self.mosaic.samples(tile, around.moved(ri_green.REACH))
             red, right, below, blue = bayer
-            at_red, at_blue = greens = tile.take(), tile.take()
-            for green, differences, samples in zip(greens, self._differences, (red, blue), strict=True):
-                green.fill(differences[around.slices])
-                ri_green.green_from(tile, green, samples)
+            at_red, at_blue = (
+                self._green(tile, differences[around.slices], samples)
+                for differences, samples in zip(self._differences, (red, blue), strict=True)
+            )
             red_right, red_below, red_at_blue = ri_red_blue.spread_colour(tile, red, at_red, right, below, at_blue, 1)
             blue_below, blue_right, blue_at_red = ri_red_blue.spread_colour(
                 tile, blue, at_blue, below, right, at_red, -1
@@ -73,3 +73,9 @@ class _TwoPasses:
             missing = Missing(at_red, at_blue, red_right, red_below, red_at_blue, blue_right, blue_below, blue_at_red)
             self.mosaic.write(tile, box, _COLOUR_REACH, bayer, missing)
             tile.give_back(*bayer, *missing)
+
+    @staticmethod
+    def _green(tile: Tile, differences: Array, samples: Plane) -> Plane:
+        plane = tile.take()
+        plane.fill(differences)
+        return ri_green.green_from(tile, plane, samples)

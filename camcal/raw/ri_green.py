@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.raw.planes import HERE, Plane, Tile, difference, filtered, plus_scaled, weighted
+from camcal.raw.planes import HERE, Plane, Tile, add_product, blended, difference, filtered, plus_scaled, weighted
 from camcal.raw.tiling import Bayer
 
 REACH = 12  # half-size pixels around a pixel that its colour difference depends on, rounded up to an even number
@@ -24,6 +24,7 @@ WIDE = np.array([0.8, 1.0, 0.8], np.float32) / np.float32(2.6)  # a window of ab
 
 _FLAT = 10.0  # squared second difference below which the gain is not learnt and tends to 1
 _QUIET = 0.25  # a sum of gradients that counts as none
+_LARGE = 16.0  # makes roughness large against what OpenCV adds to weights, and its square small enough for float32
 _BESIDE, _BEYOND, _MIDDLE = 0.35, 0.10, 0.55  # weights of the differences on one side of a pixel, and of its own
 _GAUSSIAN = np.array([0.239, 0.522, 0.239], np.float32)
 _BELIEVED = 0.1  # variance of a colour difference that is taken for detail
@@ -31,10 +32,10 @@ _CALMING = 0.4  # how much of the variance within 3 × 3 pixels is taken for an 
 
 
 class _Line(NamedTuple):
-    """Green minus the other colour along rows or along columns, and how smooth the side of a pixel is.
+    """Green minus the other colour along rows or along columns, and how rough the side of a pixel is.
 
     red, blue: at the samples of these colours. by_red, by_blue: at the green samples in line with them.
-    red_side, blue_side: weight of the side towards higher indices; that of the other side stands two cells before it.
+    red_side, blue_side: roughness of the side towards higher indices.
     """
 
     red: Plane
@@ -74,7 +75,7 @@ def _line(tile: Tile, red: Plane, by_red: Plane, by_blue: Plane, blue: Plane, st
     np.subtract(by_red[HERE], red_by_red[HERE], out=beside_red[HERE])
     np.subtract(by_blue[HERE], blue_by_blue[HERE], out=beside_blue[HERE])
     return _Line(
-        at_red, beside_red, at_blue, beside_blue, *_side_weights(tile, at_red, beside_red, at_blue, beside_blue, step)
+        at_red, beside_red, at_blue, beside_blue, *_roughness(tile, at_red, beside_red, at_blue, beside_blue, step)
     )
 
 
@@ -105,21 +106,20 @@ def _estimate(
     """
     beside = tile.take()
     weighted(other_curve[HERE], 0.5, other_curve[away], 0.5, beside[HERE])
-    correction = tile.slope(curve, beside, WIDE, _FLAT, 1.0)
-    np.multiply(correction[HERE], other_curve[HERE], out=correction[HERE])
+    gain = tile.slope(curve, beside, WIDE, _FLAT, 1.0, times=-0.25)
     result = beside
-    np.add(colour[HERE], colour[towards], out=result[HERE])
-    weighted(result[HERE], 0.5, correction[HERE], -0.25, result[HERE])
-    tile.give_back(correction)
+    weighted(colour[HERE], 0.5, colour[towards], 0.5, result[HERE])
+    add_product(gain[HERE], other_curve[HERE], result[HERE])
+    tile.give_back(gain)
     return result
 
 
-def _side_weights(
+def _roughness(
     tile: Tile, red: Plane, by_red: Plane, blue: Plane, by_blue: Plane, step: tuple[int, int]
 ) -> tuple[Plane, Plane]:
-    """Return how smooth the differences are on the side ahead of the red and of the blue samples.
+    """Return how rough the differences are on the side ahead of the red and of the blue samples.
 
-    A weight is K^-3 with K the sum of their gradients along the direction, over 5 × 5 pixels from the sample on.
+    That is the cube of the sum of their gradients along the direction, over 5 × 5 pixels from the sample on.
     """
     ahead, behind, twice = step, (-step[0], -step[1]), (2 * step[0], 2 * step[1])
     across, back = step[::-1], (-step[1], -step[0])
@@ -139,17 +139,16 @@ def _side_weights(
     red_side = tile.take()
     np.add(even[HERE], odd[HERE], out=odd[HERE])
     np.add(odd[HERE], odd[ahead], out=red_side[HERE])
-    weighted(red_side[HERE], 1, even[twice], 1, red_side[HERE], _QUIET)
+    weighted(red_side[HERE], _LARGE, even[twice], _LARGE, red_side[HERE], _LARGE * _QUIET)
     _five(blue_pair[back], at_blue[across], by_red_pair[HERE], odd[HERE])
     _five(by_blue_pair[back], at_by_blue[across], red_pair[HERE], even[HERE])
     blue_side = tile.take()
     np.add(even[HERE], odd[HERE], out=even[HERE])
     np.add(even[ahead], even[twice], out=blue_side[HERE])
-    weighted(blue_side[HERE], 1, odd[HERE], 1, blue_side[HERE], _QUIET)
+    weighted(blue_side[HERE], _LARGE, odd[HERE], _LARGE, blue_side[HERE], _LARGE * _QUIET)
     for side in (red_side, blue_side):
         np.multiply(side[HERE], side[HERE], out=even[HERE])
-        np.multiply(even[HERE], side[HERE], out=even[HERE])
-        np.divide(np.float32(1), even[HERE], out=side[HERE])
+        np.multiply(even[HERE], side[HERE], out=side[HERE])
     tile.give_back(*gradients, *pairs, even, odd)
     return red_side, blue_side
 
@@ -161,48 +160,52 @@ def _five(pair: Array, third: Array, between: Array, out: Array) -> None:
 
 
 class _Sides(NamedTuple):
-    """The differences along one direction at samples of one colour, at the green ones in line, and the sides' weights.
+    """The differences along one direction at samples of one colour, and at the green ones in line with them.
 
-    first: whether the colour comes before green in a cell of the direction.
+    roughness: of the side ahead; that of the other side stands two cells before it. first: whether the colour comes
+    before green in a cell of the direction.
     """
 
     differences: Plane
     beside: Plane
-    weights: Plane
+    roughness: Plane
     step: tuple[int, int]
     first: bool
 
 
-def _fused(tile: Tile, *directions: _Sides) -> Plane:
-    """Return the mean of the differences on the four sides of every sample, each with its weight."""
-    total, weight, work, both = tile.take(), tile.take(), tile.take(), tile.take()
-    for sides in directions:
-        dy, dx = sides.step
-        ahead, behind, twice_behind = sides.step, (-dy, -dx), (-2 * dy, -2 * dx)
-        beside_ahead, beside_behind = (HERE, behind) if sides.first else (ahead, HERE)
-        is_first = sides is directions[0]
-        here = sides.differences
-        np.add(sides.weights[HERE], sides.weights[twice_behind], out=both[HERE])
-        np.multiply(both[HERE], here[HERE], out=work[HERE])
-        if is_first:
-            np.copyto(weight[HERE], both[HERE])
-            np.multiply(work[HERE], np.float32(_MIDDLE), out=total[HERE])
-        else:
-            np.add(weight[HERE], both[HERE], out=weight[HERE])
-            plus_scaled(total[HERE], work[HERE], _MIDDLE, total[HERE])
-        for beside, beyond, side in ((beside_behind, behind, twice_behind), (beside_ahead, ahead, HERE)):
-            weighted(sides.beside[beside], _BESIDE, here[beyond], _BEYOND, work[HERE])
-            np.multiply(work[HERE], sides.weights[side], out=work[HERE])
-            np.add(total[HERE], work[HERE], out=total[HERE])
-    np.divide(total[HERE], weight[HERE], out=total[HERE])
-    tile.give_back(weight, work, both)
-    return total
+def _fused(tile: Tile, rows: _Sides, columns: _Sides) -> Plane:
+    """Return the mean of the differences on the four sides of every sample, each weighted by 1 / roughness."""
+    along_rows, roughness_of_rows = _both_sides(tile, rows)
+    along_columns, roughness_of_columns = _both_sides(tile, columns)
+    result = along_rows
+    blended(along_rows[HERE], along_columns[HERE], roughness_of_columns[HERE], roughness_of_rows[HERE], result[HERE])
+    tile.give_back(roughness_of_rows, along_columns, roughness_of_columns)
+    return result
 
 
-def green_from(tile: Tile, differences: Plane, samples: Plane) -> None:
-    """Turn the differences at the samples of a colour into green, calmed where they vary more than their means do.
+def _both_sides(tile: Tile, sides: _Sides) -> tuple[Plane, Plane]:
+    """Return the mean of the differences on both sides along one direction, and the roughness of the two together."""
+    dy, dx = sides.step
+    ahead, behind, twice_behind = sides.step, (-dy, -dx), (-2 * dy, -2 * dx)
+    beside_ahead, beside_behind = (HERE, behind) if sides.first else (ahead, HERE)
+    result, roughness, work = tile.take(), tile.take(), tile.take()
+    rough_ahead, rough_behind = sides.roughness[HERE], sides.roughness[twice_behind]
+    weighted(sides.beside[beside_ahead], _BESIDE, sides.differences[ahead], _BEYOND, result[HERE])
+    weighted(sides.beside[beside_behind], _BESIDE, sides.differences[behind], _BEYOND, work[HERE])
+    blended(result[HERE], work[HERE], rough_behind, rough_ahead, result[HERE])
+    plus_scaled(result[HERE], sides.differences[HERE], _MIDDLE, result[HERE])
+    np.multiply(rough_ahead, rough_behind, out=roughness[HERE])
+    np.add(rough_ahead, rough_behind, out=work[HERE])
+    np.divide(roughness[HERE], work[HERE], out=roughness[HERE])
+    tile.give_back(work)
+    return result, roughness
 
-    Source: Zhang and Wu 2005, eq. 9: the linear least-squares estimate from local means and variances.
+
+def green_from(tile: Tile, differences: Plane, samples: Plane) -> Plane:
+    """Return green at the samples of a colour: the differences, calmed where they vary more than their means do.
+
+    The differences are used up. Source: Zhang and Wu 2005, eq. 9: the linear least-squares estimate from local means
+    and variances; their ratio is found at half the planes' size and interpolated.
     """
     mean, square = tile.take(), tile.take()
     filtered(differences, _GAUSSIAN, mean)
@@ -218,7 +221,8 @@ def green_from(tile: Tile, differences: Plane, samples: Plane) -> None:
     tile.forget(noise)
     tile.forget(level)
     tile.spread(detail, square)
-    np.multiply(square[HERE], differences[HERE], out=differences[HERE])
-    np.add(differences[HERE], mean[HERE], out=differences[HERE])
-    np.add(differences[HERE], samples[HERE], out=differences[HERE])
-    tile.give_back(mean, square)
+    result = mean
+    np.add(mean[HERE], samples[HERE], out=result[HERE])
+    add_product(square[HERE], differences[HERE], result[HERE])
+    tile.give_back(square, differences)
+    return result

@@ -7,7 +7,7 @@ Source: Kiku et al., Beyond Color Difference: Residual Interpolation for Color I
 
 import numpy as np
 
-from camcal.raw.planes import HERE, Plane, Tile, difference, filtered, plus_scaled
+from camcal.raw.planes import HERE, Plane, Tile, add_product, blended, difference, filtered, plus_scaled, weighted
 
 REACH = 8  # half-size pixels of green around a pixel that its red and blue depend on, rounded up to an even number
 
@@ -54,11 +54,10 @@ def _laplacian(tile: Tile, plane: Plane) -> Plane:
 def _between_two(tile: Tile, colour: Plane, green: Plane, target: Plane, gain: Plane, step: tuple[int, int]) -> Plane:
     """Return the colour between two of its samples; target: green there."""
     result, work = tile.take(), tile.take()
-    np.add(green[HERE], green[step], out=work[HERE])
-    plus_scaled(target[HERE], work[HERE], -0.5, work[HERE])
-    np.multiply(work[HERE], gain[HERE], out=work[HERE])
-    np.add(colour[HERE], colour[step], out=result[HERE])
-    plus_scaled(work[HERE], result[HERE], 0.5, result[HERE])
+    weighted(green[HERE], -0.5, green[step], -0.5, work[HERE])
+    np.add(work[HERE], target[HERE], out=work[HERE])
+    weighted(colour[HERE], 0.5, colour[step], 0.5, result[HERE])
+    add_product(work[HERE], gain[HERE], result[HERE])
     tile.give_back(work)
     return result
 
@@ -70,16 +69,14 @@ def _between_four(
     row, column, corner = steps
     falling = _change(tile, colour, green, gain, HERE, corner)
     rising = _change(tile, colour, green, gain, row, column)
-    share = tile.take()  # of the falling diagonal
-    np.add(falling[HERE], rising[HERE], out=share[HERE])
-    np.divide(rising[HERE], share[HERE], out=share[HERE])
-    result, work, means = falling, rising, tile.take()
-    _mixed(colour, share, steps, result, work)
-    _mixed(green, share, steps, means, work)
-    plus_scaled(target[HERE], means[HERE], -0.5, means[HERE])
-    np.multiply(means[HERE], gain[HERE], out=means[HERE])
-    plus_scaled(means[HERE], result[HERE], 0.5, result[HERE])
-    tile.give_back(share, work, means)
+    result, residual, work = tile.take(), tile.take(), tile.take()
+    for plane, means in ((green, residual), (colour, result)):
+        weighted(plane[HERE], 0.5, plane[corner], 0.5, means[HERE])
+        weighted(plane[row], 0.5, plane[column], 0.5, work[HERE])
+        blended(means[HERE], work[HERE], rising[HERE], falling[HERE], means[HERE])
+    np.subtract(target[HERE], residual[HERE], out=residual[HERE])
+    add_product(residual[HERE], gain[HERE], result[HERE])
+    tile.give_back(falling, rising, residual, work)
     return result
 
 
@@ -96,13 +93,3 @@ def _change(
     np.multiply(result[HERE], result[HERE], out=result[HERE])
     tile.give_back(work)
     return result
-
-
-def _mixed(plane: Plane, share: Plane, steps: tuple[tuple[int, int], ...], result: Plane, work: Plane) -> None:
-    """Write twice the mean of four samples, with a share for the falling diagonal and the rest for the rising one."""
-    row, column, corner = steps
-    np.add(plane[HERE], plane[corner], out=result[HERE])
-    np.add(plane[row], plane[column], out=work[HERE])
-    np.subtract(result[HERE], work[HERE], out=result[HERE])
-    np.multiply(result[HERE], share[HERE], out=result[HERE])
-    np.add(result[HERE], work[HERE], out=result[HERE])

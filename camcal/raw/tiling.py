@@ -13,7 +13,7 @@ from camcal.arrays import Array
 from camcal.raw.planes import Each, Plane, Tile, interleave
 from camcal.raw.scales import Scale
 
-TILE = (128, 512)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
+TILE = (192, 512)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
 
 PLACES = "RGGB"  # the four places of a cell, as tiles count cells
 _BAND = 32  # rows of cells
