@@ -140,13 +140,17 @@ def filtered(source: Plane, taps: Array, out: Plane, plus: float = 0.0) -> None:
     cv2.sepFilter2D(source.image, -1, taps, taps, out.image, delta=plus)
 
 
-def interleave(parts: list[Array], out: Array) -> None:
-    """Write six parts (rows, columns) as the three colours of two neighbouring pixels.
+def interleave(parts: list[Array], factors: list[float], highest: float, out: Array) -> None:
+    """Write six parts (rows, columns), each times its factor, as the three colours of two neighbouring pixels.
 
-    out: (rows, 2 * columns, 3); integers are rounded, and what they cannot hold becomes the nearest they can.
+    out: (rows, 2 * columns, 3); integers are rounded and begin at 0. Nothing is above `highest`.
     """
-    if out.dtype != np.float32:
-        parts = [rounded(part, 1, out.dtype) for part in parts]
+    if out.dtype == np.float32:
+        parts = [np.minimum(part * np.float32(f), np.float32(highest)) for part, f in zip(parts, factors, strict=True)]
+    else:
+        parts = [rounded(part, factor, out.dtype) for part, factor in zip(parts, factors, strict=True)]
+        if highest < np.iinfo(out.dtype).max:
+            parts = [np.minimum(part, out.dtype.type(highest)) for part in parts]
     cv2.merge(parts, out.reshape(*parts[0].shape, 6))
 
 
@@ -154,8 +158,3 @@ def rounded(values: Array, factor: float, dtype: np.dtype[Any]) -> Array:
     """Return values, times a factor, as uint8 or uint16; what these cannot hold becomes the nearest they can."""
     # The fastest of OpenCV's functions that convert, round and saturate.
     return cv2.addWeighted(values, factor, values, 0, 0, dtype=cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U)
-
-
-def limit(plane: Plane, highest: float) -> None:
-    """Lower what is above the highest number, in place."""
-    cv2.threshold(plane[HERE], highest, 0, cv2.THRESH_TRUNC, plane[HERE])

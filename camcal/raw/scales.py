@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.raw.mosaic import sites
-from camcal.raw.planes import HERE, Plane, limit
+from camcal.raw.planes import HERE, Plane
 
 _SCALE = 255.0
 _TOE = np.float32(0.002)  # share of the white level below which the root turns linear: noise falls below 0
@@ -17,10 +17,16 @@ _STRONGEST_BALANCE = 16.0
 
 
 class Scale(Protocol):
-    """How counts of a colour ("R", "G" or "B") become the filters' numbers, and back with nothing above white."""
+    """How counts of a colour ("R", "G" or "B") become the filters' numbers, and back.
 
+    `undo` leaves numbers, in place, that are counts after a multiplication with `factor`.
+    """
+
+    @property
+    def white(self) -> float: ...
     def apply(self, values: Array, colour: str) -> None: ...
-    def undo(self, plane: Plane, colour: str, scratch: Plane) -> None: ...
+    def undo(self, plane: Plane, scratch: Plane) -> None: ...
+    def factor(self, colour: str) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,11 @@ class Proportional:
     def apply(self, values: Array, colour: str) -> None:  # noqa: ARG002
         values *= np.float32(_SCALE / self.white)
 
-    def undo(self, plane: Plane, colour: str, scratch: Plane) -> None:  # noqa: ARG002
-        values = plane[HERE]
-        values *= np.float32(self.white / _SCALE)
-        limit(plane, self.white)
+    def undo(self, plane: Plane, scratch: Plane) -> None:
+        pass
+
+    def factor(self, colour: str) -> float:  # noqa: ARG002
+        return self.white / _SCALE
 
 
 @dataclass(frozen=True)
@@ -47,8 +54,11 @@ class Counts:
     def apply(self, values: Array, colour: str) -> None:
         pass
 
-    def undo(self, plane: Plane, colour: str, scratch: Plane) -> None:  # noqa: ARG002
-        limit(plane, self.white)
+    def undo(self, plane: Plane, scratch: Plane) -> None:
+        pass
+
+    def factor(self, colour: str) -> float:  # noqa: ARG002
+        return 1.0
 
 
 @dataclass(frozen=True)
@@ -71,13 +81,14 @@ class Root:
         values *= np.float32(_ROOT_SCALE)
         values /= scratch  # x / (√(|x| + c) + √c) is √(x + c) - √c, for negative x with the other sign
 
-    def undo(self, plane: Plane, colour: str, scratch: Plane) -> None:
+    def undo(self, plane: Plane, scratch: Plane) -> None:
         values = plane[HERE]
         np.abs(values, out=scratch[HERE])
         np.add(scratch[HERE], np.float32(2 * np.sqrt(_TOE) * _ROOT_SCALE), out=scratch[HERE])
         np.multiply(scratch[HERE], values, out=values)
-        values *= np.float32(self.white / self.gains[colour] / _ROOT_SCALE**2)
-        limit(plane, self.white)
+
+    def factor(self, colour: str) -> float:
+        return self.white / self.gains[colour] / _ROOT_SCALE**2
 
 
 def scale_of(values: Array, pattern: str, white: float, *, linear: bool) -> Scale:

@@ -18,8 +18,8 @@ def there_and_back(scale, values, colour="G"):
     scale.apply(numbers, colour)
     plane, scratch = Plane(1, len(values)), Plane(1, len(values))
     plane.fill(numbers[None])
-    scale.undo(plane, colour, scratch)
-    return numbers, plane.image[0].copy()
+    scale.undo(plane, scratch)
+    return numbers, plane.image[0] * np.float32(scale.factor(colour))
 
 
 @given(
@@ -34,13 +34,6 @@ def test_every_scale_leads_back_to_the_counts_below_zero_too(kind, values, white
     _, back = there_and_back(scale, counts, colour)
     # A dozen roundings of float32. Next to zero the root is all but linear, so that the error stays relative.
     np.testing.assert_allclose(back, counts, rtol=1e-6, atol=1e-37)
-
-
-@pytest.mark.parametrize("kind", [Root, Proportional, Counts])
-def test_on_the_way_back_nothing_stays_above_white(kind):
-    scale = kind(1000.0, UNBALANCED) if kind is Root else kind(1000.0)
-    _, back = there_and_back(scale, [900.0, 999.0, 1200.0, 5000.0])
-    np.testing.assert_allclose(back, [900, 999, 1000, 1000], rtol=1e-6)  # float32
 
 
 @pytest.mark.parametrize("scale", [Root(1000.0, {"G": 1.0}), Proportional(1000.0)])
