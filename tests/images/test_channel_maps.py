@@ -42,7 +42,8 @@ def test_the_colours_of_a_photograph_coincide(view, interpolation):
     for channel in (0, 2):
         assert np.abs(apart[..., channel] - apart[..., 1])[inside].max() > 0.05
         assert np.abs(together[..., channel] - together[..., 1])[inside].max() < 0.01  # interpolation
-    np.testing.assert_array_equal(together[..., 1], apart[..., 1])
+    # OpenCV 4.14 adds up one channel in another order than three
+    np.testing.assert_allclose(together[..., 1], apart[..., 1], atol=1e-6)
 
 
 @pytest.mark.parametrize("interpolation", list(INTERPOLATIONS))
@@ -51,7 +52,7 @@ def test_lenses_that_do_not_differ_change_nothing(view, interpolation, dtype):
     maps = build_maps(LENS, view, interpolation)
     pixels = (photograph() * (1 if dtype == np.float32 else 250)).astype(dtype)
     same = align_channels(maps, {"red": LENS, "blue": LENS, "green": LENS}, view)
-    np.testing.assert_allclose(same.apply(pixels), maps.apply(pixels), atol=1 if dtype == np.uint8 else 1e-3)
+    np.testing.assert_allclose(same.apply(pixels), maps.apply(pixels), atol=1e-3 if dtype == np.float32 else 1)
 
 
 def test_gray_and_alpha_are_drawn_through_the_camera_itself(view):
