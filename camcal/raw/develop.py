@@ -66,6 +66,10 @@ class Corrections:
     bad: Array | None = None
     flat: Array | None = None
 
+    @property
+    def change_light(self) -> bool:
+        return self.dark is not None or self.flat is not None
+
     def require_size(self, frame: Mosaic) -> None:
         """Raise InvalidInput unless all of them have the frame's size."""
         for name in ("dark", "bad", "flat"):
@@ -106,23 +110,43 @@ def develop(
     if there is no light to balance white by.
     """
     corrections.require_size(frame)
+    if _keeps_counts(frame, development, corrections):
+        pixels, linear = _from_counts(frame, development, corrections, each)
+        gains = None
+    else:
+        pixels, gains = _from_light(frame, development, corrections, each)
+        linear = development.encoding != "gamma"
     depth = DEPTHS[development.depth] if development.depth else frame.values.dtype
-    clipped = clipped_shares(frame)
-    if development.is_neutral and _has_full_scale(frame) and corrections.dark is corrections.flat is None:
-        linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
-        if development.algorithm != GRAY:
-            values = _repaired(frame.values, frame, corrections)
-            pixels = demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each)
-            return Picture(_finished(pixels, development.tone, depth), None, linear, clipped)
-    linear = development.encoding != "gamma"
-    light, gains = balanced_light(frame, development, corrections)
-    pixels = demosaic(light, frame.pattern, development.algorithm, linear=linear, each=each)
+    return Picture(_finished(pixels, development.tone, depth), gains, linear, clipped_shares(frame))
+
+
+def _keeps_counts(frame: Mosaic, development: Development, corrections: Corrections) -> bool:
+    """Return whether the counts are what is to be demosaiced: already on the full scale of their type, and balanced."""
+    on_full_scale = not frame.black.any() and frame.white == full_scale(frame.values.dtype)
+    untouched = development.is_neutral and not corrections.change_light
+    return on_full_scale and untouched and development.algorithm != GRAY
+
+
+def _from_counts(frame: Mosaic, development: Development, corrections: Corrections, each: Each) -> tuple[Array, bool]:
+    """Return the demosaiced counts, in their own type, and whether they were taken for linear light."""
+    linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
+    values = _repaired(frame.values, frame, corrections)
+    return demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each), linear
+
+
+def _from_light(
+    frame: Mosaic, development: Development, corrections: Corrections, each: Each
+) -> tuple[Array, Gains | None]:
+    """Return the demosaiced light, float32, behind the colour matrix, and the gains of the balance."""
     matrix = colour_matrix(frame, development.colour)
-    if matrix is not None:
-        if pixels.ndim != 3:
-            raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
-        pixels = apply_matrix(pixels, matrix)
-    return Picture(_finished(pixels, development.tone, depth), gains, linear, clipped)
+    light, gains = balanced_light(frame, development, corrections)
+    linear = development.encoding != "gamma"
+    pixels = demosaic(light, frame.pattern, development.algorithm, linear=linear, each=each)
+    if matrix is None:
+        return pixels, gains
+    if pixels.ndim != 3:
+        raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
+    return apply_matrix(pixels, matrix), gains
 
 
 def negative(frame: Mosaic, development: Development, corrections: Corrections = NO_CORRECTIONS) -> Mosaic:
@@ -134,7 +158,7 @@ def negative(frame: Mosaic, development: Development, corrections: Corrections =
     if development.algorithm not in (AUTO, NONE) or development.tone != LINEAR or development.colour != NO_MATRIX:
         raise InvalidInput("a DNG file holds the mosaic: leave out --algorithm, --tone and --colour, or write TIFF")
     corrections.require_size(frame)
-    untouched = development.is_neutral and corrections.dark is corrections.flat is None
+    untouched = development.is_neutral and not corrections.change_light
     if untouched and frame.values.dtype != np.float32:
         return replace(frame, values=_repaired(frame.values, frame, corrections))
     light, gains = balanced_light(frame, development, corrections)
@@ -183,10 +207,6 @@ def clipped_shares(frame: Mosaic) -> tuple[float, ...]:
         float(np.count_nonzero(values >= frame.white) / values.size)
         for values in (frame.values[site] for site in phases(frame.pattern))
     )
-
-
-def _has_full_scale(frame: Mosaic) -> bool:
-    return not frame.black.any() and frame.white == full_scale(frame.values.dtype)
 
 
 def _repaired(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
