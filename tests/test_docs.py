@@ -239,7 +239,7 @@ def test_the_first_screen_has_two_commands_and_the_checks_of_a_change_run_both()
     script = steps((PROJECT / ".ci" / "run").read_text(encoding="utf-8"))
     demonstration, tests = first_screen(text_of(README))
     assert demonstration == "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/camcal demo"
-    assert tests == "python3 -m venv .venv && .venv/bin/pip install -e '.[dev]' && .venv/bin/pytest"
+    assert tests == "python3 -m venv .venv && .venv/bin/pip install -e '.[dev]' && .venv/bin/pytest -n auto"
     assert is_within(steps(demonstration), script)
     assert is_within(steps(tests), script)
     assert not is_within(steps(demonstration.replace("install .", "install camcal")), script)

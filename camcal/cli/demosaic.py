@@ -177,13 +177,16 @@ def _preview(options: "DemosaicOptions", json: bool, quiet: bool) -> None:
 
 
 def _show(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: bool) -> None:
+    from camcal.raw.mosaic import pattern_words
+
     written = [outcome.value for outcome in outcomes if outcome.value is not None]
     shown = written if verbose else written[:LISTED]
     for frame in shown:
         gains = "" if frame.gains is None else ", gains {:.4g} {:.4g} {:.4g}".format(*frame.gains)
         levels = f"black {' '.join(f'{level:g}' for level in sorted(set(frame.black)))}, white {frame.white:g}"
         clipped = f", {max(frame.clipped):.1%} clipped" if max(frame.clipped) >= CLIPPED else ""
-        show.text(f"{frame.output}: {frame.size[0]}x{frame.size[1]}, {frame.pattern}, {levels}{gains}{clipped}")
+        pattern = pattern_words(frame.pattern)
+        show.text(f"{frame.output}: {frame.size[0]}x{frame.size[1]}, {pattern}, {levels}{gains}{clipped}")
     if len(shown) < len(written):
         show.text(f"… and {len(written) - len(shown)} more (--verbose lists all)")
     for outcome in outcomes:

@@ -86,6 +86,11 @@ def is_x_trans(pattern: str) -> bool:
     return len(pattern) == _X_TRANS_LETTERS and set(pattern) == set("RGB")
 
 
+def pattern_words(pattern: str) -> str:
+    """Return a pattern as people name it."""
+    return "X-Trans" if is_x_trans(pattern) else pattern
+
+
 def cell_side(pattern: str) -> int:
     """Return the rows and columns of a pattern's cell, 2 or 6; raises InvalidInput for an unknown pattern."""
     return isqrt(len(pattern if is_x_trans(pattern) else require_pattern(pattern)))

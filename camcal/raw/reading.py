@@ -19,7 +19,10 @@ HEADERLESS_SUFFIXES = frozenset({".raw", ".bin"})
 
 @dataclass(frozen=True)
 class GivenLayout:
-    """What is said of header-less files; see `Layout`. format: a name that `pixel_format_named` knows."""
+    """What is said of header-less files; see `Layout`. format: a name that `pixel_format_named` knows.
+
+    Raises InvalidInput for a format it does not know.
+    """
 
     format: str | None = None
     size: tuple[int, int] | None = None
@@ -28,6 +31,10 @@ class GivenLayout:
     endian: str = "little"
     align: str = "lsb"
     frame: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.format is not None:
+            pixel_format_named(self.format)
 
     def complete(self, path: Path, pattern: str | None) -> Layout:
         """Return the layout of a file; raises InvalidInput, with what fits its length, if format or size is missing."""
@@ -55,15 +62,22 @@ def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO
     file (.raw, .bin). A camera file brings its pattern, levels and white balance; the others have black 0 and the
     white of their type or pixel format.
     Raises FileError if the file cannot be read, InvalidInput if it holds no mosaic, if the pattern or the layout is
-    missing (with the layouts that fit the file), or if the pattern contradicts the file.
+    missing (with the layouts that fit the file), or if the pattern contradicts the file, or a layout is given for one
+    that says its own.
     """
     suffix = path.suffix.lower()
     try:
         if suffix in HEADERLESS_SUFFIXES:
             return _read_headerless(path, pattern, layout)
+        _refuse_layout(layout)
         return _read_bare(path, pattern) if suffix in BARE_SUFFIXES else _read_camera(path, pattern)
     except InvalidInput as error:
         raise InvalidInput(error.message, where=error.where or str(path)) from error
+
+
+def _refuse_layout(layout: GivenLayout) -> None:
+    if layout != NO_LAYOUT:
+        raise InvalidInput("says its own layout: --format, --size and the like are for .raw and .bin files")
 
 
 def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mosaic:

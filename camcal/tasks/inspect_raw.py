@@ -11,7 +11,7 @@ from camcal.arrays import Array
 from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import Fit, fitting_layouts, length_of
-from camcal.raw.mosaic import Capture, Mosaic, is_x_trans
+from camcal.raw.mosaic import Capture, Mosaic, pattern_words
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
 
@@ -99,8 +99,7 @@ def frame_lines(inspection: RawInspection) -> Iterator[str]:
     """Yield what is known of the frame as a whole, a line each."""
     frame = inspection.frame
     width, height = frame.size
-    pattern = "X-Trans" if is_x_trans(frame.pattern) else frame.pattern
-    yield f"{inspection.path}: {width}x{height}, {pattern}, {frame.values.dtype}"
+    yield f"{inspection.path}: {width}x{height}, {pattern_words(frame.pattern)}, {frame.values.dtype}"
     if words := _capture_words(frame.capture):
         yield words
     yield f"black {_black_words(frame)}, white {frame.white:g}"

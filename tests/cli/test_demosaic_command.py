@@ -299,3 +299,17 @@ def test_layouts_that_fit_a_header_less_file_are_offered(run, tmp_path):
     code, _, err = run("demosaic", tmp_path / "frame.raw", "--pattern", "RGGB", "-o", tmp_path / "image.png")
     assert code == 2
     assert "640x480" in err
+
+
+def test_a_layout_for_a_file_that_says_its_own_is_refused(run, tmp_path):
+    source = write(tmp_path / "raw.png", mosaic_of_one_colour())
+    for layout in (("--format", "BayerRG8"), ("--size", "9x6")):
+        code, _, err = run("demosaic", source, "--pattern", "RGGB", *layout, "-o", tmp_path / "out.png")
+        assert code == 2
+        assert "for .raw and .bin files" in err
+
+
+def test_a_pixel_format_that_does_not_exist_is_refused_with_the_nearest(run, tmp_path):
+    code, _, err = run("demosaic", tmp_path / "any.raw", "--format", "BayerRG12q", "-o", tmp_path / "out.png")
+    assert code == 2
+    assert "did you mean BayerRG12?" in err
