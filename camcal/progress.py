@@ -1,9 +1,10 @@
 """How long work reports on itself, and what one item of a fan-out leaves behind."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from camcal.errors import CamcalError
+from camcal.errors import CamcalError, ItemsFailed
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -44,3 +45,20 @@ class Outcome(Generic[Item, Value]):
     item: Item
     value: Value | None = None
     error: CamcalError | None = None
+
+
+def values_of(outcomes: Iterable[Outcome[Item, Value]]) -> list[Value]:
+    """Return the values of a fan-out that makes no sense without all of them; raises the first error."""
+    outcomes = list(outcomes)
+    for outcome in outcomes:
+        if outcome.error is not None:
+            raise outcome.error
+    return [outcome.value for outcome in outcomes if outcome.value is not None]
+
+
+def require_all(outcomes: Iterable[Outcome[Item, Value]], what: str) -> None:
+    """Raise ItemsFailed with the first error if items of a fan-out failed; what: the items in words, such as images."""
+    outcomes = list(outcomes)
+    failed = [str(outcome.error) for outcome in outcomes if outcome.error]
+    if failed:
+        raise ItemsFailed(f"{len(failed)} of {len(outcomes)} {what} failed, the rest is written: {failed[0]}")

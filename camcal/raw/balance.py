@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.mosaic import cell_side, phases, sites
+from camcal.raw.mosaic import by_place, cell_side, sites
 
 NO_BALANCE = "none"
 CAMERA = "camera"
@@ -98,15 +98,13 @@ def mean_light(light: Array, pattern: str) -> Array:
 
     Raises InsufficientData if no light is left.
     """
-    side = cell_side(pattern)
     stride = max(1, round(light.size / _ENOUGH))
-    whole = light[: len(light) // side * side, : light.shape[1] // side * side]
-    samples = [whole[site][::stride] for site in phases(pattern)]
+    samples = [plane[::stride] for plane in by_place(light, pattern)]
     usable = np.max(samples, axis=0) < _CEILING
     means = [0.0]
     if usable.any():
-        by_place = [values.mean(where=usable, dtype=np.float64) for values in samples]
-        means = [np.mean([m for m, letter in zip(by_place, pattern, strict=True) if letter == c]) for c in "RGB"]
+        of_places = [values.mean(where=usable, dtype=np.float64) for values in samples]
+        means = [np.mean([m for m, letter in zip(of_places, pattern, strict=True) if letter == c]) for c in "RGB"]
     if not min(means) > 0:
         raise InsufficientData("no unclipped light to balance white by; give three gains R,G,B")
     return np.array(means)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.raw.mosaic import MONO, Mosaic, cell_side, is_x_trans, phases
+from camcal.raw.mosaic import Mosaic, channel_names, phases
 
 BINS = 64
 
@@ -38,20 +38,9 @@ class ChannelFacts:
 def channel_facts(frame: Mosaic) -> tuple[ChannelFacts, ...]:
     """Return the facts of every channel, in the order R, Gr, Gb, B (or R, G, B, or gray)."""
     places = phases(frame.pattern)
-    names = _names(frame.pattern)
+    names = channel_names(frame.pattern)
     by_name = {name: [place for place, own in zip(places, names, strict=True) if own == name] for name in names}
     return tuple(_facts(frame, name, by_name[name]) for name in sorted(by_name, key=_ORDER.index))
-
-
-def _names(pattern: str) -> list[str]:
-    """Return the channel of every place of the cell, in reading order."""
-    if pattern == MONO:
-        return ["gray"] * len(pattern)
-    if is_x_trans(pattern):
-        return list(pattern)
-    side = cell_side(pattern)
-    rows = [pattern[start : start + side] for start in range(0, len(pattern), side)]
-    return [f"G{'r' if 'R' in row else 'b'}" if letter == "G" else letter for row in rows for letter in row]
 
 
 def _facts(frame: Mosaic, name: str, places: Sequence[tuple[slice, slice]]) -> ChannelFacts:

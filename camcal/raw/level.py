@@ -3,7 +3,7 @@
 Frames are read one after the other; only their sum is kept.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot, sqrt
 
@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.counting import Counted
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, phases
+from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, channel_names
 
 _BOX = 9  # samples a side that the pattern is compared with, so that slow shading is not taken for it
 _FEWEST = 2 * _BOX  # samples of a phase along a side
@@ -80,18 +80,12 @@ def phase_names(pattern: str) -> tuple[str, ...]:
         return ("mono",)
     if pattern not in PATTERNS:
         raise InvalidInput("photon transfer needs a Bayer pattern or a sensor without filters")
-    rows = (pattern[:2], pattern[2:])
-    return tuple(f"G{'r' if 'R' in row else 'b'}" if letter == "G" else letter for row in rows for letter in row)
+    return channel_names(pattern)
 
 
-def planes(values: Array, pattern: str) -> Iterator[Array]:
-    """Yield the samples of each phase as an array of their own, all of the same size."""
-    if pattern == MONO:
-        yield values
-        return
-    height, width = (length // 2 * 2 for length in values.shape)
-    for site in phases(pattern):
-        yield values[:height, :width][site]
+def planes(values: Array, pattern: str) -> list[Array]:
+    """Return the samples of each phase as an array of their own, all of the same size."""
+    return [values] if pattern == MONO else by_place(values, pattern)
 
 
 def measure_level(frames: Iterable[Mosaic], exposure_s: float | None = None, white: float | None = None) -> Level:

@@ -9,7 +9,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.raw.planes import HERE, Each, Plane, Tile, one_by_one, plus_scaled, weighted
 from camcal.raw.scales import Counts
-from camcal.raw.tiling import TILE, Box, Missing, TiledMosaic, boxes
+from camcal.raw.tiling import TILE, Bayer, Missing, TiledMosaic
 
 _REACH = 2  # cells
 
@@ -21,26 +21,16 @@ def malvar(
 
     each, tile: see `residual.residual_interpolation`.
     """
-    mosaic = TiledMosaic(values, pattern, _REACH, Counts(white))
-    mosaic.fill(each)
+    return TiledMosaic(values, pattern, _REACH, Counts(white)).in_one_pass(_missing, each, tile)
 
-    def filter_box(box: Box) -> None:
-        around = box.widened(_REACH)
-        with mosaic.tile(around) as memory:
-            bayer = mosaic.samples(memory, around)
-            red, right, below, blue = bayer
-            green_at_red, blue_at_red = _at_colour(memory, red, right, below, blue, -1)
-            green_at_blue, red_at_blue = _at_colour(memory, blue, below, right, red, 1)
-            red_right, blue_right = _at_green(memory, right, below, red, blue, 1)
-            blue_below, red_below = _at_green(memory, below, right, blue, red, -1)
-            missing = Missing(
-                green_at_red, green_at_blue, red_right, red_below, red_at_blue, blue_right, blue_below, blue_at_red
-            )
-            mosaic.write(memory, box, _REACH, bayer, missing)
-            memory.give_back(*bayer, *missing)
 
-    each(filter_box, boxes(mosaic.cells, tile))
-    return mosaic.result()
+def _missing(tile: Tile, bayer: Bayer) -> Missing:
+    red, right, below, blue = bayer
+    green_at_red, blue_at_red = _at_colour(tile, red, right, below, blue, -1)
+    green_at_blue, red_at_blue = _at_colour(tile, blue, below, right, red, 1)
+    red_right, blue_right = _at_green(tile, right, below, red, blue, 1)
+    blue_below, red_below = _at_green(tile, below, right, blue, red, -1)
+    return Missing(green_at_red, green_at_blue, red_right, red_below, red_at_blue, blue_right, blue_below, blue_at_red)
 
 
 def _at_colour(

@@ -112,6 +112,27 @@ def phases(pattern: str) -> list[tuple[slice, slice]]:
     return [(slice(row, None, side), slice(column, None, side)) for row, column in np.ndindex(side, side)]
 
 
+def by_place(values: Array, pattern: str) -> list[Array]:
+    """Return the samples of every place of the cell, in reading order: equally many, those of the whole cells."""
+    side = cell_side(pattern)
+    whole = values[: len(values) // side * side, : values.shape[1] // side * side]
+    return [whole[site] for site in phases(pattern)]
+
+
+def channel_names(pattern: str) -> tuple[str, ...]:
+    """Return the channel of every place of the cell, in reading order.
+
+    The greens of Bayer are Gr in the rows of red and Gb in those of blue; X-Trans has one G, and MONO is gray.
+    """
+    if pattern == MONO:
+        return ("gray",) * len(pattern)
+    if is_x_trans(pattern):
+        return tuple(pattern)
+    require_pattern(pattern)
+    rows = pattern[:2], pattern[2:]
+    return tuple(f"G{'r' if 'R' in row else 'b'}" if letter == "G" else letter for row in rows for letter in row)
+
+
 def full_scale(dtype: np.dtype[Any]) -> float:
     """Return the largest value an image of this type holds by convention: 255, 65535, or 1 for floating point."""
     return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else 1.0

@@ -88,12 +88,18 @@ def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mo
 
 def _read_bare(path: Path, pattern: str | None) -> Mosaic:
     if pattern is None:
-        raise InvalidInput(f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}")
+        raise missing_pattern(path)
     image = load(path)
     if image.channels != 1:
         raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
     values = image.pixels
     return Mosaic(values, pattern, np.zeros((2, 2)), full_scale(values.dtype), orientation=image.orientation)
+
+
+def missing_pattern(path: Path) -> InvalidInput:
+    """Return the error for a bare mosaic whose pattern was not given."""
+    message = f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}"
+    return InvalidInput(message, where=str(path))
 
 
 def _read_camera(path: Path, pattern: str | None) -> Mosaic:

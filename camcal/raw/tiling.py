@@ -1,7 +1,7 @@
 """A Bayer mosaic as tiles for filters that work on half-size planes, and the colour image they leave."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import NamedTuple
@@ -140,6 +140,21 @@ class TiledMosaic:
             places = 2 * row, 2 * row + 1
             parts = [planes[place].image[rows, columns] for place in places for planes in colours.values()]
             interleave(parts, 2 * factors, self._scale.white, out[row::2])
+
+    def in_one_pass(self, find: Callable[[Tile, Bayer], Missing], each: Each, most: tuple[int, int]) -> Array:
+        """Return the colours (H, W, 3) by a filter that sees no further than the margin; most: see `boxes`."""
+        self.fill(each)
+
+        def filter_box(box: Box) -> None:
+            around = box.widened(self._margin)
+            with self.tile(around) as tile:
+                bayer = self.samples(tile, around)
+                missing = find(tile, bayer)
+                self.write(tile, box, self._margin, bayer, missing)
+                tile.give_back(*bayer, *missing)
+
+        each(filter_box, boxes(self.cells, most))
+        return self.result()
 
     def result(self) -> Array:
         """Return the colours of the mosaic proper."""

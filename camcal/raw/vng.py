@@ -16,7 +16,7 @@ from camcal.arrays import Array
 from camcal.raw.planes import HERE, Each, Plane, Tile, difference, one_by_one, plus_scaled, weighted
 from camcal.raw.scales import Counts
 from camcal.raw.simple_filters import by_opencv
-from camcal.raw.tiling import PLACES, Bayer, Box, Missing, TiledMosaic, boxes
+from camcal.raw.tiling import PLACES, Bayer, Missing, TiledMosaic
 
 # OpenCV's two-letter names count from the second row and column.
 _EIGHT_BITS = {
@@ -93,19 +93,7 @@ def vng(values: Array, pattern: str, white: float, *, each: Each = one_by_one, t
     """
     if values.dtype == np.uint8:
         return np.minimum(by_opencv(values, _EIGHT_BITS[pattern]), np.uint8(white))
-    mosaic = TiledMosaic(values, pattern, _REACH, Counts(white))
-    mosaic.fill(each)
-
-    def filter_box(box: Box) -> None:
-        around = box.widened(_REACH)
-        with mosaic.tile(around) as memory:
-            bayer = mosaic.samples(memory, around)
-            missing = _missing(memory, bayer)
-            mosaic.write(memory, box, _REACH, bayer, missing)
-            memory.give_back(*bayer, *missing)
-
-    each(filter_box, boxes(mosaic.cells, tile))
-    return mosaic.result()
+    return TiledMosaic(values, pattern, _REACH, Counts(white)).in_one_pass(_missing, each, tile)
 
 
 def _missing(tile: Tile, bayer: Bayer) -> Missing:

@@ -15,10 +15,10 @@ from camcal.raw.balance import NO_BALANCE
 from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
-from camcal.raw.mosaic import PATTERNS, Mosaic
+from camcal.raw.mosaic import Mosaic
 from camcal.raw.phase import check_phase
 from camcal.raw.planes import Each, one_by_one
-from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES
+from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES, missing_pattern
 from camcal.raw.tone import DEPTHS
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import find_images, record_outputs
@@ -84,7 +84,10 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
     _require_pattern(sources, options.reading.pattern)
     outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
-    refuse_overwriting([demosaic_settings.path_beside(output) for output in outputs.values()], sources)
+    settings = [demosaic_settings.path_beside(output) for output in outputs.values()]
+    refuse_overwriting(settings, sources)
+    for path in settings:
+        demosaic_settings.require_own(path)
     corrections = options.corrections.load(options.reading, sources[0])
     if len(sources) == 1:
         outcomes = [_alone(sources[0], outputs, options, corrections)]
@@ -198,9 +201,7 @@ def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) 
 def _require_pattern(sources: Sequence[Path], pattern: str | None) -> None:
     bare = [source for source in sources if source.suffix.lower() in BARE_SUFFIXES]
     if bare and pattern is None:
-        raise InvalidInput(
-            f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}", where=str(bare[0])
-        )
+        raise missing_pattern(bare[0])
 
 
 def _warn_of_a_short_scale(outcomes: Sequence[Outcome[Path, DevelopedFrame]], progress: Progress) -> None:

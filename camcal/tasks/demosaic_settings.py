@@ -15,11 +15,14 @@ _COMMENT = "What camcal demosaic did; given to --config, this file repeats it."
 
 
 def path_beside(image: Path) -> Path:
-    """Return where the settings of an image stand; raises InvalidInput if something else is there."""
-    path = image.with_name(image.name + SUFFIX)
+    """Return where the settings of an image stand."""
+    return image.with_name(image.name + SUFFIX)
+
+
+def require_own(path: Path) -> None:
+    """Raise InvalidInput if something else stands where settings go."""
     if path.exists() and _COMMENT.encode() not in files.read_bytes(path):
         raise InvalidInput("was not written by 'camcal demosaic' and is kept; choose another output", where=str(path))
-    return path
 
 
 def text(settings: Mapping[str, Any], record: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.image import RAW_SUFFIXES
-from camcal.progress import Progress
+from camcal.progress import Progress, values_of
 from camcal.raw.mosaic import Capture
 from camcal.raw.reading import read_mosaic
 from camcal.run.fanout import fan_out
@@ -69,11 +69,7 @@ def find_sets(
     unread = [item for item in seen if item.exposure_s is None or item.path.suffix.lower() in RAW_SUFFIXES]
     if unread:
         work = partial(_read, pattern=pattern)
-        outcomes = list(fan_out(work, seen, jobs=jobs, what="looking at frames", progress=progress))
-        for outcome in outcomes:
-            if outcome.error is not None:
-                raise outcome.error
-        seen = [outcome.value for outcome in outcomes if outcome.value is not None]
+        seen = values_of(fan_out(work, seen, jobs=jobs, what="looking at frames", progress=progress))
     sets = [part for group in _grouped(seen) for part in ([group] if black is None else _by_brightness(group, black))]
     return [_as_set(part) for part in sets]
 

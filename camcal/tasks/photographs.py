@@ -17,7 +17,7 @@ from camcal.images.load import gray_8bit, load
 from camcal.raw.balance import Gains, balance_in_place
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, sites
+from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, sites
 from camcal.raw.phase import check_phase
 from camcal.raw.reading import HEADERLESS_SUFFIXES, read_mosaic
 from camcal.targets import grid as grids
@@ -154,12 +154,10 @@ def agreeing_gains(light: Array, pattern: str) -> Gains:
     A board is black and white; what stands around it may have any colour and is outvoted: the gain of a colour c is the
     weighted median of g / c over the cells, which minimises Σ |g - gain · c|.
     """
-    height, width = (length // 2 * 2 for length in light.shape)
-    stride = max(1, height * width // (4 * _USED_CELLS))
-    cells = {
-        colour: np.mean([light[:height, :width][site][::stride].ravel() for site in sites(pattern, colour)], axis=0)
-        for colour in "RGB"
-    }
+    planes = by_place(light, pattern)
+    stride = max(1, planes[0].size // _USED_CELLS)
+    samples = [(letter, plane[::stride].ravel()) for letter, plane in zip(pattern, planes, strict=True)]
+    cells = {colour: np.mean([plane for letter, plane in samples if letter == colour], axis=0) for colour in "RGB"}
     every = np.stack(list(cells.values()))
     usable = (every.max(axis=0) < _CLIPPED) & (every.min(axis=0) > 0)
     green = cells["G"][usable]

@@ -10,9 +10,11 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw import bad_pixels, dark_frame, flat_field
 from camcal.raw.develop import NO_CORRECTIONS, Corrections, linearise
-from camcal.raw.mosaic import Mosaic, sites
+from camcal.raw.mosaic import MONO, Mosaic, channel_names
 from camcal.raw.reading import HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
 from camcal.run.inputs import find_images
+
+_FOUR = ("R", "Gr", "Gb", "B")  # the order in which four black levels are given
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,10 @@ def _laid_out(black: tuple[float, ...], frame: Mosaic) -> Array:
         return np.full(frame.black.shape, black[0])
     if frame.black.shape != (2, 2):
         raise InvalidInput("four black levels are for Bayer sensors; give one")
-    if set(frame.pattern) != set("RGB"):
+    if frame.pattern == MONO:
         return np.reshape(black, (2, 2))
-    result = np.empty((2, 2))
-    red_row = sites(frame.pattern, "R")[0][0].start
-    greens = {site[0].start: site for site in sites(frame.pattern, "G")}
-    places = sites(frame.pattern, "R")[0], greens[red_row], greens[1 - red_row], sites(frame.pattern, "B")[0]
-    for (rows, columns), level in zip(places, black, strict=True):
-        result[rows.start, columns.start] = level
-    return result
+    levels = dict(zip(_FOUR, black, strict=True))
+    return np.reshape([levels[name] for name in channel_names(frame.pattern)], (2, 2))
 
 
 @dataclass(frozen=True)

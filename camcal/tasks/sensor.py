@@ -13,7 +13,7 @@ from camcal import files
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import emit, provenance
 from camcal.optics import pixel_pitch, sensor_format
-from camcal.progress import SILENT, Progress
+from camcal.progress import SILENT, Progress, values_of
 from camcal.raw.emva import Figures
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import require_pattern
@@ -148,11 +148,7 @@ def _refuse_overwriting(options: SensorOptions, sets: Sequence[FrameSet]) -> Non
 
 def _levels(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> list[Level]:
     work = partial(_measure, pattern=options.pattern, white=options.white)
-    outcomes = list(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
-    for outcome in outcomes:
-        if outcome.error is not None:
-            raise outcome.error
-    return [outcome.value for outcome in outcomes if outcome.value is not None]
+    return values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
 
 
 def _measure(one: FrameSet, pattern: str | None, white: float | None) -> Level:

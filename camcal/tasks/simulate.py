@@ -12,14 +12,14 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.errors import CamcalError, InvalidInput, ItemsFailed
+from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.formats.emit import number_text
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
-from camcal.progress import SILENT, Progress
+from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import split_address
 from camcal.simulate import mosaics
@@ -166,10 +166,7 @@ def _is_ours(folder: Path) -> bool:
 def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
     items = [(folder / IMAGES / view_name(index), index, pose) for index, pose in enumerate(truth.poses)]
     work = partial(_photograph, truth, options)
-    outcomes = list(fan_out(work, items, jobs=options.jobs, processes=True, what="rendering", progress=progress))
-    failed = [str(outcome.error) for outcome in outcomes if outcome.error]
-    if failed:
-        raise ItemsFailed(f"{len(failed)} of {len(items)} images failed, the rest is written: {failed[0]}")
+    require_all(fan_out(work, items, jobs=options.jobs, processes=True, what="rendering", progress=progress), "images")
     return tuple(path for path, _, _ in items)
 
 

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput, ItemsFailed
+from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, ValidRegion
 from camcal.images.save import save
-from camcal.progress import Progress
+from camcal.progress import Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
 from camcal.simulate.sensor import FixedPattern, Sensor, lenses
@@ -79,10 +79,7 @@ def take_frames(
     """Return the flat and dark frames written, a folder for each exposure, such as flats/12.5ms."""
     items = [*_flats(folder, options, vignetting), *_darks(folder, options, vignetting)]
     work = partial(_take, options.camera, size, vignetting, seed)
-    outcomes = list(fan_out(work, items, jobs=jobs, processes=True, what="flats and darks", progress=progress))
-    failed = [str(outcome.error) for outcome in outcomes if outcome.error]
-    if failed:
-        raise ItemsFailed(f"{len(failed)} of {len(items)} frames failed, the rest is written: {failed[0]}")
+    require_all(fan_out(work, items, jobs=jobs, processes=True, what="flats and darks", progress=progress), "frames")
     return tuple(item.path for item in items)
 
 

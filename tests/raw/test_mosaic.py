@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.raw.mosaic import PATTERNS, Mosaic, sites
+from camcal.raw.mosaic import PATTERNS, Mosaic, by_place, channel_names, sites
 from camcal.raw.reading import read_mosaic
 
 SAMPLES = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
@@ -116,3 +116,22 @@ def test_numbers_that_are_not_finite_are_counted_and_refused():
 def test_a_mosaic_that_breaks_a_rule_is_refused(change, message):
     with pytest.raises(InvalidInput, match=message):
         frame(**change)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("RGGB", ("R", "Gr", "Gb", "B")),
+        ("GBRG", ("Gb", "B", "R", "Gr")),
+        ("MONO", ("gray",) * 4),
+        ("GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG", tuple("GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG")),
+    ],
+)
+def test_channels_are_named_for_every_place_of_the_cell(pattern, names):
+    assert channel_names(pattern) == names
+
+
+def test_places_have_the_samples_of_whole_cells_only():
+    planes = by_place(np.arange(35).reshape(5, 7), "RGGB")
+    assert [plane.shape for plane in planes] == [(2, 3)] * 4
+    np.testing.assert_array_equal(planes[2], [[7, 9, 11], [21, 23, 25]])
