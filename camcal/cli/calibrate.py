@@ -59,6 +59,12 @@ def calibrate(
             "from raw frames, whose samples no demosaicing has mixed.",
         ),
     ] = False,
+    format: shared.PixelFormat = None,  # noqa: A002 - it is the option's name
+    size: shared.FrameSize = None,
+    stride: shared.Stride = None,
+    offset: shared.Offset = 0,
+    endian: shared.Endian = "little",
+    align: shared.Align = "lsb",
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -77,6 +83,7 @@ def calibrate(
     from camcal.tasks.calibrate import calibrate as run
     from camcal.tasks.photographs import Reading
 
+    layout = shared.given_layout(format, size, stride, offset, endian, align)
     report = run(
         CalibrateOptions(
             tuple(inputs),
@@ -93,7 +100,7 @@ def calibrate(
             shared.parse_size(image_size) if image_size else None,
             recursive,
             jobs,
-            Reading(pattern, algorithm, channels),
+            Reading(pattern, algorithm, channels, layout),
         ),
         show.progress(quiet),
     )

@@ -109,13 +109,12 @@ def demosaic(
     from camcal.errors import InvalidInput
     from camcal.raw.balance import Balance
     from camcal.raw.develop import Development
-    from camcal.raw.reading import GivenLayout
     from camcal.tasks.demosaic import DemosaicOptions
     from camcal.tasks.raw_corrections import CorrectionFiles, RawInput
 
     if make_bad_pixel_map and preview_patterns:
         raise InvalidInput("--make-bad-pixel-map and --preview-patterns exclude each other")
-    layout = GivenLayout(format, shared.parse_size(size) if size else None, stride, offset, endian, align, frame)
+    layout = shared.given_layout(format, size, stride, offset, endian, align, frame)
     reading = RawInput(pattern, layout, None if black is None else shared.parse_numbers("--black", black), white)
     options = DemosaicOptions(
         tuple(inputs),

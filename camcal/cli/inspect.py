@@ -54,12 +54,10 @@ def inspect(
     if path.suffix.lower() in CAMERA_SUFFIXES or not _is_raw(path):
         _inspect_camera(path, camera or name, get, json, quiet, verbose)
         return
-    from camcal.raw.reading import GivenLayout
     from camcal.tasks.inspect_raw import InspectRawOptions
 
     _refuse_camera_options(file, get, camera or name)
-    shape = None if size is None else shared.parse_size(size)
-    layout = GivenLayout(format, shape, stride, offset, endian, align, frame)
+    layout = shared.given_layout(format, size, stride, offset, endian, align, frame)
     _inspect_raw(InspectRawOptions(path, pattern, layout), json, quiet)
 
 

@@ -1,10 +1,13 @@
 """The options that commands share, each declared once."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.core import TyperOption
+
+if TYPE_CHECKING:
+    from camcal.raw.reading import GivenLayout
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 
@@ -93,6 +96,22 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise InvalidInput(f"{text!r} is not a size; write WIDTHxHEIGHT, such as 1920x1080")
     return int(width), int(height)
+
+
+def given_layout(
+    pixel_format: str | None,
+    size: str | None,
+    stride: int | None,
+    offset: int,
+    endian: str,
+    align: str,
+    frame: int | None = None,
+) -> "GivenLayout":
+    """Return what the options say of header-less files; raises InvalidInput for a size or a format that is none."""
+    from camcal.raw.reading import GivenLayout
+
+    shape = None if size is None else parse_size(size)
+    return GivenLayout(pixel_format, shape, stride, offset, endian, align, frame)
 
 
 def parse_numbers(option: str, text: str) -> tuple[float, ...]:

@@ -35,6 +35,12 @@ def detect(
     board: shared.BoardOption = None,
     pattern: Pattern = None,
     algorithm: Algorithm = "green",
+    format: shared.PixelFormat = None,  # noqa: A002 - it is the option's name
+    size: shared.FrameSize = None,
+    stride: shared.Stride = None,
+    offset: shared.Offset = 0,
+    endian: shared.Endian = "little",
+    align: shared.Align = "lsb",
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -54,9 +60,10 @@ def detect(
 
     if board is None:
         raise InvalidInput("--board is needed, such as --board chessboard:9x6:25mm")
+    layout = shared.given_layout(format, size, stride, offset, endian, align)
+    reading = Reading(pattern, algorithm, layout=layout)
     report = detect_images(
-        DetectOptions(tuple(inputs), load_board(board), output, recursive, jobs, Reading(pattern, algorithm)),
-        show.progress(quiet),
+        DetectOptions(tuple(inputs), load_board(board), output, recursive, jobs, reading), show.progress(quiet)
     )
     if json:
         show.document("detect", document(report, output))

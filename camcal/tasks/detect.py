@@ -83,7 +83,7 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     Raises InvalidInput, FileError if no image can be read, InsufficientData if the board is in none of them.
     """
     require_findable(options.board)
-    images = find_images(options.inputs, recursive=options.recursive)
+    images = find_images(options.inputs, recursive=options.recursive, also=options.reading.suffixes)
     _require_output(options.output, images)
     board = _arranged(options, images, progress) if options.board.type == CHARUCO else options.board
     outcomes = _search([(path, board) for path in images], options, "detecting", progress)

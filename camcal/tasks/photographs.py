@@ -19,7 +19,7 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, sites
 from camcal.raw.phase import check_phase
-from camcal.raw.reading import HEADERLESS_SUFFIXES, read_mosaic
+from camcal.raw.reading import HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
 from camcal.targets import grid as grids
 from camcal.targets.board import CHARUCO, Board, Detection
 from camcal.targets.charuco import clearance
@@ -44,11 +44,13 @@ class Reading:
 
     pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
     algorithm: what is made of a raw frame, one of ALGORITHMS. colours: measure corners in red and in blue as well.
+    layout: of header-less files.
     """
 
     pattern: str | None = None
     algorithm: str = GREEN
     colours: bool = False
+    layout: GivenLayout = NO_LAYOUT
 
     def __post_init__(self) -> None:
         if self.pattern is not None and self.pattern not in (*PATTERNS, MONO):
@@ -64,7 +66,14 @@ class Reading:
         """Return the options of a command line that read so."""
         pattern = ["--pattern", self.pattern] if self.pattern else []
         algorithm = ["--algorithm", self.algorithm] if self.algorithm != GREEN else []
-        return [*pattern, *algorithm, *(["--channels"] if self.colours else [])]
+        said = {name: value for name, value in self.layout.settings().items() if value is not None}
+        layout = [part for name, value in said.items() for part in (f"--{name}", f"{value}")]
+        return [*pattern, *algorithm, *(["--channels"] if self.colours else []), *layout]
+
+    @property
+    def suffixes(self) -> frozenset[str]:
+        """Suffixes that are read in folders beside those of images: of header-less files, if their layout is given."""
+        return frozenset() if self.layout == NO_LAYOUT else HEADERLESS_SUFFIXES
 
 
 AS_IMAGES = Reading()
@@ -94,14 +103,14 @@ class Photograph:
 
 
 def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
-    """Return what detectors look at in an image, a camera raw file or a bare mosaic.
+    """Return what detectors look at in an image, a camera raw file, a bare mosaic or a header-less file.
 
     Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the colours asked for.
     """
     suffix = path.suffix.lower()
-    if suffix in HEADERLESS_SUFFIXES:
-        raise InvalidInput("is header-less; 'camcal demosaic --algorithm none' makes a mosaic of it", where=str(path))
     try:
+        if suffix in HEADERLESS_SUFFIXES:
+            return photograph_of(read_mosaic(path, reading.pattern, reading.layout), reading)
         if suffix in RAW_SUFFIXES or reading.pattern is not None:
             return photograph_of(read_mosaic(path, reading.pattern), reading)
         return _of_image(load(path), reading)

@@ -17,6 +17,8 @@ from camcal.images.save import save
 from camcal.raw.demosaic import demosaic
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, sites
+from camcal.raw.pixel_formats import pack, pixel_format_named
+from camcal.raw.reading import GivenLayout
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board, parse_board
@@ -201,3 +203,25 @@ def test_a_raw_frame_without_a_board_is_a_listed_result(tmp_path):
     path = write(tmp_path / "wall.png", replace(frame(), values=np.full(SIZE[::-1], 900, np.uint16)))
     with pytest.raises(InsufficientData):
         found(path, pattern="RGGB", colours=True)
+
+
+def test_header_less_files_of_a_folder_are_read_where_their_layout_is_given(tmp_path):
+    packed = pixel_format_named("BayerRG12p")
+    (tmp_path / "frame.raw").write_bytes(pack(frame().values, packed))
+    dumped = found(tmp_path, layout=GivenLayout("BayerRG12p", SIZE)).detections.views[0]
+    bare = found(write(tmp_path / "bare.png", frame()), pattern="RGGB").detections.views[0]
+    assert len(dumped.ids) == BOARD.columns * BOARD.rows
+    # the full scale of a file of 16 bits is not that of 12, and a corner does not depend on it
+    np.testing.assert_allclose(dumped.pixels[np.argsort(dumped.ids)], bare.pixels[np.argsort(bare.ids)], atol=2e-3)
+
+
+def test_layouts_are_offered_for_a_header_less_file_without_one(tmp_path):
+    path = tmp_path / "frame.raw"
+    path.write_bytes(bytes(640 * 480 * 2))
+    with pytest.raises(InvalidInput, match=r"frame\.raw: .*640x480.*give --format and --size"):
+        read_photograph(path, Reading("RGGB"))
+
+
+def test_a_layout_is_repeated_as_options():
+    options = Reading(layout=GivenLayout("pRAA", (640, 480), stride=832)).arguments()
+    assert options == ["--format", "pRAA", "--size", "640x480", "--stride", "832"]
