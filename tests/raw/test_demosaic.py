@@ -272,3 +272,16 @@ def test_a_white_level_that_the_type_cannot_hold_is_refused(dtype, white):
 def test_a_type_that_no_mosaic_has_is_refused(dtype):
     with pytest.raises(InvalidInput, match="uint8, uint16 or float32"):
         demosaic(np.zeros((4, 4), dtype), "RGGB")
+
+
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 4095), (np.float32, 1.0)])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_a_filter_of_libraw_takes_every_type_and_leaves_the_samples_alone(pattern, dtype, white):
+    mosaic = (np.random.default_rng(6).uniform(0, white, (41, 50))).astype(dtype)
+    colour = demosaic(mosaic, pattern, "libraw:LINEAR", white=white)
+    assert (colour.shape, colour.dtype) == ((41, 50, 3), dtype)
+    for channel, letter in enumerate("BGR"):
+        for site in sites(pattern, letter):
+            # half a step of the 16 bits that LibRaw works on; integers of fewer come back exactly
+            tolerance = white / 65535 if dtype == np.float32 else 0
+            np.testing.assert_allclose(colour[..., channel][site], mosaic[site], rtol=0, atol=tolerance)
