@@ -1,0 +1,40 @@
+"""The disparity of a rectified pair, pixel by pixel: how much, how sure, and where it comes from."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+
+
+class Confidence(IntEnum):
+    """Where the disparity of a pixel comes from, the surest last; the numbers stand in files."""
+
+    NONE = 0
+    FILLED = 1  # from the neighbours: no matcher passed the left-right check
+    SINGLE = 2  # one matcher passed it
+    APART = 3  # both did, more than 1 px apart
+    NEAR = 4  # 0.25 to 1 px apart
+    AGREED = 5  # within 0.25 px
+
+
+@dataclass(frozen=True, eq=False)
+class Disparity:
+    """Disparity of the left image, column in the left minus column in the right image.
+
+    values: (H, W) float32 pixels, NaN where there is none. sigma: (H, W) float32 pixels, half the width of what holds
+    68 % of the errors, NaN where there is no value. confidence: (H, W) uint8, see `Confidence`. searched: smallest and
+    largest disparity looked for, pixels.
+    """
+
+    values: Array
+    sigma: Array
+    confidence: Array
+    searched: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.values)
+        object.__setattr__(self, "values", readonly(self.values, (None, None), "values", np.float32))
+        object.__setattr__(self, "sigma", readonly(self.sigma, shape, "sigma", np.float32))
+        object.__setattr__(self, "confidence", readonly(self.confidence, shape, "confidence", np.uint8))
