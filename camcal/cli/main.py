@@ -25,9 +25,12 @@ from camcal.cli import (
     sensor,
     show,
     simulate,
-    stereo,
+    stereo_check,
+    stereo_cloud,
+    stereo_eval,
     targets,
     undistort,
+    view,
 )
 from camcal.cli.options import SETTINGS
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
@@ -140,7 +143,9 @@ def camcal(
 
 
 stereo_app = typer.Typer(help="What two cameras measure.")
-stereo_app.command("cloud")(stereo.cloud)
+stereo_app.command("check")(stereo_check.check)
+stereo_app.command("cloud")(stereo_cloud.cloud)
+stereo_app.command("eval")(stereo_eval.evaluate)
 
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
@@ -151,6 +156,7 @@ app.command("inspect")(inspect.inspect)
 app.command("demosaic")(demosaic.demosaic)
 app.command("sensor")(sensor.sensor)
 app.add_typer(stereo_app, name="stereo")
+app.command("view")(view.view)
 app.command("pnp")(pnp.pnp)
 app.command("doctor")(doctor.doctor)
 

@@ -6,22 +6,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camcal.cli import options as shared
-from camcal.cli import show
+from camcal.cli import show, simulate_stereo
 
 if TYPE_CHECKING:
     from camcal.tasks.simulate import RawOptions, SimulateOptions, SimulateReport
 
 
 def simulate(
+    context: typer.Context,
+    output: shared.Output,
     board: Annotated[
-        str,
+        str | None,
         typer.Argument(
             metavar="BOARD",
             help="A board file, or a short form such as chessboard:9x6:25mm (inner corners) "
             "or charuco:9x7:30mm:22mm:DICT_5X5_100 (squares).",
         ),
-    ],
-    output: shared.Output,
+    ] = None,
     camera_file: Annotated[
         str | None,
         typer.Argument(metavar="CAMERA", help="A camera file, FILE#NAME for one of several; else --model and so on."),
@@ -29,9 +30,11 @@ def simulate(
     model: Annotated[
         str | None, typer.Option(help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4; by default opencv5.")
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images; by default 1280x960.")] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Size of the images; by default 1280x960, of pairs 640x480.")
+    ] = None,
     fov: Annotated[
-        float | None, typer.Option(metavar="DEG", help="Field of view across the width; by default 70.")
+        float | None, typer.Option(metavar="DEG", help="Field of view across the width; by default 70, of pairs 60.")
     ] = None,
     distortion: Annotated[
         str | None,
@@ -47,10 +50,16 @@ def simulate(
     twist_mm: Annotated[float, typer.Option(metavar="MM", help="Twist of the board: height of its corners.")] = 0.0,
     cubic_mm: Annotated[float, typer.Option(metavar="MM", help="S-shaped bend along x: the factor of x³ - x.")] = 0.0,
     stretch: Annotated[float, typer.Option(metavar="PERCENT", help="How much longer than drawn x is printed.")] = 0.0,
-    blur: Annotated[float, typer.Option(metavar="PX", help="Standard deviation of the lens blur.")] = 0.7,
+    blur: Annotated[
+        float | None,
+        typer.Option(metavar="PX", help="Standard deviation of the lens blur; by default 0.7, of pairs 0.4."),
+    ] = None,
     noise: Annotated[
         float | None,
-        typer.Option(metavar="DN", help="Standard deviation of the noise, in 1/255 of full scale; by default 2."),
+        typer.Option(
+            metavar="DN",
+            help="Standard deviation of the noise, in 1/255 of full scale; by default 2, of pairs 1.",
+        ),
     ] = None,
     gradient: Annotated[
         float, typer.Option(metavar="PERCENT", help="How much the light changes from side to side.")
@@ -103,7 +112,51 @@ def simulate(
         int | None, typer.Option(metavar="N", min=1, help="Levels of flat frames to add, two frames each.")
     ] = None,
     darks: Annotated[int | None, typer.Option(metavar="N", min=1, help="Dark frames to add.")] = None,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed gives other poses and noise.")] = 0,
+    stereo: Annotated[
+        bool,
+        typer.Option(
+            "--stereo",
+            help="Make rectified pairs of a generated scene, no board. The options below are for them alone, and "
+            "--size, --fov, --blur, --noise, --depth, --seed for them too.",
+        ),
+    ] = False,
+    pairs: Annotated[int, typer.Option(metavar="N", help="Number of pairs, each of another scene.")] = 1,
+    baseline: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Distance of the two cameras; by default 0.1.")
+    ] = None,
+    disparities: Annotated[
+        str | None,
+        typer.Option(metavar="MIN:MAX", help="Disparities of the scene, pixels; by default 1 to 10 % of the width."),
+    ] = None,
+    distance: Annotated[
+        str | None, typer.Option(metavar="NEAR:FAR", help="Distances of the scene, metres, in place of disparities.")
+    ] = None,
+    doffs: Annotated[
+        float | None, typer.Option(metavar="PX", help="cx of the right camera minus cx of the left; by default 0.")
+    ] = None,
+    objects: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Boxes, balls, rods and so on; by default 14.")
+    ] = None,
+    gray: Annotated[bool, typer.Option("--gray", help="Gray images; by default in colour.")] = False,
+    right_gain: Annotated[
+        float | None, typer.Option(metavar="FACTOR", help="Exposure of the right image; by default 1.")
+    ] = None,
+    right_offset: Annotated[
+        float | None, typer.Option(metavar="DN", help="Added to the right image, 1/255 of full scale; by default 0.")
+    ] = None,
+    right_gamma: Annotated[
+        float | None, typer.Option(metavar="POWER", help="Power taken of the right image first; by default 1.")
+    ] = None,
+    row_shift: Annotated[
+        float | None, typer.Option(metavar="PX", help="How much too low the right image lies; by default 0.")
+    ] = None,
+    row_tilt: Annotated[
+        float | None,
+        typer.Option(metavar="PX", help="How much lower it lies at its right border than at its left; by default 0."),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Another seed gives other poses, scenes and noise.")
+    ] = 0,
     camera: shared.CameraName = None,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -115,13 +168,22 @@ def simulate(
 
     The folder holds images/, truth.yaml (the camera and the board's shape), board.yaml, poses.csv (camera_T_board) and
     corners.csv (where every corner truly is). The same options and seed give the same bytes. With --raw, flats/ and
-    darks/ hold what `camcal sensor` measures a sensor with, a folder for each exposure.
+    darks/ hold what `camcal sensor` measures a sensor with, a folder for each exposure. With --stereo there is no
+    board: the folder holds left/, right/, disparity/ and disparity_right/ (exact), visible/ (white: in both images) and
+    rig.yaml.
     """
     from math import radians
 
+    from camcal.errors import InvalidInput
     from camcal.tasks.simulate import Exposure, Shape, SimulateOptions, document
     from camcal.tasks.simulate import simulate as run
 
+    simulate_stereo.require_fitting(context, stereo=stereo)
+    if stereo:
+        simulate_stereo.run(context.params)
+        return
+    if board is None:
+        raise InvalidInput("a board is needed, such as chessboard:9x6:25mm; or --stereo for pairs of a scene")
     sensor = {
         "gain_dn_per_e": gain,
         "read_noise_e": read_noise,
@@ -133,6 +195,7 @@ def simulate(
         "dsnu_e": dsnu,
     }
     image = {"noise_dn": noise, "gamma": gamma, "depth": depth}
+    lens = {"blur_px": blur}
     options = SimulateOptions(
         board,
         output,
@@ -145,7 +208,7 @@ def simulate(
         views,
         partial,
         Shape(bow_mm[0] / 1e3, bow_mm[1] / 1e3, twist_mm / 1e3, cubic_mm / 1e3, stretch / 100),
-        Exposure(blur_px=blur, gradient=gradient / 100, vignetting=vignetting / 100, **_given(image)),
+        Exposure(gradient=gradient / 100, vignetting=vignetting / 100, **_given(image | lens)),
         seed,
         jobs,
         _raw(raw, _given(image), _given(sensor), light, aberration, flats, darks),

@@ -1,72 +1,198 @@
-"""Reading disparity maps: images (8-bit, 16-bit with a scale, float TIFF, PFM) and NumPy arrays."""
+"""Disparity maps in files: images (8-bit, 16-bit with a scale, float TIFF, PFM, EXR) and NumPy arrays.
 
-import re
+A sidecar beside a map says its scale and what means "no match" in it; see `disparity_sidecar`.
+"""
+
+import zipfile
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import FileError, InvalidInput
-from camcal.files import read_bytes
+from camcal.files import read_bytes, replacing
+from camcal.formats import disparity_sidecar
+from camcal.formats.disparity_sidecar import INF, INVALID_CODES, NAN, ZERO, Sidecar
+from camcal.formats.exr import read_exr, write_exr
+from camcal.formats.pfm import read_pfm, write_pfm
+from camcal.images import exif
 from camcal.images.load import load
-from camcal.images.npy import read_npy
+from camcal.images.npy import read_npy, write_npy
+from camcal.images.save import save
 
 KITTI_SCALE = 256.0  # 16-bit disparity is in 1/256 px by the convention of the KITTI benchmark
+OPENCV_SCALE = 16.0  # signed 16-bit disparity is what OpenCV's matchers give
+SUFFIXES = (".pfm", ".tiff", ".tif", ".png", ".npy", ".npz", ".exr")
 
-_PFM_HEADER = re.compile(rb"Pf\s+(\d+)\s+(\d+)\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s")
+_ARRAY = "disparity"
+_TIFF = (".tiff", ".tif")
+_FULL = 65535
 
 
 @dataclass(frozen=True, eq=False)
 class DisparityMap:
     """Disparity (H, W), float32 pixels, left minus right, and the counts per pixel by which the file was divided.
 
-    What means "no match" is left as the file has it: 0, a negative number, NaN or infinity.
+    What means "no match" is left in `values` as the file has it. invalid: "nan" or "inf": what is not finite; "0": that
+    and what is zero or negative. sidecar: what stands beside the file, None if nothing does.
     """
 
     values: Array
     scale: float
+    invalid: str = ZERO
+    sidecar: Sidecar | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", readonly(self.values, (None, None), "disparity", np.float32))
 
+    def matched(self) -> Array:
+        """Return the disparity (H, W), float32 pixels, NaN wherever there is no match."""
+        known = np.isfinite(self.values)
+        if self.invalid == ZERO:
+            known &= self.values > 0
+        return np.where(known, self.values, np.float32(np.nan))
 
-def read(path: Path, scale: float | None = None) -> DisparityMap:
-    """Return the disparity map of a file; the scale defaults to 256 for 16-bit files and to 1 for all others.
 
-    Raises FileError if the file cannot be read, InvalidInput if it has several channels or the scale is not positive.
+@dataclass(frozen=True)
+class Written:
+    """How a map was written: counts per pixel, what means "no match", and what the reader of it should know."""
+
+    scale: float
+    invalid: str
+    remark: str | None = None
+
+
+def read(path: Path, scale: float | None = None, invalid: str | None = None) -> DisparityMap:
+    """Return the disparity map of a file.
+
+    scale, invalid: as in `DisparityMap`; without them what the sidecar says, and without one 256 for unsigned and 16
+    for signed 16-bit numbers, 1 for all others, and "0".
+    Raises FileError if the file cannot be read, InvalidInput if it is in colour, holds several arrays, the scale is not
+    positive or the code is unknown.
     """
-    values = _read_values(path)
-    if values.ndim != 2 or values.size == 0:
-        raise InvalidInput(f"a disparity map has rows and columns, this has the shape {values.shape}", where=str(path))
+    values = _gray(_read_values(path), path)
+    sidecar = disparity_sidecar.read(path)
     if scale is None:
-        scale = KITTI_SCALE if values.dtype == np.uint16 else 1.0
+        scale = sidecar.scale if sidecar else _usual_scale(values.dtype)
+    if invalid is None:
+        invalid = sidecar.invalid if sidecar else ZERO
+    if invalid not in INVALID_CODES:
+        raise InvalidInput(f"the code of no match is one of {', '.join(INVALID_CODES)}, found {invalid!r}")
+    return DisparityMap(values.astype(np.float32) / np.float32(_positive(scale)), scale, invalid, sidecar)
+
+
+def write(path: Path, values: Array, *, scale: float | None = None) -> Written:
+    """Write a disparity map (H, W), pixels, in the form that the suffix names; return how.
+
+    values: what is not finite means "no match". PFM, TIFF, EXR and NumPy files hold them as float32. A PNG holds
+    counts, by default KITTI's 256 per pixel and a smaller power of two where those do not reach; a match is never coded
+    0. scale: of a PNG.
+    Raises InvalidInput if the type of file is unknown or cannot hold the values, FileError if it cannot be written.
+    """
+    require_suffix(path)
+    suffix = path.suffix.lower()
+    if suffix == ".png":
+        return _write_png(path, values, scale)
+    if scale not in (None, 1.0):
+        raise InvalidInput(f"{suffix} holds pixels as they are; a scale of {scale:g} is for .png", where=str(path))
+    code = INF if suffix == ".pfm" else NAN
+    plain = np.where(np.isfinite(values), values, float(code)).astype(np.float32)
+    if suffix == ".npz":
+        with replacing(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **{_ARRAY: plain})
+    else:
+        {".pfm": write_pfm, ".npy": write_npy, ".exr": write_exr}.get(suffix, save)(path, plain)
+    return Written(1.0, code)
+
+
+def require_suffix(path: Path) -> None:
+    """Raise InvalidInput unless disparity maps are written as this type of file."""
+    if path.suffix.lower() not in SUFFIXES:
+        found = path.suffix or "no suffix"
+        raise InvalidInput(f"disparity maps are {', '.join(SUFFIXES)}, found {found}", where=str(path))
+
+
+def _write_png(path: Path, values: Array, scale: float | None) -> Written:
+    known = np.isfinite(values)
+    smallest, largest = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    if smallest < 0:
+        raise InvalidInput(f"a PNG cannot hold {smallest:.2f} px; write .tiff or .pfm", where=str(path))
+    chosen = _fitting_scale(largest) if scale is None else _positive(scale)
+    if round(largest * chosen) > _FULL:
+        raise InvalidInput(
+            f"a PNG of {chosen:g} counts per pixel cannot hold {largest:.2f} px; write .tiff or .pfm", where=str(path)
+        )
+    counts = np.maximum(np.rint(np.where(known, values, 0) * chosen), 1)  # 0 would say that there is no match
+    save(path, np.where(known, counts, 0).astype(np.uint16))
+    remark = None
+    if scale is None and chosen != KITTI_SCALE:
+        remark = f"{path}: {largest:.2f} px do not fit at 256 counts per pixel; written at {chosen:g}"
+    return Written(chosen, ZERO, remark)
+
+
+def _fitting_scale(largest: float) -> float:
+    scale = KITTI_SCALE
+    while scale > 1 and round(largest * scale) > _FULL:
+        scale /= 2
+    return scale
+
+
+def _positive(scale: float) -> float:
     if not (np.isfinite(scale) and scale > 0):
         raise InvalidInput(f"the scale of a disparity map must be positive, found {scale:g}")
-    return DisparityMap(values.astype(np.float32) / np.float32(scale), scale)
+    return scale
+
+
+def _usual_scale(dtype: np.dtype[np.generic]) -> float:
+    return {"uint16": KITTI_SCALE, "int16": OPENCV_SCALE}.get(dtype.name, 1.0)
+
+
+def _gray(values: Array, path: Path) -> Array:
+    """Return (H, W) of what is gray, also where a file repeats it as red, green and blue."""
+    if values.ndim == 3 and values.shape[2] == 3 and not np.ptp(values, axis=2).any():
+        values = values[:, :, 0]
+    if values.ndim != 2 or values.size == 0:
+        raise InvalidInput(f"a disparity map has rows and columns, this has the shape {values.shape}", where=str(path))
+    return values
 
 
 def _read_values(path: Path) -> Array:
     suffix = path.suffix.lower()
-    if suffix == ".npy":
-        return read_npy(path)
-    return _read_pfm(path) if suffix == ".pfm" else load(path).pixels
+    if suffix in _TIFF:
+        return _read_tiff(path)
+    readers = {".npy": read_npy, ".npz": _read_npz, ".pfm": read_pfm, ".exr": read_exr}
+    return readers[suffix](path) if suffix in readers else load(path).pixels
 
 
-def _read_pfm(path: Path) -> Array:
-    """Return the values of a gray PFM file, whose rows stand from the bottom up.
-
-    The size of the number that tells the byte order by its sign is left alone: Middlebury writes 1/255 there without
-    meaning it, and OpenCV, which divides by it, reads disparities 255 times too large.
-    """
+def _read_tiff(path: Path) -> Array:
+    """Return the values of a TIFF file, which unlike an image may have a sign."""
     content = read_bytes(path)
-    header = _PFM_HEADER.match(content)
-    if header is None:
-        raise FileError("not a gray PFM file (its header is Pf, width, height, byte order)", where=str(path))
-    width, height = int(header[1]), int(header[2])
-    order = "<f4" if float(header[3]) < 0 else ">f4"
-    if len(content) - header.end() != 4 * width * height:
-        found = len(content) - header.end()
-        raise FileError(f"{width} × {height} pixels take {4 * width * height} bytes, found {found}", where=str(path))
-    values = np.frombuffer(content, order, offset=header.end()).reshape(height, width)
-    return values[::-1].astype(np.float32)
+    if exif.orientation(content) != exif.UPRIGHT:
+        content = exif.with_orientation(content, exif.UPRIGHT)  # OpenCV turns TIFF images whatever it is asked
+    try:
+        values = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        values = None
+    if values is None:
+        raise FileError("not a TIFF file that can be read", where=str(path))
+    return np.asarray(values)
+
+
+def _read_npz(path: Path) -> Array:
+    """Return the one array of a NumPy archive, or the one named disparity."""
+    try:
+        with np.load(BytesIO(read_bytes(path)), allow_pickle=False) as archive:
+            names = list(archive.files)
+            name = names[0] if len(names) == 1 else _ARRAY
+            values = archive[name] if name in names else None
+    except (ValueError, EOFError, OSError, AttributeError, zipfile.BadZipFile) as error:
+        raise FileError("not a NumPy archive that can be read", where=str(path)) from error
+    if values is None:
+        held = f"holds the arrays {', '.join(names[:8])}" if names else "holds no array"
+        raise InvalidInput(f"{held}; one is needed, or one named {_ARRAY}", where=str(path))
+    if values.dtype.kind not in "uif":
+        raise FileError("holds no plain array of numbers", where=str(path))
+    return np.asarray(values)

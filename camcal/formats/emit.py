@@ -36,6 +36,15 @@ def number_text(value: float) -> str:
     return mantissa + ("" if "." in mantissa else ".0") + exponent + power
 
 
+def rounded(value: Any) -> Any:
+    """Return plain data with its numbers at 12 significant digits."""
+    if isinstance(value, Mapping):
+        return {key: rounded(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(item) for item in value]
+    return float(f"{value:.12g}") if isinstance(value, float) else value
+
+
 def _block(data: Mapping[str, Any], indent: str) -> Iterator[str]:
     for key, value in data.items():
         start = f"{indent}{_key(key)}:"

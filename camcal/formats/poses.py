@@ -58,7 +58,7 @@ def write(path: Path, poses: Poses) -> None:
     if suffix == ".csv":
         text = "\n".join(_csv_lines(poses)) + "\n"
     elif suffix == ".json":
-        text = json.dumps(_rounded(document(poses)), indent=1, ensure_ascii=False) + "\n"
+        text = json.dumps(emit.rounded(document(poses)), indent=1, ensure_ascii=False) + "\n"
     else:
         text = emit.document(document(poses), _comment(poses))
     files.write_text(path, text)
@@ -133,12 +133,3 @@ def _csv_lines(poses: Poses) -> Iterator[str]:
         yield ",".join([cell(image), str(estimate.used), *texts, cell(estimate.status), *covariance])
     for image, reason in poses.missing.items():
         yield f"# none {cell(image)},{cell(' '.join(reason.split()))}"
-
-
-def _rounded(value: Any) -> Any:
-    """Return plain data with its numbers at 12 significant digits."""
-    if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_rounded(item) for item in value]
-    return float(f"{value:.12g}") if isinstance(value, float) else value

@@ -58,14 +58,14 @@ def _steps(pieces: Array, blur_px: float, width: int) -> tuple[Array, Array]:
     u, start, end, jump = pieces[:, :, None]
     reach = 0.5 + REACH * blur_px
     columns = np.floor(u - reach).astype(np.intp) + np.arange(math.ceil(2 * reach) + 2)
-    across = np.diff(_spread(u - columns, blur_px), axis=1)
+    across = np.diff(spread(u - columns, blur_px), axis=1)
     rows = np.floor(np.minimum(start, end) - reach).astype(np.intp) + np.arange(math.ceil(2 * reach) + 2)
-    along = (_spread(end - rows, blur_px) - _spread(start - rows, blur_px)) * jump
+    along = (spread(end - rows, blur_px) - spread(start - rows, blur_px)) * jump
     places = rows[:, :, None] * width + columns[:, None, 1:]
     return places.ravel(), (along[:, :, None] * across[:, None, :]).ravel()
 
 
-def _spread(distance: Array, blur_px: float) -> Array:
+def spread(distance: Array, blur_px: float) -> Array:
     """Return the share of the point spread below signed distances (px) from its middle, along one axis."""
     table = _table(blur_px)
     place = (distance * FINENESS + (len(table) // 2 + 0.5)).astype(np.intp)

@@ -1,103 +1,138 @@
-"""From a disparity map of a rectified pair to points in space."""
+"""From the pixels of a stereo image to vertices, some rows at a time: no cloud need be in memory as a whole."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.depth import StereoImage, row_blocks
+from camcal.stereo.frames import UNITS, BackProjection, Frame
+from camcal.stereo.normals import normals
+from camcal.stereo.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
+from camcal.stereo.voxels import drawn, one_per_voxel
 
-_BLOCK_ROWS = 32  # of a 12 MP map: what stands between disparity and points then stays in the cache
+InOrder = Callable[[Callable[[slice], Array], Iterable[slice]], Iterable[Array]]
+
+_BLOCK = 1 << 17  # pixels made into vertices at a time: few enough for the cache, enough for threads
 
 
 @dataclass(frozen=True, eq=False)
-class PointCloud:
-    """Points (N, 3), metres, in the left camera's frame (x right, y down, z forward), in the order of the pixels.
+class CloudMaker:
+    """The points of an image whose pixels are `kept` (H, W) bool, as vertices in a frame.
 
-    colours: (N, 3) red, green, blue, 0 … 255. intensity: (N,) 0 … 1, for gray images. None where there is no image.
+    normals, sigma: whether vertices have them. organised: the vertices are all pixels of a grid of every `stride`-th
+    row and column, with NaN for x y z where none is kept.
     """
 
-    points: Array
-    colours: Array | None = None
-    intensity: Array | None = None
+    image: StereoImage
+    kept: Array
+    frame: Frame = field(default_factory=Frame)
+    normals: bool = False
+    sigma: bool = False
+    organised: bool = False
+    stride: int = 1
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points", readonly(self.points, (None, 3), "points", np.float32))
-        count = len(self.points)
-        if self.colours is not None:
-            object.__setattr__(self, "colours", readonly(self.colours, (count, 3), "colours", np.uint8))
-        if self.intensity is not None:
-            object.__setattr__(self, "intensity", readonly(self.intensity, (count,), "intensity", np.float32))
+    def stream(self, notes: dict[str, str] | None = None, in_order: InOrder = map) -> VertexStream:
+        """Return the cloud, made while its blocks are gone through.
+
+        notes: more that files say. in_order: maps a function over blocks of rows in their order, like `map`, ahead of
+        what is asked for if it has threads.
+        """
+        grid = self._grid() if self.organised else None
+        return VertexStream(
+            count=grid[0] * grid[1] if grid else int(np.count_nonzero(self.kept)),
+            type=self.type,
+            blocks=in_order(_VertexBlocks(self).of_rows, row_blocks(self.image.shape, _BLOCK)),
+            unit=self.frame.unit,
+            frame=self.frame.words,
+            notes=notes or {},
+            grid=grid,
+        )
+
+    @property
+    def type(self) -> np.dtype[np.void]:
+        """The record of a vertex."""
+        pixels = self.image.pixels
+        return vertex_type(
+            colour=pixels is not None,
+            intensity=pixels is not None and pixels.ndim == 2,
+            normals=self.normals,
+            sigma=self.sigma,
+        )
+
+    def _grid(self) -> tuple[int, int]:
+        height, width = self.image.shape
+        return -(-width // self.stride), -(-height // self.stride)
 
 
-def make_cloud(
-    disparity: Array,
-    geometry: StereoGeometry,
-    image: Array | None = None,
-    depth_range: tuple[float, float] = (0.0, np.inf),
-) -> PointCloud:
-    """Return the points of a disparity map, coloured by the left image.
+class _VertexBlocks:
+    """Makes the vertices of blocks of rows; blocks do not depend on one another."""
 
-    disparity: (H, W) pixels, left minus right; NaN, infinite and non-positive values mean no match and never become
-    points. image: (H, W) gray, (H, W, 3) blue, green, red or (H, W, 4) with alpha; uint8, uint16 or float32 0 … 1.
-    depth_range: nearest and farthest z kept, metres.
-    Raises InvalidInput if the image has another size or the range is empty.
+    def __init__(self, maker: CloudMaker) -> None:
+        self._maker = maker
+        self._type = maker.type
+        self._places = BackProjection(maker.image.geometry, maker.image.shape, maker.frame)
+
+    def of_rows(self, rows: slice) -> Array:
+        """Return the vertices of some rows, structured (N,)."""
+        maker = self._maker
+        kept = maker.kept[rows]
+        dense = self._dense(rows)
+        if not maker.organised:
+            # An item of so many bytes moves several times faster than a record of fields does.
+            return np.asarray(dense.view(np.dtype((np.void, self._type.itemsize)))[kept].view(self._type))
+        for name in POSITION:
+            dense[name][~kept] = np.nan
+        return dense[-rows.start % maker.stride :: maker.stride, :: maker.stride].reshape(-1)
+
+    def _dense(self, rows: slice) -> Array:
+        """Return a vertex for every pixel of some rows, (N, W), whether it has a match or not."""
+        maker = self._maker
+        depth = maker.image.depth_of_matches(rows)
+        dense = np.empty(depth.shape, self._type)
+        with np.errstate(invalid="ignore", over="ignore"):  # where there is no match
+            for axis, name in enumerate(POSITION):
+                dense[name] = self._places.coordinate(axis, rows, depth)
+        if maker.image.pixels is not None:
+            _fill_appearance(dense, maker.image.pixels[rows])
+        if maker.normals:
+            for name, component in zip(NORMAL, self._places.turned(normals(maker.image, rows)), strict=True):
+                dense[name] = component
+        if maker.sigma:
+            dense[SIGMA] = maker.image.relative_sigma(rows) * depth * np.float32(UNITS[maker.frame.unit])
+        return dense
+
+
+def _fill_appearance(dense: Array, pixels: Array) -> None:
+    """Write the colour 0 … 255 of pixels (N, W[, 3 or 4]) into vertices (N, W), and the intensity of gray."""
+    colours = pixels
+    if pixels.dtype != np.uint8 or pixels.ndim == 2:
+        light = pixels / np.float32(full_scale(pixels.dtype))
+        if pixels.ndim == 2:
+            dense[INTENSITY] = light
+        if pixels.dtype != np.uint8:
+            colours = np.rint(np.clip(np.nan_to_num(light), 0, 1) * 255).astype(np.uint8)
+    for name, channel in zip(COLOUR, (2, 1, 0), strict=True):
+        dense[name] = colours if pixels.ndim == 2 else colours[..., channel]
+
+
+def thinned(stream: VertexStream, voxel: float | None = None, max_points: int | None = None) -> VertexStream:
+    """Return the cloud with one vertex for each voxel, and then no more than so many; it is in memory as a whole.
+
+    voxel: side in the unit of the cloud. Raises InvalidInput for a cloud that is organised as an image.
     """
-    if not depth_range[0] < depth_range[1]:
-        raise InvalidInput(f"the depth range {depth_range[0]:g} … {depth_range[1]:g} m is empty")
-    if image is not None and image.shape[:2] != disparity.shape:
-        raise InvalidInput(f"the image is {_size(image)}, the disparity map {_size(disparity)}; they must be the same")
-    depth = depth_map(disparity, geometry)
-    kept = (depth >= depth_range[0]) & (depth <= depth_range[1])  # False where the depth is NaN
-    points = _back_projected(depth, kept, geometry)
-    if image is None:
-        return PointCloud(points)
-    return PointCloud(points, *_appearance(image[kept] if image.ndim == 2 else _kept(image, kept)))
-
-
-def depth_map(disparity: Array, geometry: StereoGeometry) -> Array:
-    """Return depth along the optical axis (H, W), float32 metres, NaN where there is no match.
-
-    disparity: (H, W) pixels, left minus right. z = f b / (d + doffs): Hartley & Zisserman, 2nd ed., ch. 9.
-    """
-    shifted = disparity.astype(np.float32) + np.float32(geometry.doffs)
-    shifted[~((disparity > 0) & (shifted > 0))] = np.nan
-    with np.errstate(over="ignore"):
-        depth = np.float32(geometry.fx * geometry.baseline) / shifted
-    depth[~(np.isfinite(depth) & (depth > 0))] = np.nan  # beyond any number, or an infinite disparity
-    return depth
-
-
-def _back_projected(depth: Array, kept: Array, geometry: StereoGeometry) -> Array:
-    """Return the points (N, 3) of the pixels kept: X = (u - cx) z / fx, Y = (v - cy) z / fy."""
-    height, width = depth.shape
-    across = ((np.arange(width) - geometry.cx) / geometry.fx).astype(np.float32)
-    down = ((np.arange(height) - geometry.cy) / geometry.fy).astype(np.float32)[:, None]
-    blocks = []
-    for start in range(0, height, _BLOCK_ROWS):
-        rows = slice(start, start + _BLOCK_ROWS)
-        z = depth[rows]
-        blocks.append(_kept(np.stack([across * z, down[rows] * z, z], axis=-1), kept[rows]))
-    return np.concatenate(blocks)
-
-
-def _kept(values: Array, kept: Array) -> Array:
-    """Return values[kept] of (H, W, C) as (N, C); one item per pixel moves five times faster than C numbers."""
-    whole = np.ascontiguousarray(values)
-    items = whole.view(np.dtype((np.void, whole.dtype.itemsize * whole.shape[2])))[..., 0]
-    return items[kept].view(whole.dtype).reshape(-1, whole.shape[2])
-
-
-def _appearance(pixels: Array) -> tuple[Array, Array | None]:
-    """Return colours (N, 3) red, green, blue, 0 … 255, of pixels (N,) or (N, 3 or 4); and the intensity of gray."""
-    light = pixels / np.float32(full_scale(pixels.dtype))
-    colours = pixels if pixels.dtype == np.uint8 else np.rint(np.clip(light, 0, 1) * 255).astype(np.uint8)
-    if pixels.ndim == 1:
-        return np.repeat(colours[:, None], 3, axis=1), light
-    return colours[:, 2::-1], None
-
-
-def _size(array: Array) -> str:
-    return f"{array.shape[1]} × {array.shape[0]}"
+    if voxel is None and max_points is None:
+        return stream
+    if stream.grid is not None:
+        raise InvalidInput(
+            "an organised cloud has a place for every pixel; voxels and a number of points are not for it"
+        )
+    vertices = np.concatenate([np.empty(0, stream.type), *stream.blocks])
+    if voxel is not None:
+        vertices = one_per_voxel(vertices, voxel)
+    if max_points is not None:
+        vertices = vertices[drawn(len(vertices), max_points)]
+    return replace(stream, count=len(vertices), blocks=iter([vertices]))

@@ -1,156 +1,298 @@
-"""`camcal stereo cloud`: a disparity map and a camera to a coloured point cloud."""
+"""`camcal stereo cloud`: a disparity map and what is known of its pair to a point cloud."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import disparity, native, pointcloud
-from camcal.formats.camera_file import CameraFile
+from camcal.formats import disparity, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
-from camcal.geometry.pose import Pose
+from camcal.formats.disparity_sidecar import ZERO, Sidecar
 from camcal.images.load import load
-from camcal.progress import SILENT, Progress
+from camcal.progress import SILENT, Progress, values_of
+from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting
-from camcal.stereo.cloud import PointCloud, make_cloud
-from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+from camcal.stereo.cloud import CloudMaker, thinned
+from camcal.stereo.depth import StereoImage
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.frames import OPTICAL, UNITS, Frame, frame_named
+from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.outliers import ORGANISED, RADIUS
+from camcal.stereo.selection import Selected, Selection, depth_figures, select
+from camcal.stereo.vertices import METRES, VertexStream
+from camcal.tasks import rectified_pair
+from camcal.tasks.rectified_pair import GeometryOptions, RectifiedPair
 
-CAMERA_SUFFIXES = (".yaml", ".yml")
+GRIDS = (".pcd",)  # point clouds that can be organised as an image
+
+_FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates are worth a warning
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """Which pixels become points. See `stereo.selection.Selection` for what is not said here.
+
+    depth: metres. crop: xmin, xmax, ymin, ymax, zmin, zmax, metres. mask: an image, not zero where points are wanted.
+    max_sigma: largest standard deviation of the depth, percent of it. min_confidence: a number or a name of
+    `Confidence`. sigma_disparity: pixels, for all pixels alike. outliers: organised, radius, radius:METRES or none.
+    voxel: side, metres.
+    """
+
+    depth: tuple[float, float] = (0.0, float("inf"))
+    crop: tuple[float, ...] | None = None
+    mask: Path | None = None
+    max_sigma: float | None = None
+    min_confidence: str | None = None
+    sigma_disparity: float | None = None
+    stride: int = 1
+    outliers: str = ORGANISED
+    voxel: float | None = None
+    max_points: int | None = None
+
+
+@dataclass(frozen=True)
+class VertexOptions:
+    """What is said of a point, and where. frame, unit: see `stereo.frames`. pose: file of the camera's place."""
+
+    frame: str = OPTICAL
+    unit: str = METRES
+    pose: Path | None = None
+    normals: bool = False
+    sigma: bool = False
+    organised: bool = False
+    ascii_text: bool = False
 
 
 @dataclass(frozen=True)
 class CloudOptions:
     """A disparity map, the left image, and where the geometry comes from.
 
-    files: the image and the camera file (FILE or FILE#NAME), either or both, told apart by the suffix.
-    camera: name of the left camera in the file. fx … doffs: pixels and metres; each wins over the camera file.
-    scale: counts of the file per pixel of disparity, None by its type. min_depth, max_depth: metres.
+    files: the image and the camera file (FILE or FILE#NAME), either or both, told apart by the suffix; what is not
+    given is taken from the sidecar of the map. scale: counts of the file per pixel of disparity, None by its type.
     """
 
     disparity: Path
     output: Path
     files: tuple[str, ...] = ()
-    camera: str | None = None
-    fx: float | None = None
-    fy: float | None = None
-    cx: float | None = None
-    cy: float | None = None
-    baseline: float | None = None
-    doffs: float | None = None
+    geometry: GeometryOptions = field(default_factory=GeometryOptions)
     scale: float | None = None
-    min_depth: float = 0.0
-    max_depth: float = float("inf")
-    ascii_text: bool = False
+    points: PointOptions = field(default_factory=PointOptions)
+    vertices: VertexOptions = field(default_factory=VertexOptions)
+    jobs: int | None = None
 
 
 @dataclass(frozen=True)
 class CloudReport:
     """What was written: points of so many pixels, the scale the disparity was read with, the geometry.
 
-    depth: smallest, median and largest z, metres, None for an empty cloud. appearance: colour, gray or none.
+    matched: pixels with a match. outliers: those left out because they stand alone. depth: smallest, median and largest
+    z along the optical axis, metres, None for an empty cloud. appearance: colour, gray or none. frame: in words.
+    fields: of a point, in the order of the file.
     """
 
     output: Path
     points: int
     pixels: int
+    matched: int
+    outliers: int
     scale: float
     geometry: StereoGeometry
     depth: tuple[float, float, float] | None
     appearance: str
+    frame: str
+    unit: str
+    fields: tuple[str, ...]
 
 
 def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudReport:
     """Return what was written to options.output.
 
-    Raises InvalidInput for a geometry that is incomplete or not rectified, or sizes that differ; FileError.
+    Raises InvalidInput for a geometry that is incomplete or not rectified, sizes that differ, and for what is asked of
+    a point and not known; FileError.
     """
-    pointcloud.require_suffix(options.output)
+    pointclouds.require_suffix(options.output, ascii_text=options.vertices.ascii_text)
+    if options.vertices.organised and options.output.suffix.lower() not in GRIDS:
+        raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
     image_path, address = _image_and_camera(options.files)
-    refuse_overwriting([options.output], [options.disparity, *([image_path] if image_path else [])])
     found = disparity.read(options.disparity, options.scale)
-    geometry = _geometry(options, address, found, progress)
-    image = load(image_path).pixels if image_path else None
-    cloud = make_cloud(found.values, geometry, image, (options.min_depth, options.max_depth))
-    if not len(cloud.points):
-        progress.warn(f"{options.disparity}: no pixel has a match in the depth range; the cloud is empty")
-    pointcloud.write(options.output, cloud, ascii_text=options.ascii_text)
-    return _report(options.output, found, geometry, cloud)
+    image_path = image_path or _image_beside(found.sidecar, progress)
+    refuse_overwriting([options.output], _inputs(options, image_path))
+    pair = _pair(options, address, found, progress)
+    image = _stereo_image(options, found, pair, image_path)
+    frame = _frame(options.vertices, found.sidecar, progress)
+    with over_threads(options.jobs) as each:
+        selected = select(image, _selection(options.points), frame, each)
+    if not selected.kept.any():
+        progress.warn(f"{options.disparity}: {_why_empty(selected)}; the cloud is empty")
+    stream = _stream(options, image, selected, frame)
+    pointclouds.write(options.output, stream, ascii_text=options.vertices.ascii_text)
+    return _report(options, found, image, selected, stream)
 
 
 def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
-    cameras = [text for text in files if split_address(text)[0].suffix.lower() in CAMERA_SUFFIXES]
+    cameras = [text for text in files if split_address(text)[0].suffix.lower() in rectified_pair.SUFFIXES]
     images = [Path(text) for text in files if text not in cameras]
     if len(cameras) > 1 or len(images) > 1:
         raise InvalidInput(f"one image and one camera file are taken, found {' and '.join(files)}")
     return (images[0] if images else None), (cameras[0] if cameras else None)
 
 
-def _geometry(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> StereoGeometry:
-    """Return the geometry of the camera file with the numbers that were given put over it."""
-    known: dict[str, float] = {}
-    if address is not None:
-        known = _from_file(address, options, found, progress)
-    given = {name: getattr(options, name) for name in ("fx", "fy", "cx", "cy", "baseline", "doffs")}
-    known |= {name: value for name, value in given.items() if value is not None}
-    missing = [f"--{name}" for name in ("fx", "cx", "cy", "baseline") if name not in known]
-    if missing:
-        source = "the camera file has no camera to the right of it: " if address else ""
-        raise InvalidInput(f"{source}give {', '.join(missing)}, or a camera file of the rectified pair")
-    return StereoGeometry(**{"fy": known["fx"], **known})
+def _image_beside(sidecar: Sidecar | None, progress: Progress) -> Path | None:
+    """Return the left image that the sidecar names, if it is there."""
+    path = sidecar.image if sidecar else None
+    if path is not None and not path.is_file():
+        progress.warn(f"{path}: the left image that the sidecar names is not there; the cloud has no colour")
+        return None
+    return path
 
 
-def _from_file(address: str, options: CloudOptions, found: DisparityMap, progress: Progress) -> dict[str, float]:
-    """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
-    path, named = split_address(address)
-    name = options.camera or named
-    file = native.read(path)
-    for warning in file.warnings:
-        progress.warn(warning)
-    pair = _pair(file, name)
-    left = file.cameras[pair[0]].camera if pair else native.select(file, name, str(path)).camera
+def _inputs(options: CloudOptions, image: Path | None) -> list[Path]:
+    return [options.disparity, *(path for path in (image, options.points.mask, options.vertices.pose) if path)]
+
+
+def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> RectifiedPair:
     height, width = found.values.shape
-    if left.image_size != (width, height):
-        size = "{} × {}".format(*left.image_size)
-        raise InvalidInput(f"the camera has {size} pixels, the disparity map {width} × {height}", where=address)
+    pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
+    if pair.geometry is None:
+        raise InvalidInput(
+            "the geometry is not known: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
+        )
+    return pair
+
+
+def _stereo_image(
+    options: CloudOptions, found: DisparityMap, pair: RectifiedPair, image_path: Path | None
+) -> StereoImage:
+    """Return the map with all that the options make use of."""
+    assert pair.geometry is not None
+    sidecar, points = found.sidecar or Sidecar(), options.points
+    sigma: Array | float | None = points.sigma_disparity
+    if sigma is None and sidecar.sigma and (options.vertices.sigma or points.max_sigma is not None):
+        sigma = disparity.read(sidecar.sigma).values
+    confidence = load(sidecar.confidence).pixels if sidecar.confidence and points.min_confidence is not None else None
+    return StereoImage(
+        found.values,
+        pair.geometry,
+        signed=found.invalid != ZERO and sidecar.searched is not None and sidecar.searched[0] < 0,
+        pixels=load(image_path).pixels if image_path else None,
+        sigma=sigma,
+        confidence=confidence,
+        calibration_sigma=pair.sigma_of_product,
+    )
+
+
+def _frame(options: VertexOptions, sidecar: Sidecar | None, progress: Progress) -> Frame:
+    world_T_camera = pose_text.read(options.pose) if options.pose else None
+    turn = sidecar.camera_R_rectified if sidecar else None
+    frame = frame_named(options.frame, turn, world_T_camera, options.unit)
+    step = float(np.spacing(np.abs(frame.frame_T_left.translation).max().astype(np.float32)))
+    if step > _FINEST:
+        progress.warn(
+            f"so far from the origin of the world, coordinates have steps of {step:.2g} m; subtract an offset"
+        )
+    return frame
+
+
+def _selection(options: PointOptions) -> Selection:
+    """Return what pixels have to fulfil, from what the user wrote."""
+    method, _, radius = options.outliers.partition(":")
+    if radius and method != RADIUS:
+        raise InvalidInput(f"outliers {options.outliers!r}: only radius takes a number")
+    if options.crop is not None and len(options.crop) != 6:
+        raise InvalidInput(f"--crop needs six numbers, xmin,xmax,ymin,ymax,zmin,zmax, found {len(options.crop)}")
+    return Selection(
+        depth=options.depth,
+        crop=None if options.crop is None else np.reshape(options.crop, (3, 2)),
+        mask=_mask(options.mask) if options.mask else None,
+        max_sigma=None if options.max_sigma is None else options.max_sigma / 100,
+        min_confidence=None if options.min_confidence is None else _confidence(options.min_confidence),
+        stride=options.stride,
+        outliers=method,
+        radius=_metres(radius) if radius else None,
+    )
+
+
+def _mask(path: Path) -> Array:
+    pixels = load(path).pixels
+    return np.asarray(pixels > 0 if pixels.ndim == 2 else (pixels[..., :3] > 0).any(axis=2))
+
+
+def _confidence(text: str) -> int:
+    """Return the number of a class of confidence, given as a number or by its name."""
+    names = {member.name.lower(): int(member) for member in Confidence}
+    number = names.get(text.lower(), int(text) if text.isdecimal() else -1)
+    if number not in names.values():
+        classes = ", ".join(f"{value} {name}" for name, value in names.items())
+        raise InvalidInput(f"confidence {text!r} is unknown; use one of {classes}")
+    return number
+
+
+def _metres(text: str) -> float:
     try:
-        if pair is None:
-            return dict(zip(("fx", "fy", "cx", "cy"), pinhole_intrinsics(left), strict=True))
-        return asdict(of_pair(left, file.cameras[pair[1]].camera, pair[2]))
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=address) from error
+        return float(text)
+    except ValueError as error:
+        raise InvalidInput(f"the radius around a point is a number of metres, found {text!r}") from error
 
 
-def _pair(file: CameraFile, name: str | None) -> tuple[str, str, Pose] | None:
-    """Return the names of the left and the right camera and right_T_left, None if no transform joins two cameras.
-
-    name: the left camera, None for whichever stands left.
-    """
-    pairs = []
-    for key, transform in file.transforms.items():
-        a, b = key.split("_T_")
-        if a in file.cameras and b in file.cameras:
-            a_T_b = transform.pose
-            pairs.append((b, a, a_T_b) if a_T_b.translation[0] < 0 else (a, b, a_T_b.inverse()))
-    fitting = [pair for pair in pairs if name in (None, pair[0])]
-    if len(fitting) > 1:
-        raise InvalidInput(f"the camera file has {len(fitting)} pairs; give the geometry by --fx --cx --cy --baseline")
-    return fitting[0] if fitting else None
+def _why_empty(selected: Selected) -> str:
+    if not selected.matched:
+        return "no pixel has a match"
+    return f"of {selected.matched} pixels with a match none is within the limits"
 
 
-def _report(output: Path, found: DisparityMap, geometry: StereoGeometry, cloud: PointCloud) -> CloudReport:
-    depth = cloud.points[:, 2]
-    appearance = "none" if cloud.colours is None else "colour" if cloud.intensity is None else "gray"
+def _stream(options: CloudOptions, image: StereoImage, selected: Selected, frame: Frame) -> VertexStream:
+    points, vertices = options.points, options.vertices
+    maker = CloudMaker(
+        image, selected.kept, frame, vertices.normals, vertices.sigma, vertices.organised, stride=points.stride
+    )
+    stream = maker.stream(_notes(options, image), in_order_on_threads(options.jobs))
+    voxel = None if points.voxel is None else points.voxel * UNITS[frame.unit]
+    return thinned(stream, voxel, points.max_points)
+
+
+def _notes(options: CloudOptions, image: StereoImage) -> dict[str, str]:
+    geometry = image.geometry
+    notes = {
+        "disparity": options.disparity.name,
+        "fx": f"{geometry.fx:.12g} px",
+        "baseline": f"{geometry.baseline:.12g} m",
+    }
+    return notes | ({"doffs": f"{geometry.doffs:.12g} px"} if geometry.doffs else {})
+
+
+def in_order_on_threads(jobs: int | None) -> Callable[[Callable[[slice], Array], Iterable[slice]], Iterator[Array]]:
+    """Return a `map` that works ahead on threads while what it gave is written."""
+
+    def in_order(work: Callable[[slice], Array], items: Iterable[slice]) -> Iterator[Array]:
+        for outcome in fan_out(work, items, jobs=jobs):
+            yield from values_of([outcome])
+
+    return in_order
+
+
+def _report(
+    options: CloudOptions, found: DisparityMap, image: StereoImage, selected: Selected, stream: VertexStream
+) -> CloudReport:
+    fields = stream.type.names or ()
+    appearance = "none" if image.pixels is None else "gray" if image.pixels.ndim == 2 else "colour"
     return CloudReport(
-        output=output,
-        points=len(depth),
+        output=options.output,
+        points=int(np.count_nonzero(selected.kept)) if stream.grid else stream.count,
         pixels=found.values.size,
+        matched=selected.matched,
+        outliers=selected.outliers,
         scale=found.scale,
-        geometry=geometry,
-        depth=(float(depth.min()), float(np.median(depth)), float(depth.max())) if len(depth) else None,
+        geometry=image.geometry,
+        depth=depth_figures(image, selected.kept),
         appearance=appearance,
+        frame=stream.frame,
+        unit=stream.unit,
+        fields=tuple(fields),
     )
 
 
@@ -161,8 +303,13 @@ def document(report: CloudReport) -> dict[str, Any]:
         "output": report.output.as_posix(),
         "points": report.points,
         "pixels": report.pixels,
+        "matched": report.matched,
+        "outliers": report.outliers,
         "scale": report.scale,
         "geometry": asdict(report.geometry),
         "depth_m": dict(zip(names, report.depth, strict=True)) if report.depth else None,
         "appearance": report.appearance,
+        "frame": report.frame,
+        "unit": report.unit,
+        "fields": list(report.fields),
     }

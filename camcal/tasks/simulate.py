@@ -12,7 +12,7 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.errors import CamcalError, InvalidInput
+from camcal.errors import InvalidInput
 from camcal.formats import boards, detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.formats.emit import number_text
@@ -31,7 +31,7 @@ from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
 from camcal.targets.surface import Surface
-from camcal.tasks import simulate_raw
+from camcal.tasks import simulate_raw, simulation_folder
 from camcal.tasks.simulate_raw import RawCamera, RawOptions, Sensor
 
 __all__ = [
@@ -145,22 +145,12 @@ def _camera(options: SimulateOptions) -> Camera:
 
 def _clear(folder: Path, count: int) -> None:
     """Remove the images of an earlier run that this one does not replace; refuse a folder of something else."""
-    if folder.exists() and not folder.is_dir():
-        raise InvalidInput("is a file; images go into a folder", where=str(folder))
-    if folder.is_dir() and any(folder.iterdir()) and not _is_ours(folder):
-        raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))
+    simulation_folder.require_own(folder, TRUTH)
     kept = {view_name(index) for index in range(count)}
     for path in (folder / IMAGES).glob("view[0-9][0-9][0-9][0-9].png"):
         if path.name not in kept:
             path.unlink()
     simulate_raw.clear_frames(folder)
-
-
-def _is_ours(folder: Path) -> bool:
-    try:
-        return "x_simulation" in native.read(folder / TRUTH).extra
-    except CamcalError:
-        return False
 
 
 def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
@@ -218,7 +208,7 @@ def truth_file(truth: Truth, options: SimulateOptions) -> CameraFile:
         {"camera": entry},
         board_shape=surface_of(truth.shape, truth.board) if truth.shape != FLAT else None,
         provenance=provenance.build(["simulate", options.board, *lens], truth.board),
-        extra={"x_simulation": how},
+        extra={simulation_folder.MARK: how},
     )
 
 

@@ -1,0 +1,77 @@
+"""Point clouds as files: what a suffix stands for, written from a stream and read back.
+
+Every format's module has write(file, stream), which never asks for the cloud as a whole where the format allows it, and
+read(content).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO
+
+from camcal.errors import FileError, InvalidInput
+from camcal.files import read_bytes, replacing
+from camcal.formats.pointclouds import glb, glb_reading, las, npz, pcd, ply, xyz
+from camcal.formats.pointclouds.record import PointCloudFile
+from camcal.stereo.vertices import VertexStream
+
+__all__ = ["SUFFIXES", "PointCloudFile", "read", "require_suffix", "write"]
+
+
+@dataclass(frozen=True)
+class _Format:
+    write: Callable[[BinaryIO, VertexStream], None]
+    read: Callable[[bytes], PointCloudFile]
+    write_text: Callable[[BinaryIO, VertexStream], None] | None = None
+
+
+_FORMATS = {
+    ".ply": _Format(ply.write, ply.read, ply.write_text),
+    ".pcd": _Format(pcd.write, pcd.read, pcd.write_text),
+    ".xyz": _Format(xyz.write, xyz.read, xyz.write),
+    ".npz": _Format(npz.write, npz.read),
+    ".glb": _Format(glb.write, glb_reading.read),
+    ".las": _Format(partial(las.write, compress=False), las.read),
+    ".laz": _Format(partial(las.write, compress=True), las.read),
+}
+SUFFIXES = tuple(_FORMATS)
+LASER_SUFFIXES = (".las", ".laz")
+
+
+def write(path: Path, stream: VertexStream, *, ascii_text: bool = False) -> None:
+    """Write a cloud as its suffix says, in one step; ascii_text: as text, where the format can be either.
+
+    Raises InvalidInput as `require_suffix` does, FileError if the file cannot be written.
+    """
+    require_suffix(path, ascii_text=ascii_text)
+    form = _FORMATS[path.suffix.lower()]
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        (form.write_text if ascii_text and form.write_text else form.write)(file, stream)
+
+
+def read(path: Path) -> PointCloudFile:
+    """Return what a file holds of a point cloud, told by its suffix.
+
+    Raises InvalidInput for another suffix, FileError if the file is missing, empty, truncated or not of that format.
+    """
+    require_suffix(path)
+    content = read_bytes(path)
+    try:
+        return _FORMATS[path.suffix.lower()].read(content)
+    except FileError as error:
+        raise FileError(error.message, where=str(path)) from error
+
+
+def require_suffix(path: Path, *, ascii_text: bool = False) -> None:
+    """Raise InvalidInput unless the name is that of a point cloud that can be written and read, as text if so asked."""
+    form = _FORMATS.get(path.suffix.lower())
+    if form is None:
+        raise InvalidInput(
+            f"{path.suffix or 'no suffix'} is no point cloud; known are {' '.join(SUFFIXES)}", where=str(path)
+        )
+    if ascii_text and form.write_text is None:
+        texts = " ".join(suffix for suffix, known in _FORMATS.items() if known.write_text)
+        raise InvalidInput(f"{path.suffix} has no text form; use {texts}", where=str(path))
+    if path.suffix.lower() in LASER_SUFFIXES:
+        las.require_laspy()

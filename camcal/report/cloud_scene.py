@@ -1,0 +1,224 @@
+"""What is shown of a point cloud: as many of its points as can be looked at, and what is known about them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InsufficientData
+from camcal.stereo.axes import rotation_of
+from camcal.stereo.vertices import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
+
+_SEED = 20240229
+_TAIL = 0.005  # share of the points beyond either side of the box
+_MARGIN = 1.0  # sizes of the box on either side of it within which points are still shown
+_SAMPLE = 50_000
+_AS_EVEN = 1.25  # spacings that grow are believed to if that makes them as even as this
+_NEIGHBOURS = 8_000  # points of the sample that tells the spacing
+_BACKGROUND = 4.0  # median depths
+_WIDEST = 3.0  # tangent; what spreads more than 143 degrees as seen from the origin was not seen by one camera
+_IN_FRONT = 0.95  # share of the points in front of the origin, if that is where the camera stood
+
+
+@dataclass(frozen=True, eq=False)
+class CloudScene:
+    """Points (N, 3), float32, in the unit and the frame of their file, in the order of the file.
+
+    colours: (N, 3) red, green, blue, 0 … 255. sigma: (N,) standard deviation of the depth, NaN where it is not known.
+    unit: m or mm. frame: in words. total: points of the file. outside: points left out because they are far from all
+    others (see `gather`).
+    """
+
+    points: Array
+    colours: Array | None
+    sigma: Array | None
+    unit: str
+    frame: str
+    total: int
+    outside: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", readonly(self.points, (None, 3), "points", np.float32))
+        count = len(self.points)
+        if self.colours is not None:
+            object.__setattr__(self, "colours", readonly(self.colours, (count, 3), "colours", np.uint8))
+        if self.sigma is not None:
+            object.__setattr__(self, "sigma", readonly(self.sigma, (count,), "sigma", np.float32))
+
+    @cached_property
+    def view_T_cloud(self) -> Array:  # noqa: N802 - a transform is named a_T_b
+        """Rotation (3, 3) to the frame that is looked at: x right, y down, z forward; by what the frame says."""
+        return rotation_of(self.frame)
+
+    @cached_property
+    def seen(self) -> Array:
+        """The points (N, 3), float32, x right, y down, z forward."""
+        turned: Array = self.points @ self.view_T_cloud.T.astype(np.float32)
+        return turned
+
+    @property
+    def depth(self) -> Array:
+        """Depth along the axis that points forward (N,)."""
+        depth: Array = self.seen[:, 2]
+        return depth
+
+    @cached_property
+    def main_part(self) -> Array:
+        """Points (N, 3) of an even sample, x right, y down, z forward, that views are to show.
+
+        Of what a camera saw this leaves out the far background, which would make all else small.
+        """
+        if not self.from_camera:
+            return self._sample
+        part: Array = self._sample[self._sample[:, 2] <= _BACKGROUND * self.median_depth]
+        return part
+
+    @cached_property
+    def median_depth(self) -> float:
+        """The depth that half of the points exceed."""
+        return float(np.median(self._sample[:, 2]))
+
+    @cached_property
+    def _sample(self) -> Array:
+        """Points enough to tell quantiles by, x right, y down, z forward."""
+        return _sample(self.seen)
+
+    @cached_property
+    def box(self) -> Array:
+        """Lowest and highest x, y, z (2, 3) of the main part but for a few outliers, x right, y down, z forward."""
+        return _box(self.main_part)
+
+    @cached_property
+    def from_camera(self) -> bool:
+        """Whether the points look as if a camera at the origin had seen them: in front of it, within what one sees."""
+        if np.mean(self._sample[:, 2] > 0) < _IN_FRONT:
+            return False
+        return bool(np.ptp(self.tangents, axis=0).max() < _WIDEST)
+
+    @cached_property
+    def tangents(self) -> Array:
+        """Lowest and highest x / z and y / z (2, 2) of all points but a few, as the origin sees them."""
+        front = self._sample[self._sample[:, 2] > 0]
+        return _box(front[:, :2] / front[:, 2:]) if len(front) else np.zeros((2, 2))
+
+    @cached_property
+    def spacing(self) -> tuple[float, bool]:
+        """Typical distance of a point to the next; and whether it is to be multiplied by the distance to the origin.
+
+        The points of a camera stand closer together the nearer they are; those thinned by voxels do not.
+        """
+        apart, ray = _neighbours(self.seen)
+        if self.from_camera and _spread(apart / ray) < _AS_EVEN * _spread(apart):
+            return float(np.median(apart / ray)), True
+        return float(np.median(apart)), False
+
+
+def gather(stream: VertexStream, most: int) -> CloudScene:
+    """Return what is to be seen of a cloud, at most so many points, taken evenly from all of the file.
+
+    Points that are not finite are none. What is farther from the box of nearly all points than its size
+    is left out, and counted: it could not be seen beside the others.
+    Raises InsufficientData for a cloud without points.
+    """
+    picked, total = [], 0
+    start = 0
+    for block, chosen in _chosen(stream, most):
+        total += int(np.count_nonzero(_finite(block)))
+        kept = block[chosen - start]
+        picked.append(kept[_finite(kept)])
+        start += len(block)
+    if not total:
+        raise InsufficientData("the cloud has no points to look at")
+    vertices = np.concatenate(picked)
+    points = np.stack([vertices[axis] for axis in POSITION], axis=1)
+    near = _near(points)
+    return CloudScene(
+        points[near],
+        _colours(vertices[near]),
+        vertices[SIGMA][near] if SIGMA in (stream.type.names or ()) else None,
+        stream.unit,
+        stream.frame,
+        total,
+        int(np.count_nonzero(~near)),
+    )
+
+
+def _chosen(stream: VertexStream, most: int) -> Iterator[tuple[Array, Array]]:
+    """Yield every block with the places in the stream, rising, of what is kept of it."""
+    places = evenly(stream.count, most)
+    start = 0
+    for block in stream.blocks:
+        first, last = np.searchsorted(places, [start, start + len(block)])
+        yield block, places[first:last]
+        start += len(block)
+
+
+def evenly(count: int, most: int) -> Array:
+    """Return at most so many places 0 … count - 1, rising: one at random in each of equal stretches.
+
+    A regular step would draw stripes over the rows of an image.
+    """
+    if count <= most:
+        return np.arange(count)
+    edges = np.linspace(0, count, most + 1)
+    inside = np.random.default_rng(_SEED).random(most)
+    places: Array = np.minimum((edges[:-1] + inside * np.diff(edges)).astype(np.int64), count - 1)
+    return places
+
+
+def _finite(vertices: Array) -> Array:
+    finite: Array = np.isfinite(vertices["x"]) & np.isfinite(vertices["y"]) & np.isfinite(vertices["z"])
+    return finite
+
+
+def _colours(vertices: Array) -> Array | None:
+    """Return red, green, blue (N, 3) of vertices with colour or intensity."""
+    names = vertices.dtype.names or ()
+    if set(COLOUR) <= set(names):
+        return np.stack([vertices[name] for name in COLOUR], axis=1)
+    if INTENSITY in names:
+        light = np.rint(np.clip(np.nan_to_num(vertices[INTENSITY]), 0, 1) * 255).astype(np.uint8)
+        return np.repeat(light[:, None], 3, axis=1)
+    return None
+
+
+def _near(points: Array) -> Array:
+    """Return which points (N,) stand within the box of nearly all of them made larger by `_MARGIN` on every side."""
+    low, high = _box(_sample(points))
+    reach = _MARGIN * max(float((high - low).max()), 1e-6 * float(np.abs(points).max()))
+    near: Array = ((points >= low - reach) & (points <= high + reach)).all(axis=1)
+    return near
+
+
+def _sample(values: Array) -> Array:
+    """Return rows enough to tell quantiles by."""
+    sample: Array = values[evenly(len(values), _SAMPLE)]
+    return sample
+
+
+def _box(values: Array) -> Array:
+    return np.quantile(values.astype(np.float64), [_TAIL, 1 - _TAIL], axis=0)
+
+
+def _neighbours(points: Array) -> tuple[Array, Array]:
+    """Return how far some of the points (N, 3) are from the next, and from the origin.
+
+    Neighbours are found in an even sample; on surfaces, distances grow with the root of the share left out.
+    """
+    from scipy.spatial import KDTree
+
+    if len(points) < 2:
+        return np.zeros(1), np.ones(1)
+    sample = points[evenly(len(points), _NEIGHBOURS)].astype(np.float64)
+    # The fourth neighbour is one spacing away on a square grid, and 1.1 times the mean spacing among random points.
+    fourth = min(4, len(sample) - 1)
+    apart = np.asarray(KDTree(sample).query(sample, [fourth + 1])[0])[:, 0]
+    return apart * np.sqrt(len(sample) / len(points)), np.linalg.norm(sample, axis=1)
+
+
+def _spread(values: Array) -> float:
+    """Return the width of what holds the middle half of values that are not negative, as a ratio's logarithm."""
+    quarter, rest = np.quantile(np.log(np.maximum(values, np.finfo(np.float64).tiny)), [0.25, 0.75])
+    return float(rest - quarter)

@@ -1,0 +1,105 @@
+"""A check of a rectified pair in words and as plain data."""
+
+from dataclasses import asdict
+from typing import Any
+
+from camcal.report.uncertain import value_and_std
+from camcal.stereo.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
+from camcal.stereo.exposure import Exposure
+from camcal.stereo.pair_check import PairCheck
+from camcal.stereo.pair_order import FINDINGS
+
+_SURE = 3.0  # standard errors
+
+
+def lines(check: PairCheck) -> list[str]:
+    """Return what was found of a pair, a line each, the last one what it means."""
+    residual = check.residual
+    trend = residual.trend
+    low, high = check.disparity
+    shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
+    said = [
+        headline(residual),
+        f"trend: {_signed(trend.centre)} px at the centre, {shape}",
+        f"disparity {low:.0f} … {high:.0f} px{_searched(check)}",
+    ]
+    if residual.convergence is not None and abs(residual.convergence.value) > _SURE * residual.convergence.std:
+        said.insert(2, f"rows change with disparity: {_signed(residual.convergence)} px per px")
+    if check.exposure is not None:
+        said.append(light(check.exposure))
+    return [*said, verdict(check)]
+
+
+def headline(residual: Residual) -> str:
+    """Return the vertical residual in a line."""
+    return (
+        f"rows differ by {_signed(residual.median)} px (median of {len(residual.dy)} features in agreement, of "
+        f"{residual.seen}), RMS {residual.rms:.2f} px, 95 % within {residual.p95:.2f} px"
+    )
+
+
+def light(exposure: Exposure) -> str:
+    """Return what differs between the exposures of a pair."""
+    percent, std = value_and_std(abs(100 * exposure.brightness.value), 100 * exposure.brightness.std)
+    side = "brighter" if exposure.brightness.value > 0 else "darker"
+    said = f"the right image is {percent} ± {std} % {side}"
+    if not exposure.differs:
+        return f"exposures agree: {said}"
+    return f"{said} (gain {exposure.gain:.2f}, gamma {exposure.gamma:.2f}, offset {exposure.offset:+.0f} of 255)"
+
+
+def verdict(check: PairCheck) -> str:
+    """Return what the findings mean for whoever wants to match the pair."""
+    if check.finding is not None:
+        return FINDINGS[check.finding]
+    trend = check.residual.trend
+    off = f"rows are off by {trend.rms:.2f} px"
+    if trend.largest > LARGEST_CORRECTION:
+        return f"{off}, {trend.largest:.1f} px at worst: these images are not rectified"
+    if trend.rms > WORTH_RECTIFYING:
+        return f"{off}: worth a new calibration and rectification; --align-rows auto of 'stereo disparity' helps"
+    if trend.rms > NEGLIGIBLE:
+        return f"{off}: --align-rows auto of 'stereo disparity' puts that right"
+    return "rows agree"
+
+
+def plain(check: PairCheck) -> dict[str, Any]:
+    """Return the check as plain data: pixels, and counts of 255."""
+    residual, exposure = check.residual, check.exposure
+    trend = residual.trend
+    named = {"centre": trend.centre, "tilt": trend.tilt, "scale": trend.scale}
+    low, high = check.disparity
+    return {
+        "size": residual.size,
+        "features": {"seen": residual.seen, "agreeing": len(residual.dy)},
+        "rows_px": {
+            "median": _plain(residual.median),
+            "rms": residual.rms,
+            "p95": residual.p95,
+            "scatter": residual.scatter,
+        },
+        "trend_px": {name: _plain(value) for name, value in named.items()}
+        | {"rms": trend.rms, "largest": trend.largest},
+        "rows_per_disparity": None if residual.convergence is None else _plain(residual.convergence),
+        "disparity_px": {"low": low, "high": high, "search": check.searched},
+        "exposure": None
+        if exposure is None
+        else asdict(exposure) | {"brightness": _plain(exposure.brightness), "differs": exposure.differs},
+        "finding": check.finding,
+        "verdict": verdict(check),
+    }
+
+
+def _searched(check: PairCheck) -> str:
+    if check.searched is None:
+        return "; too little can be matched to tell the range to search"
+    return "; the range to search is {}:{}".format(*check.searched)
+
+
+def _signed(measured: Measured) -> str:
+    value, std = value_and_std(*measured)
+    return f"{value if value.startswith('-') else '+' + value} ± {std}"
+
+
+def _plain(measured: Measured) -> dict[str, float]:
+    return {"value": measured.value, "std": measured.std}

@@ -1,0 +1,117 @@
+"""The left image of a rectified pair with its disparities: depth, and how well it is known, a few rows at a time.
+
+Maps have tens of megapixels; everything here works on a slice of rows, so that what stands between the map and its
+points stays in the cache.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.stereo.geometry import StereoGeometry
+
+_FARTHEST = 1e38  # metres; hardly more fits into a float32
+
+
+@dataclass(frozen=True, eq=False)
+class StereoImage:
+    """The left image of a rectified pair and what is known of its pixels. The arrays are neither copied nor changed.
+
+    disparity: (H, W) pixels, left minus right; NaN and infinite values mean no match, zero and less as well unless
+    signed: then the search went below zero, as for cameras that are toed in, and d + doffs > 0 alone decides.
+    pixels: (H, W) gray, (H, W, 3) blue, green, red or (H, W, 4) with alpha; uint8, uint16 or float32 0 … 1.
+    sigma: (H, W) or one number, pixels, standard deviation of the disparity, NaN where it is not known.
+    confidence: (H, W), see `Confidence`. calibration_sigma: standard deviation of fx times baseline, as a share of it.
+    Raises InvalidInput if a picture has another size than the map.
+    """
+
+    disparity: Array
+    geometry: StereoGeometry
+    signed: bool = False
+    pixels: Array | None = None
+    sigma: Array | float | None = None
+    confidence: Array | None = None
+    calibration_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_size(self.pixels, self.shape, "image")
+        require_size(self.sigma if isinstance(self.sigma, np.ndarray) else None, self.shape, "image of sigma")
+        require_size(self.confidence, self.shape, "image of confidence")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        height, width = self.disparity.shape
+        return height, width
+
+    def matched(self, rows: slice) -> Array:
+        """Return where in some rows there is a match before the cameras, (N, W) bool."""
+        return self._matched(rows, self._shifted_as_is(rows))
+
+    def shifted(self, rows: slice) -> Array:
+        """Return d + doffs of some rows (N, W), float32 pixels, NaN where there is no match before the cameras."""
+        shifted = self._shifted_as_is(rows)
+        return np.where(self._matched(rows, shifted), shifted, np.float32(np.nan))
+
+    def depth(self, rows: slice) -> Array:
+        """Return the depth along the optical axis of some rows (N, W), float32 metres, NaN where there is no match.
+
+        z = f b / (d + doffs): Hartley & Zisserman, 2nd ed., ch. 9.
+        """
+        return np.asarray(np.float32(self._scale) / self.shifted(rows))
+
+    def depth_of_matches(self, rows: slice) -> Array:
+        """Return the same as `depth`, but any number where there is no match: for who knows where that is."""
+        with np.errstate(divide="ignore", over="ignore"):
+            return np.asarray(np.float32(self._scale) / self._shifted_as_is(rows))
+
+    def _shifted_as_is(self, rows: slice) -> Array:
+        disparity = self.disparity[rows].astype(np.float32, copy=False)
+        return np.asarray(disparity + np.float32(self.geometry.doffs))
+
+    def _matched(self, rows: slice, shifted: Array) -> Array:
+        matched = (shifted > np.float32(self._scale / _FARTHEST)) & (shifted < np.inf)
+        if self.geometry.doffs > 0 and not self.signed:
+            matched &= self.disparity[rows] > 0
+        return np.asarray(matched)
+
+    @property
+    def _scale(self) -> float:
+        return self.geometry.fx * self.geometry.baseline
+
+    def relative_sigma(self, rows: slice) -> Array:
+        """Return the standard deviation of the depth of some rows as a share of it, (N, W), NaN where not known.
+
+        (sigma_z / z)² = (sigma_d / (d + doffs))² + (sigma_fb / fb)². Raises InvalidInput if sigma is not known at all.
+        """
+        if self.sigma is None:
+            raise InvalidInput("the standard deviation of the disparity is not known; give --sigma-disparity")
+        sigma = self.sigma[rows] if isinstance(self.sigma, np.ndarray) else self.sigma
+        with np.errstate(over="ignore"):
+            share = np.asarray(sigma, np.float32) / self.shifted(rows)
+        return np.asarray(np.hypot(share, np.float32(self.calibration_sigma)) if self.calibration_sigma else share)
+
+
+def row_blocks(shape: tuple[int, int], pixels: int) -> Iterator[slice]:
+    """Yield slices of rows that together are all rows of an image (height, width), each of about so many pixels."""
+    height, width = shape
+    step = max(1, pixels // width)
+    return (slice(start, min(start + step, height)) for start in range(0, height, step))
+
+
+def widened(rows: slice, halo: int, height: int) -> tuple[slice, slice]:
+    """Return rows with up to `halo` more on either side, and where in those the rows themselves are."""
+    start, stop = max(rows.start - halo, 0), min(rows.stop + halo, height)
+    return slice(start, stop), slice(rows.start - start, rows.stop - start)
+
+
+def require_size(image: Array | None, shape: tuple[int, int], name: str) -> None:
+    """Raise InvalidInput if there is an image and it has another size than the disparity map (height, width)."""
+    if image is not None and image.shape[:2] != shape:
+        height, width = image.shape[:2]
+        raise InvalidInput(
+            f"the {name} is {width} × {height}, the disparity map {shape[1]} × {shape[0]}; they must be the same"
+        )

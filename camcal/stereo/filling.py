@@ -1,0 +1,69 @@
+"""Disparities for the pixels that have none, and a smooth map that keeps its steps."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array
+
+_MEDIAN = 5  # pixels
+_BILATERAL = 9  # pixels
+_STEP = 1.5  # pixels of disparity that smoothing keeps
+_REACH = 3.0  # pixels
+
+
+class Filled(NamedTuple):
+    """Disparity (H, W), pixels, with the gaps of each row filled; NaN where a row has none.
+
+    choice: (H, W) by how much the two sides of a gap differ, pixels. distance: (H, W) to the side that was taken,
+    pixels. Both are 0 where there is no gap.
+    """
+
+    disparity: Array
+    choice: Array
+    distance: Array
+
+
+def from_the_background(disparity: Array) -> Filled:
+    """Return disparities (H, W) with every gap of a row filled from its side that is farther away.
+
+    What one camera does not see lies behind what hides it. At the ends of a row there is only one side.
+    """
+    gap = np.isnan(disparity)
+    edges = np.zeros((len(gap), gap.shape[1] + 2), np.int8)
+    edges[:, 1:-1] = gap
+    steps = np.diff(edges, axis=1)
+    row, start = np.nonzero(steps == 1)
+    stop = np.nonzero(steps == -1)[1]
+    sides = np.stack([disparity[row, np.maximum(start - 1, 0)], disparity[row, np.minimum(stop, gap.shape[1] - 1)]])
+    from_right = ~(sides[0] <= sides[1]) & np.isfinite(sides[1])  # whichever side is no number is no side
+    lengths = stop - start
+    place = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    filled, choice, distance = disparity.astype(np.float32), *np.zeros((2, *gap.shape), np.float32)
+    filled[gap] = np.repeat(np.where(from_right, sides[1], sides[0]), lengths)
+    choice[gap] = np.repeat(np.nan_to_num(np.abs(sides[0] - sides[1])), lengths)
+    distance[gap] = np.where(np.repeat(from_right, lengths), np.repeat(lengths, lengths) - place, place + 1)
+    return Filled(filled, choice, distance)
+
+
+def everywhere(disparity: Array) -> Array:
+    """Return disparities (H, W) with rows that have none taken from the nearest that has; NaN if none has."""
+    rows = np.flatnonzero(np.isfinite(disparity).any(axis=1))
+    if not rows.size or rows.size == len(disparity):
+        return disparity
+    places = np.arange(len(disparity))
+    after = np.minimum(np.searchsorted(rows, places), rows.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(places - rows[before] < np.abs(rows[after] - places), rows[before], rows[after])
+    return disparity[nearest]
+
+
+def without_spikes(disparity: Array) -> Array:
+    """Return a dense map (H, W), float32 pixels, of the medians of 5 × 5 pixels."""
+    return np.asarray(cv2.medianBlur(disparity, _MEDIAN))
+
+
+def smoothed(disparity: Array) -> Array:
+    """Return a dense map (H, W), float32 pixels, without spikes, and smooth between steps."""
+    return np.asarray(cv2.bilateralFilter(without_spikes(disparity), _BILATERAL, _STEP, _REACH))

@@ -1,0 +1,116 @@
+"""A rectified pair to its disparity, with how sure it is of every pixel."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.raw.planes import Each, one_by_one
+from camcal.stereo.disparity import Confidence, Disparity
+from camcal.stereo.filling import everywhere, from_the_background, smoothed, without_spikes
+from camcal.stereo.fusion import Fused, alone, fused
+from camcal.stereo.gray import GrayPair
+from camcal.stereo.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
+from camcal.stereo.preparation import Prepared, prepare
+from camcal.stereo.pyramid import coarse_to_fine
+from camcal.stereo.uncertainty import (
+    OF_A_SINGLE_PASS,
+    OF_THE_CENSUS,
+    OF_TWO_MATCHERS,
+    evidence_of,
+    reduced,
+    standard_deviation,
+)
+
+FAST, BALANCED, BEST = "fast", "balanced", "best"
+QUALITIES = (FAST, BALANCED, BEST)
+NOTHING, BACKGROUND, ALL = "none", "background", "all"
+FILLS = (NOTHING, BACKGROUND, ALL)
+
+_REDUCED = 4  # times smaller, the evidence of the fast quality takes no time
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """How a pair is matched.
+
+    quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
+    fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
+    if they are measurably off; None: unless quality is fast.
+    """
+
+    quality: str = BEST
+    search: tuple[int, int] | None = None
+    fill: str = NOTHING
+    align_rows: bool | None = None
+
+    def __post_init__(self) -> None:
+        for name, known in (("quality", QUALITIES), ("fill", FILLS)):
+            if getattr(self, name) not in known:
+                raise InvalidInput(f"{name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
+
+    @property
+    def aligns(self) -> bool:
+        return self.quality != FAST if self.align_rows is None else self.align_rows
+
+
+def match(left: Array, right: Array, options: MatchOptions | None = None, each: Each = one_by_one) -> Disparity:
+    """Return the disparity of the left image of a rectified pair.
+
+    left, right: (H, W), (H, W, 3) BGR or (H, W, 4), uint8, uint16 or float32. each: does pieces of work that do not
+    depend on one another. Raises InvalidInput for images of different sizes.
+    """
+    options = options or MatchOptions()
+    return match_prepared(prepare(left, right, options.search, align=options.aligns), options, each)
+
+
+def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_by_one) -> Disparity:
+    """Return the disparity of a pair that was made ready; see `match`."""
+    pair = prepared.pair
+    found = _found(prepared, options.quality, each)
+    filled = from_the_background(found.disparity)
+    dense = everywhere(filled.disparity)
+    if np.isnan(dense).any():  # in all of it, for nothing is matched
+        sigma = dense
+    elif options.quality == FAST:
+        dense = without_spikes(dense)
+        facts = evidence_of(*reduced(pair, found, filled, dense, _REDUCED))
+        small = standard_deviation(facts, found.confidence[::_REDUCED, ::_REDUCED], OF_A_SINGLE_PASS)
+        sigma = cv2.resize(small, dense.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    else:
+        dense = smoothed(dense)
+        weights = OF_TWO_MATCHERS if options.quality == BEST else OF_THE_CENSUS
+        sigma = standard_deviation(evidence_of(pair, found, filled, dense), found.confidence, weights)
+    keep = _kept(found.confidence, dense, filled.disparity, options.fill)
+    nothing = np.float32(np.nan)
+    return Disparity(
+        np.where(keep, dense, nothing),
+        np.where(keep, sigma, nothing),
+        np.where(keep, found.confidence, Confidence.NONE),
+        (prepared.first, prepared.first + prepared.count - 1),
+    )
+
+
+def _kept(confidence: Array, dense: Array, filled: Array, fill: str) -> Array:
+    """Return the pixels (H, W) that keep their disparity."""
+    if fill == NOTHING:
+        return confidence > Confidence.FILLED
+    return np.isfinite(filled if fill == BACKGROUND else dense)
+
+
+def _found(prepared: Prepared, quality: str, each: Each) -> Fused:
+    pair, first, count = prepared.pair, prepared.first, prepared.count
+    if quality == FAST:
+        return alone(by_gray_levels_unchecked(pair, first, count))
+
+    def by_both(pair: GrayPair, first: int, count: int) -> Fused:
+        found: dict[object, Found] = {}
+        each(lambda matcher: found.update({matcher: matcher(pair, first, count)}), (by_census, by_gray_levels))
+        return fused(found[by_census], found[by_gray_levels])
+
+    def by_one(pair: GrayPair, first: int, count: int) -> Fused:
+        return alone(by_census(pair, first, count))
+
+    return coarse_to_fine(pair, first, count, by_both if quality == BEST else by_one)

@@ -1,0 +1,123 @@
+"""How far a disparity may be off, told by what is around it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.filling import Filled
+from camcal.stereo.fusion import Fused
+from camcal.stereo.gray import GrayPair
+
+Weights = Mapping[Confidence, tuple[float, ...]]
+
+_AROUND = (15, 15)  # pixels over which matches are judged
+_CLOSE = (9, 9)  # pixels whose contrast a match rests on
+_STEP = np.ones((7, 7), np.uint8)
+_BLUR = 0.7  # pixels, so that interpolation between pixels makes no difference of its own
+
+# What keeps logarithms finite: differences, contrasts and steps below these say nothing more.
+_LEAST_DIFFERENCE = 0.02  # pixels
+_LEAST_CONTRAST = 0.3  # gray levels
+_LEAST_STEP = 0.1  # pixels
+
+
+# How the logarithm of the half-width follows from the evidence: regressed on the 68 % quantile of the errors of pairs
+# drawn with known truth and of four real ones (benchmarks/disparity_uncertainty.py prints these tables).
+# fmt: off
+OF_TWO_MATCHERS: Weights = {
+    Confidence.FILLED: (-0.385, -0.018, 0.075, -0.131, -0.781, 0.589, 0, -0.101, 0.257),
+    Confidence.SINGLE: (0.493, 0.083, 0.079, -0.261, -1.439, 0.821, 0, 0, 0),
+    Confidence.APART: (1.057, 0.525, 0.294, -0.729, -1.433, 0.465, -0.222, 0, 0),
+    Confidence.NEAR: (0.786, 0.714, 0.148, -0.388, -1.417, 0.185, 0.086, 0, 0),
+    Confidence.AGREED: (0.521, 0.671, 0.014, -0.355, -1.191, 0.148, 0.031, 0, 0),
+}
+OF_THE_CENSUS: Weights = {
+    Confidence.FILLED: (-0.434, 0.004, 0.053, -0.19, -0.768, 0.469, -0.096, -0.07, 0.314),
+    Confidence.SINGLE: (0.233, 0.777, -0.057, -0.345, -0.702, 0.285, 0.031, 0, 0),
+}
+OF_A_SINGLE_PASS: Weights = {  # for evidence at a quarter of the size
+    Confidence.FILLED: (2.994, 0, -0.073, 0.338, -3.202, 0.947, 0, 0.087, -0.318),
+    Confidence.SINGLE: (-0.273, 0, -0.452, 0.112, -0.669, 0.46, 0, 0.299, 1.545),
+}
+# fmt: on
+
+
+def standard_deviation(evidence: Array, confidence: Array, weights: Weights) -> Array:
+    """Return the half-width (H, W), float32 pixels, that holds 68 % of the errors.
+
+    evidence: (K, H, W), see `evidence_of`. confidence: (H, W) of `Confidence`. weights: for each of them, how the
+    logarithm of the half-width follows from the evidence.
+    """
+    table = np.zeros((len(Confidence), len(evidence)), np.float32)
+    for each, row in weights.items():
+        table[each] = row
+    logarithm = np.zeros(confidence.shape, np.float32)
+    for fact, column in zip(evidence, table.T, strict=True):
+        logarithm += fact * column[confidence]
+    return np.asarray(np.exp(logarithm))
+
+
+def evidence_of(pair: GrayPair, fused: Fused, filled: Filled, smooth: Array) -> Array:
+    """Return what speaks for and against each disparity (9, H, W), float32.
+
+    In this order: 1; log of the difference of two answers around the pixel; log of the contrast along the row over the
+    noise, and over what the images differ by; share of the pixels around it with a match; log of the step of disparity
+    beside it; log of its own difference; log of the choice that filled it; log of how far that was fetched. smooth:
+    (H, W) the map, pixels.
+    """
+    known = np.isfinite(fused.disparity)
+    support = cv2.boxFilter(known.astype(np.float32), cv2.CV_32F, _AROUND)
+    differences = np.minimum(np.nan_to_num(fused.difference), 1).astype(np.float32)
+    compared = cv2.boxFilter(np.isfinite(fused.difference).astype(np.float32), cv2.CV_32F, _AROUND)
+    around = np.sqrt(np.maximum(cv2.boxFilter(differences**2, cv2.CV_32F, _AROUND), 0) / np.maximum(compared, 1e-3))
+    slope = cv2.Sobel(pair.left, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    contrast = np.sqrt(cv2.boxFilter(slope**2, cv2.CV_32F, _CLOSE))
+    step = cv2.dilate(smooth, _STEP) - cv2.erode(smooth, _STEP)
+    gap = filled.distance > 0
+    return np.stack(
+        [
+            np.ones_like(smooth),
+            np.log(_LEAST_DIFFERENCE + around),
+            np.log((_LEAST_CONTRAST + contrast) / (_LEAST_CONTRAST + np.float32(pair.noise))),
+            np.log((_LEAST_CONTRAST + contrast) / (_LEAST_CONTRAST + _residual(pair, smooth))),
+            support,
+            np.log(_LEAST_STEP + step),
+            np.where(np.isfinite(fused.difference), np.log(_LEAST_DIFFERENCE + np.nan_to_num(fused.difference)), 0),
+            np.where(gap, np.log(_LEAST_STEP + filled.choice), 0),
+            np.log1p(filled.distance),
+        ]
+    )
+
+
+def _residual(pair: GrayPair, disparity: Array) -> Array:
+    """Return how much the images differ around each pixel (H, W) where the disparity puts them on each other, RMS.
+
+    Gray levels; differences of brightness as such, and what linear interpolation makes of fine texture, left out.
+    """
+    height, width = disparity.shape
+    across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    left, right = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR) for image in (pair.left, pair.right))
+    off = left - cv2.remap(right, across - disparity, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    mean = cv2.boxFilter(off, cv2.CV_32F, _CLOSE)
+    return np.asarray(np.sqrt(np.maximum(cv2.boxFilter(off**2, cv2.CV_32F, _CLOSE) - mean**2, 0)))
+
+
+def reduced(
+    pair: GrayPair, fused: Fused, filled: Filled, smooth: Array, factor: int
+) -> tuple[GrayPair, Fused, Filled, Array]:
+    """Return what evidence is made of at a smaller size, where it takes little time."""
+    every = slice(None, None, factor)
+    left, right = (
+        cv2.resize(image, smooth[every, every].shape[::-1], interpolation=cv2.INTER_AREA)
+        for image in (pair.left, pair.right)
+    )
+    return (
+        replace(pair, left=left, right=right),
+        Fused(*(values[every, every] for values in fused)),
+        Filled(*(values[every, every] for values in filled)),
+        smooth[every, every] / factor,
+    )

@@ -1,0 +1,172 @@
+"""The geometry of a rectified pair, from wherever it is known: options, a camera file, the sidecar of a map."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats import native, pair_calibration
+from camcal.formats.camera_file import CameraFile, Transform
+from camcal.formats.disparity_sidecar import Sidecar
+from camcal.progress import SILENT, Progress
+from camcal.run.inputs import split_address
+from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+
+SUFFIXES = (".yaml", ".yml", pair_calibration.SUFFIX)  # of files that know cameras
+
+_NEEDED = ("fx", "cx", "cy", "baseline")
+
+
+@dataclass(frozen=True)
+class GeometryOptions:
+    """What the command line says of a pair. camera: name of the left one in the file. fx … doffs: pixels and metres."""
+
+    camera: str | None = None
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    baseline: float | None = None
+    doffs: float | None = None
+
+    def numbers(self) -> dict[str, float]:
+        """Return the numbers that are given, by name."""
+        return {name: value for name, value in asdict(self).items() if name != "camera" and value is not None}
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """The geometry, None if nothing is known, and the standard deviations of fx and baseline as shares, where known."""
+
+    geometry: StereoGeometry | None
+    relative_sigma: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sigma_of_product(self) -> float:
+        """The standard deviation of fx times baseline as a share of it; what is not known counts as exact."""
+        return float(np.hypot(self.relative_sigma.get("fx", 0.0), self.relative_sigma.get("baseline", 0.0)))
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The numbers and relative standard deviations that one source knows, by name."""
+
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    sigma: Mapping[str, float] = field(default_factory=dict)
+
+
+def geometry_of(
+    options: GeometryOptions,
+    address: str | None,
+    size: tuple[int, int],
+    sidecar: Sidecar | None = None,
+    progress: Progress = SILENT,
+) -> StereoGeometry | None:
+    """Return the geometry of a pair; see `pair_of`."""
+    return pair_of(options, address, size, sidecar, progress).geometry
+
+
+def pair_of(
+    options: GeometryOptions,
+    address: str | None,
+    size: tuple[int, int],
+    sidecar: Sidecar | None = None,
+    progress: Progress = SILENT,
+) -> RectifiedPair:
+    """Return what is known of a pair: options come before the camera file, and that before the sidecar.
+
+    address: FILE or FILE#NAME, a camera file or the calib.txt of Middlebury or KITTI. size: (width, height) of the
+    left image, pixels.
+    Raises InvalidInput if only a part is known, the file is of a pair that is not rectified or of images of another
+    size; FileError.
+    """
+    sources = [_of_sidecar(sidecar), _of_file(address, options.camera, size, progress), _Source(options.numbers())]
+    numbers: dict[str, float] = {}
+    sigma: dict[str, float] = {}
+    for source in sources:
+        sigma = {name: value for name, value in sigma.items() if name not in source.numbers} | dict(source.sigma)
+        numbers |= source.numbers
+    if not numbers:
+        return RectifiedPair(None)
+    missing = [f"--{name}" for name in _NEEDED if name not in numbers]
+    if missing:
+        told = "the camera file has no camera to the right of it: " if address else ""
+        raise InvalidInput(f"{told}give {', '.join(missing)}, or a camera file of the rectified pair")
+    return RectifiedPair(StereoGeometry(**{"fy": numbers["fx"], **numbers}), sigma)
+
+
+def _of_sidecar(sidecar: Sidecar | None) -> _Source:
+    if sidecar is None or sidecar.geometry is None:
+        return _Source()
+    return _Source(asdict(sidecar.geometry), sidecar.relative_sigma or {})
+
+
+def _of_file(address: str | None, camera: str | None, size: tuple[int, int], progress: Progress) -> _Source:
+    if address is None:
+        if camera is not None:
+            raise InvalidInput(f"camera {camera!r} is one of a camera file, and none is given")
+        return _Source()
+    path, named = split_address(address)
+    if path.suffix.lower() == pair_calibration.SUFFIX:
+        known = pair_calibration.read(path, camera or named)
+        _require_size(known.image_size, size, address)
+        return _Source(asdict(known.geometry))
+    return _of_camera_file(path, camera or named, size, address, progress)
+
+
+def _of_camera_file(path: Path, name: str | None, size: tuple[int, int], address: str, progress: Progress) -> _Source:
+    """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
+    file = native.read(path)
+    for warning in file.warnings:
+        progress.warn(warning)
+    pair = _pair(file, name)
+    left = file.cameras[pair[0]].camera if pair else native.select(file, name, str(path)).camera
+    _require_size(left.image_size, size, address)
+    try:
+        if pair is None:
+            return _Source(dict(zip(("fx", "fy", "cx", "cy"), pinhole_intrinsics(left), strict=True)), _sigma(left))
+        right_T_left = pair[2]
+        geometry = of_pair(left, file.cameras[pair[1]].camera, right_T_left.pose)
+        return _Source(asdict(geometry), _sigma(left, right_T_left))
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=address) from error
+
+
+def _require_size(known: tuple[int, int] | None, size: tuple[int, int], address: str) -> None:
+    if known is not None and known != size:
+        raise InvalidInput(
+            f"the camera has {known[0]} × {known[1]} pixels, the left image {size[0]} × {size[1]}", where=address
+        )
+
+
+def _pair(file: CameraFile, name: str | None) -> tuple[str, str, Transform] | None:
+    """Return the names of the left and the right camera and right_T_left, None if no transform joins two cameras.
+
+    name: the left camera, None for whichever stands left.
+    """
+    pairs = []
+    for key, transform in file.transforms.items():
+        a, b = key.split("_T_")
+        if a in file.cameras and b in file.cameras:
+            left_first = transform.pose.translation[0] < 0
+            # The axes are parallel, so that the deviation of t_x is the same both ways round.
+            other = Transform(transform.pose.inverse(), transform.covariance)
+            pairs.append((b, a, transform) if left_first else (a, b, other))
+    fitting = [pair for pair in pairs if name in (None, pair[0])]
+    if len(fitting) > 1:
+        raise InvalidInput(f"the camera file has {len(fitting)} pairs; give the geometry by --fx --cx --cy --baseline")
+    return fitting[0] if fitting else None
+
+
+def _sigma(left: Camera, right_T_left: Transform | None = None) -> dict[str, float]:
+    """Return the standard deviations of fx and baseline as shares of them, where they are known."""
+    found = {}
+    fx = left.std("fx")
+    if fx is not None:
+        found["fx"] = fx / float(left.parameters[0])
+    if right_T_left is not None and right_T_left.covariance is not None:
+        found["baseline"] = float(np.sqrt(right_T_left.covariance[0, 0]) / abs(right_T_left.pose.translation[0]))
+    return found

@@ -1,0 +1,173 @@
+"""`camcal stereo check`: rectified pairs, looked at before anything is made of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.errors import CamcalError, GateFailed, InvalidInput
+from camcal.images.load import gray_8bit, load
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.report import pair_check as words
+from camcal.report.pair_pictures import SUFFIXES, picture_of
+from camcal.run.fanout import fan_out
+from camcal.run.inputs import record_outputs
+from camcal.run.outputs import place, refuse_overwriting
+from camcal.run.pairs import find_pairs
+from camcal.stereo.pair_check import PairCheck, check_pair
+from camcal.stereo.pair_order import FINDINGS
+
+_SUFFIX = "_check.png"
+
+Pair = tuple[Path, Path]
+
+
+@dataclass(frozen=True)
+class StereoCheckOptions:
+    """Pairs (files, folders, patterns of either side), where their pictures go, and what they must hold.
+
+    output: a file for a single pair, otherwise a folder. max_rms: the largest root mean square that rows may be off,
+    pixels; with it, pairs that are swapped or one image twice fail too.
+    """
+
+    left: Sequence[Path | str]
+    right: Sequence[Path | str]
+    output: Path | None = None
+    max_rms: float | None = None
+    recursive: bool = False
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_rms is not None and not self.max_rms > 0:
+            raise InvalidInput(f"--max-rms must be more than 0 px, found {self.max_rms:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedPair:
+    """A pair, what was found of it, and its picture if one was asked for."""
+
+    left: Path
+    right: Path
+    check: PairCheck
+    picture: Path | None
+
+
+@dataclass(frozen=True)
+class Overall:
+    """All pairs together: features, root mean square and 95 % of how far their rows are off, pixels, and the worst."""
+
+    pairs: int
+    features: int
+    median: float
+    rms: float
+    p95: float
+    worst: Path
+
+
+def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> list[Outcome[Pair, CheckedPair]]:
+    """Return what became of every pair, in natural order; one that fails costs only itself.
+
+    Raises InvalidInput and FileError for inputs that are no pairs, and whatever kept a single pair from being checked.
+    """
+    pairs = find_pairs(options.left, options.right, options.recursive)
+    pictures = _pictures(pairs, options.output)
+    work = partial(_check_files, pictures=pictures)
+    if len(pairs) == 1:
+        return [Outcome(pairs[0], _warned(work(pairs[0]), progress))]
+    outcomes = list(fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress))
+    checked = [_warned(outcome.value, progress) for outcome in outcomes if outcome.value is not None]
+    if options.output is not None:
+        record_outputs(options.output, [pair.picture.name for pair in checked if pair.picture is not None])
+    return outcomes
+
+
+def overall(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> Overall | None:
+    """Return all pairs that were checked together, None if none was."""
+    checked = [outcome.value for outcome in outcomes if outcome.value is not None]
+    if not checked:
+        return None
+    off = np.concatenate([pair.check.residual.dy for pair in checked])
+    return Overall(
+        len(checked),
+        len(off),
+        float(np.median(off)),
+        float(np.sqrt(np.mean(off**2))),
+        float(np.quantile(np.abs(off), 0.95)),
+        max(checked, key=lambda pair: pair.check.residual.rms).left,
+    )
+
+
+def require_good(outcomes: Sequence[Outcome[Pair, CheckedPair]], max_rms: float | None) -> None:
+    """Raise GateFailed, a line for each pair that is none or whose rows are off by more than max_rms; None: no gate."""
+    if max_rms is None:
+        return
+    checked = [outcome.value for outcome in outcomes if outcome.value is not None]
+    faults = [f"{pair.left}: {fault}" for pair in checked if (fault := _fault(pair.check, max_rms))]
+    if faults:
+        raise GateFailed("\n".join(faults))
+
+
+def document(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> dict[str, Any]:
+    """Return what became of the pairs as plain data for --json."""
+    checked = [outcome.value for outcome in outcomes if outcome.value is not None]
+    together = overall(outcomes)
+    return {
+        "pairs": [
+            _named(pair.left, pair.right) | words.plain(pair.check) | {"picture": pair.picture} for pair in checked
+        ],
+        "overall": None if together is None else vars(together),
+        "failed": [
+            _named(*outcome.item) | {"message": str(outcome.error)} for outcome in outcomes if outcome.error is not None
+        ],
+    }
+
+
+def _named(left: Path, right: Path) -> dict[str, Any]:
+    return {"left": left.as_posix(), "right": right.as_posix()}
+
+
+def _pictures(pairs: Sequence[Pair], output: Path | None) -> Mapping[Path, Path]:
+    if output is None:
+        return {}
+    pictures = place([left for left, _ in pairs], output, _SUFFIX, SUFFIXES)
+    refuse_overwriting(pictures.values(), [right for _, right in pairs])
+    return pictures
+
+
+def _check_files(pair: Pair, pictures: Mapping[Path, Path]) -> CheckedPair:
+    left, right = pair
+    try:
+        first, second = _gray_pair(load(left).pixels, load(right).pixels)
+        check = check_pair(first, second)
+    except CamcalError as error:
+        raise type(error)(error.message, where=error.where or f"{left}, {right}") from error
+    picture = pictures.get(left)
+    if picture is not None:
+        files.write_bytes(picture, picture_of(check, first))
+    return CheckedPair(left, right, check, picture)
+
+
+def _gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
+    """Return two images (H, W) uint8; those of more than 8 bits by one scale, so that their light can be compared."""
+    if left.dtype == right.dtype == np.uint8 or left.shape != right.shape:
+        return gray_8bit(left), gray_8bit(right)
+    both = gray_8bit(np.concatenate([left, right]))
+    return both[: len(left)], both[len(left) :]
+
+
+def _fault(check: PairCheck, max_rms: float) -> str | None:
+    if check.finding is not None:
+        return FINDINGS[check.finding]
+    rms = check.residual.rms
+    return f"rows are off by {rms:.2f} px (RMS), more than {max_rms:g} px" if rms > max_rms else None
+
+
+def _warned(pair: CheckedPair, progress: Progress) -> CheckedPair:
+    if pair.check.finding is not None:
+        progress.warn(f"{pair.left}: {FINDINGS[pair.check.finding]}")
+    return pair

@@ -1,0 +1,110 @@
+"""What `camcal view` shows: a point cloud as its file has it, or the points of a disparity map whose pair is known."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from camcal.errors import InvalidInput
+from camcal.formats import disparity, pointclouds
+from camcal.formats.disparity import DisparityMap
+from camcal.formats.disparity_sidecar import ZERO, Sidecar
+from camcal.images.load import load
+from camcal.progress import Progress
+from camcal.run.fanout import over_threads
+from camcal.stereo.axes import rotation_of
+from camcal.stereo.cloud import CloudMaker
+from camcal.stereo.depth import StereoImage
+from camcal.stereo.frames import Frame
+from camcal.stereo.selection import Selection, select
+from camcal.stereo.vertices import VertexStream
+from camcal.tasks.rectified_pair import GeometryOptions, pair_of
+
+_POINTS = "points.npy"  # what the archive of a cloud holds
+_CAMERA = "x right, y down, z forward"
+_UPRIGHT = "x east, y north, z up"
+_EXAMPLE = "x forward, y left, z up"
+
+
+def is_cloud(path: Path) -> bool:
+    """Return whether a file is a point cloud by its suffix; NumPy archives can be either, and are looked into.
+
+    Raises InvalidInput for a suffix that neither clouds nor disparity maps have.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (*pointclouds.SUFFIXES, *disparity.SUFFIXES):
+        known = " ".join(dict.fromkeys((*pointclouds.SUFFIXES, *disparity.SUFFIXES)))
+        raise InvalidInput(f"neither a point cloud nor a disparity map; known are {known}", where=str(path))
+    if suffix not in disparity.SUFFIXES:
+        return True
+    if suffix not in pointclouds.SUFFIXES or not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return _POINTS in archive.namelist()
+
+
+def cloud_in(path: Path, frame: str | None = None) -> VertexStream:
+    """Return the points of a cloud's file; frame: in words, by default what the file says.
+
+    Raises InvalidInput for words that do not say where x, y and z point, FileError if the file cannot be read.
+    """
+    if frame is not None and not says_axes(frame):
+        raise InvalidInput(f"frame {frame!r} does not say where the axes point; write it like {_EXAMPLE!r}")
+    found = pointclouds.read(path)
+    frame = frame or found.frame or _usual_frame(path)
+    if "origin" in found.notes:
+        frame += f"; coordinates from {found.notes['origin']}"
+    return VertexStream(
+        count=len(found.vertices),
+        type=found.vertices.dtype,
+        blocks=(found.vertices,),
+        unit=found.unit,
+        frame=frame,
+        notes=dict(found.notes),
+        grid=found.grid,
+    )
+
+
+def says_axes(frame: str) -> bool:
+    """Return whether words say where x, y and z point."""
+    return _CAMERA in frame or not np.array_equal(rotation_of(frame), np.eye(3))
+
+
+def _usual_frame(path: Path) -> str:
+    """Return the frame of files that say nothing of it: laser scans stand upright, others are taken for a camera's."""
+    axes = _UPRIGHT if path.suffix.lower() in pointclouds.LASER_SUFFIXES else _CAMERA
+    return f"not said, taken for {axes}"
+
+
+def cloud_of(path: Path, found: DisparityMap, image: Path | None, progress: Progress) -> VertexStream | None:
+    """Return the points that `camcal stereo cloud` would write for a disparity map; None without a geometry beside it.
+
+    image: the left image, by default the one that the sidecar names.
+    Raises InvalidInput if the image has another size, FileError.
+    """
+    sidecar = found.sidecar or Sidecar()
+    height, width = found.values.shape
+    pair = pair_of(GeometryOptions(), None, (width, height), sidecar, progress)
+    if pair.geometry is None:
+        return None
+    image = image or _there(sidecar.image, path, progress)
+    sigma = _there(sidecar.sigma, path, progress)
+    stereo = StereoImage(
+        found.values,
+        pair.geometry,
+        signed=found.invalid != ZERO and sidecar.searched is not None and sidecar.searched[0] < 0,
+        pixels=load(image).pixels if image else None,
+        sigma=disparity.read(sigma).values if sigma else None,
+        calibration_sigma=pair.sigma_of_product,
+    )
+    with over_threads() as each:
+        selected = select(stereo, Selection(), Frame(), each)
+    return CloudMaker(stereo, selected.kept, sigma=sigma is not None).stream()
+
+
+def _there(path: Path | None, disparity_path: Path, progress: Progress) -> Path | None:
+    """Return a file that a sidecar names, if it is there."""
+    if path is not None and not path.is_file():
+        progress.warn(f"{disparity_path}: {path}, which its sidecar names, is not there")
+        return None
+    return path
