@@ -27,6 +27,7 @@ from camcal.cli import (
     simulate,
     stereo_check,
     stereo_cloud,
+    stereo_disparity,
     stereo_eval,
     targets,
     undistort,
@@ -144,6 +145,7 @@ def camcal(
 
 stereo_app = typer.Typer(help="What two cameras measure.")
 stereo_app.command("check")(stereo_check.check)
+stereo_app.command("disparity")(stereo_disparity.disparity)
 stereo_app.command("cloud")(stereo_cloud.cloud)
 stereo_app.command("eval")(stereo_eval.evaluate)
 

@@ -88,6 +88,15 @@ Frame = Annotated[int | None, typer.Option(metavar="N", help="Which frame of a h
 Align = Annotated[str, typer.Option(metavar="lsb|msb", help="Where the bits of unpacked samples stand in 16.")]
 
 
+def one_of(option: str, text: str, known: tuple[str, ...]) -> str:
+    """Return the text; raises InvalidInput, naming the option, if it is none of those known."""
+    from camcal.errors import InvalidInput
+
+    if text not in known:
+        raise InvalidInput(f"{option} {text!r}: use one of {', '.join(known)}")
+    return text
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """Return (width, height) from a size written as 1920x1080; raises InvalidInput for anything else."""
     from camcal.errors import InvalidInput

@@ -19,23 +19,22 @@ _NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noi
 class GrayPair:
     """A pair as matchers take it.
 
-    left, right: (H, W) uint8, of one exposure. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken. gain:
-    how much brighter the right image is than the left one. noise: standard deviation, gray levels of 255.
+    left, right: (H, W) uint8, of one exposure. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken.
+    noise: standard deviation, gray levels of 255.
     """
 
     left: Array
     right: Array
     deep_left: Array
     deep_right: Array
-    gain: float
     noise: float
 
 
-def gray_pair(left: Array, right: Array) -> GrayPair:
+def gray_pair(left: Array, right: Array, *, expose: bool = True) -> GrayPair:
     """Return both images (H, W), (H, W, 3) BGR or (H, W, 4), of uint8, uint16 or float32, as matchers take them.
 
-    Deep images become 8 bits by one straight line for both. Where their exposures differ, the right one is brought to
-    the left one's by the curve that makes their histograms equal.
+    Deep images become 8 bits by one straight line for both. expose: where their exposures differ, bring the right one
+    to the left one's by the curve that makes their histograms equal.
     Raises InvalidInput for images of different sizes.
     """
     deep_left, deep_right = _gray(left), _gray(right)
@@ -44,8 +43,8 @@ def gray_pair(left: Array, right: Array) -> GrayPair:
         raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}; a pair has one size")
     deep_left, deep_right = _whole_numbers(deep_left, deep_right)
     first, second = _eight_bits(deep_left, deep_right)
-    mean = [max(float(image.mean()), 1.0) for image in (first, second)]
-    return GrayPair(first, _exposed_alike(first, second), deep_left, deep_right, mean[1] / mean[0], noise_of(first))
+    second = _exposed_alike(first, second) if expose else second
+    return GrayPair(first, second, deep_left, deep_right, noise_of(first))
 
 
 def noise_of(gray: Array) -> float:

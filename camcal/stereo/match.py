@@ -38,13 +38,14 @@ class MatchOptions:
 
     quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
     fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
-    if they are measurably off; None: unless quality is fast.
+    if they are measurably off; None: unless quality is fast. expose_alike: bring it to the left one's exposure.
     """
 
     quality: str = BEST
     search: tuple[int, int] | None = None
     fill: str = NOTHING
     align_rows: bool | None = None
+    expose_alike: bool = True
 
     def __post_init__(self) -> None:
         for name, known in (("quality", QUALITIES), ("fill", FILLS)):
@@ -63,7 +64,8 @@ def match(left: Array, right: Array, options: MatchOptions | None = None, each: 
     depend on one another. Raises InvalidInput for images of different sizes.
     """
     options = options or MatchOptions()
-    return match_prepared(prepare(left, right, options.search, align=options.aligns), options, each)
+    prepared = prepare(left, right, options.search, align=options.aligns, expose=options.expose_alike)
+    return match_prepared(prepared, options, each)
 
 
 def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_by_one) -> Disparity:

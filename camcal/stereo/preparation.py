@@ -29,14 +29,17 @@ class Prepared:
     remarks: tuple[str, ...]
 
 
-def prepare(left: Array, right: Array, search: tuple[int, int] | None = None, *, align: bool = True) -> Prepared:
+def prepare(
+    left: Array, right: Array, search: tuple[int, int] | None = None, *, align: bool = True, expose: bool = True
+) -> Prepared:
     """Return a pair ready to be matched.
 
     left, right: (H, W), (H, W, 3) BGR or (H, W, 4), uint8, uint16 or float32. search: smallest and largest disparity,
-    pixels, None for what the images show. align: put the rows right if they are measurably off.
+    pixels, None for what the images show. align: put the rows right if they are measurably off. expose: bring the
+    right image to the left one's exposure.
     Raises InvalidInput for images of different sizes, and for a range that is empty or wider than any image.
     """
-    pair = gray_pair(left, right)
+    pair = gray_pair(left, right, expose=expose)
     coarse = coarse_map(pair.left, pair.right) if align or search is None else None
     residual = _residual(pair, coarse) if align else None
     rows, remarks = 0.0, list[str]()

@@ -45,7 +45,6 @@ def _halved(pair: GrayPair) -> GrayPair:
         _half(pair.right),
         _half(pair.deep_left),
         _half(pair.deep_right),
-        gain=pair.gain,
         noise=pair.noise / 2,  # the mean of four is half as noisy
     )
 
