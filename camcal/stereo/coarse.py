@@ -38,6 +38,8 @@ def coarse_map(left: Array, right: Array) -> Array:
     pairs = [require_pair(left, right)]
     for width in reversed(LOOKS):
         pairs.append((_reduced(pairs[-1][0], width), _reduced(pairs[-1][1], width)))
+    if left.shape[1] < _WINDOW:  # which no window fits in, and in which OpenCV's matcher may divide by zero
+        return np.full(pairs[1][0].shape, np.nan, np.float32)
     half = pairs[-1][0].shape[1] // 2
     low, high = float(-half), float(half)
     found: Array = np.zeros(0, np.float32)

@@ -39,5 +39,5 @@ def without_specks(disparity: Array) -> Array:
     known = np.isfinite(disparity)
     whole = np.where(known, np.rint(np.nan_to_num(disparity) * _FRACTIONS), _NOTHING)
     patches = np.clip(whole, _NOTHING, -_NOTHING - 1).astype(np.int16)
-    cv2.filterSpeckles(patches, _NOTHING, _SMALLEST, int(_SMOOTH * _FRACTIONS))
+    cv2.filterSpeckles(patches, _NOTHING, _SMALLEST - 1, int(_SMOOTH * _FRACTIONS))
     return np.where(patches == _NOTHING, np.float32(np.nan), disparity)

@@ -12,6 +12,7 @@ _DARKEST, _BRIGHTEST = 0.1, 99.9  # percentiles of deep images that become 0 and
 _QUANTILES = np.linspace(0.01, 0.99, 33)
 _DIFFERENT = 3.0  # gray levels of 255; where two exposures differ by less, correcting them gains nothing
 _MOST = 1 << 18  # pixels that histograms are made of
+_LEAST_SPAN = 1e-30  # of brightness; keeps the numbers of float images finite where all pixels are alike
 _NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noise is measured
 
 
@@ -69,7 +70,7 @@ def _whole_numbers(left: Array, right: Array) -> tuple[Array, Array]:
         return left, right
     pair = [np.nan_to_num(image.astype(np.float32), posinf=0.0, neginf=0.0) for image in (left, right)]
     low, high = min(float(image.min()) for image in pair), max(float(image.max()) for image in pair)
-    scale = np.iinfo(np.uint16).max / max(high - low, float(np.finfo(np.float32).tiny))
+    scale = np.iinfo(np.uint16).max / max(high - low, _LEAST_SPAN)
     first, second = (np.rint((image - low) * scale).astype(np.uint16) for image in pair)
     return first, second
 

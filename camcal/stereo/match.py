@@ -1,6 +1,7 @@
 """A rectified pair to its disparity, with how sure it is of every pixel."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.planes import Each, one_by_one
 from camcal.stereo.disparity import Confidence, Disparity
-from camcal.stereo.filling import everywhere, from_the_background, smoothed, without_spikes
+from camcal.stereo.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
 from camcal.stereo.fusion import Fused, alone, fused
 from camcal.stereo.gray import GrayPair
 from camcal.stereo.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
@@ -19,6 +20,7 @@ from camcal.stereo.uncertainty import (
     OF_A_SINGLE_PASS,
     OF_THE_CENSUS,
     OF_TWO_MATCHERS,
+    Weights,
     evidence_of,
     reduced,
     standard_deviation,
@@ -29,6 +31,7 @@ QUALITIES = (FAST, BALANCED, BEST)
 NOTHING, BACKGROUND, ALL = "none", "background", "all"
 FILLS = (NOTHING, BACKGROUND, ALL)
 
+_WEIGHTS = {FAST: OF_A_SINGLE_PASS, BALANCED: OF_THE_CENSUS, BEST: OF_TWO_MATCHERS}
 _REDUCED = 4  # times smaller, the evidence of the fast quality takes no time
 
 
@@ -70,36 +73,55 @@ def match(left: Array, right: Array, options: MatchOptions | None = None, each: 
 
 def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_by_one) -> Disparity:
     """Return the disparity of a pair that was made ready; see `match`."""
-    pair = prepared.pair
-    found = _found(prepared, options.quality, each)
-    filled = from_the_background(found.disparity)
-    dense = everywhere(filled.disparity)
-    if np.isnan(dense).any():  # in all of it, for nothing is matched
-        sigma = dense
-    elif options.quality == FAST:
-        dense = without_spikes(dense)
-        facts = evidence_of(*reduced(pair, found, filled, dense, _REDUCED))
-        small = standard_deviation(facts, found.confidence[::_REDUCED, ::_REDUCED], OF_A_SINGLE_PASS)
-        sigma = cv2.resize(small, dense.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    estimate = estimated(prepared, options.quality, each)
+    confidence = estimate.confidence
+    if options.fill == NOTHING:
+        keep = confidence > Confidence.FILLED
     else:
-        dense = smoothed(dense)
-        weights = OF_TWO_MATCHERS if options.quality == BEST else OF_THE_CENSUS
-        sigma = standard_deviation(evidence_of(pair, found, filled, dense), found.confidence, weights)
-    keep = _kept(found.confidence, dense, filled.disparity, options.fill)
+        keep = np.isfinite(estimate.filled.disparity if options.fill == BACKGROUND else estimate.dense)
     nothing = np.float32(np.nan)
     return Disparity(
-        np.where(keep, dense, nothing),
-        np.where(keep, sigma, nothing),
-        np.where(keep, found.confidence, Confidence.NONE),
+        np.where(keep, estimate.dense, nothing),
+        np.where(keep, estimate.sigma(_WEIGHTS[options.quality]), nothing),
+        np.where(keep, confidence, Confidence.NONE),
         (prepared.first, prepared.first + prepared.count - 1),
     )
 
 
-def _kept(confidence: Array, dense: Array, filled: Array, fill: str) -> Array:
-    """Return the pixels (H, W) that keep their disparity."""
-    if fill == NOTHING:
-        return confidence > Confidence.FILLED
-    return np.isfinite(filled if fill == BACKGROUND else dense)
+class Estimate(NamedTuple):
+    """A dense map (H, W), pixels, NaN only if nothing at all was matched, and what it rests on.
+
+    evidence: (K, h, w) of every `step`-th pixel of every `step`-th row, see `uncertainty.evidence_of`.
+    """
+
+    dense: Array
+    confidence: Array
+    filled: Filled
+    evidence: Array
+    step: int
+
+    def sigma(self, weights: Weights) -> Array:
+        """Return the standard deviation (H, W), pixels."""
+        every = slice(None, None, self.step)
+        sigma = standard_deviation(self.evidence, self.confidence[every, every], weights)
+        if self.step == 1:
+            return sigma
+        height, width = self.dense.shape
+        wide = cv2.resize(sigma, None, fx=self.step, fy=self.step, interpolation=cv2.INTER_NEAREST)
+        return np.asarray(wide[:height, :width])
+
+
+def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Estimate:
+    """Return the dense map of a pair and the evidence for its uncertainty."""
+    found = _found(prepared, quality, each)
+    filled = from_the_background(found.disparity)
+    dense = everywhere(filled.disparity)
+    if quality != FAST:
+        dense = smoothed(dense)
+        return Estimate(dense, found.confidence, filled, evidence_of(prepared.pair, found, filled, dense), 1)
+    dense = without_spikes(dense)
+    evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, _REDUCED))
+    return Estimate(dense, found.confidence, filled, evidence, _REDUCED)
 
 
 def _found(prepared: Prepared, quality: str, each: Each) -> Fused:

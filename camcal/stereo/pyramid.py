@@ -58,7 +58,10 @@ def _half(image: Array) -> Array:
 def _finer(pair: GrayPair, half: Fused) -> Fused:
     """Return what is found of a pair about what was found of it at half its size."""
     shape = pair.left.shape
-    near = _doubled(2 * smoothed(everywhere(from_the_background(half.disparity).disparity)), shape)
+    dense = everywhere(from_the_background(half.disparity).disparity)
+    if np.isnan(dense).any():  # in all of it, for nothing is matched
+        return Fused(*(_doubled(values, shape) for values in half))
+    near = _doubled(2 * smoothed(dense), shape)
     left, right = (cv2.GaussianBlur(image, (0, 0), _BLUR) for image in (pair.deep_left, pair.deep_right))
     words = census(left)
     whole = np.rint(near).astype(np.int32)

@@ -31,9 +31,8 @@ def three_way(left: Array, right: Array, first: int, count: int) -> Array:
     left, right: (H, W) uint8. first: the smallest disparity looked for. count: how many.
     """
     count = -(-count // _FRACTIONS) * _FRACTIONS
-    before, after = max(first + count, 0), max(-first, 0)  # columns that let every pixel be matched
     matcher = cv2.StereoSGBM.create(
-        minDisparity=first,
+        minDisparity=0,
         numDisparities=count,
         blockSize=_BLOCK,
         P1=_STEP,
@@ -45,10 +44,14 @@ def three_way(left: Array, right: Array, first: int, count: int) -> Array:
         speckleRange=0,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    wide = [cv2.copyMakeBorder(image, 0, 0, before, after + _BLOCK, cv2.BORDER_REPLICATE) for image in (left, right)]
-    found: Array = matcher.compute(*wide)[:, before : before + left.shape[1]]
-    disparity: Array = (found >> 4) + _MEANT[found & (_FRACTIONS - 1)]
-    disparity[found < first * _FRACTIONS] = np.nan
+    width = left.shape[1]
+    # Columns beside the images let every pixel be matched. The right image is moved by the first disparity, so that the
+    # search starts at 0: OpenCV's numbers of 16 bits end at 2047 px.
+    columns = np.arange(-count, width + _BLOCK)
+    wide = [image[:, np.clip(columns - moved, 0, width - 1)] for image, moved in ((left, 0), (right, first))]
+    found: Array = matcher.compute(*wide)[:, count : count + width]
+    disparity: Array = (first + (found >> 4)) + _MEANT[found & (_FRACTIONS - 1)]
+    disparity[found < 0] = np.nan
     return disparity
 
 

@@ -26,22 +26,22 @@ _LEAST_STEP = 0.1  # pixels
 
 
 # How the logarithm of the half-width follows from the evidence: regressed on the 68 % quantile of the errors of pairs
-# drawn with known truth and of four real ones (benchmarks/disparity_uncertainty.py prints these tables).
+# drawn with known truth, and of four real ones, by benchmarks/disparity_uncertainty.py, which prints these tables.
 # fmt: off
 OF_TWO_MATCHERS: Weights = {
-    Confidence.FILLED: (-0.385, -0.018, 0.075, -0.131, -0.781, 0.589, 0, -0.101, 0.257),
-    Confidence.SINGLE: (0.493, 0.083, 0.079, -0.261, -1.439, 0.821, 0, 0, 0),
-    Confidence.APART: (1.057, 0.525, 0.294, -0.729, -1.433, 0.465, -0.222, 0, 0),
-    Confidence.NEAR: (0.786, 0.714, 0.148, -0.388, -1.417, 0.185, 0.086, 0, 0),
-    Confidence.AGREED: (0.521, 0.671, 0.014, -0.355, -1.191, 0.148, 0.031, 0, 0),
+    Confidence.FILLED: (-0.782, 0.021, -0.022, 0.092, -0.079, -0.541, 0.541, 0, -0.084, 0.423),
+    Confidence.SINGLE: (0.394, 0.174, 0.098, 0.092, -0.234, -1.438, 0.89, 0, 0, 0),
+    Confidence.APART: (1.206, 0.309, 0.517, 0.413, -0.778, -1.77, 0.372, -0.272, 0, 0),
+    Confidence.NEAR: (0.353, 0.26, 0.748, 0.228, -0.45, -1.08, 0.128, 0.089, 0, 0),
+    Confidence.AGREED: (-0.031, 0.281, 0.68, 0.113, -0.421, -0.779, 0.113, 0.04, 0, 0),
 }
 OF_THE_CENSUS: Weights = {
-    Confidence.FILLED: (-0.434, 0.004, 0.053, -0.19, -0.768, 0.469, -0.096, -0.07, 0.314),
-    Confidence.SINGLE: (0.233, 0.777, -0.057, -0.345, -0.702, 0.285, 0.031, 0, 0),
+    Confidence.FILLED: (-0.932, 0.201, 0.02, 0.122, -0.171, -0.501, 0.441, -0.106, -0.062, 0.468),
+    Confidence.SINGLE: (-0.181, 0.305, 0.762, 0.004, -0.395, -0.471, 0.283, 0.035, 0, 0),
 }
 OF_A_SINGLE_PASS: Weights = {  # for evidence at a quarter of the size
-    Confidence.FILLED: (2.994, 0, -0.073, 0.338, -3.202, 0.947, 0, 0.087, -0.318),
-    Confidence.SINGLE: (-0.273, 0, -0.452, 0.112, -0.669, 0.46, 0, 0.299, 1.545),
+    Confidence.FILLED: (2.846, 0.063, 0, -0.03, 0.378, -3.147, 0.991, 0, 0.1, -0.315),
+    Confidence.SINGLE: (-0.493, 0.118, 0, -0.372, 0.039, -0.548, 0.374, 0, 0.367, 1.625),
 }
 # fmt: on
 
@@ -62,12 +62,12 @@ def standard_deviation(evidence: Array, confidence: Array, weights: Weights) -> 
 
 
 def evidence_of(pair: GrayPair, fused: Fused, filled: Filled, smooth: Array) -> Array:
-    """Return what speaks for and against each disparity (9, H, W), float32.
+    """Return what speaks for and against each disparity (10, H, W), float32.
 
-    In this order: 1; log of the difference of two answers around the pixel; log of the contrast along the row over the
-    noise, and over what the images differ by; share of the pixels around it with a match; log of the step of disparity
-    beside it; log of its own difference; log of the choice that filled it; log of how far that was fetched. smooth:
-    (H, W) the map, pixels.
+    In this order: 1; log of the noise; log of the difference of two answers around the pixel; log of the contrast along
+    the row over the noise, and over what the images differ by; share of the pixels around it with a match; log of the
+    step of disparity beside it; log of its own difference; log of the choice that filled it; log of how far that was
+    fetched. smooth: (H, W) the map, pixels.
     """
     known = np.isfinite(fused.disparity)
     support = cv2.boxFilter(known.astype(np.float32), cv2.CV_32F, _AROUND)
@@ -81,6 +81,7 @@ def evidence_of(pair: GrayPair, fused: Fused, filled: Filled, smooth: Array) -> 
     return np.stack(
         [
             np.ones_like(smooth),
+            np.full_like(smooth, np.log(_LEAST_CONTRAST + pair.noise)),
             np.log(_LEAST_DIFFERENCE + around),
             np.log((_LEAST_CONTRAST + contrast) / (_LEAST_CONTRAST + np.float32(pair.noise))),
             np.log((_LEAST_CONTRAST + contrast) / (_LEAST_CONTRAST + _residual(pair, smooth))),

@@ -139,7 +139,7 @@ def _evaluate_pair(
     geometry = _geometry(options, found, (found.sidecar, truth.sidecar), progress)
     values, true = found.matched(), truth.matched()
     visible, occlusion = _visible(files, options, true)
-    prediction = Prediction(*_predicted(files, found.sidecar))
+    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale))
     try:
         evaluation = evaluate(values, true, visible, geometry, prediction)
     except InvalidInput as error:
@@ -185,12 +185,16 @@ def _read_mask(path: Path) -> Array:
     return np.asarray(pixels == _SEEN if pixels.dtype == np.uint8 else pixels > 0)
 
 
-def _predicted(files: TruthPair, sidecar: Sidecar | None) -> tuple[Array | None, Array | None]:
-    """Return sigma and confidence of every pixel, from the files named or those that the sidecar names."""
+def _predicted(files: TruthPair, sidecar: Sidecar | None, truth_scale: float) -> tuple[Array | None, Array | None]:
+    """Return sigma and confidence of every pixel, from the files named or those that the sidecar names.
+
+    truth_scale: counts of the truth per pixel. Rounding to them is an error of the truth, which sigma has to allow for.
+    """
     sigma = files.sigma or (sidecar.sigma if sidecar else None)
     confidence = files.confidence or (sidecar.confidence if sidecar else None)
-    return (
-        disparity.read(sigma).matched() if sigma else None,
+    rounding = 1 / (np.sqrt(12) * truth_scale) if truth_scale > 1 else 0.0  # a truth in whole pixels has a scale of 1,
+    return (  # and so have all in floating point: neither says how exact it is
+        np.hypot(disparity.read(sigma).matched(), np.float32(rounding)) if sigma else None,
         load(confidence).pixels if confidence else None,
     )
 
