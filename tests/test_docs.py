@@ -291,7 +291,12 @@ pnp camera.yaml detections.csv
 demosaic mosaic.npy -o colour.tiff --pattern RGGB
 simulate chessboard:5x4:30mm -o raw_scene --views 1 --size 320x240 --raw RGGB --flats 3 --darks 2 --jobs 1
 sensor raw_scene/flats --dark raw_scene/darks --pattern RGGB -o sensor.yaml --jobs 1
-stereo cloud disparity.npy -o cloud.ply --fx 100 --cx 3.5 --cy 3.5 --baseline 0.1
+simulate --stereo -o pairs --size 320x240 --jobs 1
+stereo check pairs/left/000.png pairs/right/000.png --jobs 1
+stereo disparity pairs/left/000.png pairs/right/000.png pairs/rig.yaml -o disparity.pfm --jobs 1
+stereo cloud disparity.pfm -o cloud.ply
+stereo eval disparity.pfm pairs/disparity/000.pfm --jobs 1
+view cloud.ply -o cloud.html
 """
 
 
@@ -299,7 +304,6 @@ def test_every_key_of_a_json_document_is_named_in_the_section_of_its_command(wor
     """`demo` takes too long for it; what `doctor` finds depends on the machine."""
     monkeypatch.chdir(workplace)
     np.save("mosaic.npy", np.full((8, 8), 100, np.uint8))
-    np.save("disparity.npy", np.ones((8, 8), np.float32))
     page = sections(text_of(PAGE))
     for line in RUNS.splitlines():
         with pytest.raises(SystemExit) as leaving:

@@ -76,7 +76,7 @@ def simulate(
         typer.Option(
             metavar="PATTERN",
             help="Make 16-bit mosaics of a sensor with this pattern: RGGB, GRBG, GBRG, BGGR, or MONO. The options "
-            "below are for them alone.",
+            "from --gain to --darks are for them alone.",
         ),
     ] = None,
     gain: Annotated[float | None, typer.Option(metavar="DN/E", help="Counts per electron; by default 0.25.")] = None,
@@ -116,8 +116,8 @@ def simulate(
         bool,
         typer.Option(
             "--stereo",
-            help="Make rectified pairs of a generated scene, no board. The options below are for them alone, and "
-            "--size, --fov, --blur, --noise, --depth, --seed for them too.",
+            help="Make rectified pairs of a generated scene, no board. Of them are --pairs to --row-tilt, and "
+            "--size, --fov, --blur, --noise, --depth, --seed too.",
         ),
     ] = False,
     pairs: Annotated[int, typer.Option(metavar="N", help="Number of pairs, each of another scene.")] = 1,

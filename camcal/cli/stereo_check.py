@@ -27,7 +27,10 @@ def check(
     ] = None,
     max_rms: Annotated[
         float | None,
-        typer.Option(metavar="PIXELS", help="Exit with 7 if rows are off by more (RMS), or the pair is none; try 0.5."),
+        typer.Option(
+            metavar="PIXELS",
+            help="Exit with 7 if rows are off by more (RMS), or the pair is swapped or one image twice; try 0.5.",
+        ),
     ] = None,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,

@@ -41,7 +41,7 @@ def cloud(
         float | None,
         typer.Option(
             metavar="COUNTS",
-            help="Counts per pixel of disparity; by default the sidecar's, else 256 for 16-bit maps and 1 for others.",
+            help="Counts per pixel of disparity; by default the sidecar's, or 256 for 16-bit (signed: 16), else 1.",
         ),
     ] = None,
     frame: Annotated[

@@ -42,7 +42,9 @@ def disparity(
     ] = "auto",
     fill: Annotated[
         str,
-        typer.Option(metavar="NAME", help="none, background (gaps of a row from what lies farther), or all pixels."),
+        typer.Option(
+            metavar="NAME", help="none, background (gaps of a row from what lies farther), or all (whole rows too)."
+        ),
     ] = "none",
     align_rows: Annotated[
         str,

@@ -43,7 +43,7 @@ def evaluate(
         float | None, typer.Option(metavar="COUNTS", help="The same of the truth, such as 4 for Middlebury 2003.")
     ] = None,
     mask: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="What both cameras see: 255 of 8 bits, not 0 of 16 bits.")
+        Path | None, typer.Option(metavar="FILE", help="What both cameras see: where 8 bits are 255, or 16 bits not 0.")
     ] = None,
     right_truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True disparity of the right image: tells what is occluded.")

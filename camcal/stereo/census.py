@@ -9,7 +9,7 @@ REACH = 2  # pixels around the centre: a window of 5 × 5
 BITS = (2 * REACH + 1) ** 2 - 1
 UNSEEN = 6  # cost of what the right camera cannot see: a quarter of the bits, as a mediocre match has
 
-_BLOCK = 16  # rows whose costs are counted while they are in the cache
+_BLOCK = 16  # rows that are worked on while they are in the cache
 
 
 def census(gray: Array) -> Array:
@@ -18,16 +18,22 @@ def census(gray: Array) -> Array:
     gray: (H, W) uint8, uint16 or float32. Brighter and darker images, and those of another contrast, give the same.
     Source: Zabih and Woodfill, Non-parametric local transforms for computing visual correspondence, ECCV 1994.
     """
-    height, width = gray.shape
     around = cv2.copyMakeBorder(gray, REACH, REACH, REACH, REACH, cv2.BORDER_REPLICATE)
-    transform = np.zeros((height, width), np.uint32)
+    transform = np.zeros(gray.shape, np.uint32)
+    for top in range(0, len(gray), _BLOCK):
+        _compare(around[top : top + _BLOCK + 2 * REACH], transform[top : top + _BLOCK])
+    return transform
+
+
+def _compare(around: Array, words: Array) -> None:
+    """Write into words (H, W) the comparisons of pixels with those around them, (H + 2 REACH, W + 2 REACH)."""
+    height, width = words.shape
+    middle = around[REACH : REACH + height, REACH : REACH + width]
     for down in range(2 * REACH + 1):
         for across in range(2 * REACH + 1):
             if (down, across) != (REACH, REACH):
-                darker = around[down : down + height, across : across + width] < gray
-                np.left_shift(transform, 1, out=transform)
-                transform |= darker
-    return transform
+                np.left_shift(words, 1, out=words)
+                words |= around[down : down + height, across : across + width] < middle
 
 
 def matching_costs(left: Array, right: Array, first: int, count: int) -> Array:

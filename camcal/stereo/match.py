@@ -15,8 +15,9 @@ from camcal.stereo.fusion import Fused, alone, fused
 from camcal.stereo.gray import GrayPair
 from camcal.stereo.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
 from camcal.stereo.preparation import Prepared, prepare
-from camcal.stereo.pyramid import coarse_to_fine
+from camcal.stereo.pyramid import coarse_to_fine, needs_levels
 from camcal.stereo.uncertainty import (
+    FROM_COARSE_TO_FINE,
     OF_A_SINGLE_PASS,
     OF_THE_CENSUS,
     OF_TWO_MATCHERS,
@@ -24,6 +25,7 @@ from camcal.stereo.uncertainty import (
     evidence_of,
     reduced,
     standard_deviation,
+    widened,
 )
 
 FAST, BALANCED, BEST = "fast", "balanced", "best"
@@ -82,10 +84,16 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
     nothing = np.float32(np.nan)
     return Disparity(
         np.where(keep, estimate.dense, nothing),
-        np.where(keep, estimate.sigma(_WEIGHTS[options.quality]), nothing),
+        np.where(keep, estimate.sigma(_weights(prepared, options.quality)), nothing),
         np.where(keep, confidence, Confidence.NONE),
         (prepared.first, prepared.first + prepared.count - 1),
     )
+
+
+def _weights(prepared: Prepared, quality: str) -> Weights:
+    weights = _WEIGHTS[quality]
+    coarse = quality != FAST and needs_levels(prepared.pair, prepared.count)
+    return widened(weights, FROM_COARSE_TO_FINE) if coarse else weights
 
 
 class Estimate(NamedTuple):

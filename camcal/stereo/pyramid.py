@@ -20,7 +20,7 @@ from camcal.stereo.semi_global import aggregate, least, meeting
 LARGEST = 2_000_000  # pixels; in smaller images more is lost of what is thin than time is won
 _MOST_COSTS = 500_000_000  # bytes of one volume; matching holds two and some more
 
-_NEARBY = 8  # disparities on either side of what the coarser level found
+_NEARBY = 5  # disparities on either side of what the coarser level found
 _BLUR = 0.5  # pixels
 _AROUND = (13, 13)  # pixels over which costs are compared for a fraction
 
@@ -32,10 +32,15 @@ def coarse_to_fine(pair: GrayPair, first: int, count: int, match: Matcher) -> Fu
 
     first: the smallest disparity looked for, pixels. count: how many.
     """
-    if pair.left.size <= LARGEST and pair.left.size * count <= _MOST_COSTS:
+    if not needs_levels(pair, count):
         return match(pair, first, count)
     half = coarse_to_fine(_halved(pair), first // 2, -(-count // 2) + 1, match)
     return _finer(pair, half)
+
+
+def needs_levels(pair: GrayPair, count: int) -> bool:
+    """Return whether a pair is better matched from coarse to fine."""
+    return pair.left.size > LARGEST or pair.left.size * count > _MOST_COSTS
 
 
 def _halved(pair: GrayPair) -> GrayPair:
@@ -66,7 +71,7 @@ def _finer(pair: GrayPair, half: Fused) -> Fused:
     words = census(left)
     whole = np.rint(near).astype(np.int32)
     found = whole - _NEARBY + least(aggregate(_costs_nearby(words, census(right), whole), pair.left))
-    disparity = _refined(words, right, smoothed(found.astype(np.float32)))
+    disparity = _refined(words, right, smoothed(smoothed(found.astype(np.float32))))
     confidence = _doubled(half.confidence, shape)
     believed = (confidence > Confidence.FILLED) & in_order(disparity)
     disparity = without_specks(np.where(believed, disparity, np.float32(np.nan)))
@@ -86,14 +91,14 @@ def _costs_nearby(left: Array, right: Array, middle: Array) -> Array:
     """Return the bits (D, H, W), uint8, in which census transforms differ at the disparities about `middle` (H, W)."""
     height, width = left.shape
     costs = np.empty((2 * _NEARBY + 1, height, width), np.uint8)
-    across = np.arange(width, dtype=np.int32) - middle
-    rows = np.arange(height, dtype=np.intp)[:, None] * width
-    for index, plane in enumerate(costs):
-        there = across - (index - _NEARBY)
-        inside = (there >= 0) & (there < width)
-        words = right.ravel().take(rows + np.clip(there, 0, width - 1))
-        np.bitwise_count(left ^ words, out=plane)
-        plane[~inside] = UNSEEN
+    across = np.arange(width, dtype=np.intp)
+    for y in range(height):
+        there = across - middle[y] + _NEARBY - np.arange(len(costs))[:, None]
+        words = right[y].take(there, mode="clip")
+        words ^= left[y]
+        count = np.bitwise_count(words)
+        count[(there < 0) | (there >= width)] = UNSEEN
+        costs[:, y] = count
     return costs
 
 

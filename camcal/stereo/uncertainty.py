@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import log
 
 import cv2
 import numpy as np
@@ -45,6 +46,21 @@ OF_A_SINGLE_PASS: Weights = {  # for evidence at a quarter of the size
 }
 # fmt: on
 
+# By how much wider it is for pairs matched from coarse to fine: what the coarse level found is nearly what the fine one
+# finds, so that their difference says less than that of two matchers.
+FROM_COARSE_TO_FINE: Mapping[Confidence, float] = {
+    Confidence.FILLED: 1.6,
+    Confidence.SINGLE: 1.5,
+    Confidence.APART: 0.9,
+    Confidence.NEAR: 1.5,
+    Confidence.AGREED: 1.2,
+}
+
+
+def widened(weights: Weights, factors: Mapping[Confidence, float]) -> Weights:
+    """Return the weights of half-widths that are larger by a factor for each class."""
+    return {each: (row[0] + log(factors[each]), *row[1:]) for each, row in weights.items()}
+
 
 def standard_deviation(evidence: Array, confidence: Array, weights: Weights) -> Array:
     """Return the half-width (H, W), float32 pixels, that holds 68 % of the errors.
@@ -55,10 +71,10 @@ def standard_deviation(evidence: Array, confidence: Array, weights: Weights) -> 
     table = np.zeros((len(Confidence), len(evidence)), np.float32)
     for each, row in weights.items():
         table[each] = row
-    logarithm = np.zeros(confidence.shape, np.float32)
-    for fact, column in zip(evidence, table.T, strict=True):
-        logarithm += fact * column[confidence]
-    return np.asarray(np.exp(logarithm))
+    sigma = np.empty(confidence.shape, np.float32)
+    for facts, classes, row in zip(evidence.swapaxes(0, 1), confidence, sigma, strict=True):
+        np.exp(np.einsum("kw,wk->w", facts, table[classes]), out=row)
+    return sigma
 
 
 def evidence_of(pair: GrayPair, fused: Fused, filled: Filled, smooth: Array) -> Array:
@@ -70,6 +86,7 @@ def evidence_of(pair: GrayPair, fused: Fused, filled: Filled, smooth: Array) -> 
     fetched. smooth: (H, W) the map, pixels.
     """
     known = np.isfinite(fused.disparity)
+    smooth = np.nan_to_num(smooth)  # numbers are missing only where nothing is matched in all of the image
     support = cv2.boxFilter(known.astype(np.float32), cv2.CV_32F, _AROUND)
     differences = np.minimum(np.nan_to_num(fused.difference), 1).astype(np.float32)
     compared = cv2.boxFilter(np.isfinite(fused.difference).astype(np.float32), cv2.CV_32F, _AROUND)

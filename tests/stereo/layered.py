@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 
-def layered_pair(size=(200, 140), disparities=(4, 9, 16), *, seed=1):
+def layered_pair(size=(160, 110), disparities=(4, 9, 16), *, seed=1):
     """Return a pair (H, W) uint8, its disparity (H, W), whole pixels, and which pixels (H, W) both images show.
 
     The first disparity is that of the background; the others are of rectangles, each before those named earlier.

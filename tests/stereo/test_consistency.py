@@ -34,10 +34,15 @@ def test_the_difference_is_what_the_right_pixel_says_otherwise(shape, seed):
 def test_out_of_order_is_what_something_to_the_right_stands_left_of(shape, seed):
     disparity = some_maps(seed, shape)[0]
     there = np.arange(shape[1]) - disparity
-    expected = np.array([
-        [not any(there[y, x] > there[y, other] + AGREEMENT for other in range(x, shape[1])) for x in range(shape[1])]
-        for y in range(shape[0])
-    ])
+    expected = np.array(
+        [
+            [
+                not any(there[y, x] > there[y, other] + AGREEMENT for other in range(x, shape[1]))
+                for x in range(shape[1])
+            ]
+            for y in range(shape[0])
+        ]
+    )
     known = np.isfinite(disparity)
     np.testing.assert_array_equal(in_order(disparity)[known], expected[known])
 

@@ -68,7 +68,9 @@ def test_sums_are_those_of_the_recurrence(shape, seed):
 def test_strips_of_tall_images_make_no_difference():
     costs, guide = some_volume(3, (4, 1030, 6))
     total = aggregate(costs, guide)
-    across = aggregate(costs[:, 700:701], guide[700:701]).astype(int)  # a row alone: nothing but its own costs from above
+    across = aggregate(costs[:, 700:701], guide[700:701]).astype(
+        int
+    )  # a row alone: nothing but its own costs from above
     column = aggregate(costs[..., 2:3], guide[:, 2:3]).astype(int)
     own = 2 * costs[:, 700, 2].astype(int)  # that both count twice
     np.testing.assert_array_equal(total[:, 700, 2], across[:, 0, 2] - own + column[:, 700, 0] - own)
@@ -93,7 +95,9 @@ def test_a_jump_is_cheaper_where_gray_levels_jump():
     np.testing.assert_array_equal(jump_penalties(guide.T, 1)[:, 1], expected)
 
 
-@pytest.mark.parametrize("flipped", [np.s_[::-1], np.s_[:, ::-1], np.s_[:, :, ::-1]], ids=["disparity", "rows", "columns"])
+@pytest.mark.parametrize(
+    "flipped", [np.s_[::-1], np.s_[:, ::-1], np.s_[:, :, ::-1]], ids=["disparity", "rows", "columns"]
+)
 def test_turned_volumes_have_turned_sums(flipped):
     costs, guide = some_volume(4, (7, 12, 15))
     turned = guide[flipped[1:]] if isinstance(flipped, tuple) else guide
