@@ -31,11 +31,10 @@ def from_the_background(disparity: Array) -> Filled:
     What one camera does not see lies behind what hides it. At the ends of a row there is only one side.
     """
     gap = np.isnan(disparity)
-    edges = np.zeros((len(gap), gap.shape[1] + 2), np.int8)
-    edges[:, 1:-1] = gap
-    steps = np.diff(edges, axis=1)
-    row, start = np.nonzero(steps == 1)
-    stop = np.nonzero(steps == -1)[1]
+    fenced = np.zeros((len(gap), gap.shape[1] + 2), np.bool_)
+    fenced[:, 1:-1] = gap
+    row, edge = np.divmod(np.flatnonzero(fenced[:, 1:] != fenced[:, :-1]), gap.shape[1] + 1)
+    row, start, stop = row[::2], edge[::2], edge[1::2]  # the edges of a gap follow each other
     sides = np.stack([disparity[row, np.maximum(start - 1, 0)], disparity[row, np.minimum(stop, gap.shape[1] - 1)]])
     from_right = ~(sides[0] <= sides[1]) & np.isfinite(sides[1])  # whichever side is no number is no side
     lengths = stop - start

@@ -81,13 +81,12 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
         keep = confidence > Confidence.FILLED
     else:
         keep = np.isfinite(estimate.filled.disparity if options.fill == BACKGROUND else estimate.dense)
-    nothing = np.float32(np.nan)
-    return Disparity(
-        np.where(keep, estimate.dense, nothing),
-        np.where(keep, estimate.sigma(_weights(prepared, options.quality)), nothing),
-        np.where(keep, confidence, Confidence.NONE),
-        (prepared.first, prepared.first + prepared.count - 1),
-    )
+    values, sigma = estimate.dense, estimate.sigma(_weights(prepared, options.quality))
+    if not keep.all():
+        nothing = np.float32(np.nan)
+        values, sigma = np.where(keep, values, nothing), np.where(keep, sigma, nothing)
+        confidence = confidence * keep  # Confidence.NONE is 0
+    return Disparity(values, sigma, confidence, (prepared.first, prepared.first + prepared.count - 1))
 
 
 def _weights(prepared: Prepared, quality: str) -> Weights:

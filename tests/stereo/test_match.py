@@ -252,7 +252,7 @@ def test_an_image_with_itself_has_disparity_0(quality):
 
 
 def test_swapped_images_are_matched_and_remarked_on(quality):
-    left, right, truth, _ = LAYERS
+    left, right, _, _ = LAYERS
     found = match(right, left, MatchOptions(quality))
     assert found.searched[0] <= -16
     assert set(np.rint(np.quantile(found.values[np.isfinite(found.values)], (0.02, 0.98)))) == {-16, -4}
