@@ -32,14 +32,14 @@ from peers.cloud_peers import measured
 from camcal.formats import disparity, pointclouds
 from camcal.images.load import load
 from camcal.run.fanout import over_threads
-from camcal.stereo.cloud import CloudMaker
-from camcal.stereo.depth import StereoImage, row_blocks
-from camcal.stereo.frames import Frame
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.normals import normals
-from camcal.stereo.outliers import has_neighbours
-from camcal.stereo.selection import Selection, select
-from camcal.stereo.voxels import one_per_voxel
+from camcal.stereo.points.cloud import CloudMaker
+from camcal.stereo.points.depth import StereoImage, row_blocks
+from camcal.stereo.points.frames import Frame
+from camcal.stereo.points.normals import normals
+from camcal.stereo.points.outliers import has_neighbours
+from camcal.stereo.points.selection import Selection, select
+from camcal.stereo.points.voxels import one_per_voxel
 from camcal.tasks.cloud import in_order_on_threads
 
 PEERS = Path(__file__).parent / "peers" / "cloud_peers.py"

@@ -2,8 +2,8 @@
 
 Scenes are rendered, half as `camcal simulate --stereo` makes them by default and half of other sizes, lenses, light and
 noise; folders add real pairs, in the layouts that benchmarks/stereo.py reads. The 68 % quantile of the logarithm of the
-errors is regressed on the evidence of camcal/stereo/uncertainty.py, by class; the tables printed are those that stand
-there. Every second scene is fitted, the others are for the shares.
+errors is regressed on the evidence of camcal/stereo/matching/uncertainty.py, by class; the tables printed are those
+that stand there. Every second scene is fitted, the others are for the shares.
 
     python benchmarks/disparity_uncertainty.py [FOLDER …] [--scenes 44] [--weight 1.5]
 """
@@ -22,8 +22,8 @@ from stereo_pairs import pairs_in
 
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.match import QUALITIES, estimated
-from camcal.stereo.preparation import prepare
+from camcal.stereo.matching.match import QUALITIES, estimated
+from camcal.stereo.matching.preparation import prepare
 
 SHARE = 0.68
 SAMPLES = 4000  # pixels of a class of a pair; neighbours tell the same

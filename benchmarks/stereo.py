@@ -34,8 +34,8 @@ import numpy as np
 from peers.opencv_stereo import MATCHERS, Matcher
 from stereo_pairs import Pair, pairs_in
 
-from camcal.stereo.evaluate import evaluate
-from camcal.stereo.match import MatchOptions, match
+from camcal.stereo.matching.match import MatchOptions, match
+from camcal.stereo.truth.evaluate import evaluate
 
 NOISE = 5.0
 GAMMA, GAIN, OFFSET = 1.4, 0.8, 10

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.stereo_disparity import MatchedPair
+    from camcal.tasks.matched_pair import MatchedPair
 
 COMMAND = "stereo disparity"
 LISTED = 10
@@ -58,9 +58,9 @@ def disparity(
     type: Annotated[  # noqa: A002 - it is the option's name
         str, typer.Option(metavar="TYPE", help="Type of the maps in a folder: tiff, pfm, png, npy, npz, exr.")
     ] = "tiff",
-    vis: Annotated[bool, typer.Option("--vis", help="Draw each map, with a legend, as NAME.vis.png.")] = False,
+    vis: Annotated[bool, typer.Option("--vis", help="Draw each map, with a legend, as MAP.vis.png.")] = False,
     map_only: Annotated[
-        bool, typer.Option("--map-only", help="Write no NAME.sigma.tiff and no NAME.confidence.png beside the map.")
+        bool, typer.Option("--map-only", help="Write no .sigma.tiff and no .confidence.png beside the map.")
     ] = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
@@ -76,9 +76,10 @@ def disparity(
     and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options.
     """
     from camcal.progress import require_all
-    from camcal.stereo.match import MatchOptions
+    from camcal.stereo.matching.match import MatchOptions
+    from camcal.tasks.matched_pair import document
     from camcal.tasks.rectified_pair import GeometryOptions
-    from camcal.tasks.stereo_disparity import DisparityOptions, document, network_of, stereo_disparity
+    from camcal.tasks.stereo_disparity import DisparityOptions, network_of, stereo_disparity
 
     options = DisparityOptions(
         (left,),

@@ -8,8 +8,8 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData
-from camcal.stereo.axes import rotation_of
-from camcal.stereo.vertices import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
+from camcal.stereo.points.axes import rotation_of
+from camcal.stereo.points.vertices import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 
 _SEED = 20240229
 _TAIL = 0.005  # share of the points beyond either side of the box

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from camcal.stereo.evaluate import FIGURES, ClassErrors, Evaluation
+from camcal.stereo.truth.evaluate import FIGURES, ClassErrors, Evaluation
 
 CLASS_COLUMNS = ("class", "pixels", "share", "68 % of errors", "sigma", "within 1", "within 2", "bad1", "bad2")
 

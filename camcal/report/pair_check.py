@@ -4,10 +4,10 @@ from dataclasses import asdict
 from typing import Any
 
 from camcal.report.uncertain import value_and_std
-from camcal.stereo.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
-from camcal.stereo.exposure import Exposure
-from camcal.stereo.pair_check import PairCheck
-from camcal.stereo.pair_order import FINDINGS
+from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
+from camcal.stereo.pair.exposure import Exposure
+from camcal.stereo.pair.pair_check import PairCheck
+from camcal.stereo.pair.pair_order import FINDINGS
 
 _SURE = 3.0  # standard errors
 

@@ -14,8 +14,8 @@ from matplotlib.patches import Rectangle
 
 from camcal.arrays import Array
 from camcal.report.pair_check import headline, verdict
-from camcal.stereo.alignment import Residual
-from camcal.stereo.pair_check import PairCheck
+from camcal.stereo.pair.alignment import Residual
+from camcal.stereo.pair.pair_check import PairCheck
 
 SUFFIXES = (".png",)
 

@@ -17,14 +17,14 @@ from camcal.progress import SILENT, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting
-from camcal.stereo.cloud import CloudMaker, thinned
-from camcal.stereo.depth import StereoImage
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.frames import OPTICAL, UNITS, Frame, frame_named
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.outliers import ORGANISED, RADIUS
-from camcal.stereo.selection import Selected, Selection, depth_figures, select
-from camcal.stereo.vertices import METRES, VertexStream
+from camcal.stereo.points.cloud import CloudMaker, thinned
+from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.points.frames import OPTICAL, UNITS, Frame, frame_named
+from camcal.stereo.points.outliers import ORGANISED, RADIUS
+from camcal.stereo.points.selection import Selected, Selection, depth_figures, select
+from camcal.stereo.points.vertices import METRES, VertexStream
 from camcal.tasks import rectified_pair
 from camcal.tasks.rectified_pair import GeometryOptions, RectifiedPair
 

@@ -19,8 +19,8 @@ from camcal.run.fanout import fan_out
 from camcal.run.inputs import record_outputs
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
-from camcal.stereo.pair_check import PairCheck, check_pair
-from camcal.stereo.pair_order import FINDINGS
+from camcal.stereo.pair.pair_check import PairCheck, check_pair
+from camcal.stereo.pair.pair_order import FINDINGS
 
 _SUFFIX = "_check.png"
 

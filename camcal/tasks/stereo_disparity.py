@@ -25,20 +25,17 @@ from camcal.run.inputs import record_outputs
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
 from camcal.stereo.disparity import Confidence, Disparity
-from camcal.stereo.learned import learned_disparity
-from camcal.stereo.match import BEST, MatchOptions, match_prepared
-from camcal.stereo.preparation import prepare
+from camcal.stereo.matching.learned import learned_disparity
+from camcal.stereo.matching.match import BEST, MatchOptions, match_prepared
+from camcal.stereo.matching.preparation import prepare
+from camcal.tasks.matched_pair import Figures, Limits, MapFiles, MatchedPair, Pair
 from camcal.tasks.rectified_pair import GeometryOptions, RectifiedPair, pair_of
 
 TYPES = tuple(suffix[1:] for suffix in maps.SUFFIXES)
 OWN, ONNX = "own", "onnx"
 ENGINES = (OWN, ONNX)
 
-_KINDS = ("sigma.tiff", "confidence.png", "vis.png")  # of what stands beside a map
 _AT_THE_END = 0.01  # share of the pixels in the last pixel of the range that is no chance
-
-Pair = tuple[Path, Path]
-Limits = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -66,6 +63,10 @@ class DisparityOptions:
     def __post_init__(self) -> None:
         if self.type not in TYPES:
             raise InvalidInput(f"type {self.type!r} is unknown; use one of {', '.join(TYPES)}")
+        if self.model is not None and self.matching != MatchOptions():
+            raise InvalidInput(
+                "a network takes no --quality, --range, --fill, --align-rows, --exposure; leave them out"
+            )
 
 
 def network_of(engine: str, model: Path | None) -> Path | None:
@@ -75,78 +76,6 @@ def network_of(engine: str, model: Path | None) -> Path | None:
     if (engine == ONNX) != (model is not None):
         raise InvalidInput("--engine onnx and --model FILE go together")
     return model
-
-
-class _Files(NamedTuple):
-    """What is written of one pair."""
-
-    map: Path
-    sigma: Path
-    confidence: Path
-    picture: Path
-    sidecar: Path
-
-    @classmethod
-    def beside(cls, path: Path) -> "_Files":
-        sigma, confidence, picture = (path.with_name(f"{path.stem}.{kind}") for kind in _KINDS)
-        return cls(path, sigma, confidence, picture, disparity_sidecar.path_beside(path))
-
-
-@dataclass(frozen=True)
-class Figures:
-    """A map in numbers.
-
-    size: (width, height), pixels. searched: smallest and largest disparity looked for, pixels. matched: share of the
-    pixels that are matched and not filled. filled: share that is. classes: share of each `Confidence`. median: of the
-    disparities, pixels, None without any. sigma: median of their standard deviations, pixels, None if unknown.
-    """
-
-    size: tuple[int, int]
-    searched: tuple[int, int]
-    matched: float
-    filled: float
-    classes: Mapping[str, float]
-    median: float | None
-    sigma: float | None
-
-    @classmethod
-    def of(cls, disparity: Disparity) -> "Figures":
-        height, width = disparity.values.shape
-        shares = np.bincount(disparity.confidence.ravel(), minlength=len(Confidence)) / disparity.values.size
-        return cls(
-            size=(width, height),
-            searched=disparity.searched,
-            matched=float(shares[Confidence.SINGLE :].sum()),
-            filled=float(shares[Confidence.FILLED]),
-            classes={each.name.lower(): float(shares[each]) for each in Confidence},
-            median=_median(disparity.values),
-            sigma=_median(disparity.sigma),
-        )
-
-
-def _median(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None
-
-
-@dataclass(frozen=True)
-class MatchedPair:
-    """A pair and its map.
-
-    rows: by which the right image was aligned, px RMS. scale: counts of the file per pixel of disparity. limits: of
-    the colours of a picture. geometry_known: whether the sidecar holds it.
-    """
-
-    left: Path
-    right: Path
-    output: Path
-    figures: Figures
-    rows: float
-    scale: float
-    picture: Path | None
-    limits: Limits
-    geometry_known: bool
-    remarks: tuple[str, ...]
 
 
 def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> list[Outcome[Pair, MatchedPair]]:
@@ -183,7 +112,7 @@ def _places(pairs: Sequence[Pair], options: DisparityOptions) -> Mapping[Path, P
     outputs = place([left for left, _ in pairs], options.output, f".{options.type}", maps.SUFFIXES)
     inputs = [path for pair in pairs for path in pair]
     for output in outputs.values():
-        written = _Files.beside(output)
+        written = MapFiles.beside(output)
         refuse_overwriting(written, inputs)
         disparity_sidecar.require_own(written.sidecar)
     return outputs
@@ -198,7 +127,7 @@ def _match_files(
     alone: bool = False,
 ) -> MatchedPair:
     left, right = (load(path).pixels for path in pair)
-    written = _Files.beside(outputs[pair[0]])
+    written = MapFiles.beside(outputs[pair[0]])
     try:
         size = left.shape[1], left.shape[0]
         known = pair_of(options.geometry, options.camera_file, size)
@@ -239,13 +168,12 @@ def _written(
     pair: Pair,
     found: _Matched,
     known: RectifiedPair,
-    places: _Files,
+    places: MapFiles,
     options: DisparityOptions,
     limits: Limits | None,
 ) -> MatchedPair:
     """Return the report of a pair whose files have been written."""
-    disparity = found.disparity
-    stored, remarks = _write_map(places.map, disparity, found.remarks)
+    disparity, stored, remarks = _write_map(places.map, found)
     has_sigma = bool(np.isfinite(disparity.sigma).any()) and not options.map_only
     if has_sigma:
         maps.write(places.sigma, disparity.sigma)
@@ -280,15 +208,17 @@ def _written(
     )
 
 
-def _write_map(path: Path, disparity: Disparity, remarks: tuple[str, ...]) -> tuple[Written, tuple[str, ...]]:
-    """Return how a map was written, and the remarks with what is to be said of that."""
-    values = disparity.values
-    remarks += _at_the_ends(disparity)
-    if path.suffix.lower() == ".png" and (values <= 0).any():
-        remarks += (f"{np.sum(values <= 0)} disparities of 0 or less are left out of a PNG; a TIFF holds them",)
-        values = np.where(values > 0, values, np.float32(np.nan))
-    stored = maps.write(path, values)
-    return stored, remarks + ((stored.remark,) if stored.remark else ())
+def _write_map(path: Path, found: _Matched) -> tuple[Disparity, Written, tuple[str, ...]]:
+    """Return the map as it was written, how, and what is to be said of it."""
+    disparity, remarks = found.disparity, found.remarks + _at_the_ends(found.disparity)
+    behind = disparity.values <= 0
+    if path.suffix.lower() == ".png" and behind.any():
+        remarks += (f"{behind.sum()} disparities of 0 or less are left out of a PNG; a TIFF holds them",)
+        nothing = np.float32(np.nan)
+        values, sigma = (np.where(behind, nothing, each) for each in (disparity.values, disparity.sigma))
+        disparity = Disparity(values, sigma, disparity.confidence * ~behind, disparity.searched)
+    stored = maps.write(path, disparity.values)
+    return disparity, stored, remarks + ((stored.remark,) if stored.remark else ())
 
 
 def _at_the_ends(disparity: Disparity) -> tuple[str, ...]:
@@ -318,40 +248,4 @@ def _warned(matched: MatchedPair, progress: Progress) -> MatchedPair:
 
 
 def _names(matched: MatchedPair) -> list[str]:
-    return [path.name for path in _Files.beside(matched.output)]
-
-
-def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
-    """Return what became of the pairs as plain data for --json."""
-    matched = [outcome.value for outcome in outcomes if outcome.value is not None]
-    return {
-        "pairs": [_plain(pair) for pair in matched],
-        "failed": [
-            {"left": left.as_posix(), "right": right.as_posix(), "message": str(outcome.error)}
-            for outcome in outcomes
-            if outcome.error is not None
-            for left, right in (outcome.item,)
-        ],
-    }
-
-
-def _plain(pair: MatchedPair) -> dict[str, Any]:
-    figures = pair.figures
-    return {
-        "left": pair.left.as_posix(),
-        "right": pair.right.as_posix(),
-        "output": pair.output.as_posix(),
-        "sidecar": disparity_sidecar.path_beside(pair.output).as_posix(),
-        "picture": None if pair.picture is None else pair.picture.as_posix(),
-        "image_size": list(figures.size),
-        "searched": list(figures.searched),
-        "matched": figures.matched,
-        "filled": figures.filled,
-        "classes": dict(figures.classes),
-        "median_px": figures.median,
-        "sigma_px": figures.sigma,
-        "rows_px": pair.rows,
-        "scale": pair.scale,
-        "geometry": pair.geometry_known,
-        "remarks": list(pair.remarks),
-    }
+    return [path.name for path in MapFiles.beside(matched.output)]

@@ -20,9 +20,9 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.report.disparity_pictures import error_picture
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import place, refuse_overwriting
-from camcal.stereo.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.visibility import seen_by_both, unhidden
+from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
+from camcal.stereo.truth.visibility import seen_by_both, unhidden
 from camcal.tasks.rectified_pair import GeometryOptions, geometry_of
 from camcal.tasks.truth_pairs import TruthPair, find_pairs
 

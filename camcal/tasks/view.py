@@ -23,7 +23,7 @@ from camcal.report.cloud_scene import CloudScene, gather
 from camcal.report.cloud_view import Start
 from camcal.report.cloud_views import turn, view_of
 from camcal.run.outputs import refuse_overwriting
-from camcal.stereo.vertices import VertexStream
+from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.view_source import cloud_in, cloud_of, is_cloud
 
 PAGE, PICTURE, FILM, RECORDING, WINDOW = "page", "picture", "film", "recording", "window"

@@ -12,12 +12,12 @@ from camcal.formats.disparity_sidecar import ZERO, Sidecar
 from camcal.images.load import load
 from camcal.progress import Progress
 from camcal.run.fanout import over_threads
-from camcal.stereo.axes import rotation_of
-from camcal.stereo.cloud import CloudMaker
-from camcal.stereo.depth import StereoImage
-from camcal.stereo.frames import Frame
-from camcal.stereo.selection import Selection, select
-from camcal.stereo.vertices import VertexStream
+from camcal.stereo.points.axes import rotation_of
+from camcal.stereo.points.cloud import CloudMaker
+from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.points.frames import Frame
+from camcal.stereo.points.selection import Selection, select
+from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.rectified_pair import GeometryOptions, pair_of
 
 _POINTS = "points.npy"  # what the archive of a cloud holds

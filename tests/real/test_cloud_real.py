@@ -7,11 +7,11 @@ import pytest
 
 from camcal.formats import disparity, pair_calibration
 from camcal.images.load import load
-from camcal.stereo.cloud import CloudMaker
-from camcal.stereo.depth import StereoImage
-from camcal.stereo.frames import Frame
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.selection import Selection, select
+from camcal.stereo.points.cloud import CloudMaker
+from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.points.frames import Frame
+from camcal.stereo.points.selection import Selection, select
 
 # As the textbook prints them; KITTI's own calibration has a baseline of 0.537 m.
 STREET = StereoGeometry(718.856, 718.856, 607.1928, 185.2157, 0.573)

@@ -10,9 +10,9 @@ from textured import darker, noisy
 
 from camcal.formats import disparity
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.evaluate import evaluate
-from camcal.stereo.match import ALL, BALANCED, BEST, FAST, MatchOptions, match
-from camcal.stereo.visibility import seen_by_both
+from camcal.stereo.matching.match import ALL, BALANCED, BEST, FAST, MatchOptions, match
+from camcal.stereo.truth.evaluate import evaluate
+from camcal.stereo.truth.visibility import seen_by_both
 
 CONES, TEDDY, VENUS, MOTORCYCLE = (
     "middlebury2003-cones", "middlebury2003-teddy", "middlebury2001-venus", "middlebury2014-motorcycleQ",

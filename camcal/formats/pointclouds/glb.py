@@ -16,8 +16,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, blocks_of
-from camcal.stereo.axes import rotation_of
-from camcal.stereo.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.points.axes import rotation_of
+from camcal.stereo.points.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2
 HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file

@@ -17,7 +17,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, cloud_of
-from camcal.stereo.vertices import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.points.vertices import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 _FIELDS: dict[str, tuple[str, ...]] = {
     "points": POSITION,

@@ -1,0 +1,1 @@
+"""From two images to the disparity of every pixel."""

@@ -1,0 +1,46 @@
+"""Two maps of disparity made one, and what each pixel of it rests on."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.matching.matchers import Found
+
+_SAME, _NEAR = 0.25, 1.0  # pixels between two matchers
+
+
+class Fused(NamedTuple):
+    """Disparity (H, W), pixels, NaN where none is believed; its `Confidence` (H, W), uint8.
+
+    difference: (H, W) pixels between the two answers it rests on, NaN where there are not two.
+    """
+
+    disparity: Array
+    confidence: Array
+    difference: Array
+
+
+def fused(census: Found, gray_levels: Found) -> Fused:
+    """Return what two matchers say together: their mean where they are near, else the census.
+
+    Where the census fails its check of left and right, gray levels stand in only if it would have said the same: what
+    they alone find is often a foreground grown too large.
+    """
+    first, second = census.believed, gray_levels.believed
+    difference = np.abs(first - second)
+    near = difference <= _NEAR
+    spare = np.where(np.abs(second - census.least) <= _NEAR, second, np.float32(np.nan))
+    disparity = np.where(near, (first + second) / 2, np.where(np.isfinite(first), first, spare))
+    confidence = np.where(np.isfinite(disparity), Confidence.SINGLE, Confidence.FILLED)
+    confidence = np.where(difference > _NEAR, Confidence.APART, confidence)
+    confidence = np.where(near, np.where(difference <= _SAME, Confidence.AGREED, Confidence.NEAR), confidence)
+    return Fused(disparity, confidence.astype(np.uint8), difference)
+
+
+def alone(found: Found) -> Fused:
+    """Return what a single matcher says; difference: between what the two images say."""
+    known = np.isfinite(found.believed).view(np.uint8)
+    confidence = Confidence.FILLED + known * np.uint8(Confidence.SINGLE - Confidence.FILLED)
+    return Fused(found.believed, confidence, found.difference)

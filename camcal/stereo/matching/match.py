@@ -1,0 +1,147 @@
+"""A rectified pair to its disparity, with how sure it is of every pixel."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.raw.planes import Each, one_by_one
+from camcal.stereo.disparity import Confidence, Disparity
+from camcal.stereo.matching.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
+from camcal.stereo.matching.fusion import Fused, alone, fused
+from camcal.stereo.matching.gray import GrayPair
+from camcal.stereo.matching.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
+from camcal.stereo.matching.preparation import Prepared, prepare
+from camcal.stereo.matching.pyramid import coarse_to_fine, needs_levels
+from camcal.stereo.matching.uncertainty import (
+    FROM_COARSE_TO_FINE,
+    OF_A_SINGLE_PASS,
+    OF_THE_CENSUS,
+    OF_TWO_MATCHERS,
+    Weights,
+    evidence_of,
+    reduced,
+    standard_deviation,
+    widened,
+)
+
+FAST, BALANCED, BEST = "fast", "balanced", "best"
+QUALITIES = (FAST, BALANCED, BEST)
+NOTHING, BACKGROUND, ALL = "none", "background", "all"
+FILLS = (NOTHING, BACKGROUND, ALL)
+
+_WEIGHTS = {FAST: OF_A_SINGLE_PASS, BALANCED: OF_THE_CENSUS, BEST: OF_TWO_MATCHERS}
+_REDUCED = 4  # times smaller, the evidence of the fast quality takes no time
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """How a pair is matched.
+
+    quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
+    fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
+    if they are measurably off; None: unless quality is fast. expose_alike: bring it to the left one's exposure.
+    """
+
+    quality: str = BEST
+    search: tuple[int, int] | None = None
+    fill: str = NOTHING
+    align_rows: bool | None = None
+    expose_alike: bool = True
+
+    def __post_init__(self) -> None:
+        for name, known in (("quality", QUALITIES), ("fill", FILLS)):
+            if getattr(self, name) not in known:
+                raise InvalidInput(f"{name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
+
+    @property
+    def aligns(self) -> bool:
+        return self.quality != FAST if self.align_rows is None else self.align_rows
+
+
+def match(left: Array, right: Array, options: MatchOptions | None = None, each: Each = one_by_one) -> Disparity:
+    """Return the disparity of the left image of a rectified pair.
+
+    left, right: (H, W), (H, W, 3) BGR or (H, W, 4), uint8, uint16 or float32. each: does pieces of work that do not
+    depend on one another. Raises InvalidInput for images of different sizes.
+    """
+    options = options or MatchOptions()
+    prepared = prepare(left, right, options.search, align=options.aligns, expose=options.expose_alike)
+    return match_prepared(prepared, options, each)
+
+
+def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_by_one) -> Disparity:
+    """Return the disparity of a pair that was made ready; see `match`."""
+    estimate = estimated(prepared, options.quality, each)
+    confidence = estimate.confidence
+    if options.fill == NOTHING:
+        keep = confidence > Confidence.FILLED
+    else:
+        keep = np.isfinite(estimate.filled.disparity if options.fill == BACKGROUND else estimate.dense)
+    values, sigma = estimate.dense, estimate.sigma(_weights(prepared, options.quality))
+    if not keep.all():
+        nothing = np.float32(np.nan)
+        values, sigma = np.where(keep, values, nothing), np.where(keep, sigma, nothing)
+        confidence = confidence * keep  # Confidence.NONE is 0
+    return Disparity(values, sigma, confidence, (prepared.first, prepared.first + prepared.count - 1))
+
+
+def _weights(prepared: Prepared, quality: str) -> Weights:
+    weights = _WEIGHTS[quality]
+    coarse = quality != FAST and needs_levels(prepared.pair, prepared.count)
+    return widened(weights, FROM_COARSE_TO_FINE) if coarse else weights
+
+
+class Estimate(NamedTuple):
+    """A dense map (H, W), pixels, NaN only if nothing at all was matched, and what it rests on.
+
+    evidence: (K, h, w) of every `step`-th pixel of every `step`-th row, see `uncertainty.evidence_of`.
+    """
+
+    dense: Array
+    confidence: Array
+    filled: Filled
+    evidence: Array
+    step: int
+
+    def sigma(self, weights: Weights) -> Array:
+        """Return the standard deviation (H, W), pixels."""
+        every = slice(None, None, self.step)
+        sigma = standard_deviation(self.evidence, self.confidence[every, every], weights)
+        if self.step == 1:
+            return sigma
+        height, width = self.dense.shape
+        wide = cv2.resize(sigma, None, fx=self.step, fy=self.step, interpolation=cv2.INTER_NEAREST)
+        return np.asarray(wide[:height, :width])
+
+
+def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Estimate:
+    """Return the dense map of a pair and the evidence for its uncertainty."""
+    found = _found(prepared, quality, each)
+    filled = from_the_background(found.disparity)
+    dense = everywhere(filled.disparity)
+    if quality != FAST:
+        dense = smoothed(dense)
+        return Estimate(dense, found.confidence, filled, evidence_of(prepared.pair, found, filled, dense), 1)
+    dense = without_spikes(dense)
+    evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, _REDUCED))
+    return Estimate(dense, found.confidence, filled, evidence, _REDUCED)
+
+
+def _found(prepared: Prepared, quality: str, each: Each) -> Fused:
+    pair, first, count = prepared.pair, prepared.first, prepared.count
+    if quality == FAST:
+        return alone(by_gray_levels_unchecked(pair, first, count))
+
+    def by_both(pair: GrayPair, first: int, count: int) -> Fused:
+        found: dict[object, Found] = {}
+        each(lambda matcher: found.update({matcher: matcher(pair, first, count)}), (by_census, by_gray_levels))
+        return fused(found[by_census], found[by_gray_levels])
+
+    def by_one(pair: GrayPair, first: int, count: int) -> Fused:
+        return alone(by_census(pair, first, count))
+
+    return coarse_to_fine(pair, first, count, by_both if quality == BEST else by_one)

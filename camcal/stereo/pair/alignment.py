@@ -1,0 +1,249 @@
+"""How far the rows of a rectified pair are off, how that changes over the image, and the right image put right."""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.images.remap import Maps
+from camcal.stereo.pair.features import Matches, match_features
+from camcal.stereo.pair.tracking import track_corners
+
+NEGLIGIBLE = 0.1  # px; matching loses less by it than by drawing the image anew
+WORTH_RECTIFYING = 0.5  # px; from here on matching loses more than all else that can be set
+LARGEST_CORRECTION = 5.0  # px; a pair that is off by more is not a rectified one
+
+_FEWEST = 12  # matches in agreement, three for each number of the trend and its scatter
+_FEWEST_SHARE = 0.15  # of all; two images of different things reach 0.05, good pairs 0.6
+_SURE = 3.0  # standard errors at which a trend is no chance
+_FOLLOWED = 2.0  # px; of rows that are off by more too many corners are lost
+_SHARP = 0.6  # px; corners that are found scatter by 0.1 to 0.3 px, those that are lost by more than 1
+_SEED = 1
+_GUESSES = 500  # of three matches; if only a third of all is right, eighteen guesses are
+_NEAR = 1.0  # px features are looked for in, about a guess; matches that are right scatter by 0.1 to 0.4 px
+_ROUNDS = 20
+_BREAK = 4.685  # deviations beyond which Tukey's biweight takes a match for wrong; the usual choice for normal errors
+_NORMAL = 1.4826  # standard deviation over median absolute deviation
+_LEAST_SCATTER = 1e-3  # px; of images made by shifting one of them
+_LEAST_SPREAD = 1.0  # px by which disparities must vary to tell how rows depend on them
+
+
+class Measured(NamedTuple):
+    """A value and its standard error."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Rows as a plane over the image, pixels: at its centre, and from edge to edge; right minus left.
+
+    tilt: from the left edge to the right one. scale: from the top to the bottom.
+    """
+
+    centre: Measured
+    tilt: Measured
+    scale: Measured
+
+    @property
+    def rms(self) -> float:
+        """Root mean square over the image, pixels."""
+        return sqrt(self.centre.value**2 + (self.tilt.value**2 + self.scale.value**2) / 12)
+
+    @property
+    def largest(self) -> float:
+        """Its amount at the worst corner, pixels."""
+        return abs(self.centre.value) + (abs(self.tilt.value) + abs(self.scale.value)) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """How far the rows of the features that both images show are off.
+
+    pixels: (N, 2) of the left image. dy: (N,) row in the right image minus row in the left one, pixels. disparity: (N,)
+    column in the left minus column in the right one, pixels. Matches that contradict the rest are left out; `seen` is
+    their number with those. scatter: standard deviation about the trend, pixels. convergence: dy per pixel of
+    disparity, None where disparities hardly vary; not 0 where the cameras do not stand side by side along the rows.
+    rows: the affine map (3,) that gives dy as rows[0] u + rows[1] v + rows[2] for pixel (u, v) of the right image, were
+    its rows those of the left one.
+    """
+
+    size: tuple[int, int]
+    pixels: Array
+    dy: Array
+    disparity: Array
+    seen: int
+    median: Measured
+    rms: float
+    p95: float
+    scatter: float
+    trend: Trend
+    convergence: Measured | None
+    rows: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.pixels)
+        object.__setattr__(self, "pixels", readonly(self.pixels, (count, 2), "pixels"))
+        object.__setattr__(self, "dy", readonly(self.dy, (count,), "dy"))
+        object.__setattr__(self, "disparity", readonly(self.disparity, (count,), "disparity"))
+        object.__setattr__(self, "rows", readonly(self.rows, (3,), "rows"))
+
+    @property
+    def partners(self) -> Array:
+        """Where the pixels are in the right image, (N, 2) pixels."""
+        return np.asarray(self.pixels + np.column_stack([-self.disparity, self.dy]))
+
+
+def vertical_residual(left: Array, right: Array) -> Residual:
+    """Return how far the rows of a pair are off. left, right: (H, W) uint8.
+
+    Raises InvalidInput for images of different sizes, InsufficientData if they share too few features.
+    """
+    return residual_of(match_features(left, right))
+
+
+def quick_residual(left: Array, right: Array, coarse: Array | None = None) -> Residual:
+    """Return how far the rows of a pair are off, as `vertical_residual` does but in a tenth of its time.
+
+    left, right: (H, W) uint8. coarse: what `coarse_map` returns for them, if it is known. Corners are followed from
+    image to image, which is done for rows off by two pixels; beyond that features are compared after all.
+    Raises as `vertical_residual`.
+    """
+    matches = track_corners(left, right, coarse)
+    try:
+        residual = residual_of(matches)
+    except InsufficientData:
+        return vertical_residual(left, right)
+    sound = residual.trend.largest < _FOLLOWED and residual.scatter < _SHARP * matches.coarseness
+    return residual if sound else vertical_residual(left, right)
+
+
+def residual_of(matches: Matches) -> Residual:
+    """Return how far the rows of matches are off; raises InsufficientData if too few agree."""
+    dy = matches.right[:, 1] - matches.left[:, 1]
+    at = _normalised(np.column_stack([matches.right[:, 0], matches.left[:, 1]]), matches.size)
+    plane = np.column_stack([np.ones(len(at)), at])
+    weights = _agreement(plane, dy, _NEAR * matches.coarseness)
+    kept = weights > 0
+    needed = max(_FEWEST, round(_FEWEST_SHARE * len(dy)))
+    if kept.sum() < needed:
+        raise InsufficientData(
+            f"{len(dy)} features are alike in both images and {kept.sum()} agree on their rows, need {needed}; "
+            "do the images show the same scene?"
+        )
+    disparity = matches.left[:, 0] - matches.right[:, 0]
+    values, covariance = _solved(plane, dy, weights)
+    deviations = np.sqrt(np.diag(covariance))
+    off = dy[kept]
+    return Residual(
+        matches.size,
+        matches.left[kept],
+        off,
+        disparity[kept],
+        len(dy),
+        Measured(float(np.median(off)), _std_of_median(off)),
+        float(np.sqrt(np.mean(off**2))),
+        float(np.quantile(np.abs(off), 0.95)),
+        _NORMAL * float(np.median(np.abs(off - plane[kept] @ values))),
+        Trend(*(Measured(*map(float, pair)) for pair in zip(values, deviations, strict=True))),
+        _convergence(plane, disparity, dy, weights),
+        _in_pixels(values, matches.size),
+    )
+
+
+def row_correction(residual: Residual) -> Array | None:
+    """Return what brings the rows of the right image to the left one's, for `align_rows`; None if they may stay.
+
+    They may where the trend over the image is less than 0.1 px (RMS), or than three of its standard errors.
+    Raises InvalidInput if it exceeds 5 px.
+    """
+    trend = residual.trend
+    if trend.largest > LARGEST_CORRECTION:
+        raise InvalidInput(
+            f"rows differ by up to {trend.largest:.1f} px, more than the {LARGEST_CORRECTION:g} px that can be put "
+            "right without a camera file; rectify the pair first"
+        )
+    sure = any(abs(value) > _SURE * std for value, std in (trend.centre, trend.tilt, trend.scale))
+    return residual.rows if sure and trend.rms > NEGLIGIBLE else None
+
+
+def align_rows(right: Array, correction: Array) -> Array:
+    """Return the right image (H, W[, C]) with its rows where the left image has them, in its own type.
+
+    correction: (3,) as `row_correction` gives it. Beyond the upper and lower edge the first and last row go on.
+    """
+    height, width = right.shape[:2]
+    across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    down += correction[0] * across + correction[1] * down + correction[2]
+    return Maps(across, np.clip(down, 0, height - 1), (width, height), "linear").apply(right)
+
+
+def _normalised(pixels: Array, size: tuple[int, int]) -> Array:
+    """Return pixels (N, 2) as places from -1/2 to 1/2 across the image."""
+    return np.asarray(pixels / np.maximum(np.subtract(size, 1), 1) - 0.5)
+
+
+def _in_pixels(values: Array, size: tuple[int, int]) -> Array:
+    """Return the map over pixels of a plane over places from -1/2 to 1/2."""
+    slopes = values[1:] / np.maximum(np.subtract(size, 1), 1)
+    return np.array([*slopes, values[0] - values[1:].sum() / 2])
+
+
+def _agreement(plane: Array, dy: Array, near: float) -> Array:
+    """Return the weights (N,) from 0 to 1 of matches about the plane that most of them agree on to `near` pixels.
+
+    Source: Beaton and Tukey, The Fitting of Power Series, Technometrics 1974, for the biweight.
+    """
+    if len(dy) < _FEWEST:
+        return np.zeros(len(dy))
+    weights: Array = (np.abs(dy - plane @ _most_agreed(plane, dy, near)) < near).astype(float)
+    for _ in range(_ROUNDS):
+        off = np.abs(dy - plane @ _solved(plane, dy, weights)[0])
+        scatter = float(np.clip(_NORMAL * np.median(off[weights > 0]), _LEAST_SCATTER, near))
+        before, weights = weights, np.maximum(1 - (off / (_BREAK * scatter)) ** 2, 0) ** 2
+        if np.abs(weights - before).max() < 1e-6:
+            break
+    return weights
+
+
+def _most_agreed(plane: Array, dy: Array, near: float) -> Array:
+    """Return the plane (3,) through three matches that the most others lie near."""
+    random = np.random.default_rng(_SEED)
+    triples = random.integers(len(dy), size=(_GUESSES, 3))
+    level = np.column_stack([dy, np.zeros_like(dy), np.zeros_like(dy)])[triples[:, 0]]
+    corners = plane[triples]
+    firm = np.abs(np.linalg.det(corners)) > 1e-3  # others hardly span the image
+    level[firm] = np.linalg.solve(corners[firm], dy[triples[firm]][..., None])[..., 0]
+    off = np.minimum(np.abs(level @ plane.T - dy), near)
+    return np.asarray(level[np.argmin(off.sum(axis=1))])
+
+
+def _solved(design: Array, dy: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the values (K,) of a weighted fit and their covariance (K, K)."""
+    normal = np.linalg.pinv(design.T @ (weights[:, None] * design))
+    values = normal @ (design.T @ (weights * dy))
+    off = dy - design @ values
+    freedom = max(float(weights.sum()) - design.shape[1], 1.0)
+    # Huber, Robust Statistics, eq. 6.5 without its small-sample factor: how much the weighted sums themselves scatter.
+    spread = normal @ (design.T @ ((weights * off)[:, None] ** 2 * design)) @ normal
+    return values, spread * weights.sum() / freedom
+
+
+def _std_of_median(values: Array) -> float:
+    """Return the standard error of a median of normal values."""
+    scatter = _NORMAL * float(np.median(np.abs(values - np.median(values))))
+    return max(scatter, _LEAST_SCATTER) * sqrt(np.pi / 2 / len(values))
+
+
+def _convergence(plane: Array, disparity: Array, dy: Array, weights: Array) -> Measured | None:
+    """Return how rows depend on disparity where the plane is allowed for, None where the two cannot be told apart."""
+    flat, _ = _solved(plane, disparity, weights)
+    own = disparity - plane @ flat
+    if np.sqrt(np.average(own**2, weights=weights)) < _LEAST_SPREAD:
+        return None
+    values, covariance = _solved(np.column_stack([plane, own]), dy, weights)
+    return Measured(float(values[3]), float(np.sqrt(covariance[3, 3])))

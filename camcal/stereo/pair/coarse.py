@@ -1,0 +1,157 @@
+"""Roughly where pixels of a pair are in the other image: two looks at reduced size, the first at all there could be."""
+
+import math
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.stereo.pair.features import require_pair
+
+LOOKS = (128, 256)  # px of width; the first look is for all disparities up to half the width, either sign
+
+_WIDENED = 0.15  # of the span of the first look, on either side, for the second
+_WINDOW = 9  # px; larger than texture, smaller than what light does to a surface
+_FLAT = 2.0  # counts; contrast below the noise of a camera is not made into texture
+_CONTRAST = 40.0  # counts of the 8 bits that are matched for one standard deviation
+_STEP = 16  # fixed point of OpenCV's disparities, and what their number must be a multiple of
+_BLOCK = 3
+_SMALL_STEP, _LARGE_STEP = 8 * _BLOCK**2, 32 * _BLOCK**2  # penalties OpenCV's manual suggests
+_UNIQUE = 5  # percent by which the best match beats the second
+_ALIKE = 0.6  # correlation of what is matched; lower where a match is wrong, or in shadow, or in noise
+_PATCHES = (8, 25)  # px of a look that agree on a disparity, at least
+_BODY = (0.05, 0.95)  # quantiles of the disparities that bound what all of the scene but its ends has
+_BANDS = 1 / 3  # of the width; more is no band at the side of the image any more
+_PRICE = 0.007  # share of the matches that makes a range worth widening by its own span
+_NEARLY_ALL, _LEAST_SPAN = (0.02, 0.98), 2.0  # quantiles, and pixels, of that span
+_FEWEST = 50  # matches
+_FEWEST_SHARE = 0.02  # of the pixels; noise alone gives fewer
+
+
+def coarse_map(left: Array, right: Array) -> Array:
+    """Return disparities (h, w) float32 of the left image reduced to 256 columns, pixels of the image itself.
+
+    left, right: (H, W) uint8, rows aligned to a few pixels. Good to about a column of the map; NaN where unknown, and
+    everywhere if too little of the images can be matched.
+    Raises InvalidInput for images of different sizes.
+    """
+    pairs = [require_pair(left, right)]
+    for width in reversed(LOOKS):
+        pairs.append((_reduced(pairs[-1][0], width), _reduced(pairs[-1][1], width)))
+    if left.shape[1] < _WINDOW:  # which no window fits in, and in which OpenCV's matcher may divide by zero
+        return np.full(pairs[1][0].shape, np.nan, np.float32)
+    half = pairs[-1][0].shape[1] // 2
+    low, high = float(-half), float(half)
+    found: Array = np.zeros(0, np.float32)
+    for (first, second), smallest in zip(reversed(pairs[1:]), _PATCHES, strict=True):
+        scale = left.shape[1] / first.shape[1]
+        look = math.floor(low / scale), math.ceil(high / scale)
+        found = scale * _matched(evened(first), evened(second), look, smallest)
+        known = found[np.isfinite(found)]
+        if known.size < max(_FEWEST, _FEWEST_SHARE * found.size):
+            return np.full(pairs[1][0].shape, np.nan, np.float32)
+        low, high = worthwhile_range(known)
+        wider = _WIDENED * (high - low) + 2 * scale
+        low, high = low - wider, high + wider
+    return found
+
+
+def worthwhile_range(disparities: Array) -> tuple[float, float]:
+    """Return the range that holds most matches for its width: a stretch at an end must hold its share, or is left out.
+
+    A stray match far off would widen the range more than all else; a small thing near the rest widens it little.
+    """
+    ordered = np.sort(disparities)
+    middle = ordered.size // 2
+    span = max(float(np.ptp(np.quantile(ordered, _NEARLY_ALL))), _LEAST_SPAN)
+    held = np.arange(ordered.size) / ordered.size - _PRICE / span * ordered
+    return float(ordered[np.argmin(held[: middle + 1])]), float(ordered[middle + np.argmax(held[middle:])])
+
+
+def evened(gray: Array, side: int = _WINDOW) -> Array:
+    """Return an image with mean 0 and contrast 1 in every window of a side, so that exposure no longer matters."""
+    window = (side, side)
+    values = gray.astype(np.float32)
+    values -= cv2.blur(values, window)
+    return np.asarray(values / cv2.sqrt(cv2.blur(values * values, window) + np.float32(_FLAT**2)))
+
+
+def as_counts(image: Array) -> Array:
+    """Return an evened image as uint8: 40 counts for one standard deviation."""
+    return np.asarray(cv2.convertScaleAbs(np.maximum(image + 128 / _CONTRAST, 0), alpha=_CONTRAST))
+
+
+def _reduced(gray: Array, width: int) -> Array:
+    scale = width / gray.shape[1]
+    if scale >= 1:
+        return gray
+    size = (width, max(1, round(scale * gray.shape[0])))
+    return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA))
+
+
+def _matched(left: Array, right: Array, look: tuple[int, int], smallest: int) -> Array:
+    """Return the disparities (H, W) of evened images within `look`, pixels of theirs, NaN where they fail a test."""
+    low, high = look
+    count = -(-(high - low + 1) // _STEP) * _STEP
+    counts = _semi_global(left, right, low, count)
+    none = (low - 1) * _STEP
+    values: Array = counts.astype(np.float32) / _STEP
+    counts[(counts == none) | ~_alike(left, right, values)] = none
+    cv2.filterSpeckles(counts, none, smallest, _STEP)
+    known = counts != none
+    if known.any():
+        _forget_bands(known, values)
+    values[~known] = np.nan
+    return values
+
+
+def _semi_global(left: Array, right: Array, low: int, count: int) -> Array:
+    """Return disparities (H, W) int16 in sixteenths of a pixel; what has no partner on the way back is low - 1."""
+    # Beside the image stands gray, or OpenCV drops the columns whose partners could lie outside.
+    sides = (0, 0, max(0, low + count), max(0, -low))
+    padded = [
+        cv2.copyMakeBorder(
+            as_counts(image),
+            *sides,
+            cv2.BORDER_CONSTANT,
+            value=(128.0,),
+        )
+        for image in (left, right)
+    ]
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=low,
+        numDisparities=count,
+        blockSize=_BLOCK,
+        P1=_SMALL_STEP,
+        P2=_LARGE_STEP,
+        disp12MaxDiff=1,
+        preFilterCap=63,
+        uniquenessRatio=_UNIQUE,
+        mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
+    )
+    counts = matcher.compute(padded[0], padded[1])
+    return np.ascontiguousarray(counts[:, sides[2] : sides[2] + left.shape[1]])
+
+
+def _alike(left: Array, right: Array, disparity: Array) -> Array:
+    """Return the mask (H, W) of pixels whose surroundings correlate with what the disparity says is the same."""
+    across, down = np.meshgrid(*(np.arange(count, dtype=np.float32) for count in reversed(left.shape)))
+    across -= disparity
+    there = cv2.remap(right, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    window = (5, 5)
+    product = cv2.blur(left * there, window)
+    powers = cv2.blur(left * left, window) * cv2.blur(there * there, window)
+    inside = (across >= 0) & (across <= left.shape[1] - 1)
+    return np.asarray(inside & (product > _ALIKE * np.sqrt(np.maximum(powers, 0))))
+
+
+def _forget_bands(known: Array, disparity: Array) -> None:
+    """Take the sides of the left image, which the right one cannot show, out of the mask `known`.
+
+    What is matched there is matched with the band at the other side, wherever that happens to look the same.
+    """
+    low, high = np.quantile(disparity[known], _BODY)
+    width = known.shape[1]
+    if max(0, high) - min(0, low) < _BANDS * width:
+        known[:, : max(0, int(high))] = False
+        known[:, width + min(0, int(low)) :] = False

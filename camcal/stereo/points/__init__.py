@@ -1,0 +1,1 @@
+"""From disparity to points in space."""

@@ -1,0 +1,102 @@
+"""Where the points of a cloud are said to be: the frames, and pixels with their depth taken to one of them."""
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.geometry.pose import Pose
+from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.vertices import LEFT_CAMERA, METRES
+
+OPTICAL = "optical"
+CAMERA = "camera"
+ROS = "ros"
+OPENGL = "opengl"
+ENU = "enu"
+
+UNITS = MappingProxyType({METRES: 1.0, "mm": 1000.0})
+
+_TURNS = {
+    ROS: np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),  # REP 103
+    OPENGL: np.diag([1.0, -1, -1]),
+}
+_WORDS = {
+    OPTICAL: LEFT_CAMERA,
+    CAMERA: "left camera before rectification: x right, y down, z forward",
+    ROS: "left camera: x forward, y left, z up",
+    OPENGL: "left camera: x right, y up, z backward",
+    ENU: "world: x east, y north, z up",
+}
+FRAMES = tuple(_WORDS)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame in words, and the pose that takes points of the rectified left camera (x right, y down, z forward) there.
+
+    unit: of the coordinates, m or mm.
+    """
+
+    frame_T_left: Pose = field(default_factory=Pose.identity)
+    words: str = LEFT_CAMERA
+    unit: str = METRES
+
+
+def frame_named(
+    name: str, camera_R_rectified: Array | None = None, world_T_camera: Pose | None = None, unit: str = METRES
+) -> Frame:
+    """Return the frame of a name, or with a pose the world of that pose.
+
+    The pose takes points from the frame named to the world: with ros, that of a camera whose x looks forward. With enu
+    it takes them from the optical frame. camera_R_rectified: (3, 3), for the frame `camera`.
+    Raises InvalidInput for an unknown name or unit, and where a frame needs what is not given.
+    """
+    if name not in _WORDS:
+        raise InvalidInput(f"frame {name!r} is unknown; use one of {', '.join(FRAMES)}")
+    if unit not in UNITS:
+        raise InvalidInput(f"unit {unit!r} is unknown; use one of {', '.join(UNITS)}")
+    if name == ENU and world_T_camera is None:
+        raise InvalidInput("the frame enu needs --pose: where the camera is in the world")
+    if name == CAMERA and camera_R_rectified is None:
+        raise InvalidInput("the frame camera needs to know how the pair was rectified: no sidecar of the map says so")
+    turns = _TURNS if camera_R_rectified is None else {**_TURNS, CAMERA: camera_R_rectified}
+    named_T_left = Pose(turns.get(name, np.eye(3)), np.zeros(3))
+    if world_T_camera is None:
+        return Frame(named_T_left, _WORDS[name], unit)
+    return Frame(world_T_camera @ named_T_left, _WORDS[ENU] if name == ENU else "world of the pose given", unit)
+
+
+class BackProjection:
+    """Pixels and their depths as points in a frame: X = (u - cx) z / fx, Y = (v - cy) z / fy, then the frame's pose."""
+
+    def __init__(self, geometry: StereoGeometry, shape: tuple[int, int], frame: Frame) -> None:
+        """Prepare for images of a shape (height, width)."""
+        scale = UNITS[frame.unit]
+        rotation = frame.frame_T_left.rotation
+        x = (np.arange(shape[1]) - geometry.cx) / geometry.fx
+        y = (np.arange(shape[0]) - geometry.cy) / geometry.fy
+        self._rotation = rotation.astype(np.float32)
+        self._offset = (scale * frame.frame_T_left.translation).astype(np.float32)
+        # A ray at depth 1 is what its column says plus what its row says.
+        self._across = (scale * rotation[:, :1] * x).astype(np.float32)
+        self._down = (scale * (rotation[:, 1:2] * y + rotation[:, 2:])).astype(np.float32)[..., None]
+
+    def coordinate(self, axis: int, rows: slice, depth: Array) -> Array:
+        """Return coordinate 0, 1 or 2 of the points of some rows with depths (N, W), metres; in the frame's unit."""
+        across, down = self._across[axis], self._down[axis][rows]
+        ray = across if not down.any() else down if not across.any() else across + down
+        values = ray * depth
+        if self._offset[axis]:
+            values += self._offset[axis]
+        return np.asarray(values)
+
+    def points(self, rows: slice, depth: Array) -> Array:
+        """Return the points (N, W, 3) of some rows with depths (N, W), metres; in the frame's unit."""
+        return np.stack([self.coordinate(axis, rows, depth) for axis in range(3)], axis=-1)
+
+    def turned(self, directions: Array) -> Array:
+        """Return directions of the rectified left camera, their components (3, N, W), in the frame."""
+        return np.tensordot(self._rotation, directions, axes=1)

@@ -1,0 +1,148 @@
+"""Which pixels of a stereo image become points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.raw.planes import Each, one_by_one
+from camcal.stereo.points.depth import StereoImage, require_size, row_blocks, widened
+from camcal.stereo.points.frames import BackProjection, Frame
+from camcal.stereo.points.outliers import METHODS, ORGANISED, RADIUS, REACH, has_company, has_neighbours
+
+_BLOCK = 1 << 17  # pixels worked on at a time: few enough for the cache, enough for threads
+_MEDIAN_OF = 1 << 20
+_METRES_OF_LEFT = Frame()
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What a pixel with a match has to fulfil besides.
+
+    depth: nearest and farthest z along the optical axis, metres. crop: lowest and highest of x, y and z, (3, 2), metres
+    in the frame of the cloud. mask: (H, W) bool, True where points are wanted. max_sigma: largest standard deviation of
+    the depth, as a share of it. min_confidence: see `Confidence`. stride: only every so many rows and columns.
+    outliers: one of METHODS; with radius, metres, None for 1 % of the median depth.
+    """
+
+    depth: tuple[float, float] = (0.0, float("inf"))
+    crop: Array | None = None
+    mask: Array | None = None
+    max_sigma: float | None = None
+    min_confidence: int | None = None
+    stride: int = 1
+    outliers: str = ORGANISED
+    radius: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.depth[0] < self.depth[1]:
+            raise InvalidInput(f"the depth range {self.depth[0]:g} … {self.depth[1]:g} m is empty")
+        if self.crop is not None and not np.all(self.crop[:, 0] < self.crop[:, 1]):
+            raise InvalidInput("the crop is empty; write xmin,xmax,ymin,ymax,zmin,zmax in metres")
+        if self.max_sigma is not None and not self.max_sigma > 0:
+            raise InvalidInput(f"the largest standard deviation must be positive, found {self.max_sigma:g}")
+        if self.stride < 1:
+            raise InvalidInput(f"a stride of {self.stride}, need at least 1")
+        if self.outliers not in METHODS:
+            raise InvalidInput(f"outliers {self.outliers!r} is unknown; use one of {', '.join(METHODS)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """kept: (H, W) bool, True for pixels that become points. matched: how many have a match. outliers: how many are
+    left out because they stand alone, of those with a match or, by radius, of those that were left.
+    """
+
+    kept: Array
+    matched: int
+    outliers: int
+
+
+def select(image: StereoImage, selection: Selection, frame: Frame, each: Each = one_by_one) -> Selected:
+    """Return the pixels that become points in a frame; each: does work on blocks of rows, on threads if it has them.
+
+    Raises InvalidInput if the mask has another size, or sigma or confidence is asked for and not known.
+    """
+    require_size(selection.mask, image.shape, "mask")
+    if selection.min_confidence is not None and image.confidence is None:
+        raise InvalidInput("the confidence of the pixels is not known; no sidecar of the map names it")
+    in_metres = Frame(frame.frame_T_left)  # whatever the unit of the cloud is
+    places = BackProjection(image.geometry, image.shape, in_metres) if selection.crop is not None else None
+    kept = np.empty(image.shape, bool)
+    matched, alone = np.zeros((2, image.shape[0]), np.int64)
+
+    def choose(rows: slice) -> None:
+        chosen = image.matched(rows)
+        matched[rows.start] = np.count_nonzero(chosen)
+        if selection.outliers == ORGANISED:
+            wide, within = widened(rows, REACH, image.shape[0])
+            chosen &= has_company(image.shifted(wide), within)
+            alone[rows.start] = matched[rows.start] - np.count_nonzero(chosen)
+        _apply_range(image, selection, rows, chosen)
+        _apply_pictures(image, selection, rows, chosen)
+        if places is not None:
+            _apply_crop(places, selection, rows, image.depth(rows), chosen)
+        kept[rows] = chosen
+
+    each(choose, row_blocks(image.shape, _BLOCK))
+    if selection.stride > 1:
+        kept &= _on_grid(image.shape, selection.stride)
+    if selection.outliers == RADIUS:
+        alone[0] = _remove_lonely(image, selection.radius, kept)
+    return Selected(kept, int(matched.sum()), int(alone.sum()))
+
+
+def _apply_range(image: StereoImage, selection: Selection, rows: slice, chosen: Array) -> None:
+    """Leave out of the chosen pixels (N, W) of some rows those too near or too far."""
+    nearest, farthest = selection.depth
+    if nearest > 0 or farthest < np.inf:
+        depth = image.depth(rows)
+        chosen &= (depth >= np.float32(nearest)) & (depth <= np.float32(farthest))
+
+
+def _apply_pictures(image: StereoImage, selection: Selection, rows: slice, chosen: Array) -> None:
+    """Leave out of the chosen pixels (N, W) of some rows what mask, confidence and sigma speak against."""
+    if selection.mask is not None:
+        chosen &= selection.mask[rows]
+    if selection.min_confidence is not None and image.confidence is not None:
+        chosen &= image.confidence[rows] >= selection.min_confidence
+    if selection.max_sigma is not None:
+        chosen &= image.relative_sigma(rows) <= np.float32(selection.max_sigma)
+
+
+def _apply_crop(places: BackProjection, selection: Selection, rows: slice, depth: Array, chosen: Array) -> None:
+    crop = np.asarray(selection.crop)
+    for axis in range(3):
+        coordinate = places.coordinate(axis, rows, depth)
+        chosen &= (coordinate >= crop[axis, 0]) & (coordinate <= crop[axis, 1])
+
+
+def _on_grid(shape: tuple[int, int], stride: int) -> Array:
+    grid = np.zeros(shape, bool)
+    grid[::stride, ::stride] = True
+    return grid
+
+
+def _remove_lonely(image: StereoImage, radius: float | None, kept: Array) -> int:
+    """Leave points without neighbours out of the pixels kept (H, W) and return how many that were."""
+    places = BackProjection(image.geometry, image.shape, _METRES_OF_LEFT)
+    blocks = row_blocks(image.shape, _BLOCK)
+    points = np.concatenate([places.points(rows, image.depth(rows))[kept[rows]] for rows in blocks])
+    accompanied = has_neighbours(points, radius)
+    kept[kept] = accompanied
+    return len(points) - int(accompanied.sum())
+
+
+def depth_figures(image: StereoImage, kept: Array) -> tuple[float, float, float] | None:
+    """Return the smallest, median and largest depth of the pixels kept, (H, W) bool, metres; None if there are none.
+
+    Of many pixels the median is that of every n-th, since finding it of all takes longer than writing them.
+    """
+    step = 1 + np.count_nonzero(kept) // _MEDIAN_OF
+    lowest, highest, some = np.inf, 0.0, []
+    for rows in row_blocks(image.shape, _BLOCK):
+        depth = image.depth_of_matches(rows)[kept[rows]]
+        lowest, highest = float(depth.min(initial=lowest)), float(depth.max(initial=highest))
+        some.append(depth[::step])
+    return (lowest, float(np.median(np.concatenate(some))), highest) if highest else None

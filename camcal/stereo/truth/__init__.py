@@ -1,0 +1,1 @@
+"""Disparity against what is known to be true."""

@@ -1,0 +1,280 @@
+"""Errors of a disparity map against the truth, the way Middlebury and KITTI count them.
+
+Every figure is given for the non-occluded pixels and for all that have a truth, and there twice: with pixels without a
+disparity counted as bad, and among those that have one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.truth.sparsification import Sparsification, sparsify
+
+NON_OCCLUDED = "nocc"
+ALL = "all"
+AMONG_VALID = "-valid"
+THRESHOLDS = (0.5, 1.0, 2.0, 3.0, 4.0)
+
+FIGURES = (
+    "density", *(f"bad{threshold:g}" for threshold in THRESHOLDS), "d1", "avg", "rms", "a50", "a90", "a99",
+    "z_avg_m", "z_a50_m", "z_a90_m", "z_avg_percent", "z_a50_percent", "z_a90_percent", "within1", "within2", "ause",
+)  # fmt: skip
+AT_LEAST = ("density", "within1", "within2")  # of all other figures less is better
+
+_QUANTILES = (50, 90, 99)
+_ONE_SIGMA = 68  # percent
+_MEANS = ("error68", "bad1", "bad2", "sigma", "within1", "within2")
+_SAME_VIEW = 0.01  # of the ratio of width to height: the same images at another size
+
+
+@dataclass(frozen=True)
+class ClassErrors:
+    """The errors of the pixels of one confidence class that have a truth and a disparity.
+
+    share: of all such pixels, percent. error68: what 68 % of the errors stay below, pixels. sigma: median of what was
+    predicted, pixels, None where nothing was. bad1, bad2, within1, within2 (1 and 2 sigma): percent.
+    """
+
+    name: str
+    pixels: int
+    share: float
+    error68: float
+    bad1: float
+    bad2: float
+    sigma: float | None = None
+    within1: float | None = None
+    within2: float | None = None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a disparity map is worth, as columns of figures.
+
+    figures: by column, nocc and all with "-valid" appended for the pixels that have a disparity, then by name. In
+    percent: bad0.5 … bad4 (error above so many pixels), d1 (above 3 pixels and 5 % of the truth), density. In pixels:
+    avg, rms, a50, a90, a99 (what so many percent stay below). z_avg_m, z_a50_m, z_a90_m and z_…_percent: errors of the
+    depth, where the geometry is known. within1, within2: percent of errors within 1 and 2 sigma, ause: see
+    `Sparsification`, where sigma is known. pixels: how many each column counts.
+    """
+
+    figures: Mapping[str, Mapping[str, float]]
+    pixels: Mapping[str, int]
+    classes: tuple[ClassErrors, ...] = ()
+    sparsification: Sparsification | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What the matcher said of its own errors: sigma (H, W) pixels, NaN where unknown; confidence (H, W) classes."""
+
+    sigma: Array | None = None
+    confidence: Array | None = None
+
+
+def evaluate(
+    disparity: Array,
+    truth: Array,
+    visible: Array | None = None,
+    geometry: StereoGeometry | None = None,
+    prediction: Prediction | None = None,
+) -> Evaluation:
+    """Return the errors of a disparity map.
+
+    disparity, truth: (H, W) pixels, NaN where there is none. visible: (H, W) bool, what both cameras see.
+    Raises InvalidInput if the sizes differ, InsufficientData if no pixel to be counted has a truth.
+    """
+    prediction = prediction or Prediction()
+    _require_size("truth", truth, disparity)
+    for name, image in (("mask", visible), ("sigma", prediction.sigma), ("confidence", prediction.confidence)):
+        _require_size(name, image, disparity)
+    known = np.isfinite(truth)
+    regions = {ALL: known} if visible is None else {NON_OCCLUDED: known & visible, ALL: known}
+    figures: dict[str, Mapping[str, float]] = {}
+    pixels: dict[str, int] = {}
+    curves = None
+    for region, counted in regions.items():
+        if not counted.any():
+            raise InsufficientData(f"no pixel of {region} has a truth")
+        pairs = _Pixels.of(disparity, truth, prediction, counted)
+        valid = pairs.valid()
+        curves = None if valid.sigma is None else sparsify(valid.error, valid.sigma)
+        figures |= {region: _all_figures(pairs), region + AMONG_VALID: _valid_figures(valid, geometry, curves)}
+        pixels |= {region: len(pairs.error), region + AMONG_VALID: len(valid.error)}
+    return Evaluation(figures, pixels, _by_class(valid), curves)
+
+
+class _Pixels(NamedTuple):
+    """The pixels of a region: (N,) each. error: pixels, infinite without a disparity."""
+
+    error: Array
+    disparity: Array
+    truth: Array
+    sigma: Array | None
+    confidence: Array | None
+
+    @staticmethod
+    def of(disparity: Array, truth: Array, prediction: Prediction, counted: Array) -> "_Pixels":
+        found, true = disparity[counted], truth[counted]
+        error = np.abs(found - true)
+        return _Pixels(
+            np.where(np.isfinite(error), error, np.inf),
+            found,
+            true,
+            _chosen(prediction.sigma, counted),
+            _chosen(prediction.confidence, counted),
+        )
+
+    def where(self, chosen: Array) -> "_Pixels":
+        error, disparity, truth = self.error[chosen], self.disparity[chosen], self.truth[chosen]
+        return _Pixels(error, disparity, truth, _chosen(self.sigma, chosen), _chosen(self.confidence, chosen))
+
+    def valid(self) -> "_Pixels":
+        return self.where(np.isfinite(self.error))
+
+
+def _chosen(values: Array | None, chosen: Array) -> Array | None:
+    return None if values is None else np.asarray(values[chosen])
+
+
+def mean_of(evaluations: Sequence[Evaluation]) -> Evaluation:
+    """Return the mean over several maps: of figures all of them have, each map alike; of classes, each pixel alike."""
+    first = evaluations[0]
+    if len(evaluations) == 1:
+        return first
+    figures = {
+        column: {
+            name: float(np.mean([other.figures[column][name] for other in evaluations]))
+            for name in names
+            if all(name in other.figures[column] for other in evaluations)
+        }
+        for column, names in first.figures.items()
+    }
+    pixels = {column: sum(other.pixels[column] for other in evaluations) for column in first.pixels}
+    found = [kind for other in evaluations for kind in other.classes]
+    names = [kind.name.lower() for kind in sorted(Confidence, reverse=True)]
+    same = [[kind for kind in found if kind.name == name] for name in names]
+    total = sum(kind.pixels for kind in found)
+    return Evaluation(figures, pixels, tuple(_mean_class(kinds, total) for kinds in same if kinds))
+
+
+def _mean_class(kinds: Sequence[ClassErrors], total: int) -> ClassErrors:
+    pixels = [kind.pixels for kind in kinds]
+
+    def mean(name: str) -> float | None:
+        values = [getattr(kind, name) for kind in kinds]
+        return None if None in values else float(np.average(values, weights=pixels))
+
+    means: dict[str, Any] = {name: mean(name) for name in _MEANS}
+    return replace(kinds[0], pixels=sum(pixels), share=100 * sum(pixels) / total, **means)
+
+
+def _all_figures(pixels: _Pixels) -> dict[str, float]:
+    return {"density": _percent(np.isfinite(pixels.error)), **_shares(pixels)}
+
+
+def _valid_figures(pixels: _Pixels, geometry: StereoGeometry | None, curves: Sparsification | None) -> dict[str, float]:
+    figures = {**_averages(pixels.error), **_shares(pixels)}
+    if geometry is not None:
+        figures |= _depth_errors(pixels, geometry)
+    if curves is not None:
+        figures |= _within(pixels) | {"ause": curves.area}
+    return figures
+
+
+def _shares(pixels: _Pixels) -> dict[str, float]:
+    """Return percentages of errors above thresholds, and what most errors stay below; infinite where too few do.
+
+    D1: Menze & Geiger, CVPR 2015.
+    """
+    error = pixels.error
+    bad = {f"bad{threshold:g}": _percent(error > threshold) for threshold in THRESHOLDS}
+    d1 = _percent((error > 3) & (error > 0.05 * np.abs(pixels.truth)))
+    return {**bad, "d1": d1, **_quantiles(error, _QUANTILES)}
+
+
+def _averages(error: Array) -> dict[str, float]:
+    if not error.size:
+        return {"avg": np.nan, "rms": np.nan}
+    wide = error.astype(np.float64)
+    return {"avg": float(wide.mean()), "rms": float(np.sqrt(np.mean(wide**2)))}
+
+
+def _depth_errors(pixels: _Pixels, geometry: StereoGeometry) -> dict[str, float]:
+    """Return errors of the depth where both disparities have one."""
+    depth, true_depth = (
+        StereoImage(values[None], geometry, signed=True).depth(slice(None))[0]
+        for values in (pixels.disparity, pixels.truth)
+    )
+    error = np.abs(depth - true_depth)
+    there = np.isfinite(error)
+    figures: dict[str, float] = {}
+    for unit, values in (("m", error[there]), ("percent", 100 * error[there] / true_depth[there])):
+        found = {"avg": _averages(values)["avg"], **_quantiles(values, (50, 90))}
+        figures |= {f"z_{name}_{unit}": value for name, value in found.items()}
+    return figures
+
+
+def _within(pixels: _Pixels) -> dict[str, float]:
+    """Return the percentages of errors within 1 and 2 sigma, of the pixels that have one."""
+    assert pixels.sigma is not None
+    predicted = np.isfinite(pixels.sigma)
+    error, sigma = pixels.error[predicted], pixels.sigma[predicted]
+    return {f"within{times}": _percent(error <= times * sigma) for times in (1, 2)}
+
+
+def _by_class(valid: _Pixels) -> tuple[ClassErrors, ...]:
+    """Return the errors of every confidence class that has pixels, the surest first."""
+    if valid.confidence is None:
+        return ()
+    found = {kind.name.lower(): valid.where(valid.confidence == kind) for kind in sorted(Confidence, reverse=True)}
+    return tuple(
+        _of_class(name, members, len(members.error) / len(valid.error))
+        for name, members in found.items()
+        if len(members.error)
+    )
+
+
+def _of_class(name: str, members: _Pixels, share: float) -> ClassErrors:
+    error, sigma = members.error, members.sigma
+    known = sigma is not None and bool(np.isfinite(sigma).any())
+    return ClassErrors(
+        name,
+        pixels=len(error),
+        share=100 * share,
+        error68=_quantiles(error, (_ONE_SIGMA,))[f"a{_ONE_SIGMA}"],
+        bad1=_percent(error > 1),
+        bad2=_percent(error > 2),
+        sigma=float(np.nanmedian(sigma)) if sigma is not None and known else None,
+        **(_within(members) if known else {}),
+    )
+
+
+def _percent(chosen: Array) -> float:
+    return 100 * float(np.mean(chosen)) if chosen.size else np.nan
+
+
+def _quantiles(values: Array, shares: Sequence[int]) -> dict[str, float]:
+    """Return, as a50 and so on, the smallest of the values which that many percent do not exceed."""
+    if not values.size:
+        return {f"a{share}": np.nan for share in shares}
+    places = [max(-(-share * values.size // 100) - 1, 0) for share in shares]
+    sorted_there = np.partition(values, places)
+    return {f"a{share}": float(sorted_there[place]) for share, place in zip(shares, places, strict=True)}
+
+
+def _require_size(name: str, image: Array | None, disparity: Array) -> None:
+    if image is None or image.shape == disparity.shape:
+        return
+    size, wanted = ("{1} × {0}".format(*array.shape) for array in (image, disparity))
+    across, down = disparity.shape[1] / image.shape[1], disparity.shape[0] / image.shape[0]
+    advice = ""
+    if name == "truth" and abs(across / down - 1) < _SAME_VIEW:
+        advice = f"; match images of that size, or make the truth {across:.4g} times as large and its values as well"
+    raise InvalidInput(f"the {name} is {size}, the disparity map {wanted}; they must be the same{advice}")

@@ -1,0 +1,79 @@
+"""Gaps filled, against a loop over the pixels of each row, and smoothing that keeps steps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camcal.stereo.matching.filling import everywhere, from_the_background, smoothed, without_spikes
+
+shapes = st.tuples(st.integers(1, 5), st.integers(1, 12))
+
+
+def some_map(seed, shape, gaps):
+    rng = np.random.default_rng(seed)
+    disparity = rng.integers(-20, 60, shape).astype(np.float32) / 4
+    disparity[rng.random(shape) < gaps] = np.nan
+    disparity[rng.random(shape[0]) < 0.2] = np.nan
+    return disparity
+
+
+def side_of(row, x, step):
+    """Return the value at a side of a gap, and how far away it is; None if the row ends before."""
+    distance = 0
+    while 0 <= x < len(row) and np.isnan(row[x]):
+        x, distance = x + step, distance + 1
+    return (float(row[x]), distance) if 0 <= x < len(row) else None
+
+
+def filled_by_a_loop(disparity):
+    """Return the filled map, the choice and the distance (3, H, W): the smaller of both sides, the left of equals."""
+    result = np.stack([disparity, np.zeros_like(disparity), np.zeros_like(disparity)])
+    for y, x in np.argwhere(np.isnan(disparity)):
+        sides = [side_of(disparity[y], x, step) for step in (-1, 1)]
+        known = [side for side in sides if side is not None]
+        if known:
+            value, distance = min(known, key=lambda side: side[0])
+            result[:, y, x] = value, abs(known[0][0] - known[-1][0]), distance
+    return result
+
+
+@given(shapes, st.sampled_from([0.1, 0.5, 0.9]), st.integers(0, 2**32 - 1))
+def test_gaps_are_filled_from_the_farther_side(shape, gaps, seed):
+    disparity = some_map(seed, shape, gaps)
+    filled, choice, distance = from_the_background(disparity)
+    expected, expected_choice, expected_distance = filled_by_a_loop(disparity)
+    np.testing.assert_array_equal(filled, expected)
+    np.testing.assert_array_equal(choice, expected_choice)
+    known = np.isfinite(expected)  # in a row without a side a distance means nothing
+    np.testing.assert_array_equal(distance[known], expected_distance[known])
+
+
+@given(shapes, st.integers(0, 2**32 - 1))
+def test_rows_that_have_none_are_those_of_the_nearest_that_has(shape, seed):
+    disparity = from_the_background(some_map(seed, shape, 0.5)).disparity
+    dense = everywhere(disparity)
+    rows = [y for y in range(shape[0]) if np.isfinite(disparity[y]).all()]
+    for y in range(shape[0]):
+        near = [other for other in rows if abs(other - y) == min(abs(row - y) for row in rows)]
+        assert not rows or any(np.array_equal(dense[y], disparity[other]) for other in near)
+    assert rows or np.isnan(dense).all()
+
+
+def test_a_spike_goes_and_a_step_stays():
+    disparity = np.full((20, 30), 5.0, np.float32)
+    disparity[:, 15:] = 25
+    expected = disparity.copy()
+    disparity[10, 5] = 60
+    np.testing.assert_array_equal(without_spikes(disparity), expected)
+    np.testing.assert_allclose(smoothed(disparity), expected, atol=1e-3)  # exp(-89): nothing comes over the step
+
+
+def test_noise_becomes_less():
+    noise = np.random.default_rng(1).normal(0, 0.3, (60, 80)).astype(np.float32)
+    assert smoothed(noise + 9).std() < noise.std() / 3  # the mean of some tens of pixels
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 3)])
+def test_maps_of_any_size_are_smoothed(shape):
+    np.testing.assert_allclose(smoothed(np.full(shape, -7.5, np.float32)), -7.5, rtol=1e-6)  # float32

@@ -1,0 +1,59 @@
+"""Large pairs by way of small ones: nearly as good as all at once, whatever their size."""
+
+import numpy as np
+import pytest
+from layered import layered_pair
+
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.matching import pyramid
+from camcal.stereo.matching.match import ALL, BALANCED, BEST, FILLS, MatchOptions, match
+from camcal.stereo.matching.semi_global import aggregate
+
+LEFT, RIGHT, TRUTH, VISIBLE = layered_pair((480, 360), (10, 21, 33))
+
+
+def bad2(found):
+    return np.mean(~(np.abs(found.values - TRUTH) <= 2)[VISIBLE])
+
+
+@pytest.mark.parametrize("quality", [BALANCED, BEST])
+def test_a_pair_is_matched_nearly_as_well_by_way_of_its_half_and_quarter_size(monkeypatch, quality):
+    options = MatchOptions(quality, fill=ALL)
+    direct = match(LEFT, RIGHT, options)
+    monkeypatch.setattr(pyramid, "LARGEST", 30_000)
+    stepwise = match(LEFT, RIGHT, options)
+    assert bad2(stepwise) < bad2(direct) + 0.02  # edges are found to the pixel of a quarter of the size, or so
+    known = VISIBLE & (stepwise.confidence > Confidence.FILLED)
+    assert np.quantile(np.abs(stepwise.values - TRUTH)[known], 0.68) < 0.1
+    assert stepwise.searched == direct.searched
+
+
+def test_no_more_costs_are_held_than_there_is_room_for(monkeypatch):
+    volumes = []
+
+    def recorded(costs, guide):
+        volumes.append(costs.nbytes)
+        return aggregate(costs, guide)
+
+    monkeypatch.setattr("camcal.stereo.matching.matchers.aggregate", recorded)
+    monkeypatch.setattr(pyramid, "_MOST_COSTS", 1_000_000)
+    match(LEFT, RIGHT, MatchOptions(BALANCED, (0, 63)))
+    assert max(volumes) <= 1_000_000
+
+
+def test_what_nothing_is_known_of_at_half_the_size_stays_unknown(monkeypatch):
+    monkeypatch.setattr(pyramid, "LARGEST", 2_000)
+    left, right = LEFT[:60, :81], RIGHT[:60, :81]
+    for quality in (BALANCED, BEST):
+        for fill in FILLS:
+            assert np.isnan(match(left, right, MatchOptions(quality, (300, 331), fill)).values).all()
+
+
+@pytest.mark.parametrize("size", [(1, 360), (480, 1), (75, 41), (101, 75)])
+@pytest.mark.parametrize("quality", [BALANCED, BEST])
+def test_images_of_any_size_have_a_half(monkeypatch, size, quality):
+    monkeypatch.setattr(pyramid, "LARGEST", 200)
+    image = LEFT[: size[1], : size[0]]
+    found = match(image, image, MatchOptions(quality, (-5, 6), ALL))
+    assert found.values.shape == image.shape
+    assert np.mean(np.abs(found.values) < 0.5) > 0.9  # both images are the same

@@ -1,0 +1,98 @@
+"""The range of disparities a pair tells: it holds the truth, is not much wider, and says when it knows nothing."""
+
+import cv2
+import numpy as np
+import pytest
+from textured import darker, noisy, textured_pair, waves
+
+from camcal.errors import InvalidInput
+from camcal.stereo.pair.coarse import coarse_map
+from camcal.stereo.pair.search_range import default_range, measured_range, search_range
+
+SLACK = 8  # px; two pixels of a look 256 wide, and rounding, on either side
+
+
+def assert_holds(found, truth, slack=SLACK):
+    low, high = found
+    assert low <= truth.min()
+    assert high >= truth.max()
+    assert high - low <= 1.4 * np.ptp(truth) + slack
+
+
+@pytest.mark.parametrize("ends", [(3, 20), (-12, 9), (40, 75), (0.5, 2.5), (-40, -20)])
+def test_the_range_holds_all_disparities_and_is_not_much_wider(ends):
+    truth = waves(*ends)
+    assert_holds(search_range(*textured_pair(truth)), truth)
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        lambda left, right: (noisy(left), noisy(right, seed=3)),
+        lambda left, right: (left, darker(right)),
+        lambda left, right: (left, np.roll(right, 1, axis=0)),
+        lambda left, right: (noisy(darker(left)), np.roll(noisy(right, seed=3), -1, axis=0)),
+    ],
+    ids=["noise", "exposure", "rows", "all"],
+)
+def test_noise_exposure_and_a_row_off_do_not_matter(spoilt):
+    truth = waves(5, 32)
+    assert_holds(search_range(*spoilt(*textured_pair(truth))), truth)
+
+
+def test_swapped_images_have_the_opposite_range():
+    truth = waves(8, 30)
+    left, right = textured_pair(truth)
+    assert_holds(search_range(right, left), -truth)
+
+
+def test_large_images_have_large_disparities():
+    truth = waves(180, 700, (4000, 3000))
+    small = textured_pair(waves(18, 70, (400, 300)))
+    left, right = (cv2.resize(image, (4000, 3000), interpolation=cv2.INTER_CUBIC) for image in small)
+    assert_holds(search_range(left, right), truth, slack=SLACK * 4000 / 256)
+
+
+def test_identical_images_have_a_narrow_range_about_zero():
+    left, _ = textured_pair(waves(8, 30))
+    low, high = search_range(left, left)
+    assert -6 <= low <= 0 <= high <= 6
+
+
+@pytest.mark.parametrize("contrast", [0, 3, 30])
+def test_images_that_share_nothing_tell_no_range_and_get_the_stated_default(contrast):
+    flat = np.full((240, 320), 100, np.uint8)
+    left, right = noisy(flat, contrast, seed=1), noisy(flat, contrast, seed=2)
+    assert measured_range(left, right) is None
+    assert np.isnan(coarse_map(left, right)).all()
+    assert search_range(left, right) == default_range(320) == (0, 53)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (3, 5), (9, 14), (300, 16), (4, 2000)])
+def test_images_of_any_size_get_a_range(shape):
+    left, right = (noisy(np.full(shape, 100, np.uint8), 30, seed) for seed in (1, 2))
+    low, high = search_range(left, right)
+    assert low < high
+
+
+def test_a_small_pair_is_measured_in_full():
+    truth = waves(2, 6, (48, 36))
+    assert_holds(search_range(*textured_pair(truth)), truth)
+
+
+def test_the_range_does_not_depend_on_the_number_of_threads():
+    pair = textured_pair(waves(5, 32))
+    threads = cv2.getNumThreads()
+    try:
+        found = []
+        for count in (1, 4):
+            cv2.setNumThreads(count)
+            found.append(coarse_map(*pair))
+    finally:
+        cv2.setNumThreads(threads)
+    np.testing.assert_array_equal(*found)
+
+
+def test_images_of_different_sizes_are_refused():
+    with pytest.raises(InvalidInput, match="differ in size: 8x6 and 8x7"):
+        search_range(np.zeros((6, 8), np.uint8), np.zeros((7, 8), np.uint8))
