@@ -291,7 +291,7 @@ pnp camera.yaml detections.csv
 demosaic mosaic.npy -o colour.tiff --pattern RGGB
 simulate chessboard:5x4:30mm -o raw_scene --views 1 --size 320x240 --raw RGGB --flats 3 --darks 2 --jobs 1
 sensor raw_scene/flats --dark raw_scene/darks --pattern RGGB -o sensor.yaml --jobs 1
-simulate --stereo -o pairs --size 320x240 --jobs 1
+simulate --stereo -o pairs --size 160x120 --objects 3 --jobs 1
 stereo check pairs/left/000.png pairs/right/000.png --jobs 1
 stereo disparity pairs/left/000.png pairs/right/000.png pairs/rig.yaml -o disparity.pfm --jobs 1
 stereo cloud disparity.pfm -o cloud.ply

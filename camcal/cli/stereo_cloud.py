@@ -95,8 +95,8 @@ def cloud(
             metavar="PIXELS", help="Standard deviation of the disparity; by default the image the sidecar names."
         ),
     ] = None,
-    organized: Annotated[
-        bool, typer.Option("--organized", help="Write a place for every pixel, NaN where there is no point (.pcd).")
+    organised: Annotated[
+        bool, typer.Option("--organised", help="Write a place for every pixel, NaN where there is no point (.pcd).")
     ] = False,
     ascii_text: Annotated[bool, typer.Option("--ascii", help="Write PLY or PCD as text.")] = False,
     jobs: shared.Jobs = None,
@@ -131,7 +131,7 @@ def cloud(
             voxel,
             max_points,
         ),
-        VertexOptions(frame, unit, pose, normals, sigma, organized, ascii_text),
+        VertexOptions(frame, unit, pose, normals, sigma, organised, ascii_text),
         jobs,
     )
     if disparity.is_dir():

@@ -11,7 +11,7 @@ from camcal.cli import show
 if TYPE_CHECKING:
     from camcal.tasks.stereo_eval import EvalReport, PairReport
 
-LISTED = 20
+LISTED = 10
 
 
 def evaluate(
@@ -102,9 +102,9 @@ def evaluate(
 def _show(report: "EvalReport", verbose: bool) -> None:
     from camcal.report.disparity_errors import CLASS_COLUMNS, class_rows, figure_rows
 
-    shown = report.pairs if verbose or len(report.pairs) == 1 else report.pairs[:LISTED]
+    shown = report.pairs if verbose else report.pairs[:LISTED]
     for pair in shown:
-        _show_pair(pair)
+        _show_pair(pair, in_full=verbose or len(report.outcomes) == 1)
     if len(shown) < len(report.pairs):
         show.text(f"… and {len(report.pairs) - len(shown)} more (--verbose lists all)")
     title = "errors" if len(report.outcomes) == 1 else f"mean over {len(report.pairs)} maps"
@@ -118,10 +118,12 @@ def _show(report: "EvalReport", verbose: bool) -> None:
             show.text(f"failed: {outcome.error}")
 
 
-def _show_pair(pair: "PairReport") -> None:
+def _show_pair(pair: "PairReport", *, in_full: bool) -> None:
     show.text(
         f"{pair.files.disparity} (count / {pair.scale:g}) against {pair.files.truth} (count / {pair.truth_scale:g})"
     )
+    if not in_full:
+        return
     show.text(f"  occluded by: {pair.occlusion}")
     if pair.geometry is not None:
         geometry = pair.geometry

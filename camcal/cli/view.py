@@ -36,8 +36,9 @@ def view(
     frame: Annotated[
         str | None,
         typer.Option(
-            metavar="WORDS",
-            help="Where the axes of a cloud point, such as 'x forward, y left, z up'; by default what its file says.",
+            metavar="NAME|WORDS",
+            help="Where the axes of a cloud point: optical, camera, ros, opengl, enu, or words such as "
+            "'x forward, y left, z up'; by default what its file says.",
         ),
     ] = None,
     colour: Annotated[
@@ -118,7 +119,7 @@ def view(
 def _show(report: "ViewReport") -> None:
     if report.points:
         shown = report.shown + report.outside
-        points = f"{report.points} points" if shown == report.points else f"{shown} of {report.points} points, evenly"
-        outside = f", {report.outside} far outside left out" if report.outside else ""
-        show.text(f"{points}{outside}, by {report.colour}, {report.unit}, {report.frame}")
+        points = f"{report.points} points" if shown == report.points else f"{shown} of {report.points} points"
+        outside = f" ({report.outside} far outside left out)" if report.outside else ""
+        show.text(f"{points}{outside} in {report.unit}, coloured by {report.colour}; {report.frame}")
     show.text(f"wrote {report.output}" if report.output else "opened the Rerun viewer")

@@ -66,6 +66,12 @@ def find_images(
     return list(media.images)
 
 
+def require_there(path: Path) -> None:
+    """Raise FileError, with the nearest name beside it, unless a file or folder is there."""
+    if not path.exists():
+        raise FileError(_missing(path), where=str(path))
+
+
 def record_outputs(folder: Path, names: Iterable[str]) -> None:
     """Add file names to the list of what camcal wrote into `folder`."""
     known = _outputs(folder) | set(names)

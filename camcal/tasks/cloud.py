@@ -15,7 +15,7 @@ from camcal.formats.disparity_sidecar import ZERO, Sidecar
 from camcal.images.load import load
 from camcal.progress import SILENT, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.inputs import split_address
+from camcal.run.inputs import require_there, split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
@@ -115,6 +115,7 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
     Raises InvalidInput for a geometry that is incomplete or not rectified, sizes that differ, and for what is asked of
     a point and not known; FileError.
     """
+    require_there(options.disparity)
     pointclouds.require_suffix(options.output, ascii_text=options.vertices.ascii_text)
     if options.vertices.organised and options.output.suffix.lower() not in GRIDS:
         raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))

@@ -78,10 +78,11 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     pictures = _pictures(pairs, options.output)
     work = partial(_check_files, pictures=pictures)
     if len(pairs) == 1:
-        return [Outcome(pairs[0], _warned(work(pairs[0]), progress))]
-    outcomes = list(fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress))
+        outcomes = [Outcome(pairs[0], work(pairs[0]))]
+    else:
+        outcomes = list(fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress))
     checked = [_warned(outcome.value, progress) for outcome in outcomes if outcome.value is not None]
-    if options.output is not None:
+    if options.output is not None and options.output not in pictures.values():  # it is a folder
         record_outputs(options.output, [pair.picture.name for pair in checked if pair.picture is not None])
     return outcomes
 

@@ -88,9 +88,12 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     outputs = _places(pairs, options)
     work = partial(_match_files, options=options, outputs=outputs)
     if len(pairs) == 1:
-        return [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
-    outcomes = list(_all_alike(pairs, work, options, progress))
-    record_outputs(options.output, [name for outcome in outcomes if outcome.value for name in _names(outcome.value)])
+        outcomes = [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
+    else:
+        outcomes = list(_all_alike(pairs, work, options, progress))
+    if options.output not in outputs.values():  # it is a folder
+        names = [name for outcome in outcomes if outcome.value for name in _names(outcome.value)]
+        record_outputs(options.output, names)
     return outcomes
 
 

@@ -8,6 +8,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import natural_key
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity import SUFFIXES
+from camcal.run.inputs import require_there
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,11 @@ class TruthPair:
 def find_pairs(given: TruthPair) -> list[TruthPair]:
     """Return the pairs that files or folders stand for; the files of folders belong together in natural order.
 
-    Raises InvalidInput if files and folders are mixed or hold different numbers of files, FileError for an empty one.
+    Raises InvalidInput if files and folders are mixed or hold different numbers of files, FileError for what is not
+    there or empty.
     """
+    for path in given.files.values():
+        require_there(path)
     folders = {name: path.is_dir() for name, path in given.files.items()}
     if not any(folders.values()):
         return [given]

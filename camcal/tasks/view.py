@@ -22,6 +22,7 @@ from camcal.report.cloud_paint import Paint, paint_of
 from camcal.report.cloud_scene import CloudScene, gather
 from camcal.report.cloud_view import Start
 from camcal.report.cloud_views import turn, view_of
+from camcal.run.inputs import require_there
 from camcal.run.outputs import refuse_overwriting
 from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.view_source import cloud_in, cloud_of, is_cloud
@@ -44,7 +45,7 @@ class ViewOptions:
     """A point cloud or a disparity map, and how it is shown.
 
     output: its suffix is one of KINDS; None for the window of the Rerun viewer. image: the left image of a disparity
-    map. frame: where the axes of a cloud point, in words; None for what its file says. colour: one of
+    map. frame: where the axes of a cloud point, by name or in words; None for what its file says. colour: one of
     `cloud_paint.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
     montage: four views in its place. size: (width, height) of a picture or film. max_points: None for MOST_POINTS.
     turn: degrees of a film, None for once round, or to and fro before what a camera saw.
@@ -141,6 +142,7 @@ def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
 
 def _source(options: ViewOptions, progress: Progress) -> VertexStream | DisparityMap:
     """Return the points to look at, or the disparity map whose pair is not known."""
+    require_there(options.source)
     if is_cloud(options.source):
         if options.image is not None:
             raise InvalidInput("an image gives its colours to a disparity map; a cloud has its own")

@@ -15,7 +15,7 @@ from camcal.run.fanout import over_threads
 from camcal.stereo.points.axes import rotation_of
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import Frame
+from camcal.stereo.points.frames import WORDS, Frame
 from camcal.stereo.points.selection import Selection, select
 from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.rectified_pair import GeometryOptions, pair_of
@@ -24,6 +24,7 @@ _POINTS = "points.npy"  # what the archive of a cloud holds
 _CAMERA = "x right, y down, z forward"
 _UPRIGHT = "x east, y north, z up"
 _EXAMPLE = "x forward, y left, z up"
+_AXES = {name: words.partition(": ")[2] for name, words in WORDS.items()}  # whose they are, the name does not say
 
 
 def is_cloud(path: Path) -> bool:
@@ -44,14 +45,17 @@ def is_cloud(path: Path) -> bool:
 
 
 def cloud_in(path: Path, frame: str | None = None) -> VertexStream:
-    """Return the points of a cloud's file; frame: in words, by default what the file says.
+    """Return the points of a cloud's file; frame: a name or in words, by default what the file says.
 
     Raises InvalidInput for words that do not say where x, y and z point, FileError if the file cannot be read.
     """
-    if frame is not None and not says_axes(frame):
-        raise InvalidInput(f"frame {frame!r} does not say where the axes point; write it like {_EXAMPLE!r}")
+    words = None if frame is None else _AXES.get(frame, frame)
+    if words is not None and not says_axes(words):
+        raise InvalidInput(
+            f"frame {frame!r} does not say where the axes point; use {', '.join(_AXES)}, or words such as {_EXAMPLE!r}"
+        )
     found = pointclouds.read(path)
-    frame = frame or found.frame or _usual_frame(path)
+    frame = words or found.frame or _usual_frame(path)
     if "origin" in found.notes:
         frame += f"; coordinates from {found.notes['origin']}"
     return VertexStream(

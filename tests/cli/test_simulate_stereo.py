@@ -2,15 +2,17 @@
 
 import json
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
 
+from camcal.cli.main import app
 from camcal.formats import disparity, disparity_sidecar, native
 from camcal.images.load import load
 from camcal.stereo.geometry import of_pair
 
-SMALL = ("--stereo", "--size", "96x72", "--objects", "4", "--jobs", "1", "--quiet")
+SMALL = ("--stereo", "--size", "96x72", "--objects", "2", "--jobs", "1", "--quiet")
 BOARD = "chessboard:7x5:25mm"
 
 
@@ -19,13 +21,22 @@ def folder(tmp_path):
     return tmp_path / "simulated"
 
 
+@pytest.fixture(scope="module")
+def two_pairs(tmp_path_factory):
+    """A folder of two pairs; nothing may be written into it."""
+    folder = tmp_path_factory.mktemp("simulated") / "two"
+    with pytest.raises(SystemExit) as leaving:
+        app(["simulate", "-o", str(folder), *SMALL, "--pairs", "2"])
+    assert leaving.value.code == 0
+    return folder
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_pairs_and_their_truth_are_written(run, folder):
-    assert run("simulate", "-o", folder, *SMALL, "--pairs", "2") == (0, "", "")
-    assert sorted(contents(folder)) == [
+def test_pairs_and_their_truth_are_written(two_pairs):
+    assert sorted(contents(two_pairs)) == [
         "disparity/000.pfm",
         "disparity/000.pfm.json",
         "disparity/001.pfm",
@@ -42,8 +53,8 @@ def test_pairs_and_their_truth_are_written(run, folder):
         "visible/000.png",
         "visible/001.png",
     ]
-    assert load(folder / "left" / "001.png").pixels.shape == (72, 96, 3)
-    assert set(np.unique(load(folder / "visible" / "000.png").pixels)) == {0, 255}
+    assert load(two_pairs / "left" / "001.png").pixels.shape == (72, 96, 3)
+    assert set(np.unique(load(two_pairs / "visible" / "000.png").pixels)) == {0, 255}
 
 
 def test_the_rig_and_the_sidecars_say_the_same(run, folder):
@@ -93,18 +104,17 @@ def test_the_right_image_gets_its_exposure_and_its_vertical_error(run, tmp_path)
     assert bad[1:] == pytest.approx(0.5 * good[:-1] ** 1.2 + 3 / 255, abs=2 / 65535)  # counts of 16 bits
 
 
-def test_the_same_options_give_the_same_bytes_whatever_the_jobs(run, tmp_path):
-    for name, jobs in (("one", 1), ("two", 2)):
-        run("simulate", "-o", tmp_path / name, *SMALL, "--pairs", "2", "--jobs", jobs)
+def test_the_same_options_give_the_same_bytes_whatever_the_jobs(run, two_pairs, tmp_path):
+    assert run("simulate", "-o", tmp_path / "again", *SMALL, "--pairs", "2", "--jobs", "2") == (0, "", "")
     run("simulate", "-o", tmp_path / "other", *SMALL, "--seed", "1")
-    one, two, other = (contents(tmp_path / name) for name in ("one", "two", "other"))
-    assert one == two
+    one, again, other = (contents(folder) for folder in (two_pairs, tmp_path / "again", tmp_path / "other"))
+    assert one == again
     assert one["left/000.png"] != one["left/001.png"]
     assert one["left/000.png"] != other["left/000.png"]
 
 
-def test_a_second_run_replaces_its_own_pairs(run, folder):
-    run("simulate", "-o", folder, *SMALL, "--pairs", "2")
+def test_a_second_run_replaces_its_own_pairs(run, two_pairs, folder):
+    copytree(two_pairs, folder)
     assert run("simulate", "-o", folder, *SMALL)[0] == 0
     assert len(contents(folder)) == 8
 

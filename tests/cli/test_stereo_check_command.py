@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from textured import darker, noisy, textured_pair, waves
 
-SIZE = (240, 180)
+SIZE = (180, 130)
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +120,13 @@ def test_folders_are_paired_and_checked_together(run, tmp_path):
     assert pictures == ["left_0_check.png", "left_1_check.png"]
 
 
+def test_a_picture_in_a_folder_is_recorded_there_as_one_of_camcals_and_a_named_one_is_not(run, images, tmp_path):
+    for output in (tmp_path / "folder", tmp_path / "check.png"):
+        assert run("stereo", "check", images / "left.png", images / "right.png", "-o", output)[0] == 0
+    assert (tmp_path / "folder" / ".camcal-output").read_text() == "left_check.png\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["check.png", "folder"]
+
+
 def test_worker_processes_find_the_same(run, tmp_path):
     left, right = sequence(tmp_path, 0.0, 0.8)
     found = [run("stereo", "check", left, right, "--json", "-j", jobs) for jobs in (1, 2)]
@@ -155,7 +162,7 @@ def test_images_of_other_sizes_are_refused_naming_both(run, images, tmp_path):
     code, _, err = run("stereo", "check", images / "left.png", tmp_path / "small.png")
     assert code == 2
     assert "left.png" in err
-    assert "small.png: the images differ in size: 240x180 and 120x90" in err
+    assert "small.png: the images differ in size: 180x130 and 120x90" in err
 
 
 def test_images_without_features_are_too_little_data(run, tmp_path):

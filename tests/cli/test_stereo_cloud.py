@@ -193,6 +193,12 @@ def test_what_cannot_be_read_is_a_file_error(run, tmp_path, disparity, name, cod
     assert run("stereo", "cloud", disparity, tmp_path / name, *NUMBERS, "-o", tmp_path / "cloud.ply")[0] == code
 
 
+def test_a_map_that_is_not_there_is_said_before_what_is_wrong_with_the_output(run, tmp_path):
+    code, _, err = run("stereo", "cloud", tmp_path / "nowhere", "-o", tmp_path / "clouds")
+    assert code == 3
+    assert f"{tmp_path / 'nowhere'}: no such file" in err
+
+
 def test_two_images_are_refused(run, tmp_path, disparity, image):
     code, _, err = run("stereo", "cloud", disparity, image, image, *NUMBERS, "-o", tmp_path / "cloud.ply")
     assert code == 2
@@ -202,7 +208,7 @@ def test_two_images_are_refused(run, tmp_path, disparity, image):
 def test_the_sample_settings_give_the_geometry(run, tmp_path, disparity):
     code, out, _ = run("stereo", "cloud", disparity, *FEW, "--config", CONFIG, "-o", tmp_path / "cloud.ply", "--json")
     assert code == 0
-    assert json.loads(out)["geometry"]["baseline"] == 0.573
+    assert json.loads(out)["geometry"]["baseline"] == 0.537
     assert json.loads(out)["points"] == 3  # the match of 5 px lies beyond 60 m
 
 
@@ -331,7 +337,7 @@ def test_normals_voxels_and_a_number_of_points(run, tmp_path, measured):
 
 
 def test_an_organised_cloud_is_for_formats_that_have_rows(run, tmp_path, measured):
-    code, _, err = run("stereo", "cloud", measured, "--organized", "-o", tmp_path / "cloud.ply")
+    code, _, err = run("stereo", "cloud", measured, "--organised", "-o", tmp_path / "cloud.ply")
     assert code == 2
     assert ".pcd" in err
 
@@ -440,7 +446,7 @@ def test_a_folder_without_maps_is_a_file_error(run, tmp_path):
 
 
 def test_an_organised_cloud_is_the_image_with_its_holes(run, tmp_path, measured):
-    cloud, report = cloud_of(run, measured, "--organized", "--normals", "-o", tmp_path / "cloud.pcd")
+    cloud, report = cloud_of(run, measured, "--organised", "--normals", "-o", tmp_path / "cloud.pcd")
     assert cloud.grid == (20, 16)
     z = cloud.vertices["z"].reshape(16, 20)
     assert np.argwhere(np.isnan(z)).tolist() == [[0, 0], [5, 5]]

@@ -249,6 +249,27 @@ def test_what_cannot_be_read_is_told(run, tmp_path, found, wrong):
     assert "camcal: error:" in err
 
 
+@pytest.mark.parametrize("there", ["folder", "truth.pfm"])
+def test_a_map_that_is_not_there_is_said_whatever_the_truth_is(run, tmp_path, truth, there):
+    (tmp_path / "folder").mkdir()
+    for given in ((tmp_path / "nowhere", tmp_path / there), (tmp_path / there, tmp_path / "nowhere")):
+        code, _, err = run("stereo", "eval", *given)
+        assert code == 3
+        assert f"{tmp_path / 'nowhere'}: no such file" in err
+
+
+def test_of_many_pairs_ten_are_listed_a_line_each_unless_all_are_asked_for(run, tmp_path):
+    for number in range(12):
+        write(tmp_path / "found" / f"{number}.pfm", np.full(SIZE, 8.0))
+        write(tmp_path / "truth" / f"{number}.pfm", np.full(SIZE, 8.0))
+    _, out, _ = run("stereo", "eval", tmp_path / "found", tmp_path / "truth")
+    lines = out.splitlines()
+    assert lines[10] == "… and 2 more (--verbose lists all)"
+    assert all(line.startswith(str(tmp_path / "found")) for line in lines[:10])
+    _, out, _ = run("stereo", "eval", tmp_path / "found", tmp_path / "truth", "--verbose")
+    assert out.count(" against ") == out.count("occluded by:") == 12
+
+
 def test_mask_and_right_truth_exclude_each_other(run, found, truth):
     assert run("stereo", "eval", found, truth, "--mask", truth, "--right-truth", truth)[0] == 2
 

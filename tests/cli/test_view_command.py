@@ -56,7 +56,7 @@ def shown(path):
 def test_a_cloud_becomes_a_page(run, tmp_path, cloud):
     code, out, err = run("view", cloud, "-o", tmp_path / "cloud.html")
     assert (code, err) == (0, "")
-    assert "900 points, by image, m" in out
+    assert "900 points in m, coloured by image; left camera: x right" in out
     assert facts(tmp_path / "cloud.html")["packed"]["count"] == 900
 
 
@@ -92,7 +92,7 @@ def test_files_that_the_sidecar_names_and_are_not_there_are_done_without(run, tm
     code, out, err = run("view", disparity_map, "-o", tmp_path / "cloud.html")
     assert code == 0
     assert "left.png, which its sidecar names, is not there" in err
-    assert "by depth" in out
+    assert "coloured by depth" in out
 
 
 def test_a_map_without_a_geometry_is_a_picture_of_itself(run, tmp_path):
@@ -146,13 +146,15 @@ def test_films(run, tmp_path, cloud, name):
 def test_colour_and_number_of_points_are_obeyed(run, tmp_path, cloud):
     code, out, _ = run("view", cloud, "-o", tmp_path / "c.html", "--colour", "sigma", "--max-points", 100)
     assert code == 0
-    assert "100 of 900 points, evenly, by sigma" in out
+    assert "100 of 900 points in m, coloured by sigma" in out
     assert facts(tmp_path / "c.html")["colour"] == "sigma"
 
 
-def test_the_frame_of_a_cloud_may_be_said(run, tmp_path, cloud):
-    words = "x forward, y left, z up"
-    assert run("view", cloud, "-o", tmp_path / "c.html", "--frame", words)[0] == 0
+@pytest.mark.parametrize("frame", ["ros", "x forward, y left, z up"])
+def test_the_frame_of_a_cloud_may_be_said(run, tmp_path, cloud, frame):
+    code, out, _ = run("view", cloud, "-o", tmp_path / "c.html", "--frame", frame)
+    assert code == 0
+    assert out.splitlines()[0].endswith("; x forward, y left, z up")
     assert facts(tmp_path / "c.html")["view_T_cloud"] == [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
 
 
@@ -207,18 +209,26 @@ def test_json_says_what_was_made(run, tmp_path, cloud):
         (["cloud.ply", "-o", "c.png", "--size", "wide"], "'wide' is not a size"),
         (["cloud.ply", "-o", "c.png", "--point-size", "0"], "0.1 to 10 times"),
         (["cloud.ply", "-o", "c.html", "--rerun"], ".html is not written; use .rrd"),
-        (["cloud.ply", "-o", "c.html", "--frame", "ros"], "does not say where the axes point"),
+        (["cloud.ply", "-o", "c.html", "--frame", "up"], "use optical, camera, ros, opengl, enu, or words such as"),
         (["map.tiff", "-o", "c.html", "--frame", "x east, y north, z up"], "--frame is for a cloud"),
         (["notes.txt", "-o", "c.html"], "neither a point cloud nor a disparity map"),
     ],
 )
 def test_what_makes_no_sense_is_refused(run, tmp_path, cloud, monkeypatch, arguments, said):
     monkeypatch.chdir(tmp_path)
+    for name in ("map.tiff", "notes.txt"):
+        (tmp_path / name).write_bytes(b"none of it is read")
     code, _, err = run("view", *arguments)
     assert code == 2
     assert said in err
     assert err.count("\n") == 1
-    assert {path.name for path in tmp_path.iterdir()} == {"cloud.ply"}
+    assert {path.name for path in tmp_path.iterdir()} == {"cloud.ply", "map.tiff", "notes.txt"}
+
+
+def test_a_source_that_is_not_there_is_said_before_what_its_name_would_be(run, tmp_path, cloud):
+    code, _, err = run("view", tmp_path / "cloud", "-o", tmp_path / "c.html")
+    assert code == 3
+    assert f"no such file. Did you mean '{cloud}'?" in err
 
 
 @pytest.mark.parametrize("content", [None, b"", b"ply\nnonsense"])

@@ -53,7 +53,8 @@ def test_a_fisheye_needs_no_hint_but_the_board(real_data, tmp_path):
 def test_charuco_of_either_pattern_is_calibrated(real_data, tmp_path):
     folder = real_data / "charuco" / "photonvision-2024-06-19_lifecam_1280_Old_Pattern"
     board = "charuco:8x8:25.4mm:19.05mm:DICT_4X4_1000"
-    report = calibrate(CalibrateOptions((str(folder),), tmp_path / "camera.yaml", board))
+    images = [str(path) for path in sorted(folder.glob("*.jpg"))[::2]]
+    report = calibrate(CalibrateOptions(tuple(images), tmp_path / "camera.yaml", board))
     assert report.calibration.board.legacy is True
-    assert len(report.calibration.used) == 13
+    assert len(report.calibration.used) == len(images) == 7
     assert report.calibration.rms_px < 0.3

@@ -4,6 +4,7 @@ That the scenes are as hard to match as photographs is not proved here.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from camcal.errors import InvalidInput
+from camcal.simulate import stereo_eyes
 from camcal.simulate.coverage import draw
 from camcal.simulate.stereo_scene import PairOptions, Scene, make_scene, render_pair
 from camcal.simulate.stereo_surfaces import Ball, Facet, Paint
 
-SMALL = PairOptions(size=(120, 90), focal=110.0, disparities=(2.0, 16.0), noise=0.0)
+SMALL = PairOptions(size=(120, 90), focal=110.0, disparities=(2.0, 16.0), noise=0.0, objects=6)
 FORWARD = np.array([[1.0, 0, 0], [0, 1, 0]])  # the axes of a facet that faces the cameras
 
 
@@ -43,6 +45,13 @@ def rendered(surfaces, options=SMALL, seed=0):
     return render_pair(Scene(tuple(surfaces), options), np.random.default_rng(seed))
 
 
+@cache
+def drawn(seed):
+    """A drawn scene and its pair."""
+    scene = make_scene(SMALL, np.random.default_rng(seed))
+    return scene, render_pair(scene, np.random.default_rng(seed))
+
+
 def pixels(options):
     return np.meshgrid(np.arange(options.size[0]), np.arange(options.size[1]))
 
@@ -59,10 +68,9 @@ def test_a_plane_has_the_disparity_of_its_equation():
     assert truth.disparity_left == pytest.approx(options.baseline / distance * slope - options.doffs, abs=2e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_disparities_are_those_of_rays_traced_one_by_one(seed):
-    scene = make_scene(SMALL, np.random.default_rng(seed))
-    truth = render_pair(scene, np.random.default_rng(seed))
+    scene, truth = drawn(seed)
     rng = np.random.default_rng(seed)
     for column, row in rng.integers(0, SMALL.size, (60, 2)):
         for eye, shown in ((0.0, truth.disparity_left), (SMALL.baseline, truth.disparity_right)):
@@ -102,7 +110,7 @@ def test_the_right_disparity_is_that_of_the_left_where_both_see_the_same_point()
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_right_image_moved_by_the_disparity_is_the_left_image(seed):
-    options = PairOptions(size=(200, 150), focal=180.0, disparities=(2, 24), noise=0, depth=16, colour=False)
+    options = PairOptions(size=(200, 150), focal=180.0, disparities=(2, 24), noise=0, depth=16, colour=False, objects=8)
     truth = render_pair(options, np.random.default_rng(seed))
     columns, rows = pixels(options)
     left, right = truth.left / 257, truth.right / 257
@@ -136,9 +144,10 @@ def test_the_outline_of_a_screen_is_blurred_as_its_exact_integral(turn):
 
 
 def test_a_low_right_image_has_moved_down_by_the_shift_and_the_tilt():
-    straight, shifted, tilted = (
-        render_pair(make_scene(options, np.random.default_rng(3)), np.random.default_rng(4))
-        for options in (SMALL, replace(SMALL, row_shift=2.0), replace(SMALL, row_tilt=2.0))
+    scene, straight = drawn(0)
+    shifted, tilted = (
+        render_pair(replace(scene, options=options), np.random.default_rng(0))
+        for options in (replace(SMALL, row_shift=2.0), replace(SMALL, row_tilt=2.0))
     )
     assert np.array_equal(shifted.right[2:], straight.right[:-2])
     assert np.array_equal(shifted.disparity_right[2:], straight.disparity_right[:-2])
@@ -169,10 +178,10 @@ def test_noise_has_the_asked_deviation_and_is_another_in_each_image():
     span=st.floats(4, 40),
     doffs=st.floats(0, 30),
 )
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_every_pixel_has_a_disparity_in_the_range_asked_for(seed, least, span, doffs):
     options = PairOptions(
-        size=(64, 48), focal=60.0, doffs=doffs, disparities=(least - doffs, least + span - doffs), objects=6
+        size=(64, 48), focal=60.0, doffs=doffs, disparities=(least - doffs, least + span - doffs), objects=4
     )
     truth = render_pair(options, np.random.default_rng(seed))
     assert np.isfinite(truth.disparity_left).all()
@@ -182,18 +191,21 @@ def test_every_pixel_has_a_disparity_in_the_range_asked_for(seed, least, span, d
 
 
 def test_a_seed_gives_the_same_pair_and_another_seed_another():
-    first, again, other = (render_pair(SMALL, np.random.default_rng(seed)) for seed in (5, 5, 6))
+    (_, first), (_, other) = drawn(1), drawn(0)
+    again = render_pair(make_scene(SMALL, np.random.default_rng(1)), np.random.default_rng(1))
     assert np.array_equal(first.left, again.left)
     assert np.array_equal(first.disparity_right, again.disparity_right)
     assert not np.array_equal(first.disparity_left, other.disparity_left)
 
 
-def test_strips_of_a_large_image_join_without_a_seam():
-    options = replace(SMALL, size=(400, 100))  # 81 rows of rays at once
-    scene = make_scene(options, np.random.default_rng(7))
-    whole = render_pair(scene, np.random.default_rng(8))
-    low = render_pair(replace(scene, options=replace(options, row_shift=1.0)), np.random.default_rng(8))
-    assert np.array_equal(low.right[1:], whole.right[:-1])  # other rows begin a strip
+def test_strips_of_a_large_image_join_without_a_seam(monkeypatch):
+    scene, whole = drawn(0)
+    monkeypatch.setattr(stereo_eyes, "_STRIP", 20_000)  # rays: a strip of a few rows of pixels
+    found = render_pair(scene, np.random.default_rng(0))
+    assert np.array_equal(found.left, whole.left)
+    assert np.array_equal(found.right, whole.right)
+    assert np.array_equal(found.disparity_left, whole.disparity_left)
+    assert np.array_equal(found.visible, whole.visible)
 
 
 def test_where_nothing_is_seen_there_is_no_disparity():

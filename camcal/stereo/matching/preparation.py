@@ -7,7 +7,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.stereo.matching.gray import GrayPair, gray_pair
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
 from camcal.stereo.pair.coarse import coarse_map
-from camcal.stereo.pair.pair_order import FINDINGS, finding_of
+from camcal.stereo.pair.pair_order import FINDINGS, SWAPPED, finding_of
 from camcal.stereo.pair.search_range import default_range, range_in
 
 _FEWEST = 4  # disparities; with fewer there is nothing between them
@@ -48,6 +48,8 @@ def prepare(
     if search is None:
         found = None if coarse is None else range_in(coarse, pair.left.shape[1])
         search = found or default_range(pair.left.shape[1])
+        if search[1] <= 0 and FINDINGS[SWAPPED] not in remarks:
+            remarks.append(FINDINGS[SWAPPED])
         if found is None:
             remarks.append(f"the images do not tell the range of disparities; taken is {search[0]} to {search[1]}")
     return Prepared(pair, *_range(search), rows, tuple(remarks))

@@ -19,6 +19,9 @@ _BLOCK = 3
 _SMALL_STEP, _LARGE_STEP = 8 * _BLOCK**2, 32 * _BLOCK**2  # penalties OpenCV's manual suggests
 _UNIQUE = 5  # percent by which the best match beats the second
 _ALIKE = 0.6  # correlation of what is matched; lower where a match is wrong, or in shadow, or in noise
+_SURROUNDINGS = (5, 5)  # px, of what is correlated
+_SHORTEST, _LONGEST = 2, 1 / 6  # pixels, and share of the width, after which texture may repeat itself
+_NOTHING = 1e-6  # of the contrast 1 that is left by rounding
 _PATCHES = (8, 25)  # px of a look that agree on a disparity, at least
 _BODY = (0.05, 0.95)  # quantiles of the disparities that bound what all of the scene but its ends has
 _BANDS = 1 / 3  # of the width; more is no band at the side of the image any more
@@ -31,8 +34,8 @@ _FEWEST_SHARE = 0.02  # of the pixels; noise alone gives fewer
 def coarse_map(left: Array, right: Array) -> Array:
     """Return disparities (h, w) float32 of the left image reduced to 256 columns, pixels of the image itself.
 
-    left, right: (H, W) uint8, rows aligned to a few pixels. Good to about a column of the map; NaN where unknown, and
-    everywhere if too little of the images can be matched.
+    left, right: (H, W) uint8, rows aligned to a few pixels. Good to about a column of the map; NaN where unknown or
+    outside the range that texture which does not repeat itself shows, and everywhere if too little can be matched.
     Raises InvalidInput for images of different sizes.
     """
     pairs = [require_pair(left, right)]
@@ -40,19 +43,19 @@ def coarse_map(left: Array, right: Array) -> Array:
         pairs.append((_reduced(pairs[-1][0], width), _reduced(pairs[-1][1], width)))
     if left.shape[1] < _WINDOW:  # which no window fits in, and in which OpenCV's matcher may divide by zero
         return np.full(pairs[1][0].shape, np.nan, np.float32)
-    half = pairs[-1][0].shape[1] // 2
-    low, high = float(-half), float(half)
+    low, high = -left.shape[1] / 2, left.shape[1] / 2
     found: Array = np.zeros(0, np.float32)
     for (first, second), smallest in zip(reversed(pairs[1:]), _PATCHES, strict=True):
         scale = left.shape[1] / first.shape[1]
-        look = math.floor(low / scale), math.ceil(high / scale)
-        found = scale * _matched(evened(first), evened(second), look, smallest)
-        known = found[np.isfinite(found)]
-        if known.size < max(_FEWEST, _FEWEST_SHARE * found.size):
+        wider = _WIDENED * (high - low) + 2 * scale if found.size else 0.0
+        look = math.floor((low - wider) / scale), math.ceil((high + wider) / scale)
+        even = evened(first)
+        found = scale * _matched(even, evened(second), look, smallest)
+        known = np.isfinite(found)
+        if known.sum() < _least(found.size):
             return np.full(pairs[1][0].shape, np.nan, np.float32)
-        low, high = worthwhile_range(known)
-        wider = _WIDENED * (high - low) + 2 * scale
-        low, high = low - wider, high + wider
+        low, high = worthwhile_range(found[_single(known, even, look[1] - look[0])])
+    found[(found < low) | (found > high)] = np.nan
     return found
 
 
@@ -138,9 +141,8 @@ def _alike(left: Array, right: Array, disparity: Array) -> Array:
     across, down = np.meshgrid(*(np.arange(count, dtype=np.float32) for count in reversed(left.shape)))
     across -= disparity
     there = cv2.remap(right, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    window = (5, 5)
-    product = cv2.blur(left * there, window)
-    powers = cv2.blur(left * left, window) * cv2.blur(there * there, window)
+    product = cv2.blur(left * there, _SURROUNDINGS)
+    powers = cv2.blur(left * left, _SURROUNDINGS) * cv2.blur(there * there, _SURROUNDINGS)
     inside = (across >= 0) & (across <= left.shape[1] - 1)
     return np.asarray(inside & (product > _ALIKE * np.sqrt(np.maximum(powers, 0))))
 
@@ -155,3 +157,30 @@ def _forget_bands(known: Array, disparity: Array) -> None:
     if max(0, high) - min(0, low) < _BANDS * width:
         known[:, : max(0, int(high))] = False
         known[:, width + min(0, int(low)) :] = False
+
+
+def _single(known: Array, image: Array, span: int) -> Array:
+    """Return the part of the mask `known` (H, W) that no other place of the row, in an evened image, looks like.
+
+    Stripes match as well a period off, all of them together, which no test of a match tells. Where next to nothing
+    but such texture is known, it stays. span: of the disparities looked for, pixels.
+    """
+    single = known & ~_repeated(image, min(span, round(_LONGEST * image.shape[1])))
+    return single if single.sum() >= _least(known.size) else known
+
+
+def _repeated(image: Array, farthest: int) -> Array:
+    """Return the mask (H, W) of pixels whose surroundings correlate with others of the row up to so far off."""
+    power = cv2.blur(image * image, _SURROUNDINGS)
+    even = image / cv2.sqrt(np.maximum(power, np.float32(_NOTHING)))
+    repeated = np.zeros(image.shape, bool)
+    for shift in range(_SHORTEST, farthest + 1):
+        alike = cv2.blur(even[:, shift:] * even[:, :-shift], _SURROUNDINGS) > _ALIKE
+        repeated[:, shift:] |= alike
+        repeated[:, :-shift] |= alike
+    return repeated
+
+
+def _least(pixels: int) -> float:
+    """Return how many matches of a map of so many pixels are enough to go by."""
+    return max(_FEWEST, _FEWEST_SHARE * pixels)

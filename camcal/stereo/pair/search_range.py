@@ -5,7 +5,7 @@ from math import ceil, floor
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.stereo.pair.coarse import LOOKS, coarse_map, worthwhile_range
+from camcal.stereo.pair.coarse import LOOKS, coarse_map
 
 _FAR, _NEAR = 0.04, 0.12  # margins, of the span: what is missed at reduced size is thin and stands in front
 _DEFAULT_SHARE = 1 / 6  # of the width
@@ -38,6 +38,6 @@ def range_in(disparities: Array, width: int) -> tuple[int, int] | None:
     known = disparities[np.isfinite(disparities)]
     if not known.size:
         return None
-    low, high = worthwhile_range(known)
+    low, high = float(known.min()), float(known.max())
     pixel, span = max(1.0, width / LOOKS[-1]), high - low
     return floor(low - pixel - _FAR * span) - 1, ceil(high + pixel + _NEAR * span) + 1

@@ -23,14 +23,16 @@ _TURNS = {
     ROS: np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),  # REP 103
     OPENGL: np.diag([1.0, -1, -1]),
 }
-_WORDS = {
-    OPTICAL: LEFT_CAMERA,
-    CAMERA: "left camera before rectification: x right, y down, z forward",
-    ROS: "left camera: x forward, y left, z up",
-    OPENGL: "left camera: x right, y up, z backward",
-    ENU: "world: x east, y north, z up",
-}
-FRAMES = tuple(_WORDS)
+WORDS = MappingProxyType(
+    {
+        OPTICAL: LEFT_CAMERA,
+        CAMERA: "left camera before rectification: x right, y down, z forward",
+        ROS: "left camera: x forward, y left, z up",
+        OPENGL: "left camera: x right, y up, z backward",
+        ENU: "world: x east, y north, z up",
+    }
+)
+FRAMES = tuple(WORDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ def frame_named(
     it takes them from the optical frame. camera_R_rectified: (3, 3), for the frame `camera`.
     Raises InvalidInput for an unknown name or unit, and where a frame needs what is not given.
     """
-    if name not in _WORDS:
+    if name not in WORDS:
         raise InvalidInput(f"frame {name!r} is unknown; use one of {', '.join(FRAMES)}")
     if unit not in UNITS:
         raise InvalidInput(f"unit {unit!r} is unknown; use one of {', '.join(UNITS)}")
@@ -65,8 +67,8 @@ def frame_named(
     turns = _TURNS if camera_R_rectified is None else {**_TURNS, CAMERA: camera_R_rectified}
     named_T_left = Pose(turns.get(name, np.eye(3)), np.zeros(3))
     if world_T_camera is None:
-        return Frame(named_T_left, _WORDS[name], unit)
-    return Frame(world_T_camera @ named_T_left, _WORDS[ENU] if name == ENU else "world of the pose given", unit)
+        return Frame(named_T_left, WORDS[name], unit)
+    return Frame(world_T_camera @ named_T_left, WORDS[ENU] if name == ENU else "world of the pose given", unit)
 
 
 class BackProjection:

@@ -41,7 +41,7 @@ def quality(request):
 @pytest.fixture(scope="module")
 def scenes():
     """Two drawn worlds with everything in them that makes matching hard."""
-    options = PairOptions(size=(200, 150), focal=180, disparities=(4, 22))
+    options = PairOptions(size=(200, 150), focal=180, disparities=(4, 22), objects=8)
     return [render_pair(options, np.random.default_rng(seed)) for seed in (2, 4)]
 
 

@@ -9,7 +9,7 @@ from camcal.stereo.matching import pyramid
 from camcal.stereo.matching.match import ALL, BALANCED, BEST, FILLS, MatchOptions, match
 from camcal.stereo.matching.semi_global import aggregate
 
-LEFT, RIGHT, TRUTH, VISIBLE = layered_pair((480, 360), (10, 21, 33))
+LEFT, RIGHT, TRUTH, VISIBLE = layered_pair((320, 240), (7, 14, 22))
 
 
 def bad2(found):
@@ -20,7 +20,7 @@ def bad2(found):
 def test_a_pair_is_matched_nearly_as_well_by_way_of_its_half_and_quarter_size(monkeypatch, quality):
     options = MatchOptions(quality, fill=ALL)
     direct = match(LEFT, RIGHT, options)
-    monkeypatch.setattr(pyramid, "LARGEST", 30_000)
+    monkeypatch.setattr(pyramid, "LARGEST", 13_000)
     stepwise = match(LEFT, RIGHT, options)
     assert bad2(stepwise) < bad2(direct) + 0.02  # edges are found to the pixel of a quarter of the size, or so
     known = VISIBLE & (stepwise.confidence > Confidence.FILLED)
@@ -49,7 +49,7 @@ def test_what_nothing_is_known_of_at_half_the_size_stays_unknown(monkeypatch):
             assert np.isnan(match(left, right, MatchOptions(quality, (300, 331), fill)).values).all()
 
 
-@pytest.mark.parametrize("size", [(1, 360), (480, 1), (75, 41), (101, 75)])
+@pytest.mark.parametrize("size", [(1, 240), (320, 1), (75, 41), (101, 75)])
 @pytest.mark.parametrize("quality", [BALANCED, BEST])
 def test_images_of_any_size_have_a_half(monkeypatch, size, quality):
     monkeypatch.setattr(pyramid, "LARGEST", 200)

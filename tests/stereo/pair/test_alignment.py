@@ -1,5 +1,7 @@
 """Rows of a pair: what is put into it is measured, with an honest error, and can be put right."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -12,6 +14,17 @@ from camcal.stereo.pair.alignment import align_rows, quick_residual, residual_of
 from camcal.stereo.pair.features import Matches
 
 SIZE = (300, 240)
+
+
+@cache
+def pair_off_by(rows):
+    """Return a pair (H, W) uint8 whose rows are off by so much."""
+    return textured_pair(waves(5, 30, SIZE), rows)
+
+
+@cache
+def residual_off_by(rows):
+    return vertical_residual(*pair_off_by(rows))
 
 
 def matches_of(rows, *, count=600, wrong=0.0, scatter=0.2, per_disparity=0.0, seed=1):
@@ -30,7 +43,7 @@ def matches_of(rows, *, count=600, wrong=0.0, scatter=0.2, per_disparity=0.0, se
 @pytest.mark.parametrize("rows", [0.5, -1.25, (0.004, 0.0, -0.3), (-0.002, 0.003, 0.8)])
 def test_rows_put_into_a_pair_are_measured(rows):
     expected = np.array([0, 0, rows] if np.isscalar(rows) else rows)
-    residual = vertical_residual(*textured_pair(waves(5, 30, SIZE), rows))
+    residual = residual_off_by(rows)
     middle = expected @ [(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2, 1]
     assert residual.trend.centre.value == pytest.approx(middle, abs=0.02)  # slopes of disparity shear the features
     assert residual.trend.tilt.value == pytest.approx(expected[0] * (SIZE[0] - 1), abs=0.08)
@@ -41,14 +54,13 @@ def test_rows_put_into_a_pair_are_measured(rows):
 @pytest.mark.parametrize("rows", [0.0, 0.5, (-0.002, 0.003, 0.8), 3.5])
 def test_corners_that_are_followed_tell_rows_as_features_do(rows):
     expected = np.array([0, 0, rows] if np.isscalar(rows) else rows)
-    residual = quick_residual(*textured_pair(waves(5, 30, SIZE), rows))
+    residual = quick_residual(*pair_off_by(rows))
     np.testing.assert_allclose(residual.rows @ [150, 120, 1], expected @ [150, 120, 1], atol=0.02)  # as above
 
 
 def test_what_cannot_be_followed_is_compared():
-    left, right = textured_pair(waves(5, 30, SIZE), 0.5)
     lost = np.full((192, 256), np.nan, np.float32)
-    assert quick_residual(left, right, lost).median == vertical_residual(left, right).median
+    assert quick_residual(*pair_off_by(0.5), lost).median == residual_off_by(0.5).median
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.3, 0.6])
@@ -93,8 +105,8 @@ def test_rows_cannot_be_told_to_change_with_a_disparity_that_does_not():
 
 
 def test_noise_widens_the_error_and_moves_nothing():
-    left, right = textured_pair(waves(5, 30, SIZE), 0.5)
-    clean, spoilt = vertical_residual(left, right), vertical_residual(noisy(left, 8), noisy(right, 8, seed=3))
+    left, right = pair_off_by(0.5)
+    clean, spoilt = residual_off_by(0.5), vertical_residual(noisy(left, 8), noisy(right, 8, seed=3))
     assert spoilt.median.value == pytest.approx(0.5, abs=0.03)  # four standard errors
     assert spoilt.median.std > clean.median.std
 
@@ -110,7 +122,7 @@ def test_large_images_are_measured_at_reduced_size_in_their_own_pixels():
 
 
 def test_rows_that_agree_are_left_alone():
-    assert row_correction(vertical_residual(*textured_pair(waves(5, 30, SIZE)))) is None
+    assert row_correction(residual_off_by(0.0)) is None
     assert row_correction(residual_of(matches_of((0, 0, 0.08)))) is None  # significant, and not worth drawing anew
 
 
@@ -128,8 +140,9 @@ def test_rows_off_by_more_than_five_pixels_are_refused():
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_aligned_rows_agree(dtype):
     scale = np.iinfo(dtype).max // 255
-    left, right = textured_pair(waves(5, 30, SIZE), (0.003, -0.002, 1.2))
-    aligned = align_rows(right.astype(dtype) * dtype(scale), row_correction(vertical_residual(left, right)))
+    rows = 0.003, -0.002, 1.2
+    left, right = pair_off_by(rows)
+    aligned = align_rows(right.astype(dtype) * dtype(scale), row_correction(residual_off_by(rows)))
     assert aligned.dtype == dtype
     assert vertical_residual(left, (aligned // scale).astype(np.uint8)).trend.rms < 0.05  # linear interpolation blurs
 
@@ -144,7 +157,7 @@ def test_aligning_moves_rows_by_what_the_correction_says(slope, level):
 
 
 def test_images_that_share_nothing_are_too_little():
-    left, _ = textured_pair(waves(5, 30, SIZE), seed=1)
+    left, _ = pair_off_by(0.0)
     other, _ = textured_pair(waves(5, 30, SIZE), seed=2)
     with pytest.raises(InsufficientData, match="do the images show the same scene"):
         vertical_residual(left, other)
@@ -158,7 +171,7 @@ def test_images_without_features_are_too_little(shape):
 
 
 def test_the_residual_does_not_depend_on_the_number_of_threads():
-    pair = textured_pair(waves(5, 30, SIZE), 0.5)
+    pair = pair_off_by(0.5)
     threads = cv2.getNumThreads()
     try:
         found = []

@@ -12,7 +12,7 @@ from camcal.stereo.pair.pair_order import IDENTICAL, SWAPPED
 
 @pytest.fixture(scope="module")
 def pair():
-    return textured_pair(waves(5, 30, (320, 320)), 0.3)
+    return textured_pair(waves(5, 30, (260, 260)), 0.3)
 
 
 def test_a_good_pair_is_nothing_but_a_pair(pair):
@@ -50,7 +50,7 @@ def test_a_turned_image_is_refused_in_words(pair, code, words):
 
 
 def test_an_image_turned_by_three_degrees_is_measured_as_a_tilt(pair):
-    turned = cv2.warpAffine(pair[1], cv2.getRotationMatrix2D((160, 160), -3, 1), (320, 320))
+    turned = cv2.warpAffine(pair[1], cv2.getRotationMatrix2D((130, 130), -3, 1), (260, 260))
     check = check_pair(pair[0], turned)
-    expected = 319 * np.tan(np.radians(3))
+    expected = 259 * np.tan(np.radians(3))
     assert check.residual.trend.tilt.value == pytest.approx(expected, abs=0.5)  # edges are lost

@@ -53,6 +53,27 @@ def test_large_images_have_large_disparities():
     assert_holds(search_range(left, right), truth, slack=SLACK * 4000 / 256)
 
 
+def test_disparities_of_a_quarter_of_the_width_are_found():
+    small = textured_pair(waves(50, 80))
+    left, right = (cv2.resize(image, (640, 480), interpolation=cv2.INTER_CUBIC) for image in small)
+    assert_holds(search_range(left, right), waves(100, 160, (640, 480)), slack=SLACK * 640 / 256)
+
+
+def striped_pair(disparity, rows, period):
+    """Return a pair (H, W) uint8 whose first rows are a wall of stripes, at the disparity of the first pixel."""
+    left, right = (image.astype(float) for image in textured_pair(disparity))
+    across = np.arange(disparity.shape[1])
+    left[:rows] = 128 + 60 * np.sin(2 * np.pi * (across - disparity[0, 0]) / period)
+    right[:rows] = 128 + 60 * np.sin(2 * np.pi * across / period)
+    return noisy(left, 2), noisy(right, 2, seed=3)
+
+
+@pytest.mark.parametrize("period", [8, 10, 12])
+def test_stripes_that_match_a_period_off_do_not_widen_the_range(period):
+    truth = waves(12, 36)
+    assert_holds(search_range(*striped_pair(truth, 120, period)), truth)
+
+
 def test_identical_images_have_a_narrow_range_about_zero():
     left, _ = textured_pair(waves(8, 30))
     low, high = search_range(left, left)
