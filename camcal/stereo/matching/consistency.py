@@ -6,6 +6,7 @@ import numpy as np
 from camcal.arrays import Array
 
 AGREEMENT = 1.0  # pixels by which the disparities of both images may differ
+_REACH = 15  # pixels over which smoothness may carry a disparity into what has no texture
 _SMALLEST = 50  # pixels of a patch
 _SMOOTH = 1.0  # pixels between neighbours of a patch
 _FRACTIONS = 16  # of a pixel, in the whole numbers that patches are found in
@@ -32,6 +33,15 @@ def in_order(disparity: Array) -> Array:
     there = np.arange(disparity.shape[1], dtype=np.float32) - disparity
     leftmost = np.fmin.accumulate(there[:, ::-1], axis=1)[:, ::-1]
     return ~(there > leftmost + AGREEMENT)
+
+
+def has_texture(gray: Array) -> Array:
+    """Return where an image (H, W) uint8 is more than one gray level within 15 pixels (H, W), bool.
+
+    Elsewhere, as in what is overexposed, all disparities match alike, and both images agree on whichever comes first.
+    """
+    around = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
+    return np.asarray(cv2.subtract(cv2.dilate(gray, around), cv2.erode(gray, around)) > 1)
 
 
 def without_specks(disparity: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.stereo.disparity import Confidence
+from camcal.stereo.matching.consistency import has_texture
 from camcal.stereo.matching.matchers import Found
 
 _SAME, _NEAR = 0.25, 1.0  # pixels between two matchers
@@ -37,6 +38,19 @@ def fused(census: Found, gray_levels: Found) -> Fused:
     confidence = np.where(difference > _NEAR, Confidence.APART, confidence)
     confidence = np.where(near, np.where(difference <= _SAME, Confidence.AGREED, Confidence.NEAR), confidence)
     return Fused(disparity, confidence.astype(np.uint8), difference)
+
+
+def textured(fused: Fused, gray: Array) -> Fused:
+    """Return what is known where the left image (H, W) uint8 has texture; the rest is to be filled."""
+    texture = has_texture(gray)
+    if texture.all():
+        return fused
+    nothing = np.float32(np.nan)
+    return Fused(
+        np.where(texture, fused.disparity, nothing),
+        np.where(texture, fused.confidence, np.uint8(Confidence.FILLED)),
+        np.where(texture, fused.difference, nothing),
+    )
 
 
 def alone(found: Found) -> Fused:

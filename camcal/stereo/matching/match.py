@@ -11,7 +11,7 @@ from camcal.errors import InvalidInput
 from camcal.raw.planes import Each, one_by_one
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
-from camcal.stereo.matching.fusion import Fused, alone, fused
+from camcal.stereo.matching.fusion import Fused, alone, fused, textured
 from camcal.stereo.matching.gray import GrayPair
 from camcal.stereo.matching.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
 from camcal.stereo.matching.preparation import Prepared, prepare
@@ -120,7 +120,7 @@ class Estimate(NamedTuple):
 
 def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Estimate:
     """Return the dense map of a pair and the evidence for its uncertainty."""
-    found = _found(prepared, quality, each)
+    found = textured(_found(prepared, quality, each), prepared.pair.left)
     filled = from_the_background(found.disparity)
     dense = everywhere(filled.disparity)
     if quality != FAST:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.matching.consistency import AGREEMENT, difference_seen, in_order, without_specks
+from camcal.stereo.matching.consistency import AGREEMENT, difference_seen, has_texture, in_order, without_specks
 
 shapes = st.tuples(st.integers(1, 4), st.integers(1, 14))
 
@@ -69,3 +69,17 @@ def test_small_patches_are_left_out_and_large_ones_kept():
 def test_a_slope_is_one_patch():
     disparity = np.tile(np.linspace(-20, 20, 60, dtype=np.float32), (3, 1))  # 0.68 px from pixel to pixel
     np.testing.assert_array_equal(without_specks(disparity), disparity)
+
+
+def test_texture_is_missing_only_farther_than_15_pixels_from_any():
+    gray = np.full((40, 60), 200, np.uint8)
+    gray[:, :10] = np.arange(40)[:, None] * 5
+    texture = has_texture(gray)
+    assert texture[:, :25].all()
+    assert not texture[:, 25:].any()
+
+
+def test_a_step_of_one_gray_level_is_no_texture():
+    gray = np.full((20, 40), 250, np.uint8)
+    gray[:, 20:] = 251
+    assert not has_texture(gray).any()
