@@ -88,6 +88,20 @@ Frame = Annotated[int | None, typer.Option(metavar="N", help="Which frame of a h
 Align = Annotated[str, typer.Option(metavar="lsb|msb", help="Where the bits of unpacked samples stand in 16.")]
 
 
+PairCamera = Annotated[
+    str | None,
+    typer.Argument(metavar="CAMERA", help="Camera file of the rectified pair, or FILE#NAME; or a calib.txt."),
+]
+Fx = Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length.")]
+Fy = Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length along y; by default fx.")]
+Cx = Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point of the left image, x.")]
+Cy = Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point, y.")]
+Baseline = Annotated[float | None, typer.Option(metavar="METRES", help="Distance of the cameras.")]
+Doffs = Annotated[
+    float | None, typer.Option(metavar="PIXELS", help="cx of the right image minus cx of the left; by default 0.")
+]
+
+
 def one_of(option: str, text: str, known: tuple[str, ...]) -> str:
     """Return the text; raises InvalidInput, naming the option, if it is none of those known."""
     from camcal.errors import InvalidInput

@@ -78,7 +78,7 @@ def _show(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool) -> No
 
 
 def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]") -> None:
-    from camcal.report.pair_check import verdict
+    from camcal.report.pair_check import spanned, verdict
     from camcal.tasks.stereo_check import overall
 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
@@ -91,7 +91,7 @@ def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]") -> None:
             [
                 pair.left,
                 *(f"{number:.3f}" for number in numbers),
-                "{:.0f} … {:.0f}".format(*pair.check.disparity),
+                spanned(*pair.check.disparity),
                 verdict(pair.check),
             ]
         )

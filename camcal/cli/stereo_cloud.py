@@ -24,19 +24,14 @@ def cloud(
     ],
     output: shared.Output,
     image: Annotated[str | None, typer.Argument(metavar="IMAGE", help="The rectified left image, for colour.")] = None,
-    camera_file: Annotated[
-        str | None,
-        typer.Argument(metavar="CAMERA", help="Camera file of the rectified pair, or FILE#NAME; or a calib.txt."),
-    ] = None,
+    camera_file: shared.PairCamera = None,
     camera: shared.CameraName = None,
-    fx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length.")] = None,
-    fy: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length along y; by default fx.")] = None,
-    cx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point of the left image, x.")] = None,
-    cy: Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point, y.")] = None,
-    baseline: Annotated[float | None, typer.Option(metavar="METRES", help="Distance of the cameras.")] = None,
-    doffs: Annotated[
-        float | None, typer.Option(metavar="PIXELS", help="cx of the right image minus cx of the left; by default 0.")
-    ] = None,
+    fx: shared.Fx = None,
+    fy: shared.Fy = None,
+    cx: shared.Cx = None,
+    cy: shared.Cy = None,
+    baseline: shared.Baseline = None,
+    doffs: shared.Doffs = None,
     scale: Annotated[
         float | None,
         typer.Option(
@@ -48,7 +43,8 @@ def cloud(
         str,
         typer.Option(
             metavar="NAME",
-            help="optical (x right, y down, z forward), camera (before rectification), ros, opengl, enu (with --pose).",
+            help="optical (x right, y down, z forward), camera (before rectification, where the sidecar holds the "
+            "rotation), ros, opengl, enu (with --pose).",
         ),
     ] = "optical",
     unit: Annotated[str, typer.Option(metavar="m|mm", help="Unit of the coordinates.")] = "m",

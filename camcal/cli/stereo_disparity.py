@@ -19,19 +19,14 @@ def disparity(
     left: Annotated[str, typer.Argument(metavar="LEFT", help="Rectified left image; or a folder, or a quoted glob.")],
     right: Annotated[str, typer.Argument(metavar="RIGHT", help="Rectified right image, folder or glob.")],
     output: shared.Output,
-    camera_file: Annotated[
-        str | None,
-        typer.Argument(metavar="CAMERA", help="Camera file of the rectified pair, or FILE#NAME; or a calib.txt."),
-    ] = None,
+    camera_file: shared.PairCamera = None,
     camera: shared.CameraName = None,
-    fx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length.")] = None,
-    fy: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length along y; by default fx.")] = None,
-    cx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point of the left image, x.")] = None,
-    cy: Annotated[float | None, typer.Option(metavar="PIXELS", help="Principal point, y.")] = None,
-    baseline: Annotated[float | None, typer.Option(metavar="METRES", help="Distance of the cameras.")] = None,
-    doffs: Annotated[
-        float | None, typer.Option(metavar="PIXELS", help="cx of the right image minus cx of the left; by default 0.")
-    ] = None,
+    fx: shared.Fx = None,
+    fy: shared.Fy = None,
+    cx: shared.Cx = None,
+    cy: shared.Cy = None,
+    baseline: shared.Baseline = None,
+    doffs: shared.Doffs = None,
     quality: Annotated[
         str,
         typer.Option(metavar="NAME", help="best (two matchers), balanced (one, nearly as good), or fast (one pass)."),

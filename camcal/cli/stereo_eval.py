@@ -56,10 +56,8 @@ def evaluate(
     ] = None,
     camera: shared.CameraName = None,
     fx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length, for errors of the depth.")] = None,
-    baseline: Annotated[float | None, typer.Option(metavar="METRES", help="Distance of the cameras.")] = None,
-    doffs: Annotated[
-        float | None, typer.Option(metavar="PIXELS", help="cx of the right image minus cx of the left; by default 0.")
-    ] = None,
+    baseline: shared.Baseline = None,
+    doffs: shared.Doffs = None,
     gate: Annotated[
         list[str] | None,
         typer.Option(
@@ -119,9 +117,8 @@ def _show(report: "EvalReport", verbose: bool) -> None:
 
 
 def _show_pair(pair: "PairReport", *, in_full: bool) -> None:
-    show.text(
-        f"{pair.files.disparity} (count / {pair.scale:g}) against {pair.files.truth} (count / {pair.truth_scale:g})"
-    )
+    disparity, truth = _counted(pair.files.disparity, pair.scale), _counted(pair.files.truth, pair.truth_scale)
+    show.text(f"{disparity} against {truth}")
     if not in_full:
         return
     show.text(f"  occluded by: {pair.occlusion}")
@@ -130,3 +127,8 @@ def _show_pair(pair: "PairReport", *, in_full: bool) -> None:
         show.text(f"  fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px")
     if pair.picture is not None:
         show.text(f"  wrote {pair.picture}")
+
+
+def _counted(path: Path, scale: float) -> str:
+    """Return the file, and what its counts are divided by where they are not pixels already."""
+    return str(path) if scale == 1 else f"{path} (count / {scale:g})"

@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import FileError, InvalidInput
-from camcal.files import read_bytes, replacing
+from camcal.files import natural_key, read_bytes, replacing
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import INF, INVALID_CODES, NAN, ZERO, Sidecar
 from camcal.formats.exr import read_exr, write_exr
@@ -55,6 +55,12 @@ class DisparityMap:
             known &= self.values > 0
         return np.where(known, self.values, np.float32(np.nan))
 
+    @property
+    def signed(self) -> bool:
+        """Whether zero and less are matches: they were looked for, and do not mean that there is none."""
+        searched = self.sidecar.searched if self.sidecar else None
+        return self.invalid != ZERO and searched is not None and searched[0] < 0
+
 
 @dataclass(frozen=True)
 class Written:
@@ -82,6 +88,18 @@ def read(path: Path, scale: float | None = None, invalid: str | None = None) -> 
     if invalid not in INVALID_CODES:
         raise InvalidInput(f"the code of no match is one of {', '.join(INVALID_CODES)}, found {invalid!r}")
     return DisparityMap(values.astype(np.float32) / np.float32(_positive(scale)), scale, invalid, sidecar)
+
+
+def maps_in(folder: Path) -> list[Path]:
+    """Return the disparity maps in a folder, in natural order: those with a sidecar, or all images if none has one.
+
+    Raises FileError if there is none.
+    """
+    images = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
+    maps = [path for path in images if disparity_sidecar.path_beside(path).is_file()] or images
+    if not maps:
+        raise FileError(f"holds no disparity map ({', '.join(SUFFIXES)})", where=str(folder))
+    return sorted(maps, key=lambda path: natural_key(path.name))
 
 
 def write(path: Path, values: Array, *, scale: float | None = None) -> Written:

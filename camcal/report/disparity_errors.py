@@ -1,6 +1,7 @@
 """The errors of disparity maps as rows of tables."""
 
 from collections.abc import Sequence
+from math import isnan
 
 from camcal.stereo.truth.evaluate import FIGURES, ClassErrors, Evaluation
 
@@ -30,8 +31,8 @@ def class_rows(classes: Sequence[ClassErrors]) -> list[list[object]]:
 
 
 def _short(value: float | None) -> float | None:
-    """Return a number with what is worth reading of it: four digits, two behind the dot where those are fewer."""
-    return None if value is None else float(f"{value:.4g}")
+    """Return a number to four digits, None where there is nothing to count."""
+    return None if value is None or isnan(value) else float(f"{value:.4g}")
 
 
 def _unit(name: str) -> str:

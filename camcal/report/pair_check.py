@@ -16,15 +16,13 @@ def lines(check: PairCheck) -> list[str]:
     """Return what was found of a pair, a line each, the last one what it means."""
     residual = check.residual
     trend = residual.trend
-    low, high = check.disparity
-    shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
-    said = [
-        headline(residual),
-        f"trend: {_signed(trend.centre)} px at the centre, {shape}",
-        f"disparity {low:.0f} … {high:.0f} px{_searched(check)}",
-    ]
+    said = [headline(residual)]
+    if trend.largest > 0:
+        shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
+        said.append(f"trend: {_signed(trend.centre)} px at the centre, {shape}")
     if residual.convergence is not None and abs(residual.convergence.value) > _SURE * residual.convergence.std:
-        said.insert(2, f"rows change with disparity: {_signed(residual.convergence)} px per px")
+        said.append(f"rows change with disparity: {_signed(residual.convergence)} px per px")
+    said.append(f"disparity {spanned(*check.disparity)} px{_searched(check)}")
     if check.exposure is not None:
         said.append(light(check.exposure))
     return [*said, verdict(check)]
@@ -32,15 +30,26 @@ def lines(check: PairCheck) -> list[str]:
 
 def headline(residual: Residual) -> str:
     """Return the vertical residual in a line."""
+    features = f"{len(residual.dy)} features in agreement, of {residual.seen}"
+    if not residual.rms:
+        return f"rows do not differ ({features})"
     return (
-        f"rows differ by {_signed(residual.median)} px (median of {len(residual.dy)} features in agreement, of "
-        f"{residual.seen}), RMS {residual.rms:.2f} px, 95 % within {residual.p95:.2f} px"
+        f"rows differ by {_signed(residual.median)} px (median of {features}), RMS {residual.rms:.2f} px, "
+        f"95 % within {residual.p95:.2f} px"
     )
+
+
+def spanned(low: float, high: float) -> str:
+    """Return a range of disparities in whole pixels."""
+    ends = dict.fromkeys((f"{low:z.0f}", f"{high:z.0f}"))
+    return " … ".join(ends)
 
 
 def light(exposure: Exposure) -> str:
     """Return what differs between the exposures of a pair."""
     percent, std = value_and_std(abs(100 * exposure.brightness.value), 100 * exposure.brightness.std)
+    if not float(percent):
+        return "exposures agree"
     side = "brighter" if exposure.brightness.value > 0 else "darker"
     said = f"the right image is {percent} ± {std} % {side}"
     if not exposure.differs:
@@ -98,7 +107,9 @@ def _searched(check: PairCheck) -> str:
 
 def _signed(measured: Measured) -> str:
     value, std = value_and_std(*measured)
-    return f"{value if value.startswith('-') else '+' + value} ± {std}"
+    number = float(value)
+    signed = f"+{value}" if number > 0 else value if number else value.removeprefix("-")
+    return f"{signed} ± {std}" if measured.std else signed
 
 
 def _plain(measured: Measured) -> dict[str, float]:

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from camcal.arrays import Array
@@ -69,7 +70,18 @@ def _draw_rows(axes: Axes, residual: Residual, left: Array) -> None:
     axes.figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.01, label=_ROWS)
     _draw_trend(axes, residual)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"where the right image has the rows of the left, {0.9 * cell / full:.0f} times enlarged")
+    axes.set_title(f"row offset of the right image, arrows × {0.9 * cell / full:.0f}")
+    _explain(axes)
+
+
+def _explain(axes: Axes) -> None:
+    """Say below the image what its marks are."""
+    arrow = Line2D([], [], ls="", marker=r"$\downarrow$", color="tab:red", markersize=9)
+    dot, bare = (
+        Line2D([], [], ls="", marker=mark, color="gray", markersize=size) for mark, size in (("o", 3), ("s", 9))
+    )
+    words = ("feature", f"median of a cell with {_FEWEST} or more", "no arrow: fewer features, or none")
+    axes.legend((dot, arrow, bare), words, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3, frameon=False)
 
 
 def _cells(residual: Residual, cell: float) -> tuple[Array, Array]:

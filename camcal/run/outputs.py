@@ -10,8 +10,11 @@ def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str
     """Return the file for each input: the output itself for a single one, else one by its name in a folder.
 
     suffix: of files in a folder. kinds: suffixes that a file may have.
-    Raises InvalidInput if the output is a file for several inputs, or of another kind; see also `refuse_collisions`.
+    Raises InvalidInput if the output is a file for several inputs, of another kind, or a suffix without a name; see
+    also `refuse_collisions`.
     """
+    if output.name.lower() in kinds and not output.is_dir():
+        raise InvalidInput(f"is a suffix without a name; write NAME{output.name}, or a folder", where=str(output))
     if output.suffix and not output.is_dir():
         if len(inputs) > 1:
             raise InvalidInput(f"{len(inputs)} inputs do not go into one file; give a folder", where=str(output))

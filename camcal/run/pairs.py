@@ -19,18 +19,25 @@ def find_pairs(
 ) -> list[tuple[Path, Path]]:
     """Return the pairs (left, right) that files, folders and quoted patterns stand for, in natural order of the left.
 
-    They are paired by name where names agree but for marks such as left, right, L, R, 0 and 1, and in natural order
-    where no two names do.
-    Raises FileError as `find_images` does, InvalidInput if one side has more images, if only some names agree, or if
-    an image stands on both sides.
+    Raises FileError as `find_images` does, InvalidInput as `paired` does, or if an image stands on both sides.
     """
     left, right = find_images(lefts, recursive), find_images(rights, recursive)
     alone = len(left) == len(right) == 1
-    pairs = [(left[0], right[0])] if alone else _by_name(left, right) or _in_order(left, right)
+    pairs = [(left[0], right[0])] if alone else paired(left, right, ("left", "right images"))
     for first, second in pairs:
         if first.resolve() == second.resolve():
             raise InvalidInput("is given as the left and as the right image", where=str(first))
     return pairs
+
+
+def paired(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str]) -> list[tuple[Path, Path]]:
+    """Return the files of two sides that belong together, in the order of the left.
+
+    They are paired by name where names agree but for marks such as left, right, L, R, 0 and 1, and in the order given
+    where no two names do. sides: what a message calls so many of each.
+    Raises InvalidInput if one side has more files or only some names agree.
+    """
+    return _by_name(left, right) or _in_order(left, right, sides)
 
 
 def _by_name(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]] | None:
@@ -43,9 +50,9 @@ def _by_name(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Pa
     return None
 
 
-def _in_order(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]]:
+def _in_order(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str]) -> list[tuple[Path, Path]]:
     lonely = _lonely(left, right)
-    counts = f"{len(left)} left and {len(right)} right images"
+    counts = f"{len(left)} {sides[0]} and {len(right)} {sides[1]}"
     if len(left) != len(right):
         raise InvalidInput(f"{counts} do not pair up" + (f"; {lonely} has no partner" if lonely else ""))
     if lonely:

@@ -11,7 +11,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
-from camcal.formats.disparity_sidecar import ZERO, Sidecar
+from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
 from camcal.progress import SILENT, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
@@ -26,6 +26,7 @@ from camcal.stereo.points.outliers import ORGANISED, RADIUS
 from camcal.stereo.points.selection import Selected, Selection, depth_figures, select
 from camcal.stereo.points.vertices import METRES, VertexStream
 from camcal.tasks import rectified_pair
+from camcal.tasks.map_sources import named_file, stereo_image
 from camcal.tasks.rectified_pair import GeometryOptions, RectifiedPair
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
@@ -35,7 +36,7 @@ _FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates ar
 
 @dataclass(frozen=True)
 class PointOptions:
-    """Which pixels become points. See `stereo.selection.Selection` for what is not said here.
+    """Which pixels become points. See `stereo.points.selection.Selection` for what is not said here.
 
     depth: metres. crop: xmin, xmax, ymin, ymax, zmin, zmax, metres. mask: an image, not zero where points are wanted.
     max_sigma: largest standard deviation of the depth, percent of it. min_confidence: a number or a name of
@@ -57,7 +58,7 @@ class PointOptions:
 
 @dataclass(frozen=True)
 class VertexOptions:
-    """What is said of a point, and where. frame, unit: see `stereo.frames`. pose: file of the camera's place."""
+    """What is said of a point, and where. frame, unit: see `stereo.points.frames`. pose: file of the camera's place."""
 
     frame: str = OPTICAL
     unit: str = METRES
@@ -121,10 +122,11 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
         raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
     image_path, address = _image_and_camera(options.files)
     found = disparity.read(options.disparity, options.scale)
-    image_path = image_path or _image_beside(found.sidecar, progress)
+    if image_path is None and found.sidecar:
+        image_path = named_file(found.sidecar.image, options.disparity, progress)
     refuse_overwriting([options.output], _inputs(options, image_path))
     pair = _pair(options, address, found, progress)
-    image = _stereo_image(options, found, pair, image_path)
+    image = _stereo_image(options, found, pair, image_path, progress)
     frame = _frame(options.vertices, found.sidecar, progress)
     with over_threads(options.jobs) as each:
         selected = select(image, _selection(options.points), frame, each)
@@ -143,15 +145,6 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
     return (images[0] if images else None), (cameras[0] if cameras else None)
 
 
-def _image_beside(sidecar: Sidecar | None, progress: Progress) -> Path | None:
-    """Return the left image that the sidecar names, if it is there."""
-    path = sidecar.image if sidecar else None
-    if path is not None and not path.is_file():
-        progress.warn(f"{path}: the left image that the sidecar names is not there; the cloud has no colour")
-        return None
-    return path
-
-
 def _inputs(options: CloudOptions, image: Path | None) -> list[Path]:
     return [options.disparity, *(path for path in (image, options.points.mask, options.vertices.pose) if path)]
 
@@ -167,24 +160,19 @@ def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progr
 
 
 def _stereo_image(
-    options: CloudOptions, found: DisparityMap, pair: RectifiedPair, image_path: Path | None
+    options: CloudOptions, found: DisparityMap, pair: RectifiedPair, image: Path | None, progress: Progress
 ) -> StereoImage:
     """Return the map with all that the options make use of."""
-    assert pair.geometry is not None
     sidecar, points = found.sidecar or Sidecar(), options.points
-    sigma: Array | float | None = points.sigma_disparity
-    if sigma is None and sidecar.sigma and (options.vertices.sigma or points.max_sigma is not None):
-        sigma = disparity.read(sidecar.sigma).values
-    confidence = load(sidecar.confidence).pixels if sidecar.confidence and points.min_confidence is not None else None
-    return StereoImage(
-        found.values,
-        pair.geometry,
-        signed=found.invalid != ZERO and sidecar.searched is not None and sidecar.searched[0] < 0,
-        pixels=load(image_path).pixels if image_path else None,
-        sigma=sigma,
-        confidence=confidence,
-        calibration_sigma=pair.sigma_of_product,
-    )
+
+    def asked(path: Path | None, option: str) -> Path | None:
+        return named_file(path, options.disparity, progress, option)
+
+    sigma: Path | float | None = points.sigma_disparity
+    if sigma is None and (options.vertices.sigma or points.max_sigma is not None):
+        sigma = asked(sidecar.sigma, "--sigma" if options.vertices.sigma else "--max-sigma")
+    confidence = None if points.min_confidence is None else asked(sidecar.confidence, "--min-confidence")
+    return stereo_image(found, pair, image, sigma, confidence)
 
 
 def _frame(options: VertexOptions, sidecar: Sidecar | None, progress: Progress) -> Frame:

@@ -6,9 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from camcal import files
 from camcal.errors import FileError
-from camcal.formats import disparity, disparity_sidecar, pointclouds
+from camcal.formats import disparity, pointclouds
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import place
@@ -24,20 +23,11 @@ def cloud_folder(options: CloudOptions, progress: Progress = SILENT) -> list[Out
     options.output is a folder, an image of options.files a folder of images with the names of the maps.
     Raises InvalidInput if clouds would overwrite maps or each other, FileError if the folder holds no map.
     """
-    maps = disparity_maps(options.disparity)
+    maps = disparity.maps_in(options.disparity)
     suffix = cloud.GRIDS[0] if options.vertices.organised else _SUFFIX
     outputs = place(maps, options.output, suffix, pointclouds.SUFFIXES)
     work = partial(_one, options=options, outputs=outputs, progress=progress)
     return list(fan_out(work, maps, jobs=options.jobs, what="cloud", progress=progress))
-
-
-def disparity_maps(folder: Path) -> list[Path]:
-    """Return the disparity maps in a folder, in natural order: those with a sidecar, or all images if none has one."""
-    images = [path for path in folder.iterdir() if path.suffix.lower() in disparity.SUFFIXES and path.name[0] != "."]
-    maps = [path for path in images if disparity_sidecar.path_beside(path).exists()] or images
-    if not maps:
-        raise FileError(f"holds no disparity map ({', '.join(disparity.SUFFIXES)})", where=str(folder))
-    return sorted(maps, key=lambda path: files.natural_key(path.name))
 
 
 def _one(path: Path, options: CloudOptions, outputs: Mapping[Path, Path], progress: Progress) -> CloudReport:

@@ -10,10 +10,9 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar
-from camcal.formats.disparity import Written
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
 from camcal.images.load import load
 from camcal.images.save import save
@@ -175,8 +174,9 @@ def _written(
     options: DisparityOptions,
     limits: Limits | None,
 ) -> MatchedPair:
-    """Return the report of a pair whose files have been written."""
-    disparity, stored, remarks = _write_map(places.map, found)
+    """Return the report of a pair whose files have been written, the map and its sidecar last."""
+    disparity, remarks = _as_stored(places.map, found)
+    _remove_companions(places)
     has_sigma = bool(np.isfinite(disparity.sigma).any()) and not options.map_only
     if has_sigma:
         maps.write(places.sigma, disparity.sigma)
@@ -185,6 +185,7 @@ def _written(
     limits = limits or robust_range(disparity.values)
     if options.picture:
         save(places.picture, disparity_picture(disparity.values, limits, known.geometry))
+    stored = maps.write(places.map, disparity.values)
     sidecar = Sidecar(
         stored.scale,
         stored.invalid,
@@ -207,12 +208,21 @@ def _written(
         picture=places.picture if options.picture else None,
         limits=limits,
         geometry_known=known.geometry is not None,
-        remarks=remarks,
+        remarks=remarks + ((stored.remark,) if stored.remark else ()),
     )
 
 
-def _write_map(path: Path, found: _Matched) -> tuple[Disparity, Written, tuple[str, ...]]:
-    """Return the map as it was written, how, and what is to be said of it."""
+def _remove_companions(places: MapFiles) -> None:
+    """Remove what an earlier run left beside the map: the sidecar first, for it would tell of the map to come."""
+    for path in (places.sidecar, places.sigma, places.confidence, places.picture):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise FileError(f"cannot be replaced: {error.strerror}", where=str(path)) from error
+
+
+def _as_stored(path: Path, found: _Matched) -> tuple[Disparity, tuple[str, ...]]:
+    """Return the map as the type of file can hold it, and what is to be said of it."""
     disparity, remarks = found.disparity, found.remarks + _at_the_ends(found.disparity)
     behind = disparity.values <= 0
     if path.suffix.lower() == ".png" and behind.any():
@@ -220,8 +230,7 @@ def _write_map(path: Path, found: _Matched) -> tuple[Disparity, Written, tuple[s
         nothing = np.float32(np.nan)
         values, sigma = (np.where(behind, nothing, each) for each in (disparity.values, disparity.sigma))
         disparity = Disparity(values, sigma, disparity.confidence * ~behind, disparity.searched)
-    stored = maps.write(path, disparity.values)
-    return disparity, stored, remarks + ((stored.remark,) if stored.remark else ())
+    return disparity, remarks
 
 
 def _at_the_ends(disparity: Disparity) -> tuple[str, ...]:

@@ -23,8 +23,9 @@ from camcal.run.outputs import place, refuse_overwriting
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
 from camcal.stereo.truth.visibility import seen_by_both, unhidden
+from camcal.tasks.map_sources import named_file
 from camcal.tasks.rectified_pair import GeometryOptions, geometry_of
-from camcal.tasks.truth_pairs import TruthPair, find_pairs
+from camcal.tasks.truth_pairs import TruthPair, truth_pairs
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
 
@@ -106,7 +107,7 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
     FileError, InsufficientData if no pixel has a truth; if all of several maps fail, the first error.
     """
     gates = [read_gate(text) for text in options.gates]
-    pairs = find_pairs(options.files)
+    pairs = truth_pairs(options.files)
     pictures = _pictures(pairs, options.output)
     work = partial(_evaluate_pair, options=options, pictures=pictures, progress=progress)
     if len(pairs) == 1:
@@ -120,7 +121,24 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
         if report.remark:
             progress.warn(report.remark)
     mean = mean_of([report.evaluation for report in done])
+    for report in done:
+        if unknown := _unknown(report.evaluation, mean):
+            progress.warn(f"{report.files.disparity}: has {unknown}; the mean is that of the others")
     return EvalReport(outcomes, mean, tuple(_verdict(gate, mean) for gate in gates))
+
+
+def _unknown(evaluation: Evaluation, mean: Evaluation) -> str | None:
+    """Return which figures are not known of one map, while they are of others; None if there are none."""
+    gaps = [
+        (name, column)
+        for column, figures in mean.figures.items()
+        for name, value in figures.items()
+        if np.isnan(evaluation.figures[column][name]) and not np.isnan(value)
+    ]
+    if not gaps:
+        return None
+    names, columns = (", ".join(dict.fromkeys(words)) for words in zip(*gaps, strict=True))
+    return f"no {names} in {columns}"
 
 
 def _pictures(pairs: Sequence[TruthPair], output: Path | None) -> dict[Path, Path]:
@@ -139,7 +157,7 @@ def _evaluate_pair(
     geometry = _geometry(options, found, (found.sidecar, truth.sidecar), progress)
     values, true = found.matched(), truth.matched()
     visible, occlusion = _visible(files, options, true)
-    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale))
+    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale, progress))
     try:
         evaluation = evaluate(values, true, visible, geometry, prediction)
     except InvalidInput as error:
@@ -185,13 +203,16 @@ def _read_mask(path: Path) -> Array:
     return np.asarray(pixels == _SEEN if pixels.dtype == np.uint8 else pixels > 0)
 
 
-def _predicted(files: TruthPair, sidecar: Sidecar | None, truth_scale: float) -> tuple[Array | None, Array | None]:
+def _predicted(
+    files: TruthPair, sidecar: Sidecar | None, truth_scale: float, progress: Progress
+) -> tuple[Array | None, Array | None]:
     """Return sigma and confidence of every pixel, from the files named or those that the sidecar names.
 
     truth_scale: counts of the truth per pixel. Rounding to them is an error of the truth, which sigma has to allow for.
     """
-    sigma = files.sigma or (sidecar.sigma if sidecar else None)
-    confidence = files.confidence or (sidecar.confidence if sidecar else None)
+    known = sidecar or Sidecar()
+    sigma = files.sigma or named_file(known.sigma, files.disparity, progress)
+    confidence = files.confidence or named_file(known.confidence, files.disparity, progress)
     rounding = 1 / (np.sqrt(12) * truth_scale) if truth_scale > 1 else 0.0  # a truth in whole pixels has a scale of 1,
     return (  # and so have all in floating point: neither says how exact it is
         np.hypot(disparity.read(sigma).matched(), np.float32(rounding)) if sigma else None,
@@ -201,7 +222,7 @@ def _predicted(files: TruthPair, sidecar: Sidecar | None, truth_scale: float) ->
 
 def _likely_scale(values: Array, truth: Array, files: TruthPair) -> str | None:
     """Return a remark if one map looks as if its numbers were still counts: they are 4, 8, … times the other's."""
-    both = np.isfinite(values) & np.isfinite(truth)
+    both = (values > 0) & (truth > 0) & np.isfinite(values) & np.isfinite(truth)
     pairs = values[both][:: max(1, both.sum() // _SAMPLES)], truth[both][:: max(1, both.sum() // _SAMPLES)]
     if not pairs[0].size:
         return None

@@ -1,14 +1,13 @@
 """Disparity maps with the truth they are held against: one of each, or folders of them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from camcal.errors import FileError, InvalidInput
-from camcal.files import natural_key
-from camcal.formats import disparity_sidecar
-from camcal.formats.disparity import SUFFIXES
+from camcal.errors import InvalidInput
+from camcal.formats.disparity import maps_in
 from camcal.run.inputs import require_there
+from camcal.run.pairs import paired
 
 
 @dataclass(frozen=True)
@@ -33,11 +32,11 @@ class TruthPair:
         return {name: path for name, path in found.items() if path is not None}
 
 
-def find_pairs(given: TruthPair) -> list[TruthPair]:
-    """Return the pairs that files or folders stand for; the files of folders belong together in natural order.
+def truth_pairs(given: TruthPair) -> list[TruthPair]:
+    """Return the pairs that files or folders stand for; the files of folders belong together as `paired` says.
 
-    Raises InvalidInput if files and folders are mixed or hold different numbers of files, FileError for what is not
-    there or empty.
+    Raises InvalidInput if files and folders are mixed or the files of folders do not pair up, FileError for what is
+    not there or empty.
     """
     for path in given.files.values():
         require_there(path)
@@ -47,19 +46,11 @@ def find_pairs(given: TruthPair) -> list[TruthPair]:
     if not all(folders.values()):
         file = next(path for name, path in given.files.items() if not folders[name])
         raise InvalidInput("is no folder, while others are; give files only or folders only", where=str(file))
-    found = {name: _maps(folder) for name, folder in given.files.items()}
-    counts = {name: len(paths) for name, paths in found.items()}
-    if len(set(counts.values())) > 1:
-        held = ", ".join(f"{given.files[name]} {count}" for name, count in counts.items())
-        raise InvalidInput(f"folders must hold as many files each, found {held}")
-    names = list(found)
-    return [TruthPair(**dict(zip(names, paths, strict=True))) for paths in zip(*found.values(), strict=True)]
+    maps = maps_in(given.disparity)
+    partners = {name: _partners(maps, given.disparity, folder) for name, folder in given.files.items()}
+    return [TruthPair(**{name: found[path] for name, found in partners.items()}) for path in maps]
 
 
-def _maps(folder: Path) -> list[Path]:
-    """Return the maps of a folder in natural order; where some have a sidecar, those are the maps."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
-    told = [path for path in files if disparity_sidecar.path_beside(path).is_file()]
-    if not files:
-        raise FileError(f"holds no map ({', '.join(SUFFIXES)})", where=str(folder))
-    return sorted(told or files, key=lambda path: natural_key(path.name))
+def _partners(maps: Sequence[Path], home: Path, folder: Path) -> Mapping[Path, Path]:
+    """Return the file of a folder that belongs to each map."""
+    return dict(paired(maps, maps_in(folder), (f"maps in {home}", f"files in {folder}")))

@@ -10,8 +10,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from camcal import files
-from camcal.errors import InvalidInput
+from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import disparity
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import path_beside as sidecar_of
@@ -115,7 +117,7 @@ def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
     """Return what was made to look at.
 
     Raises InvalidInput for what the cloud does not have, a view or an output that is none, Rerun where it is not
-    installed; InsufficientData for a cloud without points; FileError.
+    installed; InsufficientData for a cloud without points or a map without a match; FileError.
     """
     kind = options.kind
     _refuse_what_has_no_effect(options)
@@ -178,9 +180,12 @@ def _as_map(options: ViewOptions, found: DisparityMap) -> ViewReport:
             "'camcal stereo cloud'",
             where=str(options.source),
         )
+    matched = found.matched()
+    if not np.isfinite(matched).any():
+        raise InsufficientData("the map has no match to look at", where=str(options.source))
     from camcal.report.disparity_pictures import disparity_picture
 
-    save(options.output, disparity_picture(found.matched()))
+    save(options.output, disparity_picture(matched))
     return ViewReport(options.output, PICTURE, "disparity")
 
 

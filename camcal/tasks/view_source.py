@@ -8,16 +8,15 @@ import numpy as np
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
-from camcal.formats.disparity_sidecar import ZERO, Sidecar
-from camcal.images.load import load
+from camcal.formats.disparity_sidecar import Sidecar
 from camcal.progress import Progress
 from camcal.run.fanout import over_threads
 from camcal.stereo.points.axes import rotation_of
 from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.depth import StereoImage
 from camcal.stereo.points.frames import WORDS, Frame
 from camcal.stereo.points.selection import Selection, select
 from camcal.stereo.points.vertices import VertexStream
+from camcal.tasks.map_sources import named_file, stereo_image
 from camcal.tasks.rectified_pair import GeometryOptions, pair_of
 
 _POINTS = "points.npy"  # what the archive of a cloud holds
@@ -91,24 +90,9 @@ def cloud_of(path: Path, found: DisparityMap, image: Path | None, progress: Prog
     pair = pair_of(GeometryOptions(), None, (width, height), sidecar, progress)
     if pair.geometry is None:
         return None
-    image = image or _there(sidecar.image, path, progress)
-    sigma = _there(sidecar.sigma, path, progress)
-    stereo = StereoImage(
-        found.values,
-        pair.geometry,
-        signed=found.invalid != ZERO and sidecar.searched is not None and sidecar.searched[0] < 0,
-        pixels=load(image).pixels if image else None,
-        sigma=disparity.read(sigma).values if sigma else None,
-        calibration_sigma=pair.sigma_of_product,
-    )
+    image = image or named_file(sidecar.image, path, progress)
+    sigma = named_file(sidecar.sigma, path, progress)
+    stereo = stereo_image(found, pair, image, sigma)
     with over_threads() as each:
         selected = select(stereo, Selection(), Frame(), each)
     return CloudMaker(stereo, selected.kept, sigma=sigma is not None).stream()
-
-
-def _there(path: Path | None, disparity_path: Path, progress: Progress) -> Path | None:
-    """Return a file that a sidecar names, if it is there."""
-    if path is not None and not path.is_file():
-        progress.warn(f"{disparity_path}: {path}, which its sidecar names, is not there")
-        return None
-    return path

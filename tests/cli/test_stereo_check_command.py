@@ -171,6 +171,18 @@ def test_images_without_features_are_too_little_data(run, tmp_path):
     code, _, err = run("stereo", "check", tmp_path / "left.png", tmp_path / "right.png")
     assert code == 4
     assert "0 features are alike" in err
+    assert "an image is without texture" in err
+
+
+def test_of_one_image_twice_nothing_is_said_that_is_nothing(run, images, tmp_path):
+    (tmp_path / "copy.png").write_bytes((images / "left.png").read_bytes())
+    _, out, _ = run("stereo", "check", images / "left.png", tmp_path / "copy.png")
+    assert [line.strip() for line in out.splitlines()][2:4] == [
+        "disparity 0 px; the range to search is -3:3",
+        "exposures agree",
+    ]
+    assert "rows do not differ" in out
+    assert "trend" not in out
 
 
 @pytest.mark.parametrize(

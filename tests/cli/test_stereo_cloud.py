@@ -263,7 +263,25 @@ def test_an_image_the_sidecar_names_and_that_is_gone_costs_the_colour_only(run, 
     (tmp_path / "left.png").unlink()
     code, _, err = run("stereo", "cloud", measured, "-o", tmp_path / "cloud.ply")
     assert code == 0
-    assert "left.png: the left image that the sidecar names is not there" in err
+    assert "disparity.pfm.json: it names left.png, which is not there; done without" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (["--sigma"], "sigma.tiff"),
+        (["--max-sigma", 5], "sigma.tiff"),
+        (["--min-confidence", "apart"], "confidence.png"),
+    ],
+)
+def test_what_the_sidecar_names_and_is_gone_is_missed_only_if_asked_for(run, tmp_path, measured, options, name):
+    measured.with_name(name).unlink()
+    code, _, err = run("stereo", "cloud", measured, "-o", tmp_path / "cloud.ply")
+    assert (code, err) == (0, "")
+    code, _, err = run("stereo", "cloud", measured, *options, "-o", tmp_path / "asked.ply")
+    assert code == 3
+    assert f"disparity.pfm.json: it names {name}, which is not there, and {options[0]} needs it" in err
+    assert not (tmp_path / "asked.ply").exists()
 
 
 def test_frame_and_unit_are_in_the_file_and_in_its_coordinates(run, tmp_path, measured):

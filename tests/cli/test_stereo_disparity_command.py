@@ -158,6 +158,30 @@ def test_map_only_leaves_out_uncertainty_and_classes(match, tmp_path):
     assert (sidecar.sigma, sidecar.confidence) == (None, None)
 
 
+def test_what_an_earlier_run_left_beside_the_map_goes_with_it(match, tmp_path):
+    output = tmp_path / "out" / "x.pfm"
+    assert match("-o", output, "--vis")[0] == 0
+    assert names(output.parent) == sorted([*BESIDE, "x.pfm.vis.png"])
+    (output.parent / "y.pfm.vis.png").write_bytes(b"of another map")
+    assert match("-o", output)[0] == 0
+    assert names(output.parent) == [*BESIDE, "y.pfm.vis.png"]
+    assert match("-o", output, "--map-only")[0] == 0
+    assert names(output.parent) == ["x.pfm", "x.pfm.json", "y.pfm.vis.png"]
+
+
+def test_a_run_that_cannot_finish_leaves_no_sidecar_of_another_map(match, tmp_path):
+    output = tmp_path / "out" / "x.pfm"
+    assert match("-o", output)[0] == 0
+    before = output.read_bytes()
+    (output.parent / "x.pfm.vis.png").mkdir()
+    (output.parent / "x.pfm.vis.png" / "kept.txt").touch()
+    code, _, err = match("-o", output)
+    assert code == 3
+    assert "x.pfm.vis.png: cannot be replaced" in err
+    assert output.read_bytes() == before
+    assert names(output.parent) == ["x.pfm", "x.pfm.vis.png"]
+
+
 def test_one_pair_into_a_folder_is_recorded_there_as_several_are_and_a_file_is_not(match, tmp_path):
     assert match("-o", tmp_path / "maps", "--type", "pfm")[0] == 0
     assert match("-o", tmp_path / "file" / "x.pfm")[0] == 0

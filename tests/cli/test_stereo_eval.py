@@ -181,6 +181,28 @@ def test_sigma_and_confidence_are_found_through_the_sidecar(run, tmp_path, found
     assert "68 % of errors" in out
 
 
+def test_a_map_copied_with_its_sidecar_alone_is_evaluated_without_what_that_names(run, tmp_path, found, truth):
+    disparity_sidecar.write(found, Sidecar(sigma=tmp_path / "gone.tiff", confidence=tmp_path / "gone.png"))
+    code, out, err = run("stereo", "eval", found, truth, "--json")
+    assert code == 0
+    assert "within1" not in json.loads(out)["mean"]["figures"]["all-valid"]
+    for name in ("gone.tiff", "gone.png"):
+        assert f"found.tiff.json: it names {name}, which is not there; done without" in err
+    code, _, err = run("stereo", "eval", found, truth, "--sigma", tmp_path / "gone.tiff")
+    assert code == 3
+    assert "gone.tiff: no such file" in err
+
+
+def test_disparities_of_zero_do_not_count_for_the_likely_scale(run, tmp_path):
+    values = np.full(SIZE, 8.0)
+    values[:4] = 0
+    found = write(tmp_path / "found.tiff", values)
+    disparity_sidecar.write(found, Sidecar(searched=(0, 64)))
+    code, _, err = run("stereo", "eval", found, write(tmp_path / "truth.tiff", values * 4))
+    assert code == 0
+    assert "is it --truth-scale 4?" in err
+
+
 def test_counts_taken_for_pixels_are_noticed(run, tmp_path):
     found = write(tmp_path / "found.tiff", np.full(SIZE, 8.1))
     cv2.imwrite(str(tmp_path / "disp2.png"), np.full(SIZE, 32, np.uint8))
@@ -199,6 +221,39 @@ def test_folders_are_paired_in_natural_order_and_averaged(run, tmp_path):
     assert [Path(pair["truth"]).name for pair in report["pairs"]] == ["02.png", "10.png"]
     assert report["mean"]["figures"]["nocc"]["bad2"] == 50
     assert sorted(path.name for path in (tmp_path / "errors").iterdir()) == ["frame10.png", "frame2.png"]
+
+
+def test_maps_of_folders_go_with_the_truths_of_their_names(run, tmp_path):
+    for name, truth_name, level in (("x1a", "xa", 8.0), ("x0b", "xb", 30.0)):  # in another order than the truths
+        write(tmp_path / "found" / f"{name}.pfm", np.full(SIZE, level))
+        write(tmp_path / "truth" / f"{truth_name}.png", np.full(SIZE, level))
+    report = document(run, tmp_path / "found", tmp_path / "truth")
+    assert [Path(pair["truth"]).name for pair in report["pairs"]] == ["xb.png", "xa.png"]
+    assert report["mean"]["figures"]["all"]["bad1"] == 0
+
+
+def test_folders_whose_names_agree_in_part_are_refused(run, tmp_path):
+    for found, truth in (("a", "b"), ("b", "c")):
+        write(tmp_path / "found" / f"{found}.pfm", np.full(SIZE, 8.0))
+        write(tmp_path / "truth" / f"{truth}.pfm", np.full(SIZE, 8.0))
+    code, _, err = run("stereo", "eval", tmp_path / "found", tmp_path / "truth")
+    assert code == 2
+    assert "agree in some names only" in err
+    assert "a.pfm has no partner" in err
+
+
+def test_a_map_without_a_disparity_is_named_and_not_averaged_into_what_it_has_not(run, tmp_path):
+    for name, level in (("empty", np.nan), ("full", 9.5)):
+        write(tmp_path / "found" / f"{name}.pfm", np.full(SIZE, level))
+        write(tmp_path / "truth" / f"{name}.pfm", np.full(SIZE, 8.0))
+    code, out, err = run("stereo", "eval", tmp_path / "found", tmp_path / "truth", "--json")
+    assert code == 0
+    figures = json.loads(out)["mean"]["figures"]
+    assert figures["all-valid"]["avg"] == 1.5
+    assert figures["all"]["bad2"] == 50  # the empty map is bad everywhere
+    assert err.count("\n") == 1
+    assert "empty.pfm: has no avg, rms, " in err
+    assert "in nocc-valid, all-valid; the mean is that of the others" in err
 
 
 def test_one_pair_that_fails_costs_only_itself(run, tmp_path):
@@ -226,8 +281,8 @@ def test_folders_of_different_counts_are_refused_with_both(run, tmp_path):
         write(tmp_path / "truth" / f"{number}.pfm", np.full(SIZE, 8.0))
     code, _, err = run("stereo", "eval", tmp_path / "found", tmp_path / "truth")
     assert code == 2
-    assert "found 1" in err
-    assert "truth 2" in err
+    assert f"1 maps in {tmp_path / 'found'} and 2 files in {tmp_path / 'truth'} do not pair up" in err
+    assert f"{tmp_path / 'truth' / '0.pfm'} has no partner" in err
 
 
 def test_a_truth_of_twice_the_size_is_refused_with_the_way_out(run, tmp_path, found):

@@ -88,10 +88,12 @@ def test_an_image_on_the_command_line_comes_before_that_of_the_sidecar(run, tmp_
 
 
 def test_files_that_the_sidecar_names_and_are_not_there_are_done_without(run, tmp_path, disparity_map):
-    (tmp_path / "left.png").unlink()
+    for name in ("left.png", "sigma.tiff"):
+        (tmp_path / name).unlink()
     code, out, err = run("view", disparity_map, "-o", tmp_path / "cloud.html")
     assert code == 0
-    assert "left.png, which its sidecar names, is not there" in err
+    for name in ("left.png", "sigma.tiff"):
+        assert f"disparity.tiff.json: it names {name}, which is not there; done without" in err
     assert "coloured by depth" in out
 
 
@@ -244,6 +246,14 @@ def test_a_cloud_without_points_is_too_little(run, tmp_path):
     code, _, err = run("view", tmp_path / "empty.ply", "-o", tmp_path / "c.html")
     assert code == 4
     assert "no points to look at" in err
+
+
+def test_a_map_without_a_match_is_too_little(run, tmp_path):
+    np.save(tmp_path / "nan.npy", np.full(SHAPE, np.nan, np.float32))
+    code, _, err = run("view", tmp_path / "nan.npy", "-o", tmp_path / "a.png")
+    assert code == 4
+    assert "nan.npy: the map has no match to look at" in err
+    assert not (tmp_path / "a.png").exists()
 
 
 def test_the_map_is_not_overwritten(run, tmp_path):

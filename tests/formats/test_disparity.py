@@ -235,3 +235,12 @@ def test_the_same_map_gives_the_same_bytes(tmp_path, suffix):
         disparity.write(tmp_path / name / f"map{suffix}", np.abs(np.where(np.isfinite(VALUES), VALUES, np.nan)))
         contents.add((tmp_path / name / f"map{suffix}").read_bytes())
     assert len(contents) == 1
+
+
+@pytest.mark.parametrize(
+    ("invalid", "searched", "signed"), [("nan", (-4, 8), True), ("nan", (0, 8), False), ("0", (-4, 8), False)]
+)
+def test_a_map_is_signed_if_less_than_zero_was_looked_for_and_is_no_code(invalid, searched, signed):
+    sidecar = disparity_sidecar.Sidecar(searched=searched)
+    assert disparity.DisparityMap(np.ones((1, 1)), 1.0, invalid, sidecar).signed == signed
+    assert not disparity.DisparityMap(np.ones((1, 1)), 1.0, invalid).signed

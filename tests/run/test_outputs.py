@@ -33,6 +33,8 @@ def test_a_folder_whose_name_has_a_dot_is_still_a_folder(tmp_path):
     [
         (FRAMES, "out.png", "2 inputs do not go into one file"),
         (FRAMES[:1], "out.exr", "use .tiff, .png"),
+        (FRAMES[:1], ".PNG", "a suffix without a name; write NAME.PNG"),
+        (FRAMES, "new/.tiff", "a suffix without a name"),
         ([Path("raw/a.png"), Path("other/a.png")], "out", "both be written"),
         ([Path("raw/a.tiff")], "raw", "not overwritten"),
         ([Path("raw/a.png")], "raw/a.png", "not overwritten"),

@@ -18,6 +18,8 @@ LARGEST_CORRECTION = 5.0  # px; a pair that is off by more is not a rectified on
 
 _FEWEST = 12  # matches in agreement, three for each number of the trend and its scatter
 _FEWEST_SHARE = 0.15  # of all; two images of different things reach 0.05, good pairs 0.6
+_SMALL = 64  # px of width or height, below which a scene hardly has features enough
+_FLAT = 4.0  # counts; the noise of a camera alone has less
 _SURE = 3.0  # standard errors at which a trend is no chance
 _FOLLOWED = 2.0  # px; of rows that are off by more too many corners are lost
 _SHARP = 0.6  # px; corners that are found scatter by 0.1 to 0.3 px, those that are lost by more than 1
@@ -133,7 +135,7 @@ def residual_of(matches: Matches) -> Residual:
     if kept.sum() < needed:
         raise InsufficientData(
             f"{len(dy)} features are alike in both images and {kept.sum()} agree on their rows, need {needed}; "
-            "do the images show the same scene?"
+            f"{_why_so_few(matches)}"
         )
     disparity = matches.left[:, 0] - matches.right[:, 0]
     values, covariance = _solved(plane, dy, weights)
@@ -180,6 +182,15 @@ def align_rows(right: Array, correction: Array) -> Array:
     across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     down += correction[0] * across + correction[1] * down + correction[2]
     return Maps(across, np.clip(down, 0, height - 1), (width, height), "linear").apply(right)
+
+
+def _why_so_few(matches: Matches) -> str:
+    width, height = matches.size
+    if min(width, height) < _SMALL:
+        return f"images of {width}x{height} pixels are too small"
+    if matches.contrast < _FLAT:
+        return f"an image is without texture, its gray levels scatter by {matches.contrast:.1f} of 255"
+    return "do the images show the same scene?"
 
 
 def _normalised(pixels: Array, size: tuple[int, int]) -> Array:

@@ -21,13 +21,15 @@ class Matches:
     """Features found in both images of a pair, each the other's best match; some are wrong.
 
     left, right: (N, 2) pixels, column and row. turns: (N,) radians from the left feature's direction to the right
-    one's, -π … π, positive clockwise. size: (width, height) of the images.
+    one's, -π … π, positive clockwise. size: (width, height) of the images. contrast: standard deviation of the gray
+    levels in the image that has less, counts.
     """
 
     left: Array
     right: Array
     turns: Array
     size: tuple[int, int]
+    contrast: float
 
     def __post_init__(self) -> None:
         count = len(self.left)
@@ -49,16 +51,17 @@ def match_features(left: Array, right: Array) -> Matches:
     """
     left, right = require_pair(left, right)
     scale = min(1.0, sqrt(PIXELS / left.size))
-    size = left.shape[1], left.shape[0]
+    size, contrast = (left.shape[1], left.shape[0]), contrast_of(left, right)
     first, second = _Features(left, scale), _Features(right, scale)
     if not first.count or not second.count:
-        return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), size)
+        return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), size, contrast)
     likeness = first.descriptors @ second.descriptors.T
     best, best_back = likeness.argmax(axis=1), likeness.argmax(axis=0)
     mutual = np.flatnonzero(best_back[best] == np.arange(first.count))
     partners = best[mutual]
     turns = second.angles[partners] - first.angles[mutual]
-    return Matches(first.pixels[mutual], second.pixels[partners], (turns + np.pi) % (2 * np.pi) - np.pi, size)
+    turns = (turns + np.pi) % (2 * np.pi) - np.pi
+    return Matches(first.pixels[mutual], second.pixels[partners], turns, size, contrast)
 
 
 def require_pair(left: Array, right: Array) -> tuple[Array, Array]:
@@ -69,6 +72,11 @@ def require_pair(left: Array, right: Array) -> tuple[Array, Array]:
         sizes = (*left.shape[::-1], *right.shape[::-1])
         raise InvalidInput("the images differ in size: {}x{} and {}x{}".format(*sizes))
     return left, right
+
+
+def contrast_of(*images: Array) -> float:
+    """Return the least standard deviation of the gray levels of images (H, W) uint8, counts."""
+    return min(float(np.ravel(cv2.meanStdDev(image)[1])[0]) for image in images)
 
 
 class _Features:

@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.opencv import resized
 from camcal.stereo.pair.coarse import as_counts, coarse_map, evened
-from camcal.stereo.pair.features import PIXELS, Matches, require_pair
+from camcal.stereo.pair.features import PIXELS, Matches, contrast_of, require_pair
 
 _MOST = 800  # corners
 _QUALITY = 0.01  # of the best corner's
@@ -40,7 +40,11 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     kept &= astray < _ASTRAY * (first.shape[1] / coarse.shape[1] + 1)
     ratio = np.array(size) / first.shape[::-1]
     return Matches(
-        (corners[kept] + 0.5) * ratio - 0.5, (found[kept] + 0.5) * ratio - 0.5, np.zeros(int(kept.sum())), size
+        (corners[kept] + 0.5) * ratio - 0.5,
+        (found[kept] + 0.5) * ratio - 0.5,
+        np.zeros(int(kept.sum())),
+        size,
+        contrast_of(left, right),
     )
 
 

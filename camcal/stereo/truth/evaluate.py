@@ -144,13 +144,16 @@ def _chosen(values: Array | None, chosen: Array) -> Array | None:
 
 
 def mean_of(evaluations: Sequence[Evaluation]) -> Evaluation:
-    """Return the mean over several maps: of figures all of them have, each map alike; of classes, each pixel alike."""
+    """Return the mean over several maps: of figures, each map alike; of classes, each pixel alike.
+
+    A figure that not all maps are asked for is left out; one that is NaN for some maps is the mean over the others.
+    """
     first = evaluations[0]
     if len(evaluations) == 1:
         return first
     figures = {
         column: {
-            name: float(np.mean([other.figures[column][name] for other in evaluations]))
+            name: _mean_known([other.figures[column][name] for other in evaluations])
             for name in names
             if all(name in other.figures[column] for other in evaluations)
         }
@@ -162,6 +165,11 @@ def mean_of(evaluations: Sequence[Evaluation]) -> Evaluation:
     same = [[kind for kind in found if kind.name == name] for name in names]
     total = sum(kind.pixels for kind in found)
     return Evaluation(figures, pixels, tuple(_mean_class(kinds, total) for kinds in same if kinds))
+
+
+def _mean_known(values: Sequence[float]) -> float:
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else np.nan
 
 
 def _mean_class(kinds: Sequence[ClassErrors], total: int) -> ClassErrors:

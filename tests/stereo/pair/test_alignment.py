@@ -37,7 +37,7 @@ def matches_of(rows, *, count=600, wrong=0.0, scatter=0.2, per_disparity=0.0, se
     right[:, 1] += rng.normal(0, scatter, count)
     bad = rng.random(count) < wrong
     right[bad, 1] = rng.uniform(0, SIZE[1], bad.sum())
-    return Matches(left, right, np.zeros(count), SIZE)
+    return Matches(left, right, np.zeros(count), SIZE, 40.0)
 
 
 @pytest.mark.parametrize("rows", [0.5, -1.25, (0.004, 0.0, -0.3), (-0.002, 0.003, 0.8)])
@@ -163,11 +163,24 @@ def test_images_that_share_nothing_are_too_little():
         vertical_residual(left, other)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (3, 40), (240, 320)])
-def test_images_without_features_are_too_little(shape):
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        ((1, 1), "images of 1x1 pixels are too small"),
+        ((3, 40), "images of 40x3 pixels are too small"),
+        ((240, 320), "an image is without texture, its gray levels scatter by 0.0 of 255"),
+    ],
+)
+def test_images_without_features_are_too_little_and_it_is_said_why(shape, reason):
     flat = np.full(shape, 100, np.uint8)
-    with pytest.raises(InsufficientData, match="0 features"):
+    with pytest.raises(InsufficientData, match=f"0 features .*; {reason}"):
         vertical_residual(flat, flat)
+
+
+def test_one_image_without_texture_is_enough_to_be_too_little():
+    left, _ = pair_off_by(0.0)
+    with pytest.raises(InsufficientData, match="without texture"):
+        vertical_residual(left, noisy(np.full_like(left, 100), 2))
 
 
 def test_the_residual_does_not_depend_on_the_number_of_threads():
