@@ -20,16 +20,21 @@ from camcal.cli import (
     demo,
     demosaic,
     doctor,
+    fit,
     inspect,
+    optics,
     pnp,
     sensor,
     show,
     simulate,
+    smooth,
     stereo_check,
     stereo_cloud,
     stereo_disparity,
     stereo_eval,
     targets,
+    track,
+    transform,
     undistort,
     view,
 )
@@ -149,6 +154,9 @@ stereo_app.command("disparity")(stereo_disparity.disparity)
 stereo_app.command("cloud")(stereo_cloud.cloud)
 stereo_app.command("eval")(stereo_eval.evaluate)
 
+transform_app = typer.Typer(help="Poses and frames: compose, invert, chain, convert, apply.")
+transform_app.command("chain")(transform.chain)
+
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
 app.command("detect")(targets.detect)
@@ -160,6 +168,11 @@ app.command("sensor")(sensor.sensor)
 app.add_typer(stereo_app, name="stereo")
 app.command("view")(view.view)
 app.command("pnp")(pnp.pnp)
+app.command("track")(track.track)
+app.command("smooth")(smooth.smooth)
+app.command("fit")(fit.fit)
+app.add_typer(transform_app, name="transform")
+app.command("optics")(optics.optics)
 app.command("doctor")(doctor.doctor)
 
 
