@@ -30,19 +30,19 @@ _LEAST_STEP = 0.1  # pixels
 # drawn with known truth, and of four real ones, by benchmarks/disparity_uncertainty.py, which prints these tables.
 # fmt: off
 OF_TWO_MATCHERS: Weights = {
-    Confidence.FILLED: (-0.782, 0.021, -0.022, 0.092, -0.079, -0.541, 0.541, 0, -0.084, 0.423),
-    Confidence.SINGLE: (0.394, 0.174, 0.098, 0.092, -0.234, -1.438, 0.89, 0, 0, 0),
-    Confidence.APART: (1.206, 0.309, 0.517, 0.413, -0.778, -1.77, 0.372, -0.272, 0, 0),
-    Confidence.NEAR: (0.353, 0.26, 0.748, 0.228, -0.45, -1.08, 0.128, 0.089, 0, 0),
-    Confidence.AGREED: (-0.031, 0.281, 0.68, 0.113, -0.421, -0.779, 0.113, 0.04, 0, 0),
+    Confidence.FILLED: (-0.776, 0.253, -0.049, 0.177, -0.069, -0.63, 0.504, 0, -0.092, 0.305),
+    Confidence.SINGLE: (0.302, 0.169, 0.062, 0.131, -0.203, -1.4, 0.845, 0, 0, 0),
+    Confidence.APART: (1.09, 0.313, 0.439, 0.344, -0.598, -1.74, 0.49, -0.314, 0, 0),
+    Confidence.NEAR: (0.112, 0.213, 0.769, 0.272, -0.496, -0.746, 0.117, 0.097, 0, 0),
+    Confidence.AGREED: (-0.337, 0.258, 0.585, 0.151, -0.494, -0.539, 0.07, 0.053, 0, 0),
 }
 OF_THE_CENSUS: Weights = {
-    Confidence.FILLED: (-0.932, 0.201, 0.02, 0.122, -0.171, -0.501, 0.441, -0.106, -0.062, 0.468),
-    Confidence.SINGLE: (-0.181, 0.305, 0.762, 0.004, -0.395, -0.471, 0.283, 0.035, 0, 0),
+    Confidence.FILLED: (-0.475, 0.302, -0.101, 0.171, -0.138, -0.872, 0.462, -0.107, -0.025, 0.197),
+    Confidence.SINGLE: (-0.359, 0.352, 0.622, 0.042, -0.476, -0.436, 0.243, 0.034, 0, 0),
 }
 OF_A_SINGLE_PASS: Weights = {  # for evidence at a quarter of the size
-    Confidence.FILLED: (2.846, 0.063, 0, -0.03, 0.378, -3.147, 0.991, 0, 0.1, -0.315),
-    Confidence.SINGLE: (-0.493, 0.118, 0, -0.372, 0.039, -0.548, 0.374, 0, 0.367, 1.625),
+    Confidence.FILLED: (3.21, 0.377, 0, -0.02, 0.478, -3.55, 0.768, 0, 0.108, -0.359),
+    Confidence.SINGLE: (-0.455, 0.047, 0, -0.252, -0.092, -0.621, 0.259, 0, 0, 0),
 }
 # fmt: on
 
