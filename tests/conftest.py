@@ -12,6 +12,13 @@ settings.register_profile("camcal", max_examples=50, deadline=None, derandomize=
 settings.load_profile("camcal")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Count every test of real data among the slow ones."""
+    for item in items:
+        if "real_data" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real images, CAMCAL_TEST_DATA or ../shared/data; the test is skipped where there is none."""

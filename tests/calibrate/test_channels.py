@@ -75,6 +75,7 @@ def test_no_aberration_is_found_where_there_is_none(poses):
     assert found.largest_px < 0.02
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_the_difference_is_the_true_one(poses):
     """The squared error of the four parameters over their covariance is 4 on average."""
     true = lenses(GREEN, 0.5)["R"]
@@ -142,6 +143,7 @@ def test_parameters_that_green_held_stay_held(poses):
     assert (lens.camera.value("k3"), lens.camera.value("p1")) == (0, 0)
 
 
+@pytest.mark.slow
 def test_a_rational_lens_and_a_fisheye_have_channels_too(poses):
     true = lenses(GREEN, 0.5)["R"]
     for model in ("opencv8", "kannala_brandt4"):

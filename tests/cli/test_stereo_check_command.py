@@ -127,6 +127,7 @@ def test_a_picture_in_a_folder_is_recorded_there_as_one_of_camcals_and_a_named_o
     assert sorted(path.name for path in tmp_path.iterdir()) == ["check.png", "folder"]
 
 
+@pytest.mark.slow
 def test_worker_processes_find_the_same(run, tmp_path):
     left, right = sequence(tmp_path, 0.0, 0.8)
     found = [run("stereo", "check", left, right, "--json", "-j", jobs) for jobs in (1, 2)]

@@ -21,14 +21,12 @@ def gopro(real_data, tmp_path_factory):
     return folder, calibrate(options)
 
 
-@pytest.mark.slow
 def test_a_bent_board_is_no_noise_on_the_gopro_set(gopro):
     _, report = gopro
     assert report.calibration.rms_px <= 0.21  # cv2.calibrateCamera: 0.42
     assert len(report.calibration.used) >= 33
 
 
-@pytest.mark.slow
 def test_free_corners_reach_the_noise_of_the_gopro_set_without_images(gopro):
     folder, smooth = gopro
     free = calibrate(CalibrateOptions((str(folder / "corners.csv"),), folder / "free.yaml", model="opencv8"))
@@ -41,7 +39,6 @@ def test_free_corners_reach_the_noise_of_the_gopro_set_without_images(gopro):
     assert (again.calibration.camera.parameters == smooth.calibration.camera.parameters).all()
 
 
-@pytest.mark.slow
 def test_a_fisheye_needs_no_hint_but_the_board(real_data, tmp_path):
     inputs = (str(real_data / "fisheye" / "boofcv-theta-chess"),)
     report = calibrate(CalibrateOptions(inputs, tmp_path / "camera.yaml", "chessboard:6x4"))
@@ -49,7 +46,6 @@ def test_a_fisheye_needs_no_hint_but_the_board(real_data, tmp_path):
     assert report.calibration.rms_px < 0.3  # OpenCV: 3.6 with its default model, 0.62 at best
 
 
-@pytest.mark.slow
 def test_charuco_of_either_pattern_is_calibrated(real_data, tmp_path):
     folder = real_data / "charuco" / "photonvision-2024-06-19_lifecam_1280_Old_Pattern"
     board = "charuco:8x8:25.4mm:19.05mm:DICT_4X4_1000"

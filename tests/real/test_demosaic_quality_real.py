@@ -61,12 +61,10 @@ def test_variable_gradients_in_sixteen_bits_are_as_good_as_in_eight(kodak):
     assert quality(kodak[::4], "vng", np.uint16) == pytest.approx(quality(kodak[::4], "vng"), abs=0.5)
 
 
-@pytest.mark.slow
 def test_residual_interpolation_is_better_than_every_published_filter(kodak):
     assert quality(kodak, "ri") >= 40.4  # the best of 19 others: 39.62
 
 
-@pytest.mark.slow
 def test_linear_light_needs_no_white_balance_to_be_filtered_well(kodak):
     found = []
     for image in kodak:
