@@ -1,6 +1,8 @@
 """Figures: the one module that draws with matplotlib, without a screen."""
 
+from dataclasses import dataclass
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +11,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.optics.lens import blur_disc
 from camcal.raw.emva import line_deviation
 from camcal.raw.sensor import Characterisation
 
@@ -21,7 +25,8 @@ _COLOURS = {"R": "tab:red", "Gr": "tab:green", "Gb": "tab:olive", "B": "tab:blue
 _MARKERS = {"R": "o", "Gr": "^", "Gb": "v", "B": "s", "mono": "o"}
 _LINE = "0.25"
 _DPI = 120
-_STYLE: dict[Any, Any] = {"svg.hashsalt": "camcal", "svg.fonttype": "none", "font.size": 9}
+_DECADE = 10  # a longer range of distances is drawn with a logarithmic axis
+STYLE: dict[Any, Any] = {"svg.hashsalt": "camcal", "svg.fonttype": "none", "font.size": 9}
 
 
 def require_suffix(path: Path) -> None:
@@ -36,7 +41,7 @@ def photon_transfer(sensor: Characterisation, suffix: str) -> bytes:
     Left: noise over light with the line through the levels that count, and where pixels are full. Right: deviation of
     the light from a line over exposure, or the signal-to-noise ratio where exposures are unknown.
     """
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10, 4.4))
         figure.subplots_adjust(left=0.065, right=0.985, bottom=0.11, top=0.93, wspace=0.2)
         FigureCanvasAgg(figure)
@@ -46,10 +51,68 @@ def photon_transfer(sensor: Characterisation, suffix: str) -> bytes:
             _draw_ratio(beside, sensor)
         else:
             _draw_linearity(beside, sensor)
-        return _encoded(figure, suffix)
+        return encoded(figure, suffix)
 
 
-def _encoded(figure: Figure, suffix: str) -> bytes:
+@dataclass(frozen=True)
+class BlurCurve:
+    """A lens whose blur over distance is drawn; lengths in metres, pitch and Airy disc None where unknown.
+
+    near, far: the ends of the depth of field.
+    """
+
+    focal: float
+    f_number: float
+    focus: float
+    circle: float
+    near: float
+    far: float
+    pitch: float | None = None
+    airy_diameter: float | None = None
+
+
+def blur_over_distance(curve: BlurCurve, suffix: str) -> bytes:
+    """Return a figure of the blur disc over distance with the depth of field, as a file of the type of `suffix`."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 4.4))
+        figure.subplots_adjust(left=0.09, right=0.98, bottom=0.11, top=0.93)
+        FigureCanvasAgg(figure)
+        _draw_blur(figure.subplots(), curve)
+        return encoded(figure, suffix)
+
+
+def _draw_blur(axes: Axes, curve: BlurCurve) -> None:
+    unit, scale = ("pixels", curve.pitch) if curve.pitch else ("um", 1e-6)
+    distance = _distances(curve)
+    disc = blur_disc(curve.focal, curve.f_number, curve.focus, distance) / scale
+    ends = f"{curve.near:.4g} m to {curve.far:.4g} m" if curve.far < inf else f"from {curve.near:.4g} m on"
+    axes.axvspan(curve.near, min(curve.far, distance[-1]), color="tab:green", alpha=0.15, label=f"in focus, {ends}")
+    axes.plot(distance, disc, color="tab:blue", label="blur disc")
+    axes.axhline(curve.circle / scale, color=_LINE, lw=0.8, ls="--", label="circle of confusion")
+    if curve.airy_diameter is not None:
+        axes.axhline(curve.airy_diameter / scale, color="tab:red", lw=0.8, ls=":", label="Airy disc")
+    if distance[-1] > _DECADE * distance[0]:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.set_xlim(distance[0], distance[-1])
+    largest = max(curve.circle, curve.airy_diameter or 0) / scale
+    axes.set_ylim(0, 1.35 * min(max(float(disc.max()), largest), 6 * largest))  # room for the legend
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    focus = f"{curve.focus:g} m" if curve.focus < inf else "infinity"
+    title = f"{1e3 * curve.focal:.4g} mm, f/{curve.f_number:g}, focused at {focus}"
+    _label(axes, title, "distance from the front principal plane, m", f"diameter on the sensor, {unit}")
+    axes.legend(loc="upper right", framealpha=0.9)
+
+
+def _distances(curve: BlurCurve) -> Array:
+    """Return distances (N,) in m, up to well beyond the depth of field to both sides, the focus among them."""
+    far = curve.far if curve.far < inf else 10 * curve.near
+    margin = min(max(far / curve.near, 1.05) ** 2, 4.0)
+    low = max(curve.near / margin, 1.05 * curve.focal)
+    return np.unique([*np.geomspace(low, far * margin, 400), min(curve.focus, far * margin)])
+
+
+def encoded(figure: Figure, suffix: str) -> bytes:
     """Return the file; nothing in it says when it was made."""
     undated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[suffix.lower()]
     stream = BytesIO()

@@ -12,7 +12,7 @@ import numpy as np
 from camcal import files
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import emit, provenance
-from camcal.optics import pixel_pitch, sensor_format
+from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.progress import SILENT, Progress, values_of
 from camcal.raw.emva import Figures
 from camcal.raw.level import Level, measure_level

@@ -82,9 +82,21 @@ def sensor_format(text: str) -> SensorFormat:
     raise InvalidInput(f"sensor format {text!r} is unknown{advice}")
 
 
+def smallest_format(width: float) -> SensorFormat | None:
+    """Return the smallest format of the list that is at least `width` (m) wide, None if there is none."""
+    wide = [known for known in FORMATS.values() if known.width_mm >= 1e3 * width]
+    return min(wide, key=lambda known: known.diagonal_mm, default=None)
+
+
 def pixel_pitch(sensor: SensorFormat, image_size: tuple[int, int]) -> float:
     """Return the distance of pixels (m) if an image of `image_size` (width, height) fills the format's diagonal."""
     return sensor.diagonal_mm / 1e3 / hypot(*image_size)
+
+
+def literal_mm(sensor: SensorFormat) -> float | None:
+    """Return what the inch in a format's name would be in mm, None for a name without one. No sensor has it."""
+    inches = _INCHES.fullmatch(sensor.name) if sensor.name.endswith('"') else None
+    return None if inches is None else round(25.4 * _in_inches(inches), 2)
 
 
 def _fraction(inches: re.Match[str]) -> str:

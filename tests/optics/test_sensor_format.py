@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.optics import FORMATS, pixel_pitch, sensor_format
+from camcal.optics.sensor_format import FORMATS, literal_mm, pixel_pitch, sensor_format, smallest_format
 
 
 @pytest.mark.parametrize("text", ["1/2.8", '1/2.8"', "1/2.8 inch", "1/2.8in", "1/2.80", "1/2.8-type"])
@@ -23,6 +23,20 @@ def test_the_diagonal_of_a_2_8th_of_an_inch_is_6_4_mm():
 )
 def test_a_name_is_found_whatever_the_case(text, name):
     assert sensor_format(text).name == name
+
+
+def test_the_inch_of_a_name_is_longer_than_every_sensor_that_has_it():
+    assert literal_mm(sensor_format("1/2.8")) == 9.07  # 25.4 / 2.8
+    assert literal_mm(sensor_format("APS-C")) is None
+    named = [known for known in FORMATS.values() if literal_mm(known) is not None]
+    assert len(named) == 16
+    assert all(literal_mm(known) > 1.35 * known.diagonal_mm for known in named)
+
+
+def test_the_smallest_format_is_wide_enough_and_the_next_smaller_one_is_not():
+    assert smallest_format(4.81e-3).name == '1/2.9"'
+    assert smallest_format(4.8e-3 - 1e-9).name == '1/3"'
+    assert smallest_format(0.05) is None
 
 
 def test_other_inches_follow_the_rule():

@@ -1,0 +1,273 @@
+"""What is known of a lens, its sensor and its use: given, read from a camera file, or following from the rest."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import inf, isfinite
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.cameras.pixel_size import field_size
+from camcal.errors import InvalidInput
+from camcal.formats import native
+from camcal.optics import lens
+from camcal.optics.light import effective_f_number
+from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
+from camcal.run.inputs import split_address
+
+SOLVABLE = ("f", "wd", "sensor")
+_DISAGREE = 0.05  # of two ways to the same length: more than lenses and data sheets are off
+_FILE, _SOLVER = "camera file", "--solve"
+_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_MILLIMETRES = re.compile(rf"{_NUMBER} ?[x×] ?{_NUMBER}(?: ?mm)?")
+_CIRCLE = re.compile(rf"{_NUMBER} ?(um|µm|mm|px)")
+_METRES = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3}
+# what --solve finds: the option that would say it, and its name in a setup
+_SOLVED = {"f": ("--focal", "focal"), "wd": ("--focus", "focus"), "sensor": ("--sensor", "sensor")}
+_SOLVE_FROM = {"focal": "--focal", "focus": "--focus", "sensor": "--sensor (or --pitch-um and --size)"}
+
+
+@dataclass(frozen=True)
+class OpticsOptions:
+    """What is given of a lens; None is unknown. Lengths in metres, times in seconds.
+
+    camera: a camera file (FILE or FILE#NAME), name: of the camera in it. sensor: a format's name, or WxH in mm.
+    pitch: of the pixels. size: of the image, pixels. focus: distance in focus. circle: of confusion, such as 5um or
+    1px, None for one pixel. image_circle: diameter that the lens lights. speed: across the line of sight, m/s.
+    distances: to say figures for. solve: f, wd or sensor, so that `width` fills the image.
+    """
+
+    camera: str | None = None
+    name: str | None = None
+    focal: float | None = None
+    sensor: str | None = None
+    pitch: float | None = None
+    size: tuple[int, int] | None = None
+    f_number: float | None = None
+    focus: float | None = None
+    circle: str | None = None
+    wavelength: float = 550e-9
+    image_circle: float | None = None
+    speed: float | None = None
+    exposure: float | None = None
+    baseline: float | None = None
+    disparity_noise: float = 0.25
+    distances: tuple[float, ...] = ()
+    solve: str | None = None
+    width: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, words in _POSITIVE.items():
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and (isfinite(value) or name == "focus")):
+                raise InvalidInput(f"{words} must be more than 0 and finite, found {value:g}")
+        if not all(distance > 0 and isfinite(distance) for distance in self.distances):
+            raise InvalidInput("--distance must be more than 0 m and finite")
+        if self.solve is not None and self.solve not in SOLVABLE:
+            raise InvalidInput(f"--solve {self.solve!r}: use one of {', '.join(SOLVABLE)}")
+        if (self.solve is None) != (self.width is None):
+            raise InvalidInput("--solve f, wd or sensor and --width METRES, what is to fill the image, go together")
+
+
+_POSITIVE = {
+    "focal": "--focal",
+    "pitch": "--pitch-um",
+    "f_number": "--f-number",
+    "focus": "--focus",
+    "wavelength": "--wavelength",
+    "image_circle": "--image-circle",
+    "speed": "--speed",
+    "exposure": "--exposure",
+    "baseline": "--baseline",
+    "disparity_noise": "--disparity-noise",
+    "width": "--width",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A lens, its sensor and its use; what is None cannot be known from what was given. Lengths in metres.
+
+    camera: of a file if `measured`, else a pinhole that follows from the rest. sensor: width and height.
+    solved: the length that --solve asked for. sources: where the numbers of that name come from, if not from options.
+    warnings, notes: what a user should know of them.
+    """
+
+    options: OpticsOptions
+    camera: Camera | None = None
+    measured: bool = False
+    focal: float | None = None
+    focus: float | None = None
+    sensor: tuple[float, float] | None = None
+    pitch: float | None = None
+    size: tuple[int, int] | None = None
+    circle: float | None = None
+    solved: float | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def principal_distance(self) -> float | None:
+        """From the rear principal plane to the sensor, m; for a lens without a known focus that of infinity."""
+        if self.measured and self.camera is not None and self.pitch is not None:
+            return self.camera.value("fx") * self.pitch
+        return None if self.focal is None else lens.principal_distance(self.focal, self.focus or inf)
+
+    @property
+    def magnification(self) -> float | None:
+        if self.focal is None or self.focus is None:
+            return None
+        return lens.magnification(self.focal, self.focus)
+
+    @property
+    def effective_f_number(self) -> float | None:
+        number = self.options.f_number
+        return None if number is None else effective_f_number(number, self.magnification or 0.0)
+
+
+def set_up(options: OpticsOptions) -> Setup:
+    """Return all that follows from the options.
+
+    Raises InvalidInput for options that contradict each other or say too little for --solve, FileError for a camera
+    file that cannot be read.
+    """
+    setup = Setup(options, focal=options.focal, focus=options.focus, pitch=options.pitch, size=options.size)
+    if options.camera is not None:
+        setup = _with_camera(setup, options.camera)
+    setup = _with_sensor(setup)
+    if options.solve is not None:
+        setup = _solved(setup)
+    return _with_circle(_with_pinhole(_with_focal(setup)))
+
+
+def _with_camera(setup: Setup, address: str) -> Setup:
+    path, fragment = split_address(address)
+    file = native.read(path)
+    entry = native.select(file, fragment or setup.options.name, str(path))
+    size = entry.camera.image_size
+    if setup.size not in (None, size):
+        raise InvalidInput(f"--size: the camera file is for {size[0]}x{size[1]} images; leave it out")
+    pitch, sources = setup.pitch, {"size": _FILE}
+    if pitch is None and "pixel_pitch_um" in entry.sensor:
+        pitch, sources["pitch"] = 1e-6 * entry.sensor["pixel_pitch_um"], _FILE
+    return replace(
+        setup,
+        camera=entry.camera,
+        measured=True,
+        size=size,
+        pitch=pitch,
+        sources=sources,
+        warnings=file.warnings,
+    )
+
+
+def _with_sensor(setup: Setup) -> Setup:
+    """Return the setup with the sensor's sides and the pitch, as far as its name and its pixels tell them."""
+    text, size = setup.options.sensor, setup.size
+    sources, notes = dict(setup.sources), setup.notes
+    sides, pitch = None, setup.pitch
+    if text is not None:
+        known, note = _sensor(text)
+        sides, notes = (1e-3 * known.width_mm, 1e-3 * known.height_mm), (*notes, note) if note else notes
+        if size is not None and setup.options.pitch is None:
+            pitch, sources["pitch"] = pixel_pitch(known, size), "diagonal of the sensor over that of the image"
+    if size is not None and pitch is not None:
+        counted = (size[0] * pitch, size[1] * pitch)
+        setup = replace(setup, warnings=(*setup.warnings, *_disagreement(sides, counted, str(text))))
+        sides, sources["sensor"] = counted, "pixels times pitch"
+    return replace(setup, sensor=sides, pitch=pitch, sources=sources, notes=notes)
+
+
+def _sensor(text: str) -> tuple[SensorFormat, str | None]:
+    """Return a sensor from the name of its format or from WxH in mm, and what to know of a name."""
+    match = _MILLIMETRES.fullmatch(text.strip())
+    if match and float(match[1]) > 0 and float(match[2]) > 0:
+        return SensorFormat(text, float(match[1]), float(match[2])), None
+    known = sensor_format(text)
+    return known, f"{known.name} is a name: its diagonal is about {known.diagonal_mm:.2f} mm, and makers differ"
+
+
+def _disagreement(sides: tuple[float, float] | None, counted: tuple[float, float], text: str) -> list[str]:
+    if sides is None or all(abs(a / b - 1) <= _DISAGREE for a, b in zip(sides, counted, strict=True)):
+        return []
+    found, named = (f"{1e3 * width:.2f} x {1e3 * height:.2f} mm" for width, height in (counted, sides))
+    return [f"the pixels make {found}, --sensor {text} is {named}; the pixels are taken"]
+
+
+def _solved(setup: Setup) -> Setup:
+    """Return the setup with what makes the wanted width fill the image."""
+    wanted, width = setup.options.solve, setup.options.width or 0.0
+    option, known = _SOLVED[str(wanted)]
+    if getattr(setup, known) is not None or (setup.measured and wanted != "wd"):
+        raise InvalidInput(f"--solve {wanted} finds what {option} says{' or the camera file' * setup.measured}")
+    if setup.measured and setup.camera is not None:
+        across = field_size(setup.camera, 1.0)[0]
+        if not isfinite(across):
+            raise InvalidInput("--solve wd: the lens sees 180° or more, and no width fills its image")
+        return _at_focus(setup, width / across)
+    missing = [words for name, words in _SOLVE_FROM.items() if name != known and getattr(setup, name) is None]
+    if missing:
+        raise InvalidInput(f"--solve {wanted} needs {' and '.join(missing)} too")
+    focal, focus, side = setup.focal or 0.0, setup.focus or 0.0, setup.sensor[0] if setup.sensor else 0.0
+    if wanted == "f":
+        focal = lens.focal_for_width(side, focus, width)
+        return replace(setup, focal=focal, solved=focal, sources={**setup.sources, "focal": _SOLVER})
+    if wanted == "wd":
+        return _at_focus(setup, lens.focus_for_width(focal, side, width))
+    return _with_solved_sensor(setup, lens.sensor_for_width(focal, focus, width))
+
+
+def _at_focus(setup: Setup, distance: float) -> Setup:
+    return replace(setup, focus=distance, solved=distance, sources={**setup.sources, "focus": _SOLVER})
+
+
+def _with_solved_sensor(setup: Setup, width: float) -> Setup:
+    """Return the setup with a sensor of that width: the aspect and the pitch of the image, else 4:3."""
+    across, down = setup.size or (4, 3)
+    pitch = width / across if setup.size else None
+    sides = (width, width * down / across)
+    return replace(setup, sensor=sides, pitch=pitch, solved=width, sources={**setup.sources, "sensor": _SOLVER})
+
+
+def _with_focal(setup: Setup) -> Setup:
+    """Return the setup with what fx of a measured camera tells: the focal length from the pitch, or the reverse."""
+    if not setup.measured or setup.camera is None:
+        return setup
+    fx, focus, sources = setup.camera.value("fx"), setup.focus or inf, dict(setup.sources)
+    if setup.pitch is None and setup.focal is not None and setup.size is not None:
+        pitch = lens.principal_distance(setup.focal, focus) / fx
+        sources |= {"pitch": "focal length over fx", "sensor": "pixels times pitch"}
+        return replace(setup, pitch=pitch, sensor=(setup.size[0] * pitch, setup.size[1] * pitch), sources=sources)
+    if setup.pitch is None:
+        return setup
+    focal = lens.focal_length(fx * setup.pitch, focus)
+    if setup.focal is None:
+        return replace(setup, focal=focal, sources=sources | {"focal": "fx times pitch, and the focus"})
+    if abs(focal / setup.focal - 1) <= _DISAGREE:
+        return setup
+    warning = f"fx times pitch is a focal length of {1e3 * focal:.2f} mm, --focal says {1e3 * setup.focal:g} mm"
+    return replace(setup, warnings=(*setup.warnings, f"{warning}; is the pitch that of the image as it is?"))
+
+
+def _with_pinhole(setup: Setup) -> Setup:
+    """Return the setup with a pinhole camera where none was read but lens, pixels and image size are known."""
+    distance = setup.principal_distance
+    if setup.camera is not None or setup.size is None or setup.pitch is None or distance is None:
+        return setup
+    model = model_named("pinhole")
+    return replace(setup, camera=Camera(model, setup.size, model.start(setup.size, distance / setup.pitch)))
+
+
+def _with_circle(setup: Setup) -> Setup:
+    """Return the setup with the circle of confusion in metres: as given, or one pixel."""
+    text = setup.options.circle
+    if text is None:
+        return replace(setup, circle=setup.pitch, sources={**setup.sources, "circle": "one pixel"})
+    match = _CIRCLE.fullmatch(text.strip())
+    if not match or not float(match[1]) > 0:
+        raise InvalidInput(f"--coc {text!r}: write a diameter with its unit, such as 5um, 0.03mm or 1.5px")
+    if match[2] != "px":
+        return replace(setup, circle=float(match[1]) * _METRES[match[2]])
+    return replace(setup, circle=None if setup.pitch is None else float(match[1]) * setup.pitch)
