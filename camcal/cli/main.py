@@ -35,10 +35,12 @@ from camcal.cli import (
     targets,
     track,
     transform,
+    transform_poses,
     undistort,
     view,
 )
 from camcal.cli.options import SETTINGS
+from camcal.cli.transform_options import NumbersCommand
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
 from camcal.run.startup import BLAS_THREADS
 
@@ -155,7 +157,14 @@ stereo_app.command("cloud")(stereo_cloud.cloud)
 stereo_app.command("eval")(stereo_eval.evaluate)
 
 transform_app = typer.Typer(help="Poses and frames: compose, invert, chain, convert, apply.")
-transform_app.command("chain")(transform.chain)
+transform_app.command("chain", cls=NumbersCommand)(transform.chain)
+transform_app.command("eval", cls=NumbersCommand)(transform.evaluate)
+transform_app.command("compose", cls=NumbersCommand)(transform.compose)
+transform_app.command("invert", cls=NumbersCommand)(transform.invert)
+transform_app.command("convert", cls=NumbersCommand)(transform_poses.convert)
+transform_app.command("average", cls=NumbersCommand)(transform_poses.average)
+transform_app.command("check", cls=NumbersCommand)(transform_poses.check)
+transform_app.command("points", cls=NumbersCommand)(transform_poses.points)
 
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)

@@ -80,3 +80,14 @@ def inverse_jacobian(a_T_b: Pose) -> Array:
     result[:3, :3] = result[3:, 3:] = -a_T_b.rotation.T
     result[:3, 3:] = -a_T_b.rotation.T @ so3.hat(a_T_b.translation)
     return result
+
+
+def compose_jacobians(a_T_b: Pose, b_T_c: Pose) -> tuple[Array, Array]:
+    """Return d(step of a_T_c)/d(step of a_T_b) and d(step of a_T_c)/d(step of b_T_c), (6, 6) each.
+
+    With covariances S and T of the two, that of a_T_b @ b_T_c is A S A.T + B T B.T, exact to first order.
+    """
+    first, second = np.eye(6), np.zeros((6, 6))
+    first[:3, 3:] = -so3.hat(a_T_b.rotation @ b_T_c.translation)
+    second[:3, :3] = second[3:, 3:] = a_T_b.rotation
+    return first, second

@@ -121,3 +121,8 @@ def nearest(matrix: Array) -> Array:
     u = u.copy()
     u[..., :, 2] *= sign[..., None]
     return np.asarray(u @ vt)
+
+
+def angle_between(first: Array, second: Array) -> Array:
+    """Return the angles (...), 0 … π rad, of the turns from rotation matrices (..., 3, 3) to others: their distance."""
+    return np.asarray(np.linalg.norm(log(second @ np.swapaxes(first, -1, -2)), axis=-1))

@@ -8,7 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData
-from camcal.stereo.points.axes import rotation_of
+from camcal.geometry.axes import rotation_of
 from camcal.stereo.points.vertices import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 
 _SEED = 20240229

@@ -11,7 +11,7 @@ from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.progress import Progress
 from camcal.run.fanout import over_threads
-from camcal.stereo.points.axes import rotation_of
+from camcal.geometry.axes import rotation_of
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import WORDS, Frame
 from camcal.stereo.points.selection import Selection, select

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.geometry.pose import Pose, inverse_jacobian, point_jacobian
+from camcal.geometry.pose import Pose, compose_jacobians, inverse_jacobian, point_jacobian
 
 NUMBERS = st.floats(-2, 2)
 POSES = st.tuples(*[NUMBERS] * 6).map(lambda v: Pose.from_vector(np.array(v[:3]), np.array(v[3:])))
@@ -62,3 +62,18 @@ def test_inverse_jacobian_is_the_step_of_the_inverse_by_the_step_of_the_pose(pos
     ]
     # central differences at h = 1e-6 are good to 1e-9
     np.testing.assert_allclose(inverse_jacobian(pose), np.column_stack(numeric), atol=1e-8)
+
+
+@settings(max_examples=20)
+@given(POSES, POSES)
+def test_compose_jacobians_are_the_step_of_the_product_by_the_steps_of_its_factors(a_T_b, b_T_c):
+    h = 1e-6
+    first = [[a_T_b.retract(sign * h * axis) @ b_T_c for sign in (1, -1)] for axis in np.eye(6)]
+    second = [[a_T_b @ b_T_c.retract(sign * h * axis) for sign in (1, -1)] for axis in np.eye(6)]
+    for analytic, ends in zip(compose_jacobians(a_T_b, b_T_c), (first, second), strict=True):
+        numeric = [
+            np.concatenate([ahead.translation - behind.translation, (ahead @ behind.inverse()).vector()]) / (2 * h)
+            for ahead, behind in ends
+        ]
+        # central differences at h = 1e-6 are good to 1e-9
+        np.testing.assert_allclose(analytic, np.column_stack(numeric), atol=1e-8)

@@ -73,3 +73,13 @@ def test_functions_are_vectorised_over_leading_axes():
     assert stacked.shape == (2, 5, 3, 3)
     np.testing.assert_array_equal(stacked[1, 3], so3.exp(vectors[1, 3]))
     assert so3.log(stacked).shape == vectors.shape
+
+
+def test_the_angle_between_two_rotations_is_that_of_the_turn_that_joins_them():
+    first = so3.exp(np.array([0.3, -1.0, 0.4]))
+    for angle in ANGLES:
+        turn = so3.exp(angle * np.array([0.6, 0.0, -0.8]))
+        # a product of matrices is rounded to 1e-16
+        np.testing.assert_allclose(so3.angle_between(first, turn @ first), angle, rtol=1e-9, atol=1e-15)
+    stacked = np.stack([first, np.eye(3)])
+    np.testing.assert_allclose(so3.angle_between(stacked, stacked), [0, 0], atol=1e-15)

@@ -16,7 +16,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, blocks_of
-from camcal.stereo.points.axes import rotation_of
+from camcal.geometry.axes import rotation_of
 from camcal.stereo.points.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2

@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.geometry.axes import CONVENTIONS, change
 from camcal.geometry.pose import Pose
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.vertices import LEFT_CAMERA, METRES
@@ -19,10 +20,7 @@ ENU = "enu"
 
 UNITS = MappingProxyType({METRES: 1.0, "mm": 1000.0})
 
-_TURNS = {
-    ROS: np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),  # REP 103
-    OPENGL: np.diag([1.0, -1, -1]),
-}
+_TURNS = {name: change(CONVENTIONS["opencv"], CONVENTIONS[name]) for name in (ROS, OPENGL)}
 WORDS = MappingProxyType(
     {
         OPTICAL: LEFT_CAMERA,

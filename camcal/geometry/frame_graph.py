@@ -1,0 +1,154 @@
+"""Named frames joined by transforms: the way from one to another, and how well loops close."""
+
+import difflib
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.geometry import rotation as so3
+from camcal.geometry.named import Derived, NamedTransform
+from camcal.geometry.pose import Pose
+
+EXACT = 1e-9  # m and rad: the standard deviation of what is said to have none
+ALIKE = 0.6  # how alike two names must be, up to 1, for one to be offered in the place of the other
+
+
+@dataclass(frozen=True)
+class Link:
+    """One transform on a way: its place among all, and whether it is gone through against its name."""
+
+    index: int
+    inverted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Transforms that lead back to where they begin, and what is left over: the identity if all were exact.
+
+    names: such as 'a_T_b' and 'inv(c_T_b)'. residual: a_T_a. covariance: (6, 6) of its step, None unless all the
+    transforms have one.
+    """
+
+    names: tuple[str, ...]
+    residual: Pose
+    covariance: Array | None
+
+    @property
+    def offset(self) -> float:
+        """How far the loop is from closing, m."""
+        return float(np.linalg.norm(self.residual.translation))
+
+    @property
+    def angle(self) -> float:
+        """How far the loop is turned, rad."""
+        return float(so3.angle_between(np.eye(3), self.residual.rotation))
+
+    @property
+    def chi_square(self) -> float | None:
+        """The squared residual in standard deviations, of 6 degrees of freedom; None without covariances."""
+        if self.covariance is None:
+            return None
+        step = np.concatenate([self.residual.translation, self.residual.vector()])
+        variances, directions = np.linalg.eigh(self.covariance)
+        return float(np.sum((directions.T @ step) ** 2 / np.maximum(variances, EXACT**2)))
+
+
+class FrameGraph:
+    """Transforms, several of them between the same two frames if need be, as the edges of a graph of frames."""
+
+    def __init__(self, transforms: Iterable[NamedTransform]) -> None:
+        self.transforms = tuple(transforms)
+        self._links: dict[str, list[tuple[Link, str]]] = {}
+        for index, transform in enumerate(self.transforms):
+            self._links.setdefault(transform.target, []).append((Link(index, inverted=False), transform.source))
+            self._links.setdefault(transform.source, []).append((Link(index, inverted=True), transform.target))
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The names of all frames, in the order in which they occur."""
+        return tuple(self._links)
+
+    def path(self, target: str, source: str) -> tuple[Link, ...]:
+        """Return the links that multiply to target_T_source: the fewest, of equally few those that are named first.
+
+        Raises InvalidInput for a frame that is not there, and where no transforms join the two.
+        """
+        for frame in (target, source):
+            self._require(frame)
+        ways = self._ways(target)
+        if source not in ways:
+            raise InvalidInput(self._why_apart(target, source))
+        return ways[source]
+
+    def along(self, links: Sequence[Link]) -> Derived[int]:
+        """Return the product of links in their order, by the indices of their transforms."""
+        factors = [self._factor(link) for link in links]
+        return reduce(lambda left, right: left @ right, factors, Derived(Pose.identity(), {}))
+
+    def name_of(self, link: Link) -> str:
+        """Return a link as one writes it: a_T_b, or inv(a_T_b)."""
+        name = self.transforms[link.index].name
+        return f"inv({name})" if link.inverted else name
+
+    def loops(self, frame: str) -> list[Loop]:
+        """Return one loop for every transform, of those joined with a frame, that is not needed to reach another."""
+        ways = self._ways(frame)
+        needed = {links[-1].index for links in ways.values() if links}
+        return [
+            self._loop(ways, index)
+            for index, transform in enumerate(self.transforms)
+            if index not in needed and transform.target in ways
+        ]
+
+    def _ways(self, start: str) -> dict[str, tuple[Link, ...]]:
+        """Return the way from a frame to every other that can be reached, breadth first."""
+        ways: dict[str, tuple[Link, ...]] = {start: ()}
+        ahead = deque([start])
+        while ahead:
+            here = ahead.popleft()
+            for link, there in self._links[here]:
+                if there not in ways:
+                    ways[there] = (*ways[here], link)
+                    ahead.append(there)
+        return ways
+
+    def _loop(self, ways: dict[str, tuple[Link, ...]], index: int) -> Loop:
+        """Return the loop that a transform a_T_b closes: from where the ways to a and b part, along one and back."""
+        closing = self.transforms[index]
+        there, back = ways[closing.target], ways[closing.source]
+        shared = next((n for n, pair in enumerate(zip(there, back, strict=False)) if pair[0] != pair[1]), None)
+        shared = min(len(there), len(back)) if shared is None else shared
+        returning = [Link(link.index, not link.inverted) for link in reversed(back[shared:])]
+        links = [*there[shared:], Link(index, inverted=False), *returning]
+        derived = self.along(links)
+        known = {link.index: self.transforms[link.index].covariance for link in links}
+        covariance = None if any(part is None for part in known.values()) else derived.covariance(known)
+        return Loop(tuple(self.name_of(link) for link in links), derived.pose, covariance)
+
+    def _factor(self, link: Link) -> Derived[int]:
+        factor = Derived.of(link.index, self.transforms[link.index].pose)
+        return factor.inverse() if link.inverted else factor
+
+    def _require(self, frame: str) -> None:
+        if frame not in self._links:
+            near = _nearest(frame, self.frames)
+            advice = f". Did you mean {near!r}?" if near else f"; there are {', '.join(self.frames) or 'none'}"
+            raise InvalidInput(f"no frame {frame!r}{advice}")
+
+    def _why_apart(self, target: str, source: str) -> str:
+        here, there = list(self._ways(target)), list(self._ways(source))
+        sides = f"one is with {', '.join(here)}, the other with {', '.join(there)}"
+        text = f"no transforms join {target!r} and {source!r}: {sides}"
+        alike = next(((name, near) for name in here if (near := _nearest(name, there))), None)
+        return f"{text}. Are {alike[0]!r} and {alike[1]!r} one frame?" if alike else text
+
+
+def _nearest(name: str, known: Sequence[str]) -> str | None:
+    """Return the known name that a misspelt one most likely stands for."""
+    matches = difflib.get_close_matches(name, known, n=1, cutoff=ALIKE)
+    return matches[0] if matches else None

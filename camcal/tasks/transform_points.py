@@ -1,0 +1,144 @@
+"""`camcal transform points`: a file of points to another frame, with normals and covariances."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.formats import point_table, pointclouds
+from camcal.formats.point_table import PointTable
+from camcal.formats.pointclouds import PointCloudFile
+from camcal.formats.pointclouds.record import MILLIMETRES, cloud_of
+from camcal.formats.pose_forms import form_of
+from camcal.geometry.named import NamedTransform
+from camcal.geometry.pose import point_jacobian
+from camcal.progress import SILENT, Progress
+from camcal.report.transform import plain
+from camcal.run.outputs import refuse_overwriting
+from camcal.run.pose_sources import files_of, read_one
+from camcal.stereo.points.vertices import METRES, NORMAL, POSITION, VertexStream
+
+_CSV = ".csv"
+_PER_METRE = {METRES: 1.0, MILLIMETRES: 1000.0}
+
+
+@dataclass(frozen=True)
+class PointsOptions:
+    """A file of points, an argument that stands for a transform a_T_b, and where points in a are written.
+
+    inverse: points are in a and go to b. form: of the transform's numbers. unit: of a CSV's points, m or mm.
+    """
+
+    points: Path
+    transform: str
+    output: Path
+    inverse: bool = False
+    form: str | None = None
+    unit: str = METRES
+
+    def __post_init__(self) -> None:
+        if self.unit not in _PER_METRE:
+            raise InvalidInput(f"unit {self.unit!r} is unknown; use one of {', '.join(_PER_METRE)}")
+        if (self.points.suffix.lower() == _CSV) != (self.output.suffix.lower() == _CSV):
+            raise InvalidInput("a CSV is written as a CSV and a cloud as a cloud", where=str(self.output))
+        if self.output.suffix.lower() != _CSV:
+            pointclouds.require_suffix(self.output)
+
+
+@dataclass(frozen=True, eq=False)
+class MovedPoints:
+    """What was written: how many points, what was turned with them, and the transform that was applied."""
+
+    transform: NamedTransform
+    count: int
+    normals: bool
+    covariances: bool
+    output: Path
+
+
+def transform_points(options: PointsOptions, progress: Progress = SILENT) -> MovedPoints:
+    """Return what was written to options.output: the points, and all else that the file has, in the other frame.
+
+    Raises InvalidInput for what is no points or several transforms, FileError.
+    """
+    refuse_overwriting([options.output], [options.points, *files_of([options.transform])])
+    transform = read_one(options.transform, form_of(options.form))
+    if options.inverse:
+        transform = transform.inverse()
+    work = _table if options.points.suffix.lower() == _CSV else _cloud
+    return work(options, transform, progress)
+
+
+def document(moved: MovedPoints) -> dict[str, Any]:
+    """Return what was written as plain data for --json."""
+    return {
+        "transform": plain(moved.transform, None),
+        "points": moved.count,
+        "normals": moved.normals,
+        "covariances": moved.covariances,
+        "output": moved.output,
+    }
+
+
+def _table(options: PointsOptions, transform: NamedTransform, _: Progress) -> MovedPoints:
+    found = point_table.read(options.points)
+    moved = _moved(found, transform, _PER_METRE[options.unit])
+    point_table.write(options.output, moved)
+    return MovedPoints(
+        transform, len(moved.points), moved.normals is not None, moved.covariances is not None, options.output
+    )
+
+
+def _moved(found: PointTable, transform: NamedTransform, per_metre: float) -> PointTable:
+    """Return points in the other frame; the transform's own uncertainty is in every covariance, alike for all."""
+    rotation = transform.pose.rotation
+    turned = found.points @ rotation.T
+    normals = None if found.normals is None else found.normals @ rotation.T
+    covariances = None if found.covariances is None else rotation @ found.covariances @ rotation.T
+    if transform.covariance is not None:
+        jacobian = point_jacobian(turned / per_metre) * per_metre
+        shared = jacobian @ transform.covariance @ np.swapaxes(jacobian, 1, 2)
+        covariances = shared if covariances is None else covariances + shared
+    points = turned + per_metre * transform.pose.translation
+    return replace(found, points=points, normals=normals, covariances=covariances)
+
+
+def _cloud(options: PointsOptions, transform: NamedTransform, progress: Progress) -> MovedPoints:
+    found = pointclouds.read(options.points)
+    if found.unit not in _PER_METRE:
+        raise InvalidInput(f"its unit is {found.unit!r}; it must be m or mm", where=str(options.points))
+    if transform.covariance is not None:
+        progress.warn("a cloud has no room for covariances; write a CSV to keep that of the transform")
+    moved = _moved_cloud(found, transform)
+    stream = VertexStream(
+        count=len(moved.vertices),
+        type=moved.vertices.dtype,
+        blocks=(moved.vertices,),
+        unit=moved.unit,
+        frame=moved.frame,
+        notes=dict(moved.notes),
+        grid=found.grid,
+    )
+    pointclouds.write(options.output, stream)
+    return MovedPoints(transform, stream.count, NORMAL[0] in (stream.type.names or ()), False, options.output)
+
+
+def _moved_cloud(found: PointCloudFile, transform: NamedTransform) -> PointCloudFile:
+    """Return a cloud in the other frame, its coordinates from an origin of their own where they are large."""
+    rotation, vertices = transform.pose.rotation, found.vertices
+    origin = np.array([float(number) for number in found.notes.get("origin", "0 0 0").split()])
+    points = (_stacked(vertices, POSITION) + origin) @ rotation.T
+    points += _PER_METRE[found.unit] * transform.pose.translation
+    columns = {name: vertices[name] for name in vertices.dtype.names or ()}
+    columns |= dict(zip(POSITION, points.T, strict=True))
+    if NORMAL[0] in columns:
+        columns |= dict(zip(NORMAL, (_stacked(vertices, NORMAL) @ rotation.T).astype(np.float32).T, strict=True))
+    notes = {key: words for key, words in found.notes.items() if key != "origin"}
+    return cloud_of(columns, unit=found.unit, frame=transform.target, notes=notes)
+
+
+def _stacked(vertices: Array, names: tuple[str, ...]) -> Array:
+    return np.stack([vertices[name].astype(np.float64) for name in names], axis=-1)

@@ -1,0 +1,69 @@
+"""Products of transforms as text: what is read, and what is refused in which words."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camcal.errors import InvalidInput
+from camcal.geometry.frame_expression import evaluate
+from camcal.geometry.named import NamedTransform
+from camcal.geometry.pose import Pose
+
+RNG = np.random.default_rng(6)
+KNOWN = {
+    f"{a}_T_{b}": NamedTransform(a, b, Pose.from_vector(RNG.normal(size=3), RNG.normal(size=3)))
+    for a, b in (("a", "b"), ("c", "b"), ("c", "d"))
+}
+A_B, C_B, C_D = (KNOWN[name].pose for name in ("a_T_b", "c_T_b", "c_T_d"))
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "expected"),
+    [
+        ("a_T_b", "a_T_b", A_B),
+        ("inv(a_T_b)", "b_T_a", A_B.inverse()),
+        ("a_T_b * inv(c_T_b)", "a_T_c", A_B @ C_B.inverse()),
+        ("a_T_b@inv(c_T_b) @ c_T_d", "a_T_d", A_B @ C_B.inverse() @ C_D),
+        ("inv(c_T_d) * (c_T_b * inv(a_T_b))", "d_T_a", C_D.inverse() @ C_B @ A_B.inverse()),
+        (" inv(inv(a_T_b)) ", "a_T_b", A_B),
+    ],
+)
+def test_a_product_is_worked_out_and_named(text, name, expected):
+    found = evaluate(text, KNOWN)
+    assert found.name == name
+    np.testing.assert_allclose(found.derived.pose.matrix(), expected.matrix(), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a_T_b * c_T_b", r"'b' does not meet 'c'; did you mean a_T_b \* inv\(c_T_b\)\?"),
+        ("c_T_b * c_T_d", r"did you mean inv\(c_T_b\) \* c_T_d\?"),
+        ("a_T_b * c_T_d", "they are a_T_b and c_T_d"),
+        ("b_T_a", r"write inv\(a_T_b\)"),
+        ("a_T_bb", "Did you mean 'a_T_b'?"),
+        ("zebra", "there are a_T_b, c_T_b, c_T_d"),
+        ("a_T_b + a_T_b", "not understood"),
+        ("a_T_b * 2", "not understood"),
+        ("inv(a_T_b, a_T_b)", "not understood"),
+        ("__import__('os').system('true')", "not understood"),
+        ("a_T_b.pose", "not understood"),
+        ("a_T_b *", "is no expression"),
+        ("", "is no expression"),
+        ("a_T_b\0", "is no expression"),
+        ("a_T_b" + " * a_T_b" * 400, "characters"),
+    ],
+)
+def test_anything_else_is_refused_and_says_why(text, message):
+    with pytest.raises(InvalidInput, match=message):
+        evaluate(text, KNOWN)
+
+
+@given(st.text(alphabet="abcd_T()*@inv +-.'\n1", max_size=40))
+def test_no_text_is_a_bug(text):
+    try:
+        found = evaluate(text, KNOWN)
+    except InvalidInput:
+        return
+    assert found.name.count("_T_") == 1
