@@ -1,15 +1,15 @@
-"""One Levenberg–Marquardt loop over residual blocks: the solver of the whole package.
-
-Source: Marquardt 1963 (scaling of the damping); Nielsen, Damping Parameter in Marquardt's Method, 1999 (its update).
-"""
+"""Least squares over residual blocks by the arrow's normal equations: the solver of calibrations and poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from camcal.solve.steps import Block, Factors, NormalEquations, SingularError, Step, assemble, factorise
+from camcal.solve.descent import STOPPING, Observer, Proposal, Stopping, descend, unobserved
+from camcal.solve.steps import Block, Factors, NormalEquations, Step, assemble, factorise
 
 State = TypeVar("State")
+
+__all__ = ["STOPPING", "Problem", "Solution", "Stopping", "linearise", "minimise"]
 
 
 class Problem(Protocol[State]):
@@ -34,15 +34,6 @@ class Problem(Protocol[State]):
         ...
 
 
-@dataclass(frozen=True)
-class Stopping:
-    """When to stop: the decrease that the quadratic model still promises, relative to the cost; the iterations."""
-
-    relative_decrease: float = 1e-9
-    iterations: int = 100
-    damping: float = 1e-6
-
-
 @dataclass(frozen=True, eq=False)
 class Solution(Generic[State]):
     """A minimum, or where the search ended: `converged` says which, `reason` says why."""
@@ -59,54 +50,35 @@ class Solution(Generic[State]):
         return factorise(self.equations)
 
 
-STOPPING = Stopping()
-_MAX_DAMPING = 1e12
-_BLOCKED, _CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
-_GAUSS_NEWTON = 1e-3  # below this damping a step is all but the full one
-
-
 def linearise(problem: Problem[State], state: State) -> NormalEquations | None:
     """Return the normal equations at a state, or None where it is outside the problem's domain."""
     blocks = problem.blocks(state)
     return None if blocks is None else assemble(blocks, problem.shared, *problem.groups)
 
 
-def minimise(problem: Problem[State], state: State, stopping: Stopping = STOPPING) -> Solution[State]:
+def minimise(
+    problem: Problem[State], state: State, stopping: Stopping = STOPPING, observe: Observer = unobserved
+) -> Solution[State]:
     """Return the state that minimises ½ Σ ρ(‖r‖²), starting at `state`, which must be inside the domain.
 
     A minimum that lies on the edge of the domain counts as converged; its reason says so.
     """
-    equations = linearise(problem, state)
-    if equations is None:
-        raise ValueError("the start is outside the domain of the problem")
-    damping, growth, blocked = stopping.damping, 2.0, 0
-    for iteration in range(stopping.iterations):
-        try:
-            factors = factorise(equations.damped(damping))
-        except SingularError:
-            if damping > _MAX_DAMPING:
-                return Solution(state, equations.cost, iteration, False, "singular", equations)
-            damping, growth = max(damping, 1e-9) * growth, growth * 2
-            continue
-        step = factors.solve()
-        promised = -0.5 * step.dot(equations.gradient)
-        trial_state = problem.retract(state, step)
-        trial = linearise(problem, trial_state)
-        blocked += trial is None
-        if trial is not None and trial.cost <= equations.cost:
-            fall = equations.cost - trial.cost
-            # a step cut short by damping promises little and proves nothing
-            settled = damping < _GAUSS_NEWTON and promised <= stopping.relative_decrease * max(trial.cost, 1e-300)
-            held = blocked >= _BLOCKED and fall <= _CRAWL * trial.cost
-            state, equations, growth = trial_state, trial, 2.0
-            damping *= max(0.1, 1 - (2 * min(fall / promised if promised > 0 else 1.0, 1.0) - 1) ** 3)
-            if settled or held:
-                reason = "the step promises no decrease" if settled else "held at the edge of the domain"
-                return Solution(state, equations.cost, iteration + 1, True, reason, equations)
-        elif promised <= 1e-13 * equations.cost:
-            return Solution(state, equations.cost, iteration + 1, True, "the cost is at its rounding error", equations)
-        elif damping > _MAX_DAMPING:
-            return Solution(state, equations.cost, iteration + 1, False, "no step lowers the cost", equations)
-        else:
-            damping, growth = max(damping, 1e-9) * growth * 5, growth * 2
-    return Solution(state, equations.cost, stopping.iterations, False, "too many iterations", equations)
+    end = descend(_ArrowSearch(problem), state, stopping, observe)
+    return Solution(end.state, end.equations.cost, end.iterations, end.converged, end.reason, end.equations)
+
+
+@dataclass(frozen=True)
+class _ArrowSearch(Generic[State]):
+    """Steps by the Schur complement; every diagonal element of the normal matrix is enlarged by the damping."""
+
+    problem: Problem[State]
+
+    def linearise(self, state: State) -> NormalEquations | None:
+        return linearise(self.problem, state)
+
+    def propose(self, _: State, equations: NormalEquations, damping: float) -> Proposal:
+        step = factorise(equations.damped(damping)).solve()
+        return Proposal(step, -0.5 * step.dot(equations.gradient))
+
+    def retract(self, state: State, step: Step) -> State:
+        return self.problem.retract(state, step)

@@ -43,3 +43,36 @@ class Cauchy:
     def weight(self, squared: Array) -> Array:
         """Return dρ/ds (M,), at most 1."""
         return np.asarray(1 / (1 + squared / self.scale**2))
+
+
+@dataclass(frozen=True)
+class SoftL1:
+    """Huber's loss without its corner: quadratic near zero, linear far beyond `scale`."""
+
+    scale: float
+
+    def cost(self, squared: Array) -> Array:
+        """Return ρ(s) (M,) of squared residuals (M,)."""
+        return np.asarray(2 * self.scale**2 * (np.sqrt(1 + squared / self.scale**2) - 1))
+
+    def weight(self, squared: Array) -> Array:
+        """Return dρ/ds (M,), at most 1."""
+        return np.asarray(1 / np.sqrt(1 + squared / self.scale**2))
+
+
+@dataclass(frozen=True)
+class Tukey:
+    """Constant beyond `scale`: what lies there has no pull at all, so a good start is needed.
+
+    Source: Beaton & Tukey 1974 (the biweight).
+    """
+
+    scale: float
+
+    def cost(self, squared: Array) -> Array:
+        """Return ρ(s) (M,) of squared residuals (M,)."""
+        return np.asarray(self.scale**2 / 3 * (1 - np.maximum(1 - squared / self.scale**2, 0) ** 3))
+
+    def weight(self, squared: Array) -> Array:
+        """Return dρ/ds (M,), at most 1."""
+        return np.asarray(np.maximum(1 - squared / self.scale**2, 0) ** 2)

@@ -1,0 +1,95 @@
+"""A curve: a formula for what is measured, or for how far a point lies from a shape."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.estimate.curves.expressions import Expression, parse
+
+Columns = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Formulas over columns and parameters.
+
+    explicit: the one formula predicts a measured column. Otherwise the formulas are components of the distance between
+    a point and a shape. freedom: how many of the components are independent. derived: other figures, by formulas over
+    the parameters.
+    """
+
+    name: str
+    formulas: tuple[Expression, ...]
+    parameters: tuple[str, ...]
+    explicit: bool = True
+    freedom: int = 1
+    derived: Mapping[str, Expression] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        formulas: Sequence[str],
+        parameters: Sequence[str],
+        derived: Mapping[str, str] | None = None,
+        *,
+        explicit: bool = True,
+        freedom: int = 1,
+    ) -> "Curve":
+        """Return the curve of formulas as text; raises InvalidInput if one is none."""
+        figures = {label: parse(text) for label, text in (derived or {}).items()}
+        return cls(name, tuple(map(parse, formulas)), tuple(parameters), explicit, freedom, figures)
+
+    @property
+    def text(self) -> str:
+        """The formulas as text."""
+        return "; ".join(formula.text for formula in self.formulas)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What a curve is fitted to: columns (N,) by the names its formulas use.
+
+    target: (N,) what an explicit curve predicts, None for a shape. sigma: (N,) standard deviations, None if unknown.
+    """
+
+    columns: Columns
+    target: Array | None = None
+    sigma: Array | None = None
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.target is None else len(self.target)
+
+
+def predictions(curve: Curve, columns: Columns, values: Array, rows: int) -> Array:
+    """Return what the formulas say, (N, D), at parameter values (K,); NaN or infinite where they are not defined."""
+    known = {**columns, **dict(zip(curve.parameters, values, strict=True))}
+    return np.stack([_filled(formula.value(known), (rows,)) for formula in curve.formulas], axis=1)
+
+
+def predictions_with_jacobian(
+    curve: Curve, columns: Columns, values: Array, rows: int, by: Sequence[str]
+) -> tuple[Array, Array]:
+    """Return what the formulas say (N, D), and its derivatives (N, D, L) by the parameters `by`."""
+    known = {**columns, **dict(zip(curve.parameters, values, strict=True))}
+    found = [formula.with_derivatives(known, by) for formula in curve.formulas]
+    shape = len(by), rows
+    slopes = [np.zeros(shape) if dual.slopes is None else _filled(dual.slopes, shape) for dual in found]
+    predicted = [_filled(dual.value, (rows,)) for dual in found]
+    return np.stack(predicted, axis=1), np.stack([slope.T for slope in slopes], axis=1)
+
+
+def _filled(values: Array, shape: tuple[int, ...]) -> Array:
+    return values if values.shape == shape else np.broadcast_to(values, shape)
+
+
+def require_enough(data: Data, curve: Curve, free: int) -> None:
+    """Raise InsufficientData if there are fewer data than parameters, InvalidInput for a sigma that is not positive."""
+    count = len(data) * curve.freedom
+    if count < free:
+        raise InsufficientData(f"{count} data cannot give {free} parameters; measure more or --fix some")
+    if data.sigma is not None and not np.all(data.sigma > 0):
+        raise InvalidInput(f"sigma must be more than 0, found {float(np.min(data.sigma)):g}")

@@ -1,0 +1,160 @@
+"""Formulas in text, such as exp(a*x**2 + b*x + c): read, never run, and differentiated exactly.
+
+The text becomes Python's syntax tree, of which only arithmetic, numbers, names and a fixed list of functions are taken;
+nothing is evaluated by Python. Values carry their derivatives along (forward mode: Griewank & Walther, Evaluating
+Derivatives, 2nd ed. 2008, chapter 3).
+"""
+
+import ast
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.estimate.curves.dual import FUNCTIONS, Dual
+
+CONSTANTS = {"pi": math.pi}
+_LONGEST = 2000
+_DEEPEST = 200  # a sum of n terms is nested n deep
+_BINARY: Mapping[type, Callable[[Dual, Dual], Dual]] = {
+    ast.Add: Dual.__add__,
+    ast.Sub: Dual.__sub__,
+    ast.Mult: Dual.__mul__,
+    ast.Div: Dual.__truediv__,
+    ast.Pow: Dual.__pow__,
+}
+_HINTS: Mapping[type, str] = {
+    ast.BitXor: "a power is written **, not ^",
+    ast.Compare: "a model has one side only, without = or <",
+    ast.Subscript: "functions take round brackets, not square ones",
+    ast.Tuple: "a number has a dot, not a comma",
+    ast.Attribute: "a name has no dot in it",
+}
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A formula over named columns and parameters; made by `parse`."""
+
+    text: str
+    names: frozenset[str]
+    tree: ast.expr
+
+    def value(self, values: Mapping[str, Array | float]) -> Array:
+        """Return the value (N,) where every name has one; complex values are taken too."""
+        return self.with_derivatives(values, ()).value
+
+    def with_derivatives(self, values: Mapping[str, Array | float], by: Sequence[str]) -> Dual:
+        """Return the value (N,) and its derivatives (K, N) by the names `by`; NaN or infinite where undefined."""
+        seeds = np.eye(len(by))[:, :, None]
+        known = {name: Dual(np.asarray(value)) for name, value in values.items()}
+        known |= {name: Dual(np.asarray(values[name]), seed) for name, seed in zip(by, seeds, strict=True)}
+        with np.errstate(all="ignore"):
+            return _evaluated(self.tree, known)
+
+    @property
+    def analytic(self) -> bool:
+        """Whether it can be differentiated by a complex step: abs is no analytic function."""
+        return "abs" not in {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
+
+    def require_known(self, known: Sequence[str], what: str) -> None:
+        """Raise InvalidInput about the first name that is not among those known; `what` says what those are."""
+        for name, position in _named(self.tree):
+            if name not in known:
+                likely = get_close_matches(name, known, n=1)
+                hint = f" Did you mean {likely[0]!r}?" if likely else ""
+                raise InvalidInput(f"{_place(self.text, position)}: unknown name {name!r}; {what}.{hint}")
+
+
+def parse(text: str) -> Expression:
+    """Return the formula of a text.
+
+    Raises InvalidInput, with the position in the text, for whatever is not arithmetic over numbers, names and the known
+    functions.
+    """
+    if len(text) > _LONGEST:
+        raise InvalidInput(f"a formula of {len(text)} characters; {_LONGEST} are taken")
+    source = text.strip()
+    try:
+        tree = ast.parse(source, mode="eval").body
+    except SyntaxError as error:
+        before = source[: max((error.offset or 1) - 1, 0)]
+        raise InvalidInput(f"{_place(source, len(before.encode()))}: not a formula ({error.msg})") from error
+    except (ValueError, MemoryError, RecursionError) as error:
+        raise InvalidInput(f"{source[:40]!r} is not a formula") from error
+    _check(tree, source, 0)
+    return Expression(source, frozenset(name for name, _ in _named(tree)), tree)
+
+
+def _check(node: ast.expr, text: str, depth: int) -> None:
+    """Raise InvalidInput for the first part of the tree that a formula may not have."""
+    if depth > _DEEPEST:
+        raise InvalidInput(f"{_place(text, node.col_offset)}: nested deeper than {_DEEPEST}")
+    for part in _parts(node, text):
+        _check(part, text, depth + 1)
+
+
+def _parts(node: ast.expr, text: str) -> Sequence[ast.expr]:
+    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+        return node.left, node.right
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
+        return (node.operand,)
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        return ()
+    if isinstance(node, ast.Name):
+        return ()
+    if isinstance(node, ast.Call):
+        return _arguments(node, text)
+    refused = node.op if isinstance(node, (ast.BinOp, ast.UnaryOp)) else node
+    hint = _HINTS.get(type(refused), "only numbers, names, + - * / **, brackets and functions are taken")
+    raise InvalidInput(f"{_place(text, node.col_offset)}: {hint}")
+
+
+def _arguments(node: ast.Call, text: str) -> Sequence[ast.expr]:
+    name = node.func.id if isinstance(node.func, ast.Name) else ""
+    if name not in FUNCTIONS:
+        likely = get_close_matches(name, FUNCTIONS, n=1)
+        known = f"Did you mean {likely[0]!r}?" if likely else f"Known are {', '.join(sorted(FUNCTIONS))}."
+        what = f"unknown function {name!r}. {known}" if name else "only functions by name can be called"
+        raise InvalidInput(f"{_place(text, node.col_offset)}: {what}")
+    if node.keywords or len(node.args) != 1 or isinstance(node.args[0], ast.Starred):
+        raise InvalidInput(f"{_place(text, node.col_offset)}: {name} takes one value")
+    return node.args
+
+
+def _named(node: ast.expr) -> Iterator[tuple[str, int]]:
+    """Yield the names that need a value, with their positions, in the order of the text."""
+    if isinstance(node, ast.Name) and node.id not in CONSTANTS:
+        yield node.id, node.col_offset
+    elif isinstance(node, ast.Call):
+        yield from _named(node.args[0])
+    elif isinstance(node, ast.UnaryOp):
+        yield from _named(node.operand)
+    elif isinstance(node, ast.BinOp):
+        yield from _named(node.left)
+        yield from _named(node.right)
+
+
+def _evaluated(node: ast.expr, known: Mapping[str, Dual]) -> Dual:
+    if isinstance(node, ast.Constant):
+        return Dual(np.asarray(float(node.value)))  # type: ignore[arg-type]  # _parts took numbers only
+    if isinstance(node, ast.Name):
+        return known[node.id] if node.id in known else Dual(np.asarray(CONSTANTS[node.id]))
+    if isinstance(node, ast.Call):
+        return FUNCTIONS[node.func.id](_evaluated(node.args[0], known))  # type: ignore[attr-defined]  # likewise
+    if isinstance(node, ast.UnaryOp):
+        operand = _evaluated(node.operand, known)
+        return operand if isinstance(node.op, ast.UAdd) else -operand
+    if isinstance(node, ast.BinOp):
+        return _BINARY[type(node.op)](_evaluated(node.left, known), _evaluated(node.right, known))
+    raise TypeError(f"{type(node).__name__} in a checked formula")
+
+
+def _place(text: str, offset: int) -> str:
+    """Return where in a text something stands; offset: bytes of UTF-8 before it, as the syntax tree counts."""
+    before = text.encode()[:offset].decode(errors="ignore")
+    return f"{text!r}, character {len(before) + 1}"

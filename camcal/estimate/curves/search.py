@@ -1,0 +1,175 @@
+"""A curve fitted to data: the search from its start, restarts, robust losses, and what the result is worth."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.estimate.curves import robust
+from camcal.estimate.curves.curve import Curve, Data, require_enough
+from camcal.estimate.curves.problem import CurveProblem
+from camcal.solve.dense import DenseEquations
+from camcal.solve.dense_search import DenseMethod, linearise_dense, minimise_dense
+from camcal.solve.descent import Descent, Iteration, Stopping
+
+METHODS = ("levenberg-marquardt", "gauss-newton")
+LOSSES = ("none", *robust.LOSSES)
+Found = Descent[Array, DenseEquations]
+Observe = Callable[[int, Iteration], None]
+
+_ITERATIONS = 2000
+_ROUNDS, _STEADY = 30, 1e-3  # of the scale of a robust fit: how often it is found anew, and when it has settled
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """How to fit: bounds and fixed parameters by name, the loss, further starts, the method."""
+
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fixed: frozenset[str] = frozenset()
+    loss: str = "none"
+    restarts: int = 0
+    method: str = METHODS[0]
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The best end of all searches: problem (with its loss), descent, how many ran, the scale of the residuals' loss.
+
+    scale: standard deviation of a residual (divided by sigma) that the loss is tuned to, None for least squares.
+    """
+
+    problem: CurveProblem
+    found: Found
+    runs: int
+    scale: float | None
+
+
+def search(curve: Curve, data: Data, start: Mapping[str, float], options: SearchOptions, observe: Observe) -> Search:
+    """Return the lowest minimum found from a start that names every parameter.
+
+    Levenberg–Marquardt runs twice from each start, with the running and with the present scale of the parameters: the
+    first is safe, the second follows narrow valleys to their end. `observe` is told the run and every turn of it.
+    Raises InvalidInput for a start outside its bounds or where the curve is undefined, InsufficientData for few data.
+    """
+    problem = _problem(curve, data, start, options)
+    require_enough(data, curve, problem.shared)
+    _require_defined(problem)
+    searches = _Searches(options, observe)
+    if options.loss == "none":
+        return Search(problem, searches.best(problem), searches.runs, None)
+    return _robust(problem, searches)
+
+
+def _problem(curve: Curve, data: Data, start: Mapping[str, float], options: SearchOptions) -> CurveProblem:
+    values = np.array([start[name] for name in curve.parameters], dtype=float)
+    limits = [options.bounds.get(name, (-np.inf, np.inf)) for name in curve.parameters]
+    low, high = np.array(limits, dtype=float).reshape(-1, 2).T
+    for name, value, least, greatest in zip(curve.parameters, values, low, high, strict=True):
+        if not least <= value <= greatest:
+            raise InvalidInput(f"the start {name}={value:g} is outside its bounds {least:g} … {greatest:g}")
+    free = np.flatnonzero([name not in options.fixed for name in curve.parameters])
+    if not len(free):
+        raise InvalidInput("every parameter is fixed; there is nothing to fit")
+    return CurveProblem(curve, data, values, free, low, high)
+
+
+def _require_defined(problem: CurveProblem) -> None:
+    """Raise InvalidInput, naming the first row, if the curve or a slope of it is not a number at the start."""
+    block = problem.blocks(problem.values[problem.free])[0]
+    numbers = np.concatenate([block.residuals[..., None], block.shared[0].values], axis=2)
+    defined = np.asarray(np.isfinite(numbers).all(axis=(1, 2)))
+    if defined.all():
+        return
+    row = int(np.argmin(defined))
+    columns = {name: column[row] for name, column in problem.data.columns.items()}
+    where = ", ".join(f"{name}={value:g}" for name, value in columns.items())
+    start = ", ".join(f"{n}={v:g}" for n, v in zip(problem.curve.parameters, problem.values, strict=True))
+    count = int(np.count_nonzero(~defined))
+    raise InvalidInput(
+        f"at the start {start} the model is not a number for {count} of {len(defined)} rows, first for {where}; "
+        "choose another --start"
+    )
+
+
+@dataclass
+class _Searches:
+    """Runs from the start and further ones; counts them."""
+
+    options: SearchOptions
+    observe: Observe
+    runs: int = 0
+
+    def best(self, problem: CurveProblem) -> Found:
+        """Return the lowest end of all runs; a later run must be lower by more than rounding errors."""
+        stopping = self._stopping(problem)
+        runs = ((start, method) for start in self._starts(problem) for method in self._methods(problem))
+        best = self._run(problem, *next(runs), stopping)
+        for start, method in runs:
+            found = self._run(problem, start, method, stopping)
+            if found.equations.cost < best.equations.cost - stopping.unseen(best.equations.cost):
+                best = found
+        return best
+
+    def _run(self, problem: CurveProblem, start: Array, method: DenseMethod[Array], stopping: Stopping) -> Found:
+        self.runs += 1
+        run = self.runs
+        return minimise_dense(problem, start, method, stopping, lambda turn: self.observe(run, turn))
+
+    def _stopping(self, problem: CurveProblem) -> Stopping:
+        # Nielsen's own factors; the search goes on to the rounding error, since fits are small
+        return Stopping(1e-20, _ITERATIONS, damping=1e-3, least=1 / 3, rise=2.0, rounding=problem.rounding())
+
+    def _methods(self, problem: CurveProblem) -> list[DenseMethod[Array]]:
+        if self.options.method == "gauss-newton":
+            return [DenseMethod(geodesic=False, full=True, room=problem.room)]
+        return [DenseMethod(running, room=problem.room, residuals=problem.residuals) for running in (True, False)]
+
+    def _starts(self, problem: CurveProblem) -> list[Array]:
+        """Return the start and as many more as asked for, each element some powers of e larger or smaller."""
+        first = problem.values[problem.free]
+        rng = np.random.default_rng(self.options.seed)
+        factors = np.exp(rng.normal(size=(self.options.restarts, len(first))))
+        others = np.where(first == 0, np.log(factors), first * factors)
+        others = np.clip(others, problem.low[problem.free], problem.high[problem.free])
+        return [first, *(start for start in others if _is_defined(problem, start))]
+
+
+def _is_defined(problem: CurveProblem, start: Array) -> bool:
+    equations = linearise_dense(problem, start)
+    return equations is not None and bool(np.isfinite(equations.cost))
+
+
+def _robust(problem: CurveProblem, searches: _Searches) -> Search:
+    """Return the robust fit; where sigma is unknown, its scale is that of its own residuals.
+
+    Huber's loss comes first, which has one minimum for straight models: one that ignores outliers needs to start where
+    they are known as such.
+    """
+    first = _settled(problem, "huber", searches)
+    name = searches.options.loss
+    return first if name == "huber" else _settled(first.problem, name, searches)
+
+
+def _settled(problem: CurveProblem, name: str, searches: _Searches) -> Search:
+    """Return the fit with a loss whose scale is that of the residuals it leaves; its problem has the fitted values."""
+    for _ in range(_ROUNDS):
+        scale = _scale(problem)
+        problem = replace(problem, loss=robust.loss_named(name, scale))
+        found = searches.best(problem)
+        problem = replace(problem, values=problem.full(found.state))
+        if abs(_scale(problem) - scale) <= _STEADY * scale:
+            break
+    return Search(problem, found, searches.runs, scale)
+
+
+def _scale(problem: CurveProblem) -> float:
+    """Return the standard deviation of residuals divided by sigma, at the problem's values: 1 where sigma is known."""
+    if problem.data.sigma is not None:
+        return 1.0
+    residuals = problem.blocks(problem.values[problem.free])[0].residuals
+    found = robust.spread(residuals, problem.curve.freedom, problem.shared)
+    return max(found, float(np.sqrt(2 * problem.rounding() / len(problem.data))), np.finfo(float).tiny)

@@ -1,0 +1,207 @@
+"""Many small least-squares problems at once: the loop of descent.py with a damping and an end for each of them.
+
+One pass over the arrays of all problems takes the place of a loop over problems, which costs more in calls than in
+arithmetic when a problem has a hundred residuals and six parameters.
+Source: as descent.py.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.solve.descent import STOPPING, Stopping
+from camcal.solve.losses import Loss
+
+REASONS = (
+    "too many iterations",
+    "the step promises no decrease",
+    "held at the edge of the domain",
+    "the cost is at its rounding error",
+    "the residuals are met exactly",
+    "no step lowers the cost",
+    "the start is outside the domain",
+)
+_RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE = range(7)
+_CONVERGED = (_SETTLED, _HELD, _ROUNDED, _EXACT)
+_LEAST_DAMPING, _MAX_DAMPING = 1e-12, 1e12  # the least keeps the factors of a singular matrix real
+_BLOCKED, _CRAWL, _GAUSS_NEWTON = 5, 1e-4, 1e-3  # as in descent.py
+
+
+@dataclass(frozen=True, eq=False)
+class Models:
+    """The quadratic models of W costs ½ Σ ρ, of P parameters each: cost (W,), gradient (W, P), normal (W, P, P).
+
+    The cost is infinite where a state is outside its problem's domain.
+    """
+
+    cost: Array
+    gradient: Array
+    normal: Array
+
+    def put(self, at: Array, other: "Models", chosen: Array) -> None:
+        """Replace the models `at` by the chosen ones of the other."""
+        for own, new in ((self.cost, other.cost), (self.gradient, other.gradient), (self.normal, other.normal)):
+            own[at] = new[chosen]
+
+
+class Problems(Protocol):
+    """What the solver asks of the problems; states are an array whose first axis runs over them."""
+
+    def linearise(self, states: Array, which: Array) -> Models:
+        """Return the models at the states (W, …) of the problems `which` (W,)."""
+        ...
+
+    def retract(self, states: Array, steps: Array) -> Array:
+        """Return the states moved by steps (W, P)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Minima:
+    """Where the searches ended: states (S, …), which problem (S,) each belongs to, models, iterations (S,), the mask
+    (S,) of those at a minimum, and why they stopped, as indices (S,) into REASONS.
+    """
+
+    states: Array
+    which: Array
+    models: Models
+    iterations: Array
+    converged: Array
+    reason: Array
+
+    @property
+    def cost(self) -> Array:
+        """The costs (S,), infinite where the start was outside the domain."""
+        return self.models.cost
+
+    def take(self, chosen: Array) -> "Minima":
+        """Return some of the searches."""
+        models = Models(self.models.cost[chosen], self.models.gradient[chosen], self.models.normal[chosen])
+        ends = self.iterations[chosen], self.converged[chosen], self.reason[chosen]
+        return Minima(self.states[chosen], self.which[chosen], models, *ends)
+
+
+def joined(first: Minima, second: Minima) -> Minima:
+    """Return the searches of both."""
+    one, other = first.models, second.models
+    models = Models(
+        np.concatenate([one.cost, other.cost]),
+        np.concatenate([one.gradient, other.gradient]),
+        np.concatenate([one.normal, other.normal]),
+    )
+    return Minima(
+        np.concatenate([first.states, second.states]),
+        np.concatenate([first.which, second.which]),
+        models,
+        np.concatenate([first.iterations, second.iterations]),
+        np.concatenate([first.converged, second.converged]),
+        np.concatenate([first.reason, second.reason]),
+    )
+
+
+def assemble(rows: Array, weights: Array | None = None, loss: Loss | None = None) -> Models:
+    """Return the models of residuals and their derivatives.
+
+    rows: (D, P + 1, W, R), the P derivatives and then the residual, of R rows of D coordinates for each of W problems,
+    so that the long axes come last; they are weighted in place. weights: (W, R) inverse variances. loss: of the
+    weighted squared residual.
+    """
+    cost = None
+    if loss is not None:
+        squared = np.einsum("dwr,dwr->wr", rows[:, -1], rows[:, -1])
+        squared = squared if weights is None else squared * weights
+        cost = 0.5 * loss.cost(squared).sum(axis=1)
+        weights = loss.weight(squared) * (1.0 if weights is None else weights)
+    if weights is not None:
+        rows *= np.sqrt(weights)
+    gram = np.asarray(sum(part @ part.transpose(0, 2, 1) for part in rows.transpose(0, 2, 1, 3)))
+    return Models(0.5 * gram[:, -1, -1] if cost is None else cost, gram[:, :-1, -1], gram[:, :-1, :-1])
+
+
+def minimise_each(
+    problems: Problems, states: Array, which: Array, stopping: Stopping = STOPPING, exact: Array | float = 0.0
+) -> Minima:
+    """Return the states that minimise ½ Σ ρ(‖r‖²) of the problems `which` (S,), each started at its state (S, …).
+
+    A problem may be started several times. exact: the costs, (S,) or one, below which residuals are all rounding.
+    """
+    search = _Search.of(problems, states, which, stopping, exact)
+    for _ in range(stopping.iterations):
+        alive = np.flatnonzero(search.reason == _RUNNING)
+        if not alive.size:
+            break
+        search.advance(alive)
+    converged = np.isin(search.reason, _CONVERGED)
+    return Minima(search.states, which, search.models, search.iterations, converged, search.reason)
+
+
+@dataclass(eq=False)
+class _Search:
+    """The searches under way: what each has reached, its damping, and why it stopped (0: it has not)."""
+
+    problems: Problems
+    which: Array
+    stopping: Stopping
+    exact: Array
+    states: Array
+    models: Models
+    damping: Array
+    growth: Array
+    blocked: Array
+    iterations: Array
+    reason: Array
+
+    @classmethod
+    def of(cls, problems: Problems, states: Array, which: Array, stopping: Stopping, exact: Array | float) -> "_Search":
+        models, count = problems.linearise(states, which), len(which)
+        limits = np.broadcast_to(np.asarray(exact, dtype=float), (count,))
+        reason = np.where(np.isfinite(models.cost), np.where(models.cost <= limits, _EXACT, _RUNNING), _OUTSIDE)
+        counters = np.zeros(count, np.intp), np.zeros(count, np.intp)
+        damping = np.full(count, stopping.damping), np.full(count, 2.0)
+        return cls(problems, which, stopping, limits, states.copy(), models, *damping, *counters, reason)
+
+    def advance(self, alive: Array) -> None:
+        """Take one step of the searches `alive` (A,), or find that it leads nowhere and damp the next one more."""
+        steps, promised = self._propose(alive)
+        states = self.problems.retract(self.states[alive], steps)
+        trial = self.problems.linearise(states, self.which[alive])
+        self.iterations[alive] += 1
+        self.blocked[alive] += ~np.isfinite(trial.cost)
+        better = trial.cost <= self.models.cost[alive]
+        if not better.all():
+            self._reject(alive[~better], promised[~better])
+        self._accept(alive[better], states[better], trial, np.flatnonzero(better), promised[better])
+
+    def _propose(self, alive: Array) -> tuple[Array, Array]:
+        """Return the damped steps (A, P) and by how much (A,) the models say that they lower the costs."""
+        normal, gradient = self.models.normal[alive], self.models.gradient[alive]
+        diagonal = np.einsum("wii->wi", normal)
+        largest = np.maximum(diagonal.max(axis=1, keepdims=True), np.finfo(float).tiny)
+        # a parameter no residual depends on must not make the damped matrix singular
+        scale = 1 / np.sqrt(np.maximum(diagonal, 1e-12 * largest))
+        scaled = normal * scale[:, :, None] * scale[:, None, :]
+        scaled += self.damping[alive, None, None] * np.eye(scaled.shape[-1])
+        steps = -scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
+        return steps, -0.5 * np.einsum("wi,wi->w", steps, gradient)
+
+    def _accept(self, at: Array, states: Array, trial: Models, chosen: Array, promised: Array) -> None:
+        cost, damping = trial.cost[chosen], self.damping[at]
+        fall = self.models.cost[at] - cost
+        # a step cut short by damping promises little and proves nothing
+        settled = (damping < _GAUSS_NEWTON) & (promised <= self.stopping.relative_decrease * np.maximum(cost, 1e-300))
+        held = (self.blocked[at] >= _BLOCKED) & (fall <= _CRAWL * cost)
+        gain = np.divide(fall, promised, out=np.ones_like(fall), where=promised > 0)
+        eased = damping * np.maximum(0.1, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
+        self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 2.0
+        self.states[at] = states
+        self.models.put(at, trial, chosen)
+        at_end = np.where(settled, _SETTLED, np.where(held, _HELD, _RUNNING))
+        self.reason[at] = np.where(cost <= self.exact[at], _EXACT, at_end)
+
+    def _reject(self, at: Array, promised: Array) -> None:
+        rounded, stuck = promised <= 1e-13 * self.models.cost[at], self.damping[at] > _MAX_DAMPING
+        self.reason[at] = np.where(rounded, _ROUNDED, np.where(stuck, _STUCK, _RUNNING))
+        self.damping[at] = np.maximum(self.damping[at], 1e-9) * self.growth[at] * 5
+        self.growth[at] *= 2

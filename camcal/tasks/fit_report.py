@@ -1,0 +1,133 @@
+"""What `camcal fit` found, as a record and as plain data."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from camcal.estimate.curves.comparison import Comparison
+from camcal.estimate.curves.profile import End
+from camcal.estimate.curves.result import CurveFit, Estimate
+from camcal.solve.descent import Iteration
+from camcal.solve.differentiate import JacobianCheck
+
+TRACE_COLUMNS = ("run", "iteration", "cost", "trial_cost", "damping", "gain", "step", "accepted")
+_IGNORED = 0.5  # a row whose loss leaves it less than this weight counts as an outlier
+
+
+@dataclass(frozen=True, eq=False)
+class FitReport:
+    """A fit; turns: (run, turn) of every iteration; the other fit and how they compare; intervals by likelihood."""
+
+    fit: CurveFit
+    lines: Sequence[int | str]
+    turns: tuple[tuple[int, Iteration], ...]
+    other: CurveFit | None = None
+    comparison: Comparison | None = None
+    intervals: dict[str, tuple[End, End]] | None = None
+    check: JacobianCheck | None = None
+
+
+def document(report: FitReport) -> dict[str, Any]:
+    """Return the report as plain data for --json and files; what is not known is None."""
+    found = report.fit
+    return {
+        **plain(found),
+        "profile": None if report.intervals is None else {name: list(ends) for name, ends in report.intervals.items()},
+        "comparison": _compared(report),
+        "jacobian_check": _checked(report),
+        "outliers": [report.lines[int(row)] for row in np.flatnonzero(found.weights < _IGNORED)],
+        "largest_leverage": {
+            "line": report.lines[int(np.argmax(found.leverage))],
+            "leverage": float(found.leverage.max()),
+        },
+    }
+
+
+def plain(found: CurveFit) -> dict[str, Any]:
+    """Return a fit as plain data."""
+    return {
+        "model": found.curve.name,
+        "formula": found.curve.text,
+        "parameters": {name: _estimate(value) for name, value in found.parameters.items()},
+        "derived": {name: _estimate(value) for name, value in found.derived.items()},
+        "free": list(found.free),
+        "correlation": found.correlations().tolist(),
+        "strong_correlations": [list(pair) for pair in found.strong_correlations()],
+        "unobservable": [dict(parts) for parts in found.combinations],
+        "at_bounds": list(found.at_bounds),
+        **vars(found.goodness),
+        "condition": found.condition,
+        "iterations": found.iterations,
+        "runs": found.runs,
+        "converged": found.converged,
+        "reason": found.reason,
+    }
+
+
+def trace_rows(turns: Sequence[tuple[int, Iteration]]) -> list[tuple[object, ...]]:
+    """Return the turns of every run as rows of `TRACE_COLUMNS`."""
+    return [(run, *vars(turn).values()) for run, turn in turns]
+
+
+def trace_csv(turns: Sequence[tuple[int, Iteration]]) -> str:
+    """Return the turns of every run as the text of a CSV file."""
+    lines = [",".join(map(_cell, row)) for row in trace_rows(turns)]
+    return "\n".join([",".join(TRACE_COLUMNS), *lines]) + "\n"
+
+
+def written(value: Any) -> Any:
+    """Return plain data without what is not known, which a YAML file leaves out."""
+    if isinstance(value, Mapping):
+        return {key: written(item) for key, item in value.items() if _is_known(item)}
+    if isinstance(value, (list, tuple)):
+        return [written(item) for item in value if _is_known(item)]
+    return value
+
+
+def _is_known(value: Any) -> bool:
+    return value is not None and not (isinstance(value, float) and not np.isfinite(value))
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "value": estimate.value,
+        "std": estimate.std,
+        "interval": None if estimate.interval is None else list(estimate.interval),
+        "held": estimate.held,
+    }
+
+
+def _compared(report: FitReport) -> dict[str, Any] | None:
+    if report.comparison is None or report.other is None:
+        return None
+    comparison = report.comparison
+    return {
+        "with": plain(report.other),
+        "first": vars(comparison.first),
+        "second": vars(comparison.second),
+        "preferred": comparison.preferred,
+        "f": comparison.f,
+        "p_value": comparison.p_value,
+    }
+
+
+def _checked(report: FitReport) -> dict[str, Any] | None:
+    if report.check is None:
+        return None
+    check = report.check
+    return {
+        "error": check.error,
+        "method": check.method,
+        "parameter": report.fit.curve.parameters[check.column],
+        "line": report.lines[check.row[0]],
+        "analytic": check.analytic,
+        "numeric": check.numeric,
+    }
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.12g}" if isinstance(value, float) else str(value).lower()

@@ -1,0 +1,140 @@
+"""Many small problems at once: each as if it were alone, and as the solver of one problem solves it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from camcal.solve.independent import REASONS, Models, assemble, joined, minimise_each
+from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.losses import Cauchy
+from camcal.solve.steps import Block, Jacobian
+
+X = np.linspace(-1, 2, 30)
+
+
+@dataclass(frozen=True)
+class Decays:
+    """y = a exp(b x), one curve a row; a state is (a, b). Outside the domain where b > limit."""
+
+    y: np.ndarray
+    loss: object = None
+    weights: np.ndarray | None = None
+    limit: float = np.inf
+
+    def rows(self, states, which):
+        a, b = states[:, :1], states[:, 1:]
+        curve = np.exp(b * X)
+        return np.stack([curve, a * X * curve, a * curve - self.y[which]])[None]
+
+    def linearise(self, states, which):
+        weights = None if self.weights is None else self.weights[which]
+        models = assemble(self.rows(states, which), weights, self.loss)
+        models.cost[states[:, 1] > self.limit] = np.inf
+        return models
+
+    def retract(self, states, steps):
+        return states + steps
+
+
+@dataclass(frozen=True)
+class OneDecay:
+    """The same for the solver of one problem."""
+
+    y: np.ndarray
+    loss: object
+
+    shared = 2
+    groups = (0, 0)
+
+    def blocks(self, state):
+        rows = Decays(self.y[None]).rows(state[None], np.zeros(1, int))[0, :, 0]
+        return [Block(rows[2][:, None], (Jacobian(rows[:2].T[:, None], np.arange(2)),), loss=self.loss)]
+
+    def retract(self, state, step):
+        return state + step.shared
+
+
+def curves(rng, count, noise):
+    truth = np.column_stack([rng.uniform(0.5, 3, count), rng.uniform(-2, 1, count)])
+    return truth, truth[:, :1] * np.exp(truth[:, 1:] * X) + noise * rng.standard_normal((count, len(X)))
+
+
+@pytest.mark.parametrize("loss", [None, Cauchy(0.2)], ids=["squares", "cauchy"])
+def test_each_problem_reaches_the_minimum_that_the_solver_of_one_finds(loss):
+    rng = np.random.default_rng(1)
+    truth, y = curves(rng, 20, 0.1)
+    found = minimise_each(Decays(y, loss), truth + 0.2, np.arange(20), Stopping(relative_decrease=1e-12))
+    for state, cost, row, start in zip(found.states, found.cost, y, truth + 0.2, strict=True):
+        alone = minimise(OneDecay(row, loss), start, Stopping(relative_decrease=1e-12))
+        np.testing.assert_allclose(state, alone.state, atol=1e-5)  # the square root of the stopping rule
+        assert cost == pytest.approx(alone.cost, rel=1e-9)
+    assert found.converged.all()
+
+
+def test_a_problem_does_not_feel_the_others():
+    rng = np.random.default_rng(2)
+    truth, y = curves(rng, 6, 0.1)
+    y[3] *= 5  # needs more steps than the rest
+    together = minimise_each(Decays(y), truth + 0.3, np.arange(6))
+    for index in range(6):
+        alone = minimise_each(Decays(y), truth[[index]] + 0.3, np.array([index]))
+        np.testing.assert_array_equal(alone.states[0], together.states[index])
+        assert alone.iterations[0] == together.iterations[index]
+    assert len(set(together.iterations.tolist())) > 1
+
+
+def test_one_problem_may_be_started_several_times():
+    rng = np.random.default_rng(3)
+    truth, y = curves(rng, 2, 0.05)
+    found = minimise_each(Decays(y), truth[[0, 0, 1]] + [[0.1, 0.1], [-0.2, 0.3], [0, 0.2]], np.array([0, 0, 1]))
+    np.testing.assert_allclose(found.states[0], found.states[1], atol=1e-4)
+    both = joined(found.take(np.array([2])), found.take(np.array([0])))
+    np.testing.assert_array_equal(both.states, found.states[[2, 0]])
+    np.testing.assert_array_equal(both.which, [1, 0])
+
+
+def test_weights_of_zero_leave_rows_out():
+    rng = np.random.default_rng(4)
+    truth, y = curves(rng, 3, 0.05)
+    spoilt, weights = y.copy(), np.ones_like(y)
+    spoilt[:, 5], weights[:, 5] = 99.0, 0.0
+    clean = minimise_each(Decays(y, weights=weights), truth, np.arange(3))
+    found = minimise_each(Decays(spoilt, weights=weights), truth, np.arange(3))
+    np.testing.assert_allclose(found.states, clean.states, rtol=1e-12)
+
+
+def test_every_search_says_why_it_ended():
+    rng = np.random.default_rng(5)
+    _, noisy = curves(rng, 1, 0.1)
+    exact = np.exp(X)[None]  # a = 1, b = 1
+    y = np.concatenate([noisy, exact, exact, exact])
+    starts = np.array([[1.0, 0.0], [0.5, 0.5], [1.0, 2.0], [1.0, 0.0]])
+    ends = minimise_each(Decays(y, limit=1.5), starts, np.arange(4), exact=1e-20)
+    reasons = [REASONS[index] for index in ends.reason]
+    assert reasons[:3] == [
+        "the step promises no decrease",
+        "the residuals are met exactly",
+        "the start is outside the domain",
+    ]
+    assert ends.converged.tolist() == [True, True, False, True]
+    held = minimise_each(Decays(exact, limit=0.5), starts[3:], np.zeros(1, int))
+    assert REASONS[held.reason[0]] == "held at the edge of the domain"
+    assert held.states[0, 1] == pytest.approx(0.5, abs=0.05)  # where the crawl is called off
+    short = minimise_each(Decays(noisy), starts[:1] + 3, np.zeros(1, int), Stopping(iterations=1))
+    assert REASONS[short.reason[0]] == "too many iterations"
+
+
+def test_a_parameter_that_nothing_depends_on_stays():
+    class Half:
+        def linearise(self, states, which):
+            residual = states[:, 0] - 2.0
+            normal = np.zeros((len(states), 2, 2))
+            normal[:, 0, 0] = 1.0
+            return Models(0.5 * residual**2, np.column_stack([residual, 0 * residual]), normal)
+
+        def retract(self, states, steps):
+            return states + steps
+
+    found = minimise_each(Half(), np.array([[0.0, 7.0], [1.0, 8.0]]), np.arange(2))
+    np.testing.assert_allclose(found.states, [[2, 7], [2, 8]], atol=1e-6)
