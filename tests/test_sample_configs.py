@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from camcal.cli.main import app
-from camcal.formats import boards, native
+from camcal.formats import boards, native, tags
 
 FOLDER = Path(__file__).parents[1] / "sample_configs"
 FILES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*") if path.is_file())
@@ -22,6 +22,11 @@ def load_camera(path: Path) -> None:
     assert file.warnings == ()
 
 
+def load_tags(path: Path) -> None:
+    found = tags.read(path)
+    assert found.size is not None or found.bundles
+
+
 def load_settings(path: Path) -> None:
     """A file at the top holds the options of the command it is named after; --config is read before --help answers."""
     with pytest.raises(SystemExit) as ended:
@@ -29,7 +34,7 @@ def load_settings(path: Path) -> None:
     assert ended.value.code == 0
 
 
-LOADERS = {"boards": load_board, "cameras": load_camera, ".": load_settings}
+LOADERS = {"boards": load_board, "cameras": load_camera, "tags": load_tags, ".": load_settings}
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -1,85 +1,205 @@
-"""Points of an object and where images show them, as a CSV: what `camcal pnp --points` reads.
+"""Points of an object and where images show them: what `camcal pnp --points` reads, as CSV, YAML or JSON.
 
     image,id,X,Y,Z,u,v
     a.png,0,0.0,0.0,0.0,101.25,88.5
 
 X, Y, Z are metres in the object's frame; u, v pixels with (0, 0) at the centre of the top-left pixel. The columns may
-stand in any order. image may be left out (one image); id and suu, suv, svv (covariance, px²) may be added.
+stand in any order. Optional are image (without it all points are of one), id (a whole number, which names a point in
+messages), camera (of a rig; images of the same name are then one instant), and one way to say how well pixels are
+known: sigma, the standard deviation of u and of v in pixels; suu, suv, svv, their covariance in px²; or weight, by how
+much more a squared residual counts than that of a point of weight 1 (0 leaves the point out). YAML and JSON have the
+same names, a mapping for each point:
+
+    points:
+      - {image: a.png, id: 0, X: 0.0, Y: 0.0, Z: 0.0, u: 101.25, v: 88.5}
 """
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences
+from camcal.estimate.poses.records import Correspondences
+from camcal.formats import strict_json, strict_yaml
+from camcal.formats.schema import mapping
+from camcal.formats.strict_yaml import Document, Fault, child
 from camcal.formats.tables import Table, numbered_lines
 
 COLUMNS = ("X", "Y", "Z", "u", "v")
 COVARIANCE = ("suu", "suv", "svv")
-OPTIONAL = ("image", "id", *COVARIANCE)
+OPTIONAL = ("image", "id", "camera", "sigma", *COVARIANCE, "weight")
+YAML = (".yaml", ".yml")
+JSON = (".json",)
 MAX_ID = 10**9
 MARGIN = 0.1  # a point farther outside than this share of the image's side is a mistake, not a measurement
 
+_MAX_VALUES = 20_000_000  # of a YAML file, which is a table here
 
-def read(path: Path, image_size: tuple[int, int]) -> list[Correspondences]:
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class PointViews:
+    """The correspondences of every image, and the ids (N,) of their points, image by image.
+
+    absolute: whether the covariances are in px², not up to a factor that only the residuals tell.
+    """
+
+    views: tuple[Correspondences, ...]
+    ids: tuple[Array, ...]
+    absolute: bool
+
+
+def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
     """Return the correspondences of every image in a file, images in the order in which it first names them.
 
-    image_size: (width, height) of the camera, in which the pixels must lie.
-    Raises InvalidInput with file and line for the first row that breaks a rule, FileError if the file cannot be read.
+    image_size: (width, height) of the camera in which the pixels must lie, or of every camera of a rig by its name.
+    Points of weight 0 are left out. Raises InvalidInput with file and line for the first row that breaks a rule,
+    InsufficientData for a file without points, FileError if it cannot be read.
     """
-    table = Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)
+    table = _weighty(_table(path))
     if not len(table):
         raise InsufficientData("holds no points", where=str(path))
-    points, pixels = _columns(table, COLUMNS[:3]), _columns(table, COLUMNS[3:])
-    _refuse_outside(table, pixels, image_size)
+    sizes = image_size if isinstance(image_size, Mapping) else {_only_camera(table): image_size}
+    cameras = _cameras(table, sizes)
+    points, pixels = (np.column_stack([table.numbers(name) for name in part]) for part in (COLUMNS[:3], COLUMNS[3:]))
+    _refuse_outside(table, pixels, np.array([sizes[name] for name in cameras]))
     covariance = _covariance(table)
-    images = table.columns.get("image", [path.name] * len(table))
-    rows: dict[str, list[int]] = {}
-    for row, image in enumerate(images):
-        rows.setdefault(image, []).append(row)
-    for image, chosen in rows.items():
-        _refuse_repeats(table.rows(np.array(chosen)), image, points[chosen])
-    return [
-        Correspondences(image, points[chosen], pixels[chosen], None if covariance is None else covariance[chosen])
-        for image, chosen in rows.items()
-    ]
+    ids = table.integers("id", 0, MAX_ID) if "id" in table.columns else None
+    views, numbers = [], []
+    for (image, camera), rows in _by_image(table, path.name, cameras).items():
+        _refuse_repeats(table.rows(rows), image, points[rows], None if ids is None else ids[rows])
+        spread = None if covariance is None else covariance[rows]
+        named = camera if image_size is sizes else None
+        views.append(Correspondences(image, points[rows], pixels[rows], spread, named))
+        numbers.append(readonly(np.arange(len(rows)) if ids is None else ids[rows], (None,), "ids", np.intp))
+    return PointViews(tuple(views), tuple(numbers), covariance is not None and "weight" not in table.columns)
 
 
-def _columns(table: Table, names: tuple[str, ...]) -> Array:
-    return np.column_stack([table.numbers(name) for name in names])
+def _table(path: Path) -> Table:
+    suffix = path.suffix.lower()
+    if suffix in JSON:
+        return _of_document(strict_json.load(path, _check), "points[{}]".format)
+    if suffix in YAML:
+        document = strict_yaml.load(path, _check, _MAX_VALUES)
+        return _of_document(document, lambda index: document.line(f"points[{index}]"))
+    return Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)
+
+
+def _check(data: Any, path: str) -> Iterator[Fault]:
+    """Check that YAML or JSON holds a list of points which all have the same keys."""
+    yield from mapping({"points": _check_points})(data, path)
+
+
+def _check_points(points: Any, path: str) -> Iterator[Fault]:
+    if not isinstance(points, list):
+        yield Fault(path, "a list is needed, a mapping with X, Y, Z, u, v for each point")
+        return
+    point = mapping(dict.fromkeys(COLUMNS, _scalar), dict.fromkeys(OPTIONAL, _scalar))
+    for index, item in enumerate(points):
+        place = child(path, index)
+        faults = list(point(item, place))
+        yield from faults
+        if not faults and set(item) != set(points[0]):
+            odd = min(set(item) ^ set(points[0]))
+            yield Fault(place, f"{odd!r} stands at some points only; give it to all or to none")
+
+
+def _scalar(value: Any, path: str) -> Iterator[Fault]:
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        yield Fault(path, "is neither a number nor a text")
+
+
+def _of_document(document: Document, line: Callable[[int], int | str]) -> Table:
+    points = document["points"]
+    names = list(points[0]) if points else list(COLUMNS)
+    rows = [[str(point[name]) for name in names] for point in points]
+    return Table.of_rows(document.where, names, rows, [line(index) for index in range(len(points))])
+
+
+def _weighty(table: Table) -> Table:
+    """Return the rows that count: all but those of weight 0."""
+    if "weight" not in table.columns or not len(table):
+        return table
+    weights = table.numbers("weight")
+    table.refuse(weights < 0, lambda row: f"weight {weights[row]:g} is negative")
+    return table.rows(np.flatnonzero(weights > 0))
+
+
+def _only_camera(table: Table) -> str:
+    """Return what the column `camera` names, an empty text without one."""
+    names = sorted(set(table.columns.get("camera", ())))
+    if len(names) > 1:
+        raise InvalidInput(f"holds points of several cameras ({', '.join(names)}): give --rig", where=table.path)
+    return names[0] if names else ""
+
+
+def _cameras(table: Table, sizes: Mapping[str, Size]) -> Sequence[str]:
+    """Return the camera of every row."""
+    if "camera" not in table.columns:
+        if len(sizes) > 1:
+            raise InvalidInput(f"points of a rig need a column camera: {', '.join(sizes)}", where=table.path)
+        return [*sizes] * len(table)
+    names = table.columns["camera"]
+    unknown = np.array([name not in sizes for name in names])
+    table.refuse(unknown, lambda row: f"camera {names[row]!r} is unknown; the rig has {', '.join(sizes)}")
+    return names
+
+
+def _by_image(table: Table, name: str, cameras: Sequence[str]) -> dict[tuple[str, str], Array]:
+    """Return the rows of every image and camera, in the order in which they first stand."""
+    images = table.columns.get("image", [name] * len(table))
+    rows: dict[tuple[str, str], list[int]] = {}
+    for row, key in enumerate(zip(images, cameras, strict=True)):
+        rows.setdefault(key, []).append(row)
+    return {key: np.array(chosen) for key, chosen in rows.items()}
 
 
 def _covariance(table: Table) -> Array | None:
-    """Return the covariances (N, 2, 2) in px², None without the columns."""
-    given = [name for name in COVARIANCE if name in table.columns]
-    if not given:
+    """Return the covariances (N, 2, 2) in px², or up to a factor from weights; None without any such column."""
+    ways = [way for way in (("sigma",), COVARIANCE, ("weight",)) if set(way) & set(table.columns)]
+    if not ways:
         return None
-    if len(given) < len(COVARIANCE):
-        raise InvalidInput(f"column {given[0]!r} without the others of {','.join(COVARIANCE)}", where=table.path)
+    if len(ways) > 1:
+        given = " and ".join(",".join(way) for way in ways)
+        raise InvalidInput(f"columns {given} say the same; keep one of them", where=table.path)
+    if ways[0] == COVARIANCE:
+        return _full_covariance(table)
+    if ways[0] == ("weight",):
+        return np.asarray(np.eye(2) / table.numbers("weight")[:, None, None])
+    sigma = table.numbers("sigma")
+    table.refuse(sigma <= 0, lambda row: f"sigma {sigma[row]:g} px is not positive")
+    return np.asarray(np.eye(2) * sigma[:, None, None] ** 2)
+
+
+def _full_covariance(table: Table) -> Array:
+    missing = [name for name in COVARIANCE if name not in table.columns]
+    if missing:
+        raise InvalidInput(f"column {missing[0]!r} is missing; {','.join(COVARIANCE)} go together", where=table.path)
     suu, suv, svv = (table.numbers(name) for name in COVARIANCE)
     bad = np.asarray((suu <= 0) | (suu * svv <= suv**2))
     table.refuse(bad, lambda _row: "suu, suv, svv are no covariance (not positive)")
     return np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
 
 
-def _refuse_outside(table: Table, pixels: Array, image_size: tuple[int, int]) -> None:
-    size = np.array(image_size)
-    outside = np.any((pixels < -0.5 - MARGIN * size) | (pixels > size - 0.5 + MARGIN * size), axis=1)
+def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
+    outside = np.any((pixels < -0.5 - MARGIN * sizes) | (pixels > sizes - 0.5 + MARGIN * sizes), axis=1)
     table.refuse(
         outside,
         lambda row: (
             f"({pixels[row, 0]:g}, {pixels[row, 1]:g}) is far outside the camera's image of "
-            f"{size[0]} x {size[1]}; are u and v exchanged, or is it another camera?"
+            f"{sizes[row, 0]} x {sizes[row, 1]}; are u and v exchanged, was the image resized, or is it another camera?"
         ),
     )
 
 
-def _refuse_repeats(table: Table, image: str, points: Array) -> None:
+def _refuse_repeats(table: Table, image: str, points: Array, ids: Array | None) -> None:
     """Refuse a point that stands twice in one image, by its id or by its coordinates."""
-    if "id" in table.columns:
-        ids = table.integers("id", 0, MAX_ID)
+    if ids is not None:
         table.refuse(_repeated(ids[:, None]), lambda row: f"image {image!r}: id {ids[row]} stands twice")
     named = "({:g}, {:g}, {:g})"
     table.refuse(_repeated(points), lambda row: f"image {image!r}: the point {named.format(*points[row])} stands twice")

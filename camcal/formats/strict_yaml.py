@@ -90,19 +90,20 @@ class Document(Mapping[str, Any]):
         return InvalidInput("\n".join(lines).removeprefix(f"{where}: "), where=where)
 
 
-def load(path: Path, check: Check | None = None) -> Document:
+def load(path: Path, check: Check | None = None, max_values: int = MAX_VALUES) -> Document:
     """Return the document in a YAML file; see `parse`. Raises FileError also if the file cannot be read."""
-    return parse(files.read_text(path), str(path), check)
+    return parse(files.read_text(path), str(path), check, max_values)
 
 
-def parse(text: str, where: str, check: Check | None = None) -> Document:
+def parse(text: str, where: str, check: Check | None = None, max_values: int = MAX_VALUES) -> Document:
     """Return the document in `text`, having passed `check` over its data.
 
+    max_values: how many it may hold, for files that are tables.
     Raises FileError if it is no YAML mapping, InvalidInput with one line for every fault found.
     """
     if text.startswith("%YAML:"):
         raise FileError("starts with %YAML:, which only OpenCV reads; camcal files start with %YAML 1.1", where=where)
-    builder = _Builder(where)
+    builder = _Builder(where, max_values)
     try:
         data = builder.document(yaml.parse(text, Loader=_LOADER))
     except yaml.MarkedYAMLError as error:
@@ -136,8 +137,9 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | Non
 class _Builder:
     """Builds plain data from parser events, noting lines and faults on the way."""
 
-    def __init__(self, where: str) -> None:
+    def __init__(self, where: str, max_values: int) -> None:
         self.where = where
+        self.max_values = max_values
         self.lines: dict[str, int] = {}
         self.faults: list[Fault] = []
         self.without_value: set[str] = set()
@@ -165,8 +167,8 @@ class _Builder:
 
     def value(self, event: Any, events: Iterator[Any], path: str, depth: int) -> Any:
         self.count += 1
-        if self.count > MAX_VALUES or depth > MAX_DEPTH:
-            limit = f"{MAX_DEPTH} levels" if depth > MAX_DEPTH else f"{MAX_VALUES} values"
+        if self.count > self.max_values or depth > MAX_DEPTH:
+            limit = f"{MAX_DEPTH} levels" if depth > MAX_DEPTH else f"{self.max_values} values"
             raise InvalidInput(f"more than {limit}", where=self.at(event))
         self.lines.setdefault(path, _line(event))
         if isinstance(event, yaml.AliasEvent):

@@ -31,7 +31,7 @@ class Table:
 
     path: str
     columns: Mapping[str, Sequence[str]]
-    lines: Sequence[int]
+    lines: Sequence[int | str]
 
     @classmethod
     def from_csv(cls, path: str, lines: Lines, required: Sequence[str], optional: Sequence[str]) -> "Table":
@@ -48,7 +48,9 @@ class Table:
         return cls.of_rows(path, names, rows[1:], [number for number, _ in lines[1:]])
 
     @classmethod
-    def of_rows(cls, path: str, names: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[int]) -> "Table":
+    def of_rows(
+        cls, path: str, names: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[int | str]
+    ) -> "Table":
         """Return the table of rows of cells; raises InvalidInput for a row of another length than the names."""
         bad = next((index for index, row in enumerate(rows) if len(row) != len(names)), None)
         if bad is not None:

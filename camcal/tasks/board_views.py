@@ -30,7 +30,7 @@ class BoardViews:
 
 def board_views(
     inputs: tuple[str, ...],
-    board: str | None,
+    board: str | Board | None,
     recursive: bool,
     jobs: int | None,
     progress: Progress,
@@ -39,12 +39,12 @@ def board_views(
 ) -> BoardViews:
     """Return what images, folders and globs show of a board, or what one detections file holds.
 
-    board: a board file or short form; it may be None where a detections file names the board.
+    board: a board, its file or its short form; it may be None where a detections file names the board.
     image_size: (width, height) of the images of a .vnl file, which has none; None: the images beside it tell.
     reading: what is made of raw frames, and which colours are looked at.
     Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.
     """
-    known = boards.load_board(board) if board else None
+    known = boards.load_board(board) if isinstance(board, str) else board
     tables = [text for text in inputs if Path(text).suffix.lower() in DETECTION_SUFFIXES]
     if tables and len(inputs) > 1:
         raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])

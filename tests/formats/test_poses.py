@@ -1,32 +1,126 @@
-"""Pose files: the three forms hold the same numbers, and other programs read them."""
+"""Pose files: the three forms hold the same numbers and read them back; what is wrong is told with its place."""
 
 import csv
 import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
-from camcal.estimate.pnp import Correspondences, estimate_poses
+from camcal.errors import FileError, InvalidInput
+from camcal.estimate.pnp import Alternative
 from camcal.formats import poses
-from camcal.geometry import rotation as so3
+from camcal.formats.camera_file import Noise
+from camcal.formats.pose_file import PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 
-TAG = np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]) * 0.05
+SUFFIXES = (".yaml", ".json", ".csv")
+DIGITS = 1e-11  # relative; 12 significant digits are written
+
+
+def covariance(rng):
+    root = rng.normal(0, 1e-3, (6, 6))
+    return root @ root.T
+
+
+def record(rng, **more):
+    pose = Pose.from_vector(rng.normal(0, 1, 3), rng.normal(0, 1, 3))
+    figures = {"rms_px": 0.21, "max_px": 0.5, "n_points": 54, "n_inliers": 52, "outliers": (3, 17)}
+    return PoseRecord(pose, covariance(rng), covariance(rng), "ok", **{**figures, **more})
 
 
 @pytest.fixture(scope="module")
 def found():
     rng = np.random.default_rng(1)
-    camera = Camera(model_named("pinhole"), (640, 480), [500.0, 500.0, 320.0, 240.0])
-    truth = Pose.from_vector(np.array([0.4, 0.1, 0]), np.array([0.1, 0, 2.0]))
-    pixels = camera.project(truth.apply(TAG)).pixels + rng.normal(0, 0.3, (4, 2))
-    estimate = estimate_poses(camera, [Correspondences("a, b.png", TAG, pixels)])[0].value
-    assert estimate.alternative is not None
-    return poses.Poses("camera_T_object", "m", {"a, b.png": estimate}, {"c.png": "no board found"})
+    other = Pose.from_vector(rng.normal(0, 1, 3), rng.normal(0, 1, 3))
+    doubtful = record(
+        rng,
+        p_wrong=0.02,
+        error_ratio=0.8,
+        alternatives=(Alternative(other, 7.8, 0.02, covariance(rng), covariance(rng)),),
+        planarity=0.0,
+        least_depth=0.4,
+        tilt_rad=0.3,
+        image_share=0.05,
+        condition=123.0,
+    )
+    estimates = {Sight("a, b.png"): record(rng, outliers=()), Sight("c.png", "tag_3"): doubtful}
+    missing = {Sight("d.png"): "no board found", Sight("d.png", "tag_4"): "too few points, 3"}
+    return Poses("camera_T_object", "m", Noise(0.15, 102), estimates, missing)
+
+
+def assert_same_pose(first, second):
+    np.testing.assert_allclose(first.matrix(), second.matrix(), atol=1e-10)  # 12 digits of a quaternion
+
+
+def assert_same(first, second):
+    assert (first.frames, first.unit, list(first.estimates), dict(first.missing)) == (
+        *(second.frames, second.unit, list(second.estimates), dict(second.missing)),
+    )
+    assert first.noise == second.noise
+    for one, two in zip(first.estimates.values(), second.estimates.values(), strict=True):
+        assert_same_pose(one.transform, two.transform)
+        np.testing.assert_allclose(one.covariance, two.covariance, rtol=DIGITS)
+        np.testing.assert_allclose(one.noise_covariance, two.noise_covariance, rtol=DIGITS)
+        for field in fields(PoseRecord)[3:]:
+            if field.name != "alternatives":
+                value = getattr(two, field.name)
+                expected = pytest.approx(value, rel=DIGITS) if isinstance(value, float) else value
+                assert getattr(one, field.name) == expected, field.name
+        assert len(one.alternatives) == len(two.alternatives)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_written_is_read_back(found, tmp_path, suffix):
+    path = tmp_path / f"poses{suffix}"
+    poses.write(path, found)
+    back = poses.read(path)
+    assert_same(back, found)
+    (mine,), (theirs,) = (each.estimates["c.png", "tag_3"].alternatives for each in (back, found))
+    assert_same_pose(mine.transform, theirs.transform)
+    assert mine.chi_square_difference == pytest.approx(theirs.chi_square_difference)
+    if suffix == ".csv":
+        assert mine.noise_covariance is None
+    else:
+        np.testing.assert_allclose(mine.noise_covariance, theirs.noise_covariance, rtol=DIGITS)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_read_is_written_as_the_same_bytes(found, tmp_path, suffix):
+    once, again = tmp_path / f"once{suffix}", tmp_path / f"again{suffix}"
+    poses.write(once, found)
+    poses.write(again, poses.read(once))
+    numbers = [[float(f"{value:.9g}") for value in _numbers(path.read_text("utf-8"))] for path in (once, again)]
+    assert numbers[0] == numbers[1]  # the last digits of rotation vectors may differ
+
+
+def _numbers(text):
+    for word in text.replace(",", " ").replace("[", " ").replace("]", " ").replace("}", " ").split():
+        try:
+            yield float(word)
+        except ValueError:
+            continue
+
+
+@settings(max_examples=15)
+@given(
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+    st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
+    st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), min_size=1, max_size=20),
+)
+def test_any_pose_and_any_name_come_back(tmp_path_factory, turn, place, name):
+    rng = np.random.default_rng(2)
+    one = replace(record(rng), transform=Pose.from_vector(np.array(turn), np.array(place)))
+    found = Poses("object_T_camera", "squares", Noise(1.0), {Sight(name, "o"): one})
+    for suffix in SUFFIXES:
+        path = tmp_path_factory.getbasetemp() / f"any{suffix}"
+        poses.write(path, found)
+        back = poses.read(path)
+        assert list(back.estimates) == [Sight(name, "o")]
+        np.testing.assert_allclose(back.estimates[name, "o"].transform.translation, place, rtol=DIGITS, atol=1e-300)
 
 
 def test_yaml_and_json_hold_the_same_numbers(found, tmp_path):
@@ -34,31 +128,96 @@ def test_yaml_and_json_hold_the_same_numbers(found, tmp_path):
         poses.write(tmp_path / name, found)
     from_yaml = yaml.safe_load((tmp_path / "poses.yaml").read_text("utf-8"))
     assert from_yaml == json.loads((tmp_path / "poses.json").read_text("utf-8"))
-    (item,), estimate = from_yaml["poses"], found.estimates["a, b.png"]
-    pose = item["camera_T_object"]
-    quaternion = np.array([pose["quaternion"][name] for name in ("qw", "qx", "qy", "qz")])
-    # 12 significant digits are written
-    np.testing.assert_allclose(so3.from_quaternion(quaternion), estimate.transform.rotation, atol=1e-11)
-    np.testing.assert_allclose(so3.exp(np.array(pose["rotation_vector"])), estimate.transform.rotation, atol=1e-11)
-    np.testing.assert_allclose(item["covariance"], estimate.covariance, rtol=1e-11)
-    assert item["alternative"]["probability"] == pytest.approx(estimate.p_wrong, rel=1e-11)
-    assert from_yaml["missing"] == [{"image": "c.png", "reason": "no board found"}]
-    assert from_yaml["noise"]["degrees_of_freedom"] == 2
+    assert from_yaml["missing"][0] == {"image": "d.png", "reason": "no board found"}
+    assert from_yaml["noise"]["degrees_of_freedom"] == 102
+    item = from_yaml["poses"][1]
+    camera = Pose.from_vector(
+        np.array(item["camera_T_object"]["rotation_vector"]), item["camera_T_object"]["translation"]
+    ).inverse()
+    np.testing.assert_allclose(item["position"], camera.translation, rtol=1e-9)
+    assert item["view_angle_deg"] == pytest.approx(np.degrees(0.3))
 
 
 def test_a_csv_row_has_the_pose_and_the_upper_triangle_of_its_covariance(found, tmp_path):
     path = tmp_path / "poses.csv"
     poses.write(path, found)
     first, *lines = path.read_text("utf-8").splitlines()
-    assert first.startswith("# camcal-poses 1 frames=camera_T_object unit=m sigma_px=")
-    (row,) = csv.DictReader(line for line in lines if not line.startswith("#"))
-    estimate = found.estimates["a, b.png"]
+    assert first == "# camcal-poses 1 frames=camera_T_object unit=m sigma_px=0.15 degrees_of_freedom=102"
+    row, _ = csv.DictReader(line for line in lines if not line.startswith("#"))
+    known = found.estimates["a, b.png", ""]
     assert row["image"] == "a, b.png"
-    assert [float(row[name]) for name in ("tx", "ty", "tz")] == pytest.approx(estimate.transform.translation.tolist())
-    assert float(row["cov_tz_rx"]) == pytest.approx(estimate.covariance[2, 3], rel=1e-11)
-    assert lines[-1] == "# none c.png,no board found"
+    assert [float(row[name]) for name in ("tx", "ty", "tz")] == pytest.approx(known.transform.translation.tolist())
+    assert float(row["cov_tz_rx"]) == pytest.approx(known.covariance[2, 3], rel=1e-11)
+    assert row["alt_tx"] == ""
+    assert lines[-2] == "# none d.png,,no board found"
+
+
+def test_the_inverse_turns_names_transforms_and_covariances(found):
+    back = found.inverse()
+    assert back.frames == "object_T_camera"
+    for sight, known in found.estimates.items():
+        turned = back.estimates[sight]
+        np.testing.assert_allclose((turned.transform @ known.transform).matrix(), np.eye(4), atol=1e-12)
+        np.testing.assert_allclose(back.position(turned), found.position(known), atol=1e-12)
+    assert_same(back.inverse(), found)
 
 
 def test_other_kinds_of_file_are_refused(found, tmp_path):
     with pytest.raises(InvalidInput, match=r"\.yaml, \.yml, \.json, \.csv"):
         poses.write(tmp_path / "poses.txt", found)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "old", "new", "message"),
+    [
+        (".yaml", "    status: ok", "    statsu: ok", "poses[0].statsu: unknown key. Did you mean 'status'?"),
+        (".json", '"status": "ok"', '"statsu": "ok"', "poses[0].statsu: unknown key. Did you mean 'status'?"),
+        (".csv", "status", "statsu", ":2: unknown column 'statsu'. Did you mean 'status'?"),
+        (".yaml", "unit: m\n", "unit: mm\n", "unit: unknown unit 'mm'"),
+        (".yaml", "camera_T_object\nunit", "camera_to_object\nunit", "is no name such as camera_T_object"),
+        (".csv", "frames=camera_T_object", "frames=extrinsics", "is no name such as camera_T_object"),
+        (".yaml", "[tx, ty, tz, rx, ry, rz]", "[rx, ry, rz, tx, ty, tz]", "is not understood"),
+        (".json", '"image": "c.png",\n   "object": "tag_3"', '"image": "a, b.png"', "poses[1]: a, b.png stands twice"),
+        (".csv", "c.png,tag_3", '"a, b.png",', ":4: a, b.png stands twice"),
+        (".yaml", "version: 1", "version: 2", "is newer than this camcal"),
+        (".csv", "camcal-poses 1", "camcal-poses 2", "is newer than this camcal"),
+        (".yaml", "qw: ", "qw: 1", "outside"),
+        (".yaml", "rms_px: 0.21", "rms_px: -0.21", "is outside [0, inf]"),
+    ],
+)
+def test_a_file_that_breaks_a_rule_is_refused_with_the_place(found, tmp_path, suffix, old, new, message):
+    path = tmp_path / f"poses{suffix}"
+    poses.write(path, found)
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
+    with pytest.raises(InvalidInput) as caught:
+        poses.read(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_a_covariance_that_is_none_is_refused(found, tmp_path):
+    path = tmp_path / "poses.json"
+    poses.write(path, found)
+    data = json.loads(path.read_text("utf-8"))
+    data["poses"][0]["covariance"][2][2] *= -1
+    path.write_text(json.dumps(data))
+    with pytest.raises(InvalidInput, match=r"poses\[0\]\.covariance: not a covariance: the variance in row 3"):
+        poses.read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("poses.json", "{", "is not JSON, or cut off"),
+        ("poses.json", "[1]", "holds no JSON mapping"),
+        ("poses.yaml", "a: [", "is not YAML, or cut off"),
+        ("poses.csv", "image,tx\na,1\n", "not a pose file of camcal"),
+        ("poses.csv", "", "is empty"),
+    ],
+)
+def test_what_is_no_pose_file_at_all_cannot_be_read(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(FileError, match=message):
+        poses.read(tmp_path / name)

@@ -9,14 +9,17 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.errors import InsufficientData, InvalidInput
+from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
 from camcal.progress import Silent
 from camcal.simulate.observe import observe
 from camcal.targets.board import Detection, Detections, parse_board
-from camcal.tasks.pnp import PnpOptions, pnp
+from camcal.targets.surface import Surface
+from camcal.tasks.pnp import Gates, PnpOptions, pnp
+from camcal.tasks.pnp_prior import PriorOptions
+from camcal.tasks.pnp_views import Looking
 
 BOARD = parse_board("chessboard:9x6:30mm")
 CAMERA = Camera(model_named("opencv5"), (1280, 960), [900.0, 905.0, 640.0, 480.0, -0.2, 0.05, 1e-3, 0.0, 0.0])
@@ -24,6 +27,9 @@ TRUTHS = (
     Pose.from_vector(np.array([0.3, -0.2, 0.1]), np.array([-0.1, -0.08, 0.6])),
     Pose.from_vector(np.array([-0.4, 0.3, 0.0]), np.array([-0.12, -0.05, 0.8])),
 )
+
+
+QUICK = {"outliers": "none"}  # most tests are about other things
 
 
 class Listener(Silent):
@@ -52,13 +58,13 @@ def seen():
 def from_detections(camera_file, tmp_path, found, **options):
     path = tmp_path / "detections.csv"
     detections.write(path, found)
-    return PnpOptions(camera_file, inputs=(str(path),), **options)
+    return PnpOptions(camera_file, inputs=(str(path),), **{**QUICK, **options})
 
 
 def from_points(camera_file, tmp_path, points, pixels, **options):
     path = tmp_path / "points.csv"
     np.savetxt(path, np.column_stack([points, pixels]), "%.17g", ",", header="X,Y,Z,u,v", comments="")
-    return PnpOptions(camera_file, points=path, **options)
+    return PnpOptions(camera_file, points=path, **{**QUICK, **options})
 
 
 def assert_within_five_sigma(estimate, truth):
@@ -74,7 +80,7 @@ def test_a_detections_file_gives_the_pose_of_every_view(camera_file, tmp_path, s
     assert report.failed == ()
     for estimate, truth in zip(report.poses.estimates.values(), TRUTHS, strict=True):
         assert_within_five_sigma(estimate, truth)
-        assert estimate.freedom == 2 * (108 - 6)  # shared by both views
+    assert report.poses.noise.degrees_of_freedom == 2 * (108 - 6)  # shared by both views
 
 
 def test_correspondences_give_the_same_pose_as_the_board(camera_file, tmp_path, seen):
@@ -87,7 +93,7 @@ def test_correspondences_give_the_same_pose_as_the_board(camera_file, tmp_path, 
 
 def test_the_inverse_is_named_and_written_as_such(camera_file, tmp_path, seen):
     output = tmp_path / "poses.json"
-    report = pnp(from_detections(camera_file, tmp_path, seen, output=output, inverse=True))
+    report = pnp(from_detections(camera_file, tmp_path, seen, output=output, pose="object_T_camera"))
     written = json.loads(output.read_text("utf-8"))
     assert written["frames"] == "object_T_camera"
     for item, truth in zip(written["poses"], TRUTHS, strict=True):
@@ -99,9 +105,9 @@ def test_the_inverse_is_named_and_written_as_such(camera_file, tmp_path, seen):
 
 def test_a_given_noise_sets_the_covariance(camera_file, tmp_path, seen):
     small, large = (pnp(from_detections(camera_file, tmp_path, seen, noise_px=noise)) for noise in (0.1, 0.2))
-    for image, estimate in small.poses.estimates.items():
-        np.testing.assert_allclose(4 * estimate.covariance, large.poses.estimates[image].covariance, rtol=1e-9)
-        assert estimate.freedom is None
+    for sight, estimate in small.poses.estimates.items():
+        np.testing.assert_allclose(4 * estimate.covariance, large.poses.estimates[sight].covariance, rtol=1e-9)
+    assert small.poses.noise.degrees_of_freedom is None
 
 
 def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path, seen):
@@ -110,10 +116,11 @@ def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path
     small = Detection("small.png", (640, 480), good.ids, good.pixels / 2)
     empty = Detection.nothing("empty.png", CAMERA.image_size, "no board found")
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, (empty, few, small, good))))
-    assert list(report.poses.estimates) == [good.image]
-    assert report.poses.missing == {
+    assert list(report.poses.estimates) == [(good.image, "")]
+    assert {sight.image: reason for sight, reason in report.poses.missing.items()} == {
         "empty.png": "no board found",
-        "small.png": "the image has 640 x 480 pixels, the camera file is for 1280 x 960",
+        "small.png": "the image has 640 x 480 pixels, the camera file is for 1280 x 960; if the images were resized, "
+        "not cropped, give --scale-intrinsics",
         "few.png": "a pose needs 4 different points or more, found 3",
     }
     assert report.failed == ("small.png", "few.png")  # an image without a board is a result
@@ -152,7 +159,7 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
     left, right = (replace(seen.views[index], camera=name) for index, name in enumerate(("left", "right")))
     both = Detections(BOARD, (left, right))
     report = pnp(from_detections(camera_file, tmp_path, both, name="left"))
-    assert list(report.poses.estimates) == [left.image]
+    assert list(report.poses.estimates) == [(left.image, "")]
     with pytest.raises(InvalidInput, match="of the cameras left, right; say which"):
         pnp(from_detections(camera_file, tmp_path, both))
 
@@ -161,9 +168,13 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
     ("options", "message"),
     [
         ({}, "nothing to work on"),
-        ({"points": "p.csv", "inputs": ("a.png",)}, "leave --board and the images out"),
+        ({"points": "p.csv", "inputs": ("a.png",)}, "leave --board, --tags and the images out"),
+        ({"points": "p.csv", "looking": Looking(scale=True)}, "goes by the size of images"),
+        ({"inputs": ("a.png",), "looking": Looking(board="b", tags="t")}, "not for both"),
+        ({"inputs": ("a.csv",), "looking": Looking(tags="tag36h11:5cm")}, "tags are found in images"),
+        ({"inputs": ("a.csv",), "outliers": "lots"}, "--outliers 'lots'"),
         ({"inputs": ("a.csv", "b.png")}, "read alone"),
-        ({"inputs": ("a.png",)}, "--board is needed"),
+        ({"inputs": ("a.png",)}, "what is to be found in the images\\? Give --board"),
         ({"inputs": ("a.png",), "output": "poses.txt"}, "poses are written as"),
         ({"inputs": ("a.csv",), "output": "a.csv"}, "is an input and is not overwritten"),
     ],
@@ -203,8 +214,10 @@ def test_images_give_the_poses_of_the_board_in_them(tmp_path):
     for index, truth in enumerate(TRUTHS):
         cv2.imwrite(str(tmp_path / f"{index}.png"), photographed(truth))
     cv2.imwrite(str(tmp_path / "2.png"), np.full((960, 1280), 200, np.uint8))
+    looking = Looking("chessboard:9x6:30mm", jobs=1)
+    drawn = tmp_path / "drawn"
     report = pnp(
-        PnpOptions(str(tmp_path / "camera.yaml"), board="chessboard:9x6:30mm", inputs=(str(tmp_path),), jobs=1)
+        PnpOptions(str(tmp_path / "camera.yaml"), inputs=(str(tmp_path),), looking=looking, draw=drawn, **QUICK)
     )
     middle = BOARD.points().mean(axis=0)
     assert len(report.poses.estimates) == 2
@@ -214,3 +227,204 @@ def test_images_give_the_poses_of_the_board_in_them(tmp_path):
         np.testing.assert_allclose(estimate.transform.apply(middle), truth.apply(middle), atol=1e-3)
     assert len(report.poses.missing) == 1
     assert report.failed == ()
+    assert report.pictures == (drawn / "0_pose.png", drawn / "1_pose.png")
+    picture = cv2.imread(str(report.pictures[0]))
+    assert picture.shape[1] == 1280
+    assert picture.shape[0] > 960  # words below
+    assert np.ptp(picture, axis=2).max() > 100  # axes are in colour
+
+
+def resized_views(seen, scale):
+    size = tuple(int(side * scale) for side in CAMERA.image_size)
+    views = tuple(replace(view, size=size, pixels=(view.pixels + 0.5) * scale - 0.5) for view in seen.views)
+    return Detections(BOARD, views)
+
+
+def test_resized_images_are_refused_with_the_way_out_and_taken_with_it(camera_file, tmp_path, seen):
+    halved = resized_views(seen, 0.5)
+    with pytest.raises(InvalidInput, match=r"view0000\.png: the image has 640 x 480 pixels.*give --scale-intrinsics"):
+        pnp(from_detections(camera_file, tmp_path, halved))
+    report = pnp(from_detections(camera_file, tmp_path, halved, looking=Looking(scale=True)))
+    full = pnp(from_detections(camera_file, tmp_path, seen))
+    for sight, estimate in report.poses.estimates.items():
+        # the tangential coefficients and the scaling are exact, only the solver stops elsewhere
+        np.testing.assert_allclose(
+            estimate.transform.matrix(), full.poses.estimates[sight].transform.matrix(), atol=1e-6
+        )
+
+
+def test_cropped_images_need_another_camera(camera_file, tmp_path, seen):
+    cropped = Detections(BOARD, tuple(replace(view, size=(1280, 720)) for view in seen.views))
+    with pytest.raises(InvalidInput, match="are no resized images of 1280 x 960"):
+        pnp(from_detections(camera_file, tmp_path, cropped, looking=Looking(scale=True)))
+
+
+def bent_file(tmp_path, bow):
+    surface = replace(Surface.flat(BOARD), tiers=("bow",), terms=("P2(x)",), coefficients=[bow], covariance=[[1e-12]])
+    path = tmp_path / "bent.yaml"
+    native.write(path, CameraFile({"left": CameraEntry(CAMERA)}, board_shape=replace(surface, deflection=abs(bow))))
+    return str(path), surface
+
+
+def test_a_board_is_taken_in_the_shape_that_the_camera_file_has(tmp_path):
+    path, surface = bent_file(tmp_path, 0.004)
+    pixels = CAMERA.project(TRUTHS[0].apply(surface.points())).pixels
+    view = Detection("a.png", CAMERA.image_size, np.arange(BOARD.count), pixels)
+    found = Detections(BOARD, (view,))
+    bent = pnp(from_detections(path, tmp_path, found))
+    flat = pnp(from_detections(path, tmp_path, found, looking=Looking(board_shape=False)))
+    assert bent.notes == ("the board is taken in the shape that the camera file has of it, 4 mm out of plane",)
+    assert bent.poses.estimates["a.png", ""].rms_px < 1e-5  # the file's 12 digits
+    assert flat.poses.estimates["a.png", ""].rms_px > 0.2  # 4 mm at 0.6 m
+    other = replace(BOARD, square=0.025)
+    away = pnp(from_detections(path, tmp_path, Detections(other, (view,))))
+    assert away.notes == ("the camera file knows the shape of another board; this one is taken as drawn",)
+
+
+def test_undistorted_pixels_given_to_a_distorted_camera_are_noticed(camera_file, tmp_path):
+    pinhole = Camera(model_named("pinhole"), CAMERA.image_size, CAMERA.parameters[:4])
+    close = Pose.from_vector(np.array([0.2, 0.3, 0.0]), np.array([-0.12, -0.08, 0.25]))
+    found, _ = observe(pinhole, BOARD, [close, close], rng=np.random.default_rng(3), noise_px=0.1)
+    listener = Listener()
+    pnp(from_detections(camera_file, tmp_path, found), listener)
+    assert any("undistorted already" in warning for warning in listener.warnings)
+
+
+def test_distorted_pixels_draw_no_such_warning(camera_file, tmp_path, seen):
+    listener = Listener()
+    pnp(from_detections(camera_file, tmp_path, seen), listener)
+    assert listener.warnings == []
+
+
+def test_points_in_two_units_are_noticed(camera_file, tmp_path, seen):
+    view, listener = seen.views[0], Listener()
+    points = BOARD.points()[view.ids]
+    points[:10] *= 1000
+    pnp(from_points(camera_file, tmp_path, points, view.pixels), listener)
+    assert any("a hundred times farther apart" in warning for warning in listener.warnings)
+
+
+def test_images_in_two_units_are_noticed(camera_file, tmp_path, seen):
+    listener, path = Listener(), tmp_path / "points.csv"
+    rows = [
+        f"{view.image},{','.join(map(str, [*(scale * point), *pixel]))}"
+        for view, scale in zip(seen.views, (1.0, 1000.0), strict=True)
+        for point, pixel in zip(BOARD.points()[view.ids], view.pixels, strict=True)
+    ]
+    path.write_text("image,X,Y,Z,u,v\n" + "\n".join(rows))
+    pnp(PnpOptions(camera_file, points=path, **QUICK), listener)
+    assert any("view0001.png span 283 m, those of view0000.png 0.283 m" in warning for warning in listener.warnings)
+
+
+def test_a_noise_from_few_residuals_is_said_to_be_one(camera_file, tmp_path, seen):
+    view, listener = seen.views[0], Listener()
+    few = [0, 8, 45, 53]
+    pnp(from_points(camera_file, tmp_path, BOARD.points()[few], view.pixels[few]), listener)
+    assert any("from 2 degrees of freedom only" in warning for warning in listener.warnings)
+
+
+def test_residuals_that_exceed_the_given_noise_are_noticed(camera_file, tmp_path, seen):
+    listener = Listener()
+    pnp(from_detections(camera_file, tmp_path, seen, noise_px=0.02), listener)
+    assert any("as large as the noise that is given" in warning for warning in listener.warnings)
+
+
+def test_a_given_sigma_is_taken_at_its_word(camera_file, tmp_path, seen):
+    view, path = seen.views[0], tmp_path / "points.csv"
+    table = np.column_stack([BOARD.points()[view.ids], view.pixels, np.full(len(view.ids), 0.3)])
+    np.savetxt(path, table, "%.17g", ",", header="X,Y,Z,u,v,sigma", comments="")
+    given = pnp(PnpOptions(camera_file, points=path, **QUICK))
+    plain = pnp(from_points(camera_file, tmp_path, *np.split(table[:, :5], [3], axis=1), noise_px=0.3))
+    (one,), (two,) = given.poses.estimates.values(), plain.poses.estimates.values()
+    np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-6)
+    assert given.factor
+    path.write_text(path.read_text().replace("sigma", "weight"))
+    weighted = pnp(PnpOptions(camera_file, points=path, **QUICK))
+    assert weighted.poses.noise.degrees_of_freedom == 102
+
+
+def test_outliers_are_named_by_their_ids(camera_file, tmp_path, seen):
+    view = seen.views[0]
+    pixels = view.pixels.copy()
+    pixels[[4, 40]] += 25.0
+    found = Detections(BOARD, (replace(view, pixels=pixels),))
+    report = pnp(from_detections(camera_file, tmp_path, found, outliers="few", threshold_px=1.0))
+    (estimate,) = report.poses.estimates.values()
+    assert estimate.outliers == (4, 40)
+    assert (estimate.n_points, estimate.n_inliers) == (54, 52)
+    assert_within_five_sigma(estimate, TRUTHS[0])
+
+
+def test_gates_name_the_image_and_the_figure(camera_file, tmp_path, seen):
+    report = pnp(from_detections(camera_file, tmp_path, seen))
+    report.require_good(Gates(max_rms=1.0, max_ambiguity=0.5, min_inliers=54))
+    with pytest.raises(GateFailed, match=r"^view0000\.png: RMS 0\.1\d+ px, more than 0\.01 px\nview0001\.png: RMS"):
+        report.require_good(Gates(max_rms=0.01))
+    with pytest.raises(GateFailed, match=r"view0000\.png: 54 of 54 points are inliers, fewer than 55"):
+        report.require_good(Gates(min_inliers=55))
+
+
+def test_a_prior_fills_in_what_three_points_leave_open(camera_file, tmp_path, seen):
+    view, few = seen.views[0], [0, 8, 45]
+    near = tmp_path / "near.txt"
+    np.savetxt(near, TRUTHS[0].matrix(), "%.17g")
+    prior = PriorOptions(near, (0.02, 0.1))
+    options = from_points(camera_file, tmp_path, BOARD.points()[few], view.pixels[few], noise_px=0.1)
+    with pytest.raises(InsufficientData, match="4 different points"):
+        pnp(options)
+    report = pnp(replace(options, prior=prior))
+    (estimate,) = report.poses.estimates.values()
+    assert_within_five_sigma(estimate, TRUTHS[0])
+    turned = tmp_path / "turned.txt"
+    np.savetxt(turned, TRUTHS[0].inverse().matrix(), "%.17g")
+    inverse = replace(options, prior=PriorOptions(turned, (0.02, 0.1)), pose="object_T_camera")
+    (other,) = pnp(inverse).poses.estimates.values()
+    np.testing.assert_allclose(
+        other.transform.inverse().translation, estimate.transform.translation, atol=2e-4
+    )  # the same prior but for the frame in which it is isotropic
+
+
+def test_a_pose_file_is_a_prior_with_its_own_covariance(camera_file, tmp_path, seen):
+    view = seen.views[0]
+    more = {"noise_px": 0.1, "output": tmp_path / "first.yaml"}
+    first = from_detections(camera_file, tmp_path, Detections(BOARD, (view,)), **more)
+    (known,) = pnp(first).poses.estimates.values()
+    again = replace(first, output=None, prior=PriorOptions(tmp_path / "first.yaml"))
+    (twice,) = pnp(again).poses.estimates.values()
+    ratio = np.diag(twice.covariance) / np.diag(known.covariance)
+    np.testing.assert_allclose(ratio, 0.5, rtol=1e-3)  # the same knowledge twice, to first order
+    two = from_detections(camera_file, tmp_path, seen, output=tmp_path / "two.yaml")
+    pnp(two)
+    with pytest.raises(InvalidInput, match="holds 2 poses; a prior is one"):
+        pnp(replace(again, prior=PriorOptions(tmp_path / "two.yaml")))
+
+
+def test_pictures_of_images_with_one_name_are_told_apart_by_their_folders(camera_file, tmp_path, seen):
+    views = tuple(replace(view, image=f"{name}/1.png") for view, name in zip(seen.views, "ab", strict=True))
+    drawn = tmp_path / "drawn"
+    report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, views), draw=drawn))
+    assert report.pictures == (drawn / "a_1_pose.png", drawn / "b_1_pose.png")
+
+
+def test_a_picture_never_takes_the_place_of_an_image(camera_file, tmp_path, seen, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    views = tuple(replace(view, image=name) for view, name in zip(seen.views, ("1.png", "1_pose.png"), strict=True))
+    with pytest.raises(InvalidInput, match=r"1_pose\.png: is an input and is not overwritten"):
+        pnp(from_detections(camera_file, tmp_path, Detections(BOARD, views), draw=tmp_path))
+
+
+def test_frames_of_a_video_have_poses_and_pictures(tmp_path):
+    pinhole = Camera(model_named("pinhole"), CAMERA.image_size, CAMERA.parameters[:4])
+    native.write(tmp_path / "camera.yaml", CameraFile({"cam": CameraEntry(pinhole)}))
+    video = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 10, CAMERA.image_size)
+    for truth in TRUTHS:
+        writer.write(cv2.cvtColor(photographed(truth), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    looking = Looking("chessboard:9x6:30mm", jobs=1)
+    camera = str(tmp_path / "camera.yaml")
+    report = pnp(PnpOptions(camera, inputs=(str(video),), looking=looking, draw=tmp_path / "drawn", **QUICK))
+    names = [(tmp_path / f"clip_{number:06d}").as_posix() for number in (0, 1)]
+    assert [sight.image for sight in report.poses.estimates] == names
+    assert [path.name for path in report.pictures] == ["clip_000000_pose.png", "clip_000001_pose.png"]
+    assert cv2.imread(str(report.pictures[0]))[:960].std() > 20  # the frame is behind the marks, not plain gray

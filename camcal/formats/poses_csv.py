@@ -1,0 +1,202 @@
+"""Poses as a CSV: a row for each object in an image, what is not known left empty; see COLUMNS.
+
+The first line is a comment with the frames, the unit and the noise; `# none` lines say which images have no pose. Of
+other poses that fit nearly as well, the most probable one is there, in the columns that begin with alt_.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from itertools import combinations_with_replacement
+from pathlib import Path
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.estimate.poses.records import Alternative
+from camcal.formats.camera_file import Noise
+from camcal.formats.covariance import why_no_covariance
+from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses_plain import FORMAT, ORDER, QUATERNION, UNIT_LENGTH, UNITS, VERSION, check_frames
+from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+
+_PAIRS = tuple(combinations_with_replacement(range(6), 2))
+_POSE = ("tx", "ty", "tz", *QUATERNION)
+_VECTOR = ("rx", "ry", "rz")
+_POSITION = ("x", "y", "z")
+_FIT = ("rms_px", "max_px", "p_wrong")
+_COUNTS = ("n_points", "n_inliers")
+_OTHER = (*(f"alt_{name}" for name in _POSE), "dchi2", "alt_probability")
+_FIGURES = ("error_ratio", "planarity", "least_depth", "view_angle_deg", "image_share", "condition")
+_TOTAL = tuple(f"cov_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
+_NOISE = tuple(f"noise_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
+COLUMNS = (
+    *("image", "object", "status", *_POSE, *_VECTOR, *_POSITION, *_FIT, *_COUNTS, "outliers"),
+    *(*_OTHER, *_FIGURES, *_TOTAL, *_NOISE),
+)
+
+_HEAD = re.compile(
+    rf"# {FORMAT} (?P<version>\d+) frames=(?P<frames>\S+) unit=(?P<unit>\S+) sigma_px=(?P<sigma>\S+)"
+    r"(?: degrees_of_freedom=(?P<freedom>\d+))?\s*\Z"
+)
+_NONE = "# none "
+_MAX_COUNT = 10**9
+
+
+def lines(poses: Poses) -> Iterator[str]:
+    """Yield the lines of a file, without their ends."""
+    freedom = poses.noise.degrees_of_freedom
+    noise = f"sigma_px={poses.noise.sigma_px:.12g}" + ("" if freedom is None else f" degrees_of_freedom={freedom}")
+    yield f"# {FORMAT} {VERSION} frames={poses.frames} unit={poses.unit} {noise}"
+    yield ",".join(COLUMNS)
+    for sight, record in poses.estimates.items():
+        yield ",".join(_cells(poses, sight, record))
+    for sight, reason in poses.missing.items():
+        yield _NONE + ",".join(cell(" ".join(part.split())) for part in (*sight, reason))
+
+
+def _cells(poses: Poses, sight: Sight, record: PoseRecord) -> list[str]:
+    named = [cell(sight.image), cell(sight.object), cell(record.status)]
+    numbers = [*_seven(record.transform), *record.transform.vector(), *poses.position(record)]
+    fit = [record.rms_px, record.max_px, record.p_wrong]
+    counts = [str(record.n_points), str(record.n_inliers), " ".join(map(str, record.outliers))]
+    angle = None if record.tilt_rad is None else math.degrees(record.tilt_rad)
+    figures = [record.error_ratio, record.planarity, record.least_depth, angle, record.image_share, record.condition]
+    covariances = [matrix[pair] for matrix in (record.covariance, record.noise_covariance) for pair in _PAIRS]
+    return [*named, *_texts([*numbers, *fit]), *counts, *_texts([*_alternative(record), *figures, *covariances])]
+
+
+def _alternative(record: PoseRecord) -> list[float | None]:
+    if not record.alternatives:
+        return [None] * len(_OTHER)
+    other = record.alternatives[0]
+    return [*_seven(other.transform), other.chi_square_difference, other.probability]
+
+
+def _seven(pose: Pose) -> list[float]:
+    return [*pose.translation, *so3.to_quaternion(pose.rotation)]
+
+
+def _texts(numbers: Sequence[float | None]) -> list[str]:
+    return ["" if number is None else f"{number:.12g}" for number in numbers]
+
+
+def read(path: Path) -> Poses:
+    """Return the poses in a file; raises InvalidInput with file and line for the first row that breaks a rule."""
+    where, content = str(path), numbered_lines(path)
+    frames, unit, noise = _head(where, content)
+    table = Table.from_csv(where, content, [name for name in COLUMNS if name not in _VECTOR + _POSITION], COLUMNS)
+    estimates: dict[Sight, PoseRecord] = {}
+    for row, record in enumerate(_records(table)):
+        sight = Sight(table.columns["image"][row], table.columns["object"][row])
+        if sight in estimates:
+            raise InvalidInput(f"{sight} stands twice", where=f"{where}:{table.lines[row]}")
+        estimates[sight] = record
+    return Poses(frames, unit, noise, estimates, dict(_missing(where, content)))
+
+
+def _head(where: str, content: Lines) -> tuple[str, str, Noise]:
+    found = _HEAD.match(content[0][1]) if content else None
+    if found is None:
+        raise FileError(f"not a pose file of camcal: its first line begins with '# {FORMAT} {VERSION}'", where=where)
+    if int(found["version"]) > VERSION:
+        raise InvalidInput(f"version {found['version']} is newer than this camcal (reads {VERSION})", where=where)
+    faults = list(check_frames(found["frames"], "frames"))
+    if faults or found["unit"] not in UNITS:
+        raise InvalidInput(faults[0].text if faults else f"unit {found['unit']!r} is unknown", where=f"{where}:1")
+    try:
+        sigma = float(found["sigma"])
+    except ValueError as error:
+        raise InvalidInput(f"sigma_px: {found['sigma']!r} is not a number", where=f"{where}:1") from error
+    return found["frames"], found["unit"], Noise(sigma, int(found["freedom"]) if found["freedom"] else None)
+
+
+def _missing(where: str, content: Lines) -> Iterator[tuple[Sight, str]]:
+    for number, line in content:
+        if line.startswith(_NONE):
+            (cells,) = csv_rows(where, [(number, line.removeprefix(_NONE))]) or [[]]
+            if len(cells) != 3:
+                raise InvalidInput("a '# none' line has image,object,reason", where=f"{where}:{number}")
+            yield Sight(cells[0], cells[1]), cells[2]
+
+
+def _records(table: Table) -> Iterator[PoseRecord]:
+    if not len(table):
+        return
+    transforms = _transforms(table, np.column_stack([table.numbers(name) for name in _POSE]))
+    alternatives = _alternatives(table)
+    total, noise = _covariances(table, _TOTAL), _covariances(table, _NOISE)
+    fit = np.column_stack([table.numbers(name) for name in _FIT]).tolist()
+    counts = np.column_stack([table.integers(name, 0, _MAX_COUNT) for name in _COUNTS]).tolist()
+    figures = np.column_stack([_optional(table, name) for name in _FIGURES]).tolist()
+    for row, (status, outliers) in enumerate(zip(table.columns["status"], table.columns["outliers"], strict=True)):
+        ratio, planarity, depth, angle, share, condition = (
+            None if math.isnan(value) else value for value in figures[row]
+        )
+        rms, largest, p_wrong = fit[row]
+        yield PoseRecord(
+            transforms[row],
+            total[row],
+            noise[row],
+            status,
+            rms_px=rms,
+            max_px=largest,
+            n_points=counts[row][0],
+            n_inliers=counts[row][1],
+            p_wrong=p_wrong,
+            error_ratio=ratio,
+            alternatives=alternatives[row],
+            outliers=_ids(table, row, outliers),
+            planarity=planarity,
+            least_depth=depth,
+            tilt_rad=None if angle is None else math.radians(angle),
+            image_share=share,
+            condition=condition,
+        )
+
+
+def _transforms(table: Table, numbers: Array) -> list[Pose]:
+    off = np.abs(np.linalg.norm(numbers[:, 3:7], axis=1) - 1)
+    table.refuse(off > UNIT_LENGTH, lambda _row: "the quaternion does not have length 1")
+    return [Pose(so3.from_quaternion(row[3:7]), row[:3]) for row in numbers]
+
+
+def _alternatives(table: Table) -> list[tuple[Alternative, ...]]:
+    """Return the alternative of every row, none where its cells are empty."""
+    there = np.flatnonzero([bool(text) for text in table.columns["dchi2"]])
+    some = table.rows(there)
+    result: list[tuple[Alternative, ...]] = [()] * len(table)
+    if len(some):
+        numbers = np.column_stack([some.numbers(name) for name in _OTHER])
+        for row, pose, figures in zip(there, _transforms(some, numbers), numbers[:, 7:].tolist(), strict=True):
+            result[row] = (Alternative(pose, *figures),)
+    return result
+
+
+def _covariances(table: Table, names: Sequence[str]) -> Array:
+    """Return matrices (N, 6, 6) from the columns of their upper triangles."""
+    result = np.zeros((len(table), 6, 6))
+    for (i, j), name in zip(_PAIRS, names, strict=True):
+        result[:, i, j] = result[:, j, i] = table.numbers(name)
+    reasons = [why_no_covariance(matrix) for matrix in result]
+    table.refuse(np.array([reason is not None for reason in reasons]), lambda row: str(reasons[row]))
+    return result
+
+
+def _optional(table: Table, name: str) -> Array:
+    """Return a column (N,) of numbers, NaN where it is empty."""
+    there = np.flatnonzero([bool(text) for text in table.columns[name]])
+    result = np.full(len(table), np.nan)
+    result[there] = table.rows(there).numbers(name)
+    return result
+
+
+def _ids(table: Table, row: int, text: str) -> tuple[int, ...]:
+    try:
+        return tuple(map(int, text.split()))
+    except ValueError as error:
+        where = f"{table.path}:{table.lines[row]}"
+        raise InvalidInput(f"outliers: {text!r} are no numbers of points", where=where) from error

@@ -1,0 +1,246 @@
+"""Poses as plain data, as YAML and JSON hold them."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from camcal.estimate.poses.records import Alternative
+from camcal.formats.camera_file import Noise
+from camcal.formats.covariance import why_no_covariance
+from camcal.formats.native_transforms import NAME
+from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.strict_yaml import Check, Document, Fault, child
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+
+FORMAT = "camcal-poses"
+VERSION = 1
+QUATERNION = ("qw", "qx", "qy", "qz")  # a bare y is a truth value to YAML 1.1
+ORDER = ("tx", "ty", "tz", "rx", "ry", "rz")
+STEPS = "R <- Exp(dr) R, t <- t + dt"
+UNITS = ("m", "squares")
+UNIT_LENGTH = 1e-6  # how far the length of a quaternion may be from 1
+
+_FIGURES = ("planarity", "least_depth", "image_share", "condition")
+_COVARIANCES = ("covariance", "covariance_noise")
+_FIT = {"rms_px": number(0), "max_px": number(0), "n_points": integer(0), "n_inliers": integer(0)}
+_TRANSFORM = mapping(
+    {"translation": items(number(), 3), "quaternion": mapping(dict.fromkeys(QUATERNION, number(-1.1, 1.1)))},
+    {"rotation_vector": items(number(), 3)},
+)
+
+
+def document(poses: Poses) -> dict[str, Any]:
+    """Return poses as plain data."""
+    freedom = poses.noise.degrees_of_freedom
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "frames": poses.frames,
+        "unit": poses.unit,
+        "covariance_order": list(ORDER),
+        "covariance_steps": STEPS,
+        "noise": {"sigma_px": poses.noise.sigma_px} | ({} if freedom is None else {"degrees_of_freedom": freedom}),
+        "poses": [_block(poses, sight, record) for sight, record in poses.estimates.items()],
+        "missing": [_named(sight) | {"reason": reason} for sight, reason in poses.missing.items()],
+    }
+
+
+def _named(sight: Sight) -> dict[str, Any]:
+    return {"image": sight.image} | ({"object": sight.object} if sight.object else {})
+
+
+def _block(poses: Poses, sight: Sight, record: PoseRecord) -> dict[str, Any]:
+    return {
+        **_named(sight),
+        "status": record.status,
+        poses.frames: _transform(record.transform),
+        "position": poses.position(record).tolist(),
+        "std": record.std.tolist(),
+        "rms_px": record.rms_px,
+        "max_px": record.max_px,
+        "n_points": record.n_points,
+        "n_inliers": record.n_inliers,
+        "outliers": list(record.outliers),
+        "p_wrong": record.p_wrong,
+        **({} if record.error_ratio is None else {"error_ratio": record.error_ratio}),
+        "alternatives": [_alternative(poses.frames, other) for other in record.alternatives],
+        **{name: value for name in _FIGURES if (value := getattr(record, name)) is not None},
+        **({} if record.tilt_rad is None else {"view_angle_deg": math.degrees(record.tilt_rad)}),
+        "covariance": record.covariance.tolist(),
+        "covariance_noise": record.noise_covariance.tolist(),
+    }
+
+
+def _alternative(frames: str, other: Alternative) -> dict[str, Any]:
+    covariances = {"covariance": other.covariance, "covariance_noise": other.noise_covariance}
+    return {
+        frames: _transform(other.transform),
+        "dchi2": other.chi_square_difference,
+        "probability": other.probability,
+        **{name: matrix.tolist() for name, matrix in covariances.items() if matrix is not None},
+    }
+
+
+def _transform(a_T_b: Pose) -> dict[str, Any]:
+    quaternion = so3.to_quaternion(a_T_b.rotation).tolist()
+    return {
+        "translation": a_T_b.translation.tolist(),
+        "quaternion": dict(zip(QUATERNION, quaternion, strict=True)),
+        "rotation_vector": a_T_b.vector().tolist(),
+    }
+
+
+def check(data: Any, path: str = "") -> Iterator[Fault]:
+    """Check the data of a pose file."""
+    if not isinstance(data, Mapping) or data.get("format") != FORMAT:
+        yield Fault("format" if "format" in data else "", f"not a pose file of camcal: 'format: {FORMAT}' is missing")
+        return
+    version = data.get("version")
+    if isinstance(version, int) and version > VERSION:
+        yield Fault("version", f"version {version} is newer than this camcal (reads {VERSION}); upgrade camcal")
+        return
+    faults = list(check_frames(data.get("frames"), "frames"))
+    yield from faults
+    yield from _FILE(data, path)
+    if not faults:
+        yield from _check_poses(data.get("poses", []), "poses", str(data["frames"]))
+
+
+def check_frames(value: Any, path: str) -> Iterator[Fault]:
+    """Check the name of a transform between an object and a camera or rig."""
+    parts = value.split("_T_") if isinstance(value, str) else []
+    if len(parts) != 2 or "object" not in parts or not all(map(NAME.match, parts)):
+        yield Fault(path, f"{value!r} is no name such as camera_T_object or object_T_camera")
+
+
+def _pose_block(frames: str) -> Check:
+    covariances = dict.fromkeys(_COVARIANCES, matrix(6, 6))
+    alternative = mapping({frames: _TRANSFORM, "dchi2": number(), "probability": number(0, 1)}, covariances)
+    return mapping(
+        {"image": text, "status": text, frames: _TRANSFORM, "covariance": matrix(6, 6), **_FIT},
+        {
+            "object": text,
+            "position": items(number(), 3),
+            "std": items(number(0), 6),
+            "outliers": items(integer()),
+            "p_wrong": number(0, 1),
+            "error_ratio": number(0),
+            "alternatives": items(alternative),
+            "view_angle_deg": number(0, 180),
+            "covariance_noise": matrix(6, 6),
+            **dict.fromkeys(_FIGURES, number()),
+        },
+    )
+
+
+def _anything(_value: Any, _path: str) -> Iterator[Fault]:
+    """Accept what is checked elsewhere."""
+    return iter(())
+
+
+def _only(wanted: Any) -> Check:
+    """Return a check for the one value that is understood."""
+
+    def check(value: Any, path: str) -> Iterator[Fault]:
+        if value != wanted:
+            yield Fault(path, f"{value!r} is not understood; {wanted!r} is needed")
+
+    return check
+
+
+_FILE = mapping(
+    {
+        "format": text,
+        "version": integer(1),
+        "frames": _anything,
+        "unit": one_of(UNITS, "unit"),
+        "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(0)}),
+        "poses": _anything,
+    },
+    {
+        "covariance_order": _only(list(ORDER)),
+        "covariance_steps": _only(STEPS),
+        "missing": items(mapping({"image": text, "reason": text}, {"object": text})),
+    },
+)
+
+
+def _check_poses(blocks: Any, path: str, frames: str) -> Iterator[Fault]:
+    if not isinstance(blocks, list):
+        yield Fault(path, "a list of poses is needed")
+        return
+    whole, seen = _pose_block(frames), set()
+    for index, block in enumerate(blocks):
+        place = child(path, index)
+        faults = list(whole(block, place)) or list(_check_block(block, place, frames))
+        yield from faults
+        if not faults and (sight := _sight(block)) in seen:
+            yield Fault(place, f"{sight} stands twice")
+        elif not faults:
+            seen.add(sight)
+
+
+def _check_block(block: Mapping[str, Any], path: str, frames: str) -> Iterator[Fault]:
+    """Check what no single value shows: lengths of quaternions, and whether covariances are some."""
+    for place, holder in [(path, block), *_placed(block.get("alternatives", []), child(path, "alternatives"))]:
+        length = math.hypot(*holder[frames]["quaternion"].values())
+        if abs(length - 1) > UNIT_LENGTH:
+            yield Fault(child(place, f"{frames}.quaternion"), f"has length {length:.6g}, not 1")
+        for name in _COVARIANCES:
+            reason = why_no_covariance(np.array(holder[name], dtype=float)) if name in holder else None
+            if reason:
+                yield Fault(child(place, name), reason)
+
+
+def _placed(blocks: list[Any], path: str) -> list[tuple[str, Any]]:
+    return [(child(path, index), block) for index, block in enumerate(blocks)]
+
+
+def from_document(data: Document) -> Poses:
+    """Return the poses of data that has passed `check`."""
+    frames = data["frames"]
+    noise = data["noise"]
+    return Poses(
+        frames,
+        data["unit"],
+        Noise(float(noise["sigma_px"]), noise.get("degrees_of_freedom")),
+        {_sight(block): _record(block, frames) for block in data["poses"]},
+        {_sight(block): block["reason"] for block in data.get("missing", [])},
+    )
+
+
+def _sight(block: Mapping[str, Any]) -> Sight:
+    return Sight(block["image"], block.get("object", ""))
+
+
+def _record(block: Mapping[str, Any], frames: str) -> PoseRecord:
+    angle = block.get("view_angle_deg")
+    return PoseRecord(
+        _pose(block[frames]),
+        block["covariance"],
+        block.get("covariance_noise", block["covariance"]),
+        block["status"],
+        float(block["rms_px"]),
+        float(block["max_px"]),
+        block["n_points"],
+        block["n_inliers"],
+        float(block.get("p_wrong", 0.0)),
+        float(block["error_ratio"]) if "error_ratio" in block else None,
+        tuple(_read_alternative(other, frames) for other in block.get("alternatives", [])),
+        tuple(block.get("outliers", [])),
+        tilt_rad=None if angle is None else math.radians(angle),
+        **{name: float(block[name]) for name in _FIGURES if name in block},
+    )
+
+
+def _read_alternative(block: Mapping[str, Any], frames: str) -> Alternative:
+    covariances = [block.get(name) for name in _COVARIANCES]
+    return Alternative(_pose(block[frames]), float(block["dchi2"]), float(block["probability"]), *covariances)
+
+
+def _pose(block: Mapping[str, Any]) -> Pose:
+    return Pose(so3.from_quaternion(np.array([block["quaternion"][name] for name in QUATERNION])), block["translation"])

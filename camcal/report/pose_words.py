@@ -1,0 +1,75 @@
+"""Poses in words and tables."""
+
+import math
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.formats.pose_file import PoseRecord, Poses, Sight
+
+MILLI = 1000.0
+
+
+def columns(poses: Poses) -> list[str]:
+    """Return the heads of a table of poses."""
+    named = ["object"] if any(sight.object for sight in poses.estimates) else []
+    length = "mm" if poses.unit == "m" else poses.unit
+    numbers = ["points", "RMS px", f"x y z, {length}", "± std", "rotation vector, deg", "± std"]
+    return ["image", *named, *numbers, "seen from", "status"]
+
+
+def row(poses: Poses, sight: Sight, record: PoseRecord) -> list[object]:
+    """Return the cells of one pose."""
+    named = [sight.object] if any(other.object for other in poses.estimates) else []
+    scale = MILLI if poses.unit == "m" else 1.0
+    place = _numbers(scale * record.transform.translation, ".3f"), _numbers(scale * record.std[:3], ".2g")
+    turn = _numbers(np.degrees(record.transform.vector()), ".3f"), _numbers(np.degrees(record.std[3:]), ".2g")
+    return [sight.image, *named, points(record), record.rms_px, *place, *turn, standpoint(poses, record), record.status]
+
+
+def alternative_rows(poses: Poses, sight: Sight, record: PoseRecord) -> list[list[object]]:
+    """Return the cells of the other poses that an image allows."""
+    scale = MILLI if poses.unit == "m" else 1.0
+    return [
+        [
+            str(sight),
+            _numbers(scale * other.transform.translation, ".3f"),
+            _numbers(np.degrees(other.transform.vector()), ".3f"),
+            other.chi_square_difference,
+            f"{other.probability:.2g}",
+        ]
+        for other in record.alternatives
+    ]
+
+
+def points(record: PoseRecord) -> str:
+    """Return how many points a pose follows from, such as 54, or 50 of 54."""
+    return str(record.n_points) if record.n_points == record.n_inliers else f"{record.n_inliers} of {record.n_points}"
+
+
+def standpoint(poses: Poses, record: PoseRecord) -> str:
+    """Return where the camera stands, such as '0.712 m away, 38° oblique', 0° being straight in front of a plane."""
+    away = f"{np.linalg.norm(record.transform.translation):.3g} {poses.unit} away"
+    return away if record.tilt_rad is None else f"{away}, {math.degrees(record.tilt_rad):.0f}° oblique"
+
+
+def noise(poses: Poses, *, factor: bool) -> str:
+    """Return how large the noise of a pixel coordinate is and where that is known from.
+
+    factor: the pixels came with covariances, and the noise is the root of their factor.
+    """
+    freedom = poses.noise.degrees_of_freedom
+    source = "as given" if freedom is None else f"from the residuals, {freedom} degrees of freedom"
+    size = f"{poses.noise.sigma_px:.3g} px" if not factor else f"{poses.noise.sigma_px:.3g} times what the pixels say"
+    return f"noise {size}, {source}"
+
+
+def caption(poses: Poses, sight: Sight, record: PoseRecord) -> str:
+    """Return a line about a pose in plain letters, for a picture."""
+    named = f"{sight.object}: " if sight.object else ""
+    place = standpoint(poses, record).replace("°", " deg")
+    return f"{named}{place}; RMS {record.rms_px:.2f} px, {points(record)} points; {record.status}".replace("±", "+-")
+
+
+def _numbers(values: Array, form: str) -> str:
+    return " ".join(format(value, form) for value in values)
