@@ -35,7 +35,6 @@ BASE = LAYERS[0]
 MAY_USE_SIMULATE = {"tasks"}
 
 OPENCV_EDGES = {
-    "estimate/start_points.py",
     "formats/disparity.py",
     "images/load.py",
     "images/remap.py",

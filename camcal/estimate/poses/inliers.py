@@ -1,0 +1,173 @@
+"""Poses from the points that agree with them: fitted and told apart in turns until both belong together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.estimate.poses import states as se3
+from camcal.estimate.poses.extent import NEAR_PLANE, Extents
+from camcal.estimate.poses.minima import different, distinct, lowest
+from camcal.estimate.poses.problem import PoseProblems
+from camcal.solve.independent import Minima
+
+_TURNS = 30  # each lowers the truncated cost, so that none comes twice
+_KEPT = 4
+_SAME = 1e-3
+# Of the lengths of pixels' errors with σ = 1, whose squares are χ² with two degrees of freedom:
+WIDTH = 3.4391  # what 99.73 % stay below, as a single coordinate stays below 3 σ
+MEDIAN = 1.38629  # of the squares
+KEPT_VARIANCE = 0.98399  # that of what stays below WIDTH
+
+# The largest squared residuals (S, 1) of inliers, by those (S, N) of all points, and the starts (S,) they are of
+Limits = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """When points agree with a pose: threshold, the largest whitened residual; least, how many points it takes.
+
+    whole: problems of fewer points keep all of them, as too few to tell a wrong one.
+    """
+
+    threshold: float
+    least: int
+    whole: int = 0
+
+    def limits(self, problems: PoseProblems, which: Array) -> Array:
+        """Return the largest squared residuals (S, 1) of inliers of problems (S,)."""
+        return np.where(problems.counts[which] < self.whole, np.inf, self.threshold**2)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """Poses (S, 3, 4) that fit the points of their masks, (S, N) a camera, and no others are within the threshold.
+
+    which: (S,) the problems. truncated: (S,) ½ Σ min(r², threshold²), infinite with too few points.
+    """
+
+    states: Array
+    which: Array
+    masks: tuple[Array, ...]
+    truncated: Array
+
+    def take(self, chosen: Array) -> "Settled":
+        """Return some of the poses."""
+        masks = tuple(mask[chosen] for mask in self.masks)
+        return Settled(self.states[chosen], self.which[chosen], masks, self.truncated[chosen])
+
+    def different(self) -> "Settled":
+        """Return the lowest few without repetitions, in the order of the problems and the lowest first."""
+        sound = self.take(np.isfinite(self.truncated))
+        return sound.take(distinct(sound.states, sound.which, sound.truncated, _SAME, _KEPT))
+
+    def joined(self, other: "Settled") -> "Settled":
+        """Return the poses of both."""
+        masks = tuple(np.concatenate(pair) for pair in zip(self.masks, other.masks, strict=True))
+        parts = ((self.states, other.states), (self.which, other.which), (self.truncated, other.truncated))
+        states, which, truncated = (np.concatenate(pair) for pair in parts)
+        return Settled(states, which, masks, truncated)
+
+    def lowest(self) -> "Settled":
+        """Return the first of each problem, of poses in the order of `different`."""
+        return self.take(np.flatnonzero(np.diff(self.which, prepend=-1)))
+
+
+def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Settled:
+    """Return where starts (S, 3, 4) of problems (S,) settle with their inliers."""
+    limits = agreement.limits(problems, which)
+    # a start of three points is not near enough for all
+    masks = _below(problems, states, which, 4 * limits)
+    states, masks = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen])
+    truncated = _truncated_cost(problems, states, which, limits)
+    enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= agreement.least
+    return Settled(states, which, masks, np.where(enough, truncated, np.inf))
+
+
+def approached(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:
+    """Return starts (S, 3, 4) freed of a few wrong points, which lift all residuals of a plain fit over the threshold.
+
+    What counts as wrong follows the median of each problem's residuals, down to the threshold.
+    """
+    least = agreement.limits(problems, which)
+
+    def limits(squared: Array, chosen: Array) -> Array:
+        seen = np.where(np.isfinite(squared), squared, np.nan)
+        return np.asarray(np.maximum(least[chosen], WIDTH**2 / MEDIAN * np.nanmedian(seen, axis=1, keepdims=True)))
+
+    squared = np.concatenate(problems.squared(states, which), axis=1)
+    masks = _below(problems, states, which, limits(squared, np.arange(len(which))))
+    return _in_turns(problems, states, which, masks, limits)[0]
+
+
+def _truncated_cost(problems: PoseProblems, states: Array, which: Array, limits: Array) -> Array:
+    """Return ½ Σ min(r², limit) (S,) of all points of the problems."""
+    total = np.zeros(len(which))
+    for squared, mask in zip(problems.squared(states, which), problems.masks, strict=True):
+        total += 0.5 * np.where(mask[which], np.minimum(squared, limits), 0.0).sum(axis=1)
+    return total if problems.anchor is None else total + problems.anchor.models(states, problems.view[which]).cost
+
+
+def _in_turns(
+    problems: PoseProblems, states: Array, which: Array, masks: tuple[Array, ...], limits: Limits
+) -> tuple[Array, tuple[Array, ...]]:
+    """Return states (S, 3, 4) and masks after fits to the masks and new masks by the fits, until these stay."""
+    states, unsettled = states.copy(), np.arange(len(which))
+    for _ in range(_TURNS):
+        here = which[unsettled]
+        own = problems.take(here).masked(tuple(mask[unsettled] for mask in masks))
+        states[unsettled] = own.minimise(states[unsettled], np.arange(len(here))).states
+        squared = problems.squared(states[unsettled], here)
+        most, changed = limits(np.concatenate(squared, axis=1), unsettled), np.zeros(len(here), dtype=bool)
+        for mask, every, each in zip(masks, problems.masks, squared, strict=True):
+            new = _agreeing(each, most) & every[here]
+            changed |= np.any(new != mask[unsettled], axis=1)
+            mask[unsettled] = new
+        unsettled = unsettled[changed]
+        if not unsettled.size:
+            break
+    return states, masks
+
+
+def _below(problems: PoseProblems, states: Array, which: Array, limits: Array) -> tuple[Array, ...]:
+    """Return the masks (S, N) of points of the problems whose squared residuals keep to the limits (S, 1)."""
+    parts = zip(problems.squared(states, which), problems.masks, strict=True)
+    return tuple(_agreeing(squared, limits) & mask[which] for squared, mask in parts)
+
+
+def _agreeing(squared: Array, limits: Array) -> Array:
+    return np.asarray((squared <= limits) & np.isfinite(squared))
+
+
+def choose(
+    problems: PoseProblems, found: Settled, extents: Extents, agreement: Agreement
+) -> tuple[PoseProblems, Minima]:
+    """Return the problems of the inliers of the lowest poses, and their minima, that pose the lowest of each.
+
+    The pose that a plane is mistaken for competes as well. A problem for which nothing was found has no minima.
+    """
+    best = found.different().lowest()
+    best = best.take(extents.flatness[problems.view[best.which]] < NEAR_PLANE)
+    eye = problems.sights[0].frame.inverse().translation
+    mirrored = extents.reflected(best.states, problems.view[best.which], eye)
+    found = found.joined(settle(problems, mirrored, best.which, agreement)).different()
+    for _ in range(_TURNS):
+        own, minima = _on_best(problems, found, mirrored, best.which)
+        ahead = minima.take(lowest(minima))
+        overtaken = ahead.take(~se3.near(ahead.states, found.lowest().states, _SAME))
+        if not len(overtaken.which):  # else a rival fits the best one's inliers better: it has its own
+            break
+        found = found.joined(settle(problems, overtaken.states, overtaken.which, agreement)).different()
+    return own, minima
+
+
+def _on_best(problems: PoseProblems, found: Settled, others: Array, of_others: Array) -> tuple[PoseProblems, Minima]:
+    """Return the problems of the inliers of the lowest poses, and their minima from all poses found and others."""
+    chosen = found.lowest()
+    masks = tuple(np.zeros_like(mask) for mask in problems.masks)
+    for mask, inliers in zip(masks, chosen.masks, strict=True):
+        mask[chosen.which] = inliers
+    own = problems.masked(masks)
+    states, which = np.concatenate([found.states, others]), np.concatenate([found.which, of_others])
+    return own, different(own.minimise(states, which))

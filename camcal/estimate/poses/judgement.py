@@ -1,0 +1,236 @@
+"""What is known of poses found: covariances, alternatives and the figures of their quality."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, lgamma, log
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.estimate.poses import states as se3
+from camcal.estimate.poses.extent import NEAR_PLANE, Extents
+from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.records import Alternative, PoseEstimate
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.solve.independent import REASONS, Minima
+
+SINGULAR = 1e-10  # smallest eigenvalue of the scaled normal matrix of a pose that the points fix
+_ROUNDED = 1e-6  # px: a noise below is the rounding of numbers, which differs from view to view
+_HELD = 1e-14  # keeps the normal matrices of other minima from having no inverse
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The standard deviation of a whitened pixel coordinate; freedom: what it was estimated with, None if given."""
+
+    sigma: float
+    freedom: int | None = None
+
+    def odds(self, difference: Array) -> Array:
+        """Return how likely a minimum is whose χ² is larger by `difference` (S,), relative to the lowest.
+
+        exp(-Δ/2) where the noise is known. Where ν degrees of freedom told it, that is integrated over what the noise
+        may be: (1 + Δ/ν)^(-ν/2), which tends to the same; for one square tag, 1 over the ratio of the errors squared.
+        """
+        if self.freedom is None:
+            return np.asarray(np.exp(-difference / 2))
+        nu = max(self.freedom, 1)
+        return np.asarray(np.maximum(1 + difference / nu, np.finfo(float).tiny) ** (-nu / 2))
+
+
+def scaled_eigenvalues(normal: Array) -> Array:
+    """Return the eigenvalues (S, P), ascending, of normal matrices (S, P, P) scaled to a unit diagonal."""
+    scale = np.sqrt(np.einsum("sii->si", normal))
+    with np.errstate(all="ignore"):
+        scaled = normal / (scale[:, :, None] * scale[:, None, :])
+    return np.linalg.eigvalsh(np.where(np.all(scale > 0, axis=1)[:, None, None], scaled, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """The minima of problems, one or more for each, in their order and the lowest first, and the noise they share.
+
+    centres: (P, 3) the places in the objects' frames that the points of the problems are counted from.
+    intrinsics: whether the uncertainty of the lenses counts. threshold: the largest whitened residual of an inlier,
+    None where all points are.
+    """
+
+    problems: PoseProblems
+    minima: Minima
+    centres: Array
+    noise: Noise
+    extents: Extents
+    intrinsics: bool
+    threshold: float | None
+
+    def estimates(self, frames: str, counts: Sequence[Sequence[int]]) -> list[PoseEstimate]:
+        """Return the estimates of the problems; counts: the points of every camera's view, the absent ones included."""
+        first = np.flatnonzero(np.diff(self.minima.which, prepend=-1))
+        ends = np.append(first[1:], len(self.minima.which))
+        total, noise = self._covariances()
+        found = self._minima(np.repeat(first, ends - first), total, noise)
+        best = self.minima.take(first)
+        residuals, figures = self._residuals(best.states, counts), self._figures(best)
+        chances, misfits = self._chances(), self._misfits(best)
+        return [
+            PoseEstimate(
+                frames=frames,
+                transform=found[at].transform,
+                covariance=total[at],
+                noise_covariance=noise[at],
+                residuals=residuals[problem][0],
+                inliers=residuals[problem][1],
+                sigma_px=self.noise.sigma,
+                freedom=self.noise.freedom,
+                alternatives=tuple(found[at + 1 : ends[problem]]),
+                converged=bool(best.converged[problem]),
+                reason=REASONS[best.reason[problem]],
+                planarity=figures[problem].planarity,
+                least_depth=figures[problem].least_depth,
+                tilt_rad=figures[problem].tilt_rad,
+                condition=figures[problem].condition,
+                chance=chances[problem],
+                misfit=misfits[problem],
+            )
+            for problem, at in enumerate(first)
+        ]
+
+    def _covariances(self) -> tuple[Array, Array]:
+        """Return the covariances (S, 6, 6) of the minima and the pixels' part of them."""
+        inverse = _inverses(self.minima.models.normal)
+        noise = self.noise.sigma**2 * inverse
+        total = noise + _of_lenses(self.problems, self.minima, inverse) if self.intrinsics else noise
+        moves = se3.shift_jacobians(self.minima.states, -self.centres[self.minima.which])
+        return moves @ total @ moves.transpose(0, 2, 1), moves @ noise @ moves.transpose(0, 2, 1)
+
+    def _minima(self, best: Array, total: Array, noise: Array) -> list[Alternative]:
+        """Return what is said of every minimum; best: (S,) the lowest of the same problem."""
+        difference = 2 * (self.minima.cost - self.minima.cost[best]) / self.noise.sigma**2
+        odds = self.noise.odds(difference)
+        shares = odds / np.bincount(best, odds)[best]
+        states = se3.shifted(self.minima.states, -self.centres[self.minima.which])
+        rows = zip(
+            so3.nearest(states[:, :, :3]),
+            states[:, :, 3],
+            difference.tolist(),
+            shares.tolist(),
+            total,
+            noise,
+            strict=True,
+        )
+        return [Alternative(Pose(turn, place), *row) for turn, place, *row in rows]
+
+    def _residuals(self, states: Array, counts: Sequence[Sequence[int]]) -> list[tuple[Array, Array]]:
+        """Return the residuals (N, 2) and inliers (N,) of each problem, of all cameras one after another."""
+        parts = []
+        for camera, (sight, mask) in enumerate(zip(self.problems.sights, self.problems.masks, strict=True)):
+            residuals = sight.residuals(states, self.problems.view).transpose(1, 2, 0)
+            residuals[~sight.present[self.problems.view]] = np.nan
+            ends = [count[camera] for count in counts]
+            parts.append([(row[:end], inside[:end]) for row, inside, end in zip(residuals, mask, ends, strict=True)])
+        if len(parts) == 1:
+            return parts[0]
+        return [
+            (np.concatenate([row for row, _ in each]), np.concatenate([inside for _, inside in each]))
+            for each in zip(*parts, strict=True)
+        ]
+
+    def _figures(self, best: Minima) -> list["_Figures"]:
+        flatness = self.extents.flatness[self.problems.view]
+        tilts = _tilts(self.problems, self.extents, best.states)
+        eigenvalues = scaled_eigenvalues(best.models.normal)
+        columns = flatness, _least_depths(self.problems, best.states), eigenvalues[:, -1] / eigenvalues[:, 0], tilts
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return [_Figures(flat, depth, cond, tilt if flat < NEAR_PLANE else None) for flat, depth, cond, tilt in rows]
+
+    def _misfits(self, best: Minima) -> list[float]:
+        freedom = np.maximum(2 * self.problems.counts - (6 if self.problems.anchor is None else 0), 1)
+        noise = max(self.noise.sigma, _ROUNDED)
+        return [float(misfit) for misfit in np.sqrt(2 * best.cost / freedom) / noise]
+
+    def _chances(self) -> list[float]:
+        """Return how many poses with as many inliers are expected among pixels anywhere in the image.
+
+        Source: Moisan & Stival, A Probabilistic Criterion to Detect Rigid Point Matches Between Two Images, IJCV 2004
+        (the number of false alarms), for samples of three points.
+        """
+        if self.threshold is None:
+            return [0.0] * len(self.problems.view)
+        points = sum(sight.present[self.problems.view].sum(axis=1) for sight in self.problems.sights)
+        area = max(float(np.prod(sight.camera.image_size)) for sight in self.problems.sights)
+        share = min(np.pi * self.threshold**2 / area, 1.0)
+        pairs = zip(np.asarray(points).tolist(), self.problems.counts.tolist(), strict=True)
+        return [_chance(of, inliers, share) for of, inliers in pairs]
+
+
+def _chance(points: int, inliers: int, share: float) -> float:
+    """Return the number of poses expected; share: of the image's area that makes an inlier."""
+
+    def log_choices(of: int, chosen: int) -> float:
+        return lgamma(of + 1) - lgamma(chosen + 1) - lgamma(of - chosen + 1)
+
+    log_sets = log(max(points - 3, 1)) + log_choices(points, inliers) + log_choices(inliers, 3)
+    return exp(log_sets + (inliers - 3) * log(share))
+
+
+class _Figures(NamedTuple):
+    """Figures of a pose, as in PoseEstimate."""
+
+    planarity: float
+    least_depth: float
+    condition: float
+    tilt_rad: float | None
+
+
+def _inverses(normal: Array) -> Array:
+    """Return the inverses of normal matrices (S, 6, 6); of singular ones, something large."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("sii->si", normal), np.finfo(float).tiny))
+    both = scale[:, :, None] * scale[:, None, :]
+    inverse = np.linalg.inv(normal * both + _HELD * np.eye(6))
+    return np.asarray((inverse + inverse.transpose(0, 2, 1)) / 2 * both)
+
+
+def _of_lenses(problems: PoseProblems, minima: Minima, inverse: Array) -> Array:
+    """Return G Σ Gᵀ (S, 6, 6) summed over the cameras with a covariance Σ, where G = -H⁻¹ Jᵀ J_K."""
+    total = np.zeros_like(inverse)
+    for camera, sight in enumerate(problems.sights):
+        if sight.camera.covariance is not None:
+            gain = inverse @ problems.by_lens(minima.states, minima.which, camera)
+            total += gain @ sight.camera.covariance @ gain.transpose(0, 2, 1)
+    return total
+
+
+def _least_depths(problems: PoseProblems, states: Array) -> Array:
+    """Return the smallest z (P,) of an inlier in the frame of a camera that sees it."""
+    least = np.full(len(states), np.inf)
+    for sight, mask in zip(problems.sights, problems.masks, strict=True):
+        camera_T_object = se3.compose(se3.of_poses([sight.frame]), states)
+        depth = np.einsum("sj,jsn->sn", camera_T_object[:, 2, :3], sight.points[:, problems.view])
+        depth += camera_T_object[:, 2, 3:]
+        least = np.minimum(least, np.where(mask, depth, np.inf).min(axis=1))
+    return least
+
+
+def _tilts(problems: PoseProblems, extents: Extents, states: Array) -> Array:
+    """Return the angles (P,) between the planes' normals and the lines of sight from the first camera with points."""
+    tilts = np.full(len(states), np.nan)
+    for sight, mask in zip(problems.sights, problems.masks, strict=True):
+        chosen = np.isnan(tilts) & mask.any(axis=1)
+        eye = sight.frame.inverse().translation
+        tilts[chosen] = extents.tilt(states[chosen], problems.view[chosen], eye)
+    return tilts
+
+
+def region_quantile(probability: float, freedom: int | None, dimensions: int = 6) -> float:
+    """Return the largest Mahalanobis distance squared of the region that holds the truth with this probability.
+
+    χ² where the noise was given (freedom None). Where it was estimated with `freedom` degrees of freedom, Fisher's F
+    times the dimensions: at few points χ² regions are far too small.
+    """
+    from scipy.stats import chi2, f
+
+    if freedom is None:
+        return float(chi2.ppf(probability, dimensions))
+    return float(dimensions * f.ppf(probability, dimensions, freedom))

@@ -1,0 +1,93 @@
+"""The minima of the reprojection error: starts, the lowest of each valley refined, and the planes' second poses."""
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.estimate.poses import states as se3
+from camcal.estimate.poses.extent import NEAR_PLANE, Extents
+from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.starts import starts
+from camcal.solve.independent import Minima, joined
+
+_STARTS = 4
+_COMPARED = 12  # starts or minima of one view that are compared with each other, the lowest
+_SAME_START = 0.1  # rad, and share of the distance: starts this near lead to one minimum
+_SAME_MINIMUM = 1e-3
+
+
+def pose_minima(problems: PoseProblems, extents: Extents) -> Minima:
+    """Return the different minima of every problem, in the order of the problems and the lowest first.
+
+    problems: one of each view, of all points present. A problem may have none: no start has its points in the domain.
+    """
+    if len(problems.sights) == 1:
+        return _with_second_poses(problems, extents, *_starts_of(problems))
+    found = []
+    for sight in problems.sights:
+        own = PoseProblems.of((sight,))
+        minima = _with_second_poses(own, Extents.of(sight.points, sight.present), *_starts_of(own))
+        found.append((minima.states, minima.which))
+    found.append(anchors(problems))
+    return refined(problems, *(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _starts_of(problems: PoseProblems) -> tuple[Array, Array]:
+    """Return starts (S, 3, 4), frame_T_object, of what one camera sees, and their problems (S,)."""
+    sight = problems.sights[0]
+    states, which = starts(sight)
+    frame_T_camera = se3.of_poses([sight.frame.inverse()])
+    parts = (se3.compose(frame_T_camera, states), which), anchors(problems)
+    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+
+
+def anchors(problems: PoseProblems) -> tuple[Array, Array]:
+    """Return the pose known beforehand, if there is one, as a start (S, 3, 4) of every problem (S,)."""
+    if problems.anchor is None:
+        return np.zeros((0, 3, 4)), np.zeros(0, np.intp)
+    return problems.anchor.states[problems.view], np.arange(len(problems.view))
+
+
+def _with_second_poses(problems: PoseProblems, extents: Extents, states: Array, which: Array) -> Minima:
+    """Return the minima that starts lead to, and those that planes are mistaken for."""
+    found = refined(problems, states, which)
+    best = found.take(lowest(found))
+    best = best.take(extents.flatness[best.which] < NEAR_PLANE)
+    eye = problems.sights[0].frame.inverse().translation
+    mirrored = problems.minimise(extents.reflected(best.states, best.which, eye), best.which)
+    return different(joined(found, mirrored))
+
+
+def refined(problems: PoseProblems, states: Array, which: Array) -> Minima:
+    """Return the different minima that the most promising starts (S, 3, 4) of problems (S,) lead to."""
+    chosen = distinct(states, which, problems.cost(states, which), _SAME_START, _STARTS)
+    return different(problems.minimise(states[chosen], which[chosen]))
+
+
+def different(minima: Minima) -> Minima:
+    """Return the minima without repetitions, in the order of the problems and the lowest first."""
+    inside = minima.take(np.isfinite(minima.cost))
+    return inside.take(distinct(inside.states, inside.which, inside.cost, _SAME_MINIMUM, _COMPARED))
+
+
+def lowest(minima: Minima) -> Array:
+    """Return the indices of the first of each problem, of minima in their order."""
+    return np.flatnonzero(np.diff(minima.which, prepend=-1))
+
+
+def distinct(states: Array, which: Array, cost: Array, tolerance: float, most: int) -> Array:
+    """Return the indices of up to `most` states of each problem that no lower one is near to, problems in order and
+    the lowest first; tolerance: rad, and share of the distance.
+    """
+    order = np.lexsort((cost, which))
+    first = np.flatnonzero(np.diff(which[order], prepend=-1))
+    length = np.diff(first, append=len(order))
+    width = min(int(length.max(initial=0)), _COMPARED)
+    ranks = np.arange(width)
+    table = order[np.minimum(first[:, None] + ranks, len(order) - 1)]
+    there = ranks < length[:, None]
+    close = se3.near(states[table][:, :, None], states[table][:, None], tolerance)
+    kept = there.copy()
+    for rank in range(1, width):
+        kept[:, rank] &= ~np.any(close[:, :rank, rank] & kept[:, :rank], axis=1)
+    kept &= np.cumsum(kept, axis=1) <= most
+    return np.asarray(table[kept])

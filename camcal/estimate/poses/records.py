@@ -1,0 +1,222 @@
+"""What goes into the estimation of poses and what comes out of it."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InvalidInput
+from camcal.geometry.pose import Pose, inverse_jacobian
+
+CAMERA_T_OBJECT, RIG_T_OBJECT = "camera_T_object", "rig_T_object"
+AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags
+WEAK_TURN, WEAK_PLACE = 0.1, 0.1  # standard deviations: rad, and share of the distance
+WEAK_CHANCE, WEAK_MISFIT = 1e-3, 3.0  # poses; times the noise
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondences:
+    """Points (N, 3) of an object and the pixels (N, 2) at which one image shows them.
+
+    covariance: (N, 2, 2) px² of the pixels, up to a common factor; None for equal ones. camera: its name in a rig.
+    object: the name of the object where an image shows several. Raises InvalidInput unless every number is finite and
+    every covariance positive.
+    """
+
+    image: str
+    points: Array
+    pixels: Array
+    covariance: Array | None = None
+    camera: str | None = None
+    object: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", readonly(self.points, (None, 3), "points"))
+        object.__setattr__(self, "pixels", readonly(self.pixels, (len(self.points), 2), "pixels"))
+        if not (np.isfinite(self.points).all() and np.isfinite(self.pixels).all()):
+            raise InvalidInput("a point or pixel is not a finite number", where=self.image)
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.points), 2, 2), "covariance"))
+            if not np.all(np.linalg.eigvalsh(self.covariance) > 0):
+                raise InvalidInput("the covariance of a pixel is not positive", where=self.image)
+
+    def take(self, chosen: Array) -> "Correspondences":
+        """Return some of the points."""
+        covariance = None if self.covariance is None else self.covariance[chosen]
+        return replace(self, points=self.points[chosen], pixels=self.pixels[chosen], covariance=covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrior:
+    """What is known of the pose beforehand: a pose and the covariance (6, 6) of its steps, order tx ty tz rx ry rz."""
+
+    pose: Pose
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "the prior's covariance"))
+        if not (np.isfinite(self.covariance).all() and np.linalg.eigvalsh(self.covariance)[0] > 0):
+            raise InvalidInput("the prior's covariance is not positive")
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """How poses are estimated.
+
+    noise_px: standard deviation of a pixel coordinate, the factor's root where covariances are given; None estimates
+    it from the residuals of all views together.
+    outliers: "none"; "few", left out by the residuals of a fit to all points, for boards and tags, samples helping
+    where fewer than half would remain; "many", told apart by random samples, at first as if the noise were 1 px unless
+    noise_px says better.
+    threshold_px: the largest residual of an inlier, in the unit of noise_px where covariances are given; None: what
+    99.73 % of all pixels keep to, 3.44 times the noise. confidence: that one of the random samples had no outlier;
+    seed: of the samples, the same for every view. intrinsics: whether the lens's covariance is propagated.
+    prior: what is known of the poses of all views; needs noise_px, and three points then are enough.
+    """
+
+    noise_px: float | None = None
+    outliers: Literal["none", "few", "many"] = "none"
+    threshold_px: float | None = None
+    confidence: float = 0.999
+    seed: int = 0
+    intrinsics: bool = True
+    prior: PosePrior | None = None
+
+    def __post_init__(self) -> None:
+        for what, value in (("noise", self.noise_px), ("threshold", self.threshold_px)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InvalidInput(f"a {what} of {value:g} px is not positive")
+        if self.outliers not in ("none", "few", "many"):
+            raise InvalidInput(f"outliers {self.outliers!r} is not one of none, few, many")
+        if not 0 < self.confidence < 1:
+            raise InvalidInput(f"a confidence of {self.confidence:g} is not between 0 and 1")
+        if self.prior is not None and self.noise_px is None:
+            raise InvalidInput("a prior is weighed against the pixels: give the noise of a pixel coordinate with it")
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another minimum: its pose, how much larger its χ² is, and the probability that it is the true one.
+
+    covariance, noise_covariance: as in PoseEstimate; None where nobody computed them.
+    """
+
+    transform: Pose
+    chi_square_difference: float
+    probability: float
+    covariance: Array | None = None
+    noise_covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("covariance", "noise_covariance"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, readonly(getattr(self, name), (6, 6), name))
+
+    def inverse(self) -> "Alternative":
+        """Return the same of the transform in the other direction."""
+        jacobian = inverse_jacobian(self.transform)
+        covariances = (self.covariance, self.noise_covariance)
+        turned = [None if each is None else jacobian @ each @ jacobian.T for each in covariances]
+        return replace(self, transform=self.transform.inverse(), covariance=turned[0], noise_covariance=turned[1])
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """The pose of one view and what is known of its quality.
+
+    frames: what `transform` maps, camera_T_object, rig_T_object or their inverses. covariance: (6, 6) of its steps,
+    order tx ty tz rx ry rz (points' unit, rad), R ← Exp(δr) R, t ← t + δt; noise_covariance: the pixels' part of it,
+    which differs from view to view; the rest, of the lens, is common to all.
+    residuals: (N, 2) px, projected minus observed, NaN for points outside the lens's domain, which are left out.
+    inliers: (N,) bool, the points that the pose was fitted to. sigma_px: noise of a pixel coordinate (with covariances
+    their factor's root); freedom: the degrees of freedom it was estimated with, None if it was given.
+    alternatives: other minima, the likeliest first. reason: why the solver stopped.
+    planarity: third spread of the points over their first, 0 for a plane. least_depth: smallest z of a point in the
+    camera's frame. tilt_rad: angle between the line of sight and the normal of the points' plane, None if they are in
+    no plane. condition: of the normal matrix, scaled to a unit diagonal. chance: how many poses with as many inliers
+    are expected if no pixel belongs to its point; 0 where outliers were not looked for. misfit: the residuals of the
+    inliers over what the noise explains, 1 on average.
+    """
+
+    frames: str
+    transform: Pose
+    covariance: Array
+    noise_covariance: Array
+    residuals: Array
+    inliers: Array
+    sigma_px: float
+    freedom: int | None
+    alternatives: tuple[Alternative, ...]
+    converged: bool
+    reason: str
+    planarity: float = float("nan")
+    least_depth: float = float("nan")
+    tilt_rad: float | None = None
+    condition: float = float("nan")
+    chance: float = 0.0
+    misfit: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "covariance"))
+        object.__setattr__(self, "noise_covariance", readonly(self.noise_covariance, (6, 6), "noise covariance"))
+        object.__setattr__(self, "residuals", readonly(self.residuals, (None, 2), "residuals"))
+        object.__setattr__(self, "inliers", readonly(self.inliers, (len(self.residuals),), "inliers", np.bool_))
+
+    @property
+    def used(self) -> int:
+        """The number of points that count."""
+        return int(np.count_nonzero(self.inliers))
+
+    @property
+    def rms_px(self) -> float:
+        """The root mean square of the distances between projected and observed pixels of the inliers."""
+        return float(np.sqrt(np.sum(self.residuals[self.inliers] ** 2) / self.used)) if self.used else float("nan")
+
+    @property
+    def alternative(self) -> Alternative | None:
+        """The likeliest of the other minima."""
+        return self.alternatives[0] if self.alternatives else None
+
+    @property
+    def p_wrong(self) -> float:
+        """The probability that one of the alternatives is the true pose; 0 without any."""
+        return float(sum(other.probability for other in self.alternatives))
+
+    @property
+    def status(self) -> str:
+        """Whether the pose is to be trusted, in words that begin with ok, ambiguous, weak or not converged."""
+        if not self.converged:
+            return f"not converged: {self.reason}"
+        if self.p_wrong > AMBIGUOUS:
+            return f"ambiguous: another pose fits nearly as well, probability {self.p_wrong:.2g}"
+        weakness = self._weakness()
+        return f"weak: {weakness}" if weakness else "ok"
+
+    def _weakness(self) -> str | None:
+        if self.chance > WEAK_CHANCE:
+            return f"{self.used} of {len(self.inliers)} points agree; chance makes {self.chance:.1g} such poses"
+        if self.misfit > WEAK_MISFIT:
+            return f"the residuals are {self.misfit:.2g} times what the noise of {self.sigma_px:.2g} px explains"
+        place, turn = (np.sqrt(np.linalg.eigvalsh(self.covariance[part, part])[-1]) for part in _PARTS)
+        distance = np.linalg.norm(self.transform.translation)
+        if turn > WEAK_TURN:
+            return f"the direction is known to ±{np.degrees(turn):.2g}° only (1 σ)"
+        if place > WEAK_PLACE * distance:
+            return f"the place is known to ±{100 * place / distance:.2g} % of the distance only (1 σ)"
+        return None
+
+    def inverse(self) -> "PoseEstimate":
+        """Return the same estimate of the transform in the other direction."""
+        jacobian = inverse_jacobian(self.transform)
+        return replace(
+            self,
+            frames="_T_".join(reversed(self.frames.split("_T_"))),
+            transform=self.transform.inverse(),
+            covariance=jacobian @ self.covariance @ jacobian.T,
+            noise_covariance=jacobian @ self.noise_covariance @ jacobian.T,
+            alternatives=tuple(other.inverse() for other in self.alternatives),
+        )
+
+
+_PARTS = slice(0, 3), slice(3, 6)

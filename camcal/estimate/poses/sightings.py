@@ -1,0 +1,173 @@
+"""What one camera sees of many objects, side by side in arrays whose long axes come last."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.estimate.poses.records import Correspondences
+from camcal.geometry.pose import Pose
+
+ROOM = 1.3  # views share arrays that are filled up to at most this many times the points of the smallest
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """The points of W views by one camera, filled up to N each.
+
+    frame: camera_T_frame, where the frame is that of the poses looked for (the camera's own, or a rig's).
+    points: (3, W, N) in the objects' frames. pixels: (2, W, N). rays: (3, W, N) unit, in the camera's frame.
+    whitening: (2, 2, W, N) with Wᵀ W the inverse covariance of a pixel, or None.
+    present: (W, N), the points that are there and whose pixels have a ray.
+    """
+
+    camera: Camera
+    frame: Pose
+    points: Array
+    pixels: Array
+    rays: Array
+    whitening: Array | None
+    present: Array
+
+    @classmethod
+    def of(cls, camera: Camera, views: Sequence[Correspondences | None], frame: Pose) -> "Sightings":
+        """Return what the camera sees in views; None is a view in which it sees nothing."""
+        counts = np.array([0 if view is None else len(view.points) for view in views])
+        count, most = len(views), max(int(counts.max(initial=0)), 1)
+        points, pixels = np.zeros((3, count, most)), np.zeros((2, count, most))
+        whitened = any(view is not None and view.covariance is not None for view in views)
+        covariance = np.tile(np.eye(2), (count, most, 1, 1)) if whitened else None
+        for index, view in enumerate(views):
+            if view is None or not counts[index]:
+                continue
+            points[:, index, : counts[index]] = view.points.T
+            pixels[:, index, : counts[index]] = view.pixels.T
+            pixels[:, index, counts[index] :] = view.pixels[0, :, None]  # a pixel that the lens knows
+            if covariance is not None and view.covariance is not None:
+                covariance[index, : counts[index]] = view.covariance
+        rays = camera.unproject(pixels.reshape(2, -1).T)
+        present = rays.valid.reshape(count, most) & (np.arange(most) < counts[:, None])
+        directions = np.nan_to_num(np.ascontiguousarray(rays.directions.T)).reshape(3, count, most)
+        whitening = None if covariance is None else _whitening(covariance)
+        return cls(camera, frame, points, pixels, directions, whitening, present)
+
+    def take(self, chosen: Array) -> "Sightings":
+        """Return some of the views."""
+        whitening = None if self.whitening is None else self.whitening[:, :, chosen]
+        return replace(
+            self,
+            points=self.points[:, chosen],
+            pixels=self.pixels[:, chosen],
+            rays=self.rays[:, chosen],
+            whitening=whitening,
+            present=self.present[chosen],
+        )
+
+    def about(self, centres: Array) -> "Sightings":
+        """Return the views with their points counted from centres (W, 3)."""
+        return replace(self, points=self.points - centres.T[:, :, None])
+
+    def only(self, points: Array) -> "Sightings":
+        """Return some of the points of every view."""
+        whitening = None if self.whitening is None else self.whitening[..., points]
+        return replace(
+            self,
+            points=self.points[..., points],
+            pixels=self.pixels[..., points],
+            rays=self.rays[..., points],
+            whitening=whitening,
+            present=self.present[:, points],
+        )
+
+    def residuals(self, states: Array, view: Array) -> Array:
+        """Return projected minus observed pixels (2, S, N) of views (S,) at states (S, 3, 4), frame_T_object.
+
+        Not whitened; NaN outside the lens's domain.
+        """
+        in_camera = self._in_camera(turned(states[:, :, :3], _of(self.points, view)), states[:, :, 3])
+        projected = self.camera.project(in_camera.reshape(3, -1).T).pixels.T
+        return np.asarray(projected.reshape(2, *in_camera.shape[1:]) - _of(self.pixels, view))
+
+    def squared(self, states: Array, view: Array) -> Array:
+        """Return the squared lengths (S, N) of the whitened residuals, infinite outside the lens's domain and where
+        there is no point.
+        """
+        residuals = self.residuals(states, view)
+        if self.whitening is not None:
+            residuals = np.einsum("ijsn,jsn->isn", self.whitening[:, :, view], residuals)
+        squared = np.einsum("isn,isn->sn", residuals, residuals)
+        return np.where(self.present[view], np.nan_to_num(squared, nan=np.inf), np.inf)
+
+    def rows(self, states: Array, view: Array, mask: Array) -> tuple[Array, Array, Array]:
+        """Return the whitened residuals behind their derivatives by the pose's step as (2, 7, S, N), zero outside the
+        mask (S, N); the derivatives by the lens's parameters as (2, K, S, N), and the mask (S,) of states at which all
+        points of the mask are in the lens's domain.
+        """
+        rotated = turned(states[:, :, :3], _of(self.points, view))
+        in_camera = self._in_camera(rotated, states[:, :, 3])
+        projected = self.camera.model.project_with_jacobians(self.camera.parameters, in_camera.reshape(3, -1).T)
+        shape = rotated.shape[1:]
+        by_point = projected.d_point.transpose(1, 2, 0)
+        if np.any(self.frame.rotation != np.eye(3)):
+            by_point = np.einsum("ipn,pq->iqn", by_point, self.frame.rotation)
+        rows = np.empty((2, 7, *shape))
+        rows[:, :3] = by_point.reshape(2, 3, *shape)
+        _cross(rotated, rows[:, :3], rows[:, 3:6])
+        np.subtract(projected.pixels.T.reshape(2, *shape), _of(self.pixels, view), out=rows[:, 6])
+        by_lens = projected.d_parameters.transpose(1, 2, 0).reshape(2, -1, *shape)
+        if self.whitening is not None:
+            whitening = self.whitening[:, :, view]
+            rows, by_lens = (np.einsum("ijsn,jpsn->ipsn", whitening, each) for each in (rows, by_lens))
+        if not mask.all():
+            np.copyto(rows, 0.0, where=~mask)
+        return rows, by_lens, np.all(projected.valid.reshape(shape) | ~mask, axis=1)
+
+    def _in_camera(self, rotated: Array, translations: Array) -> Array:
+        """Return points (3, S, N) in the camera, of those turned into the frame but not moved yet."""
+        moved = rotated + translations.T[:, :, None]
+        if np.any(self.frame.rotation != np.eye(3)) or self.frame.translation.any():
+            moved = np.einsum("pq,qsn->psn", self.frame.rotation, moved) + self.frame.translation[:, None, None]
+        return np.asarray(moved)
+
+
+def _of(values: Array, view: Array) -> Array:
+    """Return the values (D, S, N) of views (S,); those of an only view (D, 1, N) serve all."""
+    return values if values.shape[1] == 1 else values[:, view]
+
+
+def turned(rotations: Array, points: Array) -> Array:
+    """Return points (3, S, N), or (3, 1, N) for all alike, turned by rotations (S, 3, 3)."""
+    result = np.empty((3, len(rotations), points.shape[2]))
+    for row in range(3):
+        first, second, third = rotations[:, row, :, None].transpose(1, 0, 2)
+        np.multiply(first, points[0], out=result[row])
+        result[row] += second * points[1]
+        result[row] += third * points[2]
+    return result
+
+
+def _cross(first: Array, second: Array, result: Array) -> None:
+    """Write first × second (2, 3, S, N), for first (3, S, N): a step δr moves a turned point q by δr × q."""
+    for axis in range(3):
+        ahead, behind = (axis + 1) % 3, (axis + 2) % 3
+        np.multiply(first[ahead], second[:, behind], out=result[:, axis])
+        result[:, axis] -= first[behind] * second[:, ahead]
+
+
+def _whitening(covariance: Array) -> Array:
+    """Return the factors W (2, 2, W, N) with Wᵀ W the inverse of covariances (W, N, 2, 2)."""
+    factors = np.linalg.cholesky(np.linalg.inv(covariance))
+    return np.ascontiguousarray(factors.transpose(3, 2, 0, 1))
+
+
+def alike(counts: Array) -> list[Array]:
+    """Return the indices of views, in groups of similar counts (W,) of points."""
+    order = np.argsort(counts, kind="stable")
+    groups: list[list[int]] = []
+    for index in order:
+        if not groups or counts[index] > ROOM * counts[groups[-1][0]]:
+            groups.append([])
+        groups[-1].append(int(index))
+    return [np.sort(group) for group in groups]

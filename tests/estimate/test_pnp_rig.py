@@ -1,0 +1,118 @@
+"""Poses by several cameras at once: rig_T_object, its covariance and what one camera alone cannot tell."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.cameras.rig import Rig
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses, estimate_rig_poses
+from camcal.geometry.pose import Pose
+
+PINHOLE = Camera(model_named("pinhole"), (1280, 960), [800.0, 805.0, 640.0, 480.0])
+FISHEYE = Camera(model_named("kannala_brandt4"), (1400, 1400), [500.0, 500.0, 700.0, 700.0, 0.01, -0.004, 1e-3, -1e-4])
+RIG = Rig(
+    {"left": PINHOLE, "right": FISHEYE},
+    {
+        "left": Pose.from_vector(np.array([0.0, 0.05, 0.0]), np.array([-0.25, 0.0, 0.0])),
+        "right": Pose.from_vector(np.array([0.02, -0.1, 0.01]), np.array([0.25, 0.01, 0.02])),
+    },
+)
+TAG = np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]) * 0.05
+CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.1
+
+
+def seen(rig_T_object, points, rng, noise_px, shown=None):
+    """Return what each camera of the rig sees of the points, or of some of them."""
+    views = []
+    for name, camera in RIG.cameras.items():
+        chosen = points if shown is None else points[shown[name]]
+        pixels = camera.project(RIG.rig_T_camera[name].inverse().apply(rig_T_object.apply(chosen))).pixels
+        views.append(Correspondences("a", chosen, pixels + noise_px * rng.standard_normal(pixels.shape), camera=name))
+    return views
+
+
+def error_of(found, truth):
+    return np.concatenate([found.translation - truth.translation, (found @ truth.inverse()).vector()])
+
+
+def some_pose(rng, distance):
+    return Pose.from_vector(rng.normal(0, 0.4, 3), np.array([0, 0, distance]) + rng.normal(0, 0.03, 3))
+
+
+def test_exact_pixels_give_the_pose_in_the_rig():
+    rng = np.random.default_rng(1)
+    truth = some_pose(rng, 1.0)
+    for shown in (None, {"left": [0, 1, 2, 5], "right": [7]}, {"left": [0, 1, 2], "right": [3, 4, 6]}):
+        found = estimate_rig_poses(RIG, [seen(truth, CUBE, rng, 0.0, shown)])[0].value
+        np.testing.assert_allclose(error_of(found.transform, truth), 0, atol=1e-9)
+        assert found.frames == "rig_T_object"
+        assert found.used == (16 if shown is None else sum(map(len, shown.values())))
+
+
+def test_one_camera_of_a_rig_gives_what_it_gives_alone():
+    rng = np.random.default_rng(2)
+    views = seen(some_pose(rng, 1.0), CUBE, rng, 0.2)
+    options = PoseOptions(noise_px=0.2)
+    in_rig = estimate_rig_poses(RIG, [views[:1]], options)[0].value
+    alone = estimate_poses(PINHOLE, views[:1], options)[0].value
+    expected = RIG.rig_T_camera["left"] @ alone.transform
+    np.testing.assert_allclose(error_of(in_rig.transform, expected), 0, atol=1e-7)  # where the solver stops
+    np.testing.assert_allclose(in_rig.residuals, alone.residuals, atol=1e-4)
+    assert in_rig.tilt_rad == alone.tilt_rad
+    assert in_rig.least_depth == pytest.approx(alone.least_depth)
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    rng = np.random.default_rng(3)
+    truths = [some_pose(rng, 1.5) for _ in range(80)]
+    outcomes = estimate_rig_poses(RIG, [seen(truth, TAG, rng, 0.3) for truth in truths], PoseOptions(noise_px=0.3))
+    errors = [error_of(outcome.value.transform, truth) for outcome, truth in zip(outcomes, truths, strict=True)]
+    total = sum(e @ np.linalg.solve(o.value.covariance, e) for e, o in zip(errors, outcomes, strict=True))
+    low, high = stats.chi2.interval(0.99, 6 * len(truths))
+    assert low < total < high
+
+
+def test_two_cameras_settle_which_of_two_poses_a_tag_has():
+    rng = np.random.default_rng(4)
+    truths = [some_pose(rng, 2.0) for _ in range(40)]
+    instants = [seen(truth, TAG, rng, 0.3) for truth in truths]
+    options = PoseOptions(noise_px=0.3)
+    together = estimate_rig_poses(RIG, instants, options)
+    alone = estimate_poses(PINHOLE, [views[0] for views in instants], options)
+    of_left = RIG.rig_T_camera["left"]
+    pairs = list(zip(together, alone, truths, strict=True))
+    flipped = [np.linalg.norm(error_of(both.value.transform, truth)[3:]) > 0.3 for both, _, truth in pairs]
+    lonely = [np.linalg.norm(error_of(of_left @ one.value.transform, truth)[3:]) > 0.3 for _, one, truth in pairs]
+    assert sum(lonely) >= 3
+    assert not any(flipped)
+
+
+def test_wrong_points_of_one_camera_are_left_out_and_told_in_the_order_given():
+    rng = np.random.default_rng(5)
+    truth = some_pose(rng, 1.2)
+    views = seen(truth, CUBE, rng, 0.2)
+    pixels = views[0].pixels.copy()
+    pixels[2] += 40
+    spoilt = Correspondences("a", CUBE, pixels, camera="left")
+    for outliers in ("few", "many"):
+        options = PoseOptions(noise_px=0.2, outliers=outliers)
+        found = estimate_rig_poses(RIG, [[views[1], spoilt]], options)[0].value
+        assert np.flatnonzero(~found.inliers).tolist() == [8 + 2]
+        assert np.linalg.norm(found.residuals[10]) > 20
+        np.testing.assert_allclose(error_of(found.transform, truth), 0, atol=5e-3)
+
+
+def test_what_is_no_view_of_the_rig_is_refused():
+    rng = np.random.default_rng(6)
+    views = seen(some_pose(rng, 1.0), CUBE, rng, 0.2)
+    with pytest.raises(InvalidInput, match="camera 'top' is not in the rig of left, right"):
+        estimate_rig_poses(RIG, [[Correspondences("a", CUBE, views[0].pixels, camera="top")]])
+    with pytest.raises(InvalidInput, match="'left' stands twice"):
+        estimate_rig_poses(RIG, [[views[0], views[0]]])
+    few = [view.take(np.arange(1)) for view in views]
+    error = estimate_rig_poses(RIG, [few])[0].error
+    assert isinstance(error, InsufficientData)
+    assert "4 different points or more, found 1" in str(error)
