@@ -11,7 +11,6 @@
 A name is that of a camera or a free frame. Between any two frames there is at most one path.
 """
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -23,11 +22,11 @@ from camcal.formats.camera_file import Transform
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.schema import items, mapping, matrix, number
 from camcal.formats.strict_yaml import Fault, child, nearest
-from camcal.geometry import rotation as so3
+from camcal.geometry.named import JOINT
+from camcal.geometry.orthogonality import examine
 from camcal.geometry.pose import Pose
 
 STEP = ("tx", "ty", "tz", "rx", "ry", "rz")
-JOINT = "_T_"
 FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*\Z")
 ORTHONORMAL = 1e-6
@@ -62,16 +61,10 @@ def _check_transform(data: Any, path: str) -> Iterator[Fault]:
 
 
 def _check_rotation(matrix: Array, path: str) -> Iterator[Fault]:
-    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are no rotation
-        error, determinant = np.abs(matrix @ matrix.T - np.eye(3)).max(), np.linalg.det(matrix)
-    if determinant < 0:
-        yield Fault(path, f"not a rotation: det = {determinant:.3g}, a reflection; is an axis flipped?")
-    elif not error < 0.1:  # far from any rotation, the nearest one says nothing
-        yield Fault(path, f"not a rotation (orthonormality error {error:.1e})")
-    elif error > ORTHONORMAL:
-        angle = math.degrees(np.linalg.norm(matrix - so3.nearest(matrix)) / math.sqrt(2))
-        differs = f"nearest rotation differs by {angle:.2g}°; write R with 9 digits or more"
-        yield Fault(path, f"not a rotation (orthonormality error {error:.1e}); {differs}")
+    found = examine(matrix)
+    if fault := found.fault(ORTHONORMAL):
+        advice = "; write R with 9 digits or more" if found.can_be_fixed else ""
+        yield Fault(path, f"{fault}{advice}")
 
 
 def _check_frames(key: str, path: str, cameras: Sequence[str]) -> Iterator[Fault]:

@@ -84,18 +84,7 @@ def _columns(table: Table, names: Sequence[str]) -> Array | None:
         raise InvalidInput(
             f"column {missing[0]!r} is missing beside the others of {', '.join(names)}", where=table.path
         )
-    return np.column_stack([_numbers(table, name) for name in known])
-
-
-def _numbers(table: Table, name: str) -> Array:
-    """Return a column (N,) of numbers, NaN where a cell is empty."""
-    values = np.full(len(table), np.nan)
-    for row, text in enumerate(table.columns[name]):
-        try:
-            values[row] = float(text) if text.strip() else np.nan
-        except ValueError:
-            raise InvalidInput(f"{name}: {text!r} is not a number", where=f"{table.path}:{table.lines[row]}") from None
-    return values
+    return np.column_stack([table.numbers_or_empty(name) for name in known])
 
 
 def _full(upper: Array) -> Array:

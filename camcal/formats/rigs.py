@@ -3,9 +3,8 @@
 from camcal.cameras.rig import Rig
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.native_transforms import JOINT
 from camcal.geometry.frame_graph import FrameGraph
-from camcal.geometry.named import NamedTransform, frames_of
+from camcal.geometry.named import JOINT, NamedTransform, frames_of
 from camcal.geometry.pose import Pose
 
 FRAME = "rig"

@@ -85,6 +85,18 @@ class Table:
         self.refuse(~np.isfinite(values), lambda row: f"{name}: {self.columns[name][row]} is not finite")
         return values
 
+    def numbers_or_empty(self, name: str) -> Array:
+        """Return a column (N,) of numbers, NaN where a cell is empty."""
+        values = np.full(len(self), np.nan)
+        for row, text in enumerate(self.columns[name]):
+            try:
+                values[row] = float(text) if text.strip() else np.nan
+            except ValueError:
+                raise InvalidInput(
+                    f"{name}: {text!r} is not a number", where=f"{self.path}:{self.lines[row]}"
+                ) from None
+        return values
+
     def _converted(self, name: str, convert: Callable[[str], float], what: str) -> list[Any]:
         cells = self.columns[name]
         try:

@@ -50,7 +50,7 @@ class Orthogonality:
 def examine(matrix: Array) -> Orthogonality:
     """Return how far a matrix (3, 3) of finite numbers is from a rotation."""
     with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are no rotation
-        error = float(np.nan_to_num(np.abs(matrix @ matrix.T - np.eye(3)).max(), nan=np.inf))
+        error = float(np.nan_to_num(np.abs(matrix @ matrix.T - np.eye(3)).max(), nan=np.inf, posinf=np.inf))
         determinant = float(np.nan_to_num(np.linalg.det(matrix)))
     if error > HOPELESS or determinant < 0:
         return Orthogonality(error, determinant, np.nan)

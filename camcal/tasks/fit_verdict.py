@@ -37,7 +37,10 @@ def require_settled(report: FitReport) -> None:
 
 def combination_text(parts: Mapping[str, float]) -> str:
     """Return a change that changes no residual in words, such as 'a + 2 b'; a single parameter by its name."""
-    terms = [
-        f"{'-' if part < 0 else '+'} {'' if abs(part) == 1 else f'{abs(part):.3g} '}{n}" for n, part in parts.items()
-    ]
-    return " ".join(terms).removeprefix("+ ")
+    terms = [f"{'-' if part < 0 else '+'} {_times(abs(part))}{name}" for name, part in parts.items()]
+    return " ".join(terms).removeprefix("+ ").replace("- ", "-", terms[0].startswith("-"))
+
+
+def _times(factor: float) -> str:
+    text = f"{factor:.3g}"
+    return "" if text == "1" else f"{text} "

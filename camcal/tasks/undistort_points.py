@@ -63,7 +63,7 @@ def undistort_points(options: PointsOptions, progress: Progress = SILENT) -> Poi
         require_own(camera_file)
     view = make_view(source.camera, options.view)
     table = _read(options.points)
-    pixels = np.column_stack([_numbers(table, name) for name in _PIXEL])
+    pixels = np.column_stack([table.numbers_or_empty(name) for name in _PIXEL])
     moved = move_pixels(view, source.camera, pixels) if options.distort else move_pixels(source.camera, view, pixels)
     files.write_text(output, _text(table, moved))
     if camera_file is not None:
@@ -87,17 +87,6 @@ def _read(path: Path) -> Table:
     if len(set(names)) < len(names):
         raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=str(path))
     return Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
-
-
-def _numbers(table: Table, name: str) -> Array:
-    """Return a column (N,) of numbers, NaN where a cell is empty."""
-    values = np.full(len(table), np.nan)
-    for row, text in enumerate(table.columns[name]):
-        try:
-            values[row] = float(text) if text.strip() else np.nan
-        except ValueError:
-            raise InvalidInput(f"{name}: {text!r} is not a number", where=f"{table.path}:{table.lines[row]}") from None
-    return values
 
 
 def _text(table: Table, pixels: Array) -> str:
