@@ -1,0 +1,81 @@
+"""Trajectory files: which form a file has, by its suffix, by what stands in it, or as asked for.
+
+tum: lines `time tx ty tz qx qy qz qw`. csv: named columns, with covariances and velocities. yaml, json: the same with
+names. kitti: 12 numbers a line, no times. tf: ROS transforms as YAML. EuRoC's data.csv is read too.
+"""
+
+from pathlib import Path
+
+from camcal.errors import InvalidInput
+from camcal.formats import trajectory_csv, trajectory_lines, trajectory_native, trajectory_ros
+from camcal.geometry.trajectory import Trajectory
+
+KINDS = {
+    "tum": (".tum", ".txt"),
+    "csv": (".csv",),
+    "yaml": (".yaml", ".yml"),
+    "json": (".json",),
+    "kitti": (".txt", ".kitti"),
+    "tf": (".yaml", ".yml"),
+}
+SUFFIXES = tuple(dict.fromkeys(suffix for suffixes in KINDS.values() for suffix in suffixes))
+
+_WRITERS = {
+    "tum": trajectory_lines.write_tum,
+    "csv": trajectory_csv.write,
+    "yaml": trajectory_native.write_yaml,
+    "json": trajectory_native.write_json,
+    "kitti": trajectory_lines.write_kitti,
+    "tf": trajectory_ros.write,
+}
+
+
+def kind_of(path: Path, kind: str | None = None) -> str:
+    """Return the form a trajectory is written in under this name, `kind` if it is given.
+
+    Raises InvalidInput if there is no such form, or it does not go with the suffix.
+    """
+    suffix = path.suffix.lower()
+    possible = [name for name, suffixes in KINDS.items() if suffix in suffixes]
+    if kind is None and possible:
+        return possible[0]
+    if kind is None:
+        raise InvalidInput(f"trajectories are {', '.join(SUFFIXES)}, found {suffix or 'no suffix'}", where=str(path))
+    if kind not in KINDS:
+        raise InvalidInput(f"format {kind!r}: use one of {', '.join(KINDS)}")
+    if kind not in possible:
+        raise InvalidInput(f"format {kind} is written as {' or '.join(KINDS[kind])}", where=str(path))
+    return kind
+
+
+def read(path: Path, frames: str | None = None) -> Trajectory:
+    """Return the trajectory in a file; stamps of KITTI files are the numbers of their lines, from 0.
+
+    frames: what the poses are, such as world_T_camera, where the file does not say.
+    Raises FileError if it cannot be read, InvalidInput with file and line for anything wrong in it.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return trajectory_csv.read(path, frames)
+    if suffix in (".yaml", ".yml", ".json"):
+        return trajectory_native.read(path)
+    if suffix in SUFFIXES:
+        return trajectory_lines.read(path, frames)
+    raise InvalidInput(f"trajectories are {', '.join(SUFFIXES)}, found {suffix or 'no suffix'}", where=str(path))
+
+
+def is_trajectory_csv(path: Path) -> bool:
+    """Tell whether a CSV holds poses, rather than other numbers over time."""
+    return trajectory_csv.holds_poses(path)
+
+
+def read_reference(path: Path) -> tuple[Trajectory, int]:
+    """Return the trajectory to compare with, and how many poses were left out of it because their time is repeated."""
+    if path.suffix.lower() in KINDS["tum"]:
+        return trajectory_lines.read_with_repeats(path)
+    return read(path), 0
+
+
+def write(path: Path, trajectory: Trajectory, kind: str | None = None) -> None:
+    """Write a trajectory in the form of its suffix, or in one of KINDS; what that form cannot hold is left out."""
+    _WRITERS[kind_of(path, kind)](path, trajectory)

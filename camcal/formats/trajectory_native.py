@@ -1,0 +1,114 @@
+"""Trajectories with every number named, as YAML or JSON; both hold the same."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.formats import emit, strict_json, strict_yaml, trajectory_ros
+from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.strict_yaml import MAX_VALUES, Document, child
+from camcal.formats.trajectory_rows import ORDER, QUATERNION, named, trajectory
+from camcal.geometry import rotation as so3
+from camcal.geometry.trajectory import Trajectory
+
+FORMAT = "camcal-trajectory"
+VERSION = 1
+
+_STEPS = "R <- Exp(dr) R, t <- t + dt"
+_OPTIONAL = {"covariance": matrix(6, 6), "velocity": items(number(), 6), "segment": integer(0)}
+_POSE = mapping(
+    {
+        "t": number(),
+        "translation": items(number(), 3),
+        "quaternion": mapping(dict.fromkeys(QUATERNION, number())),
+    },
+    _OPTIONAL,
+)
+_CHECK = mapping(
+    {"format": one_of((FORMAT,), "format"), "version": integer(1), "frames": text, "poses": items(_POSE)},
+    {"epoch": integer(), "covariance_order": items(one_of(ORDER, "coordinate"), 6), "covariance_steps": text},
+)
+
+
+def read(path: Path) -> Trajectory:
+    """Return the trajectory of a YAML or JSON file of camcal, or of ROS transforms as YAML."""
+    if path.suffix.lower() == ".json":
+        document = strict_json.load(path, _CHECK)
+    else:
+        document = strict_yaml.load(path)
+        if trajectory_ros.KEY in document:
+            return trajectory_ros.from_document(document)
+        if faults := list(_CHECK(document.data, "")):
+            raise document.error(faults)
+    return _from_document(document)
+
+
+def write_json(path: Path, poses: Trajectory) -> None:
+    """Write all that is known of the poses as JSON."""
+    files.write_text(path, json.dumps(emit.rounded(document(poses)), indent=1) + "\n")
+
+
+def write_yaml(path: Path, poses: Trajectory) -> None:
+    """Write all that is known of the poses as YAML; raises InvalidInput if there are more than YAML is read with."""
+    values = 16 + 44 * (poses.covariances is not None) + 8 * (poses.velocities is not None)
+    if len(poses) * values > MAX_VALUES:
+        raise InvalidInput(f"{len(poses)} poses are too many for YAML; write .json, .csv or .tum", where=str(path))
+    a, b = poses.frames.split("_T_")
+    comment = f"camcal trajectory, s, m and rad. {poses.frames} takes points in {b} to points in {a}."
+    files.write_text(path, emit.document(document(poses), comment))
+
+
+def document(poses: Trajectory) -> dict[str, Any]:
+    """Return a trajectory as plain data."""
+    quaternions = so3.to_quaternion(poses.rotations).tolist()
+    epoch = int(np.floor(poses.stamps[0]))  # times of clocks have more digits than numbers in files
+    blocks: list[dict[str, Any]] = [
+        {"t": stamp, "translation": translation, "quaternion": dict(zip(QUATERNION, quaternion, strict=True))}
+        for stamp, translation, quaternion in zip(
+            (poses.stamps - epoch).tolist(), poses.translations.tolist(), quaternions, strict=True
+        )
+    ]
+    segments = None if poses.segments is None else poses.segments.astype(int)
+    for name, values in (("velocity", poses.velocities), ("covariance", poses.covariances), ("segment", segments)):
+        if values is not None:
+            for block, value in zip(blocks, values.tolist(), strict=True):
+                block[name] = value
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "frames": poses.frames,
+        "epoch": epoch,
+        "covariance_order": list(ORDER),
+        "covariance_steps": _STEPS,
+        "poses": blocks,
+    }
+
+
+def _from_document(document: Document) -> Trajectory:
+    if document["version"] > VERSION:
+        raise InvalidInput(f"version {document['version']} is newer than this camcal; upgrade it", where=document.where)
+    blocks = document["poses"]
+    if not blocks:
+        raise FileError("holds no poses", where=document.where)
+    lines = [document.line(child("poses", index)) for index in range(len(blocks))]
+    stamps = np.array([block["t"] for block in blocks], float) + document.get("epoch", 0)
+    positions = np.array([block["translation"] for block in blocks], float)
+    quaternions = np.array([[block["quaternion"][name] for name in QUATERNION] for block in blocks], float)
+    frames = named(document["frames"], document.where)
+    poses = trajectory(document.where, lines, frames, stamps, positions, quaternions)
+    optional = [_all(document, name) for name in _OPTIONAL]
+    return Trajectory(frames, poses.stamps, poses.rotations, poses.translations, *optional)
+
+
+def _all(document: Document, name: str) -> Array | None:
+    """Return what every pose has under a key, None if none has it; raises InvalidInput if only some do."""
+    blocks = document["poses"]
+    without = [index for index, block in enumerate(blocks) if name not in block]
+    if without and len(without) < len(blocks):
+        raise InvalidInput(f"poses[{without[0]}] has no {name}, others have: all or none", where=document.where)
+    return None if without else np.array([block[name] for block in blocks], float)

@@ -1,0 +1,87 @@
+"""Rows of numbers as trajectories: what all forms of text share. Whatever is wrong is told with file and line."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.formats.tables import Lines
+from camcal.geometry import rotation as so3
+from camcal.geometry.named import frames_of
+from camcal.geometry.trajectory import Trajectory
+
+DEFAULT_FRAMES = "world_T_camera"
+POSITION = ("tx", "ty", "tz")
+QUATERNION = ("qw", "qx", "qy", "qz")
+ORDER = (*POSITION, "rx", "ry", "rz")
+
+_ROUNDED = 1e-3  # how far a quaternion's length may be from 1: files have few digits
+
+
+def numbers(path: str, lines: Lines, counts: Sequence[int], delimiter: str | None = None) -> Array:
+    """Return the numbers (N, C) of lines, C one of `counts`; delimiter: None for blanks."""
+    try:
+        table = np.loadtxt([line for _, line in lines], delimiter=delimiter, ndmin=2, comments=None)
+    except ValueError:
+        table = np.empty((0, 0))
+    if len(table) != len(lines) or table.shape[1] not in counts:
+        expected = len(lines[0][1].split(delimiter)) if lines else 0
+        counts = [expected] if expected in counts else counts
+        for number, line in lines:
+            _refuse_line(f"{path}:{number}", line.split(delimiter), counts)
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        raise InvalidInput("a number is not finite", where=f"{path}:{lines[int(np.argmax(bad))][0]}")
+    return table
+
+
+def trajectory(
+    path: str, lines: Sequence[int | str], frames: str | None, stamps: Array, positions: Array, quaternions: Array
+) -> Trajectory:
+    """Return the trajectory of stamps (N,), positions (N, 3) and quaternions w x y z (N, 4), checked.
+
+    lines: where each pose stands in the file. Raises InvalidInput for stamps that do not increase and for quaternions
+    that have not length 1; those that nearly have are normalised.
+    """
+    require_increasing(path, lines, stamps)
+    lengths = np.linalg.norm(quaternions, axis=1)
+    bad = np.abs(lengths - 1) > _ROUNDED
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InvalidInput(
+            f"the quaternion has length {lengths[row]:.6g}, not 1; is its order right?", where=f"{path}:{lines[row]}"
+        )
+    return Trajectory(named(frames, path), stamps, so3.from_quaternion(quaternions), positions)
+
+
+def named(frames: str | None, where: str) -> str:
+    """Return the name of the poses; raises InvalidInput unless it has the form a_T_b. None: world_T_camera."""
+    name = frames or DEFAULT_FRAMES
+    try:
+        frames_of(name)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=where) from error
+    return name
+
+
+def require_increasing(path: str, lines: Sequence[int | str], stamps: Array) -> None:
+    """Raise InvalidInput about the first stamp (N,) that is not later than the one before."""
+    late = np.flatnonzero(~(np.diff(stamps) > 0))
+    if len(late):
+        row = int(late[0]) + 1
+        raise InvalidInput(
+            f"time {stamps[row]:.9f} s is not later than the one before, {stamps[row - 1]:.9f} s; sort the file",
+            where=f"{path}:{lines[row]}",
+        )
+
+
+def _refuse_line(where: str, cells: Sequence[str], counts: Sequence[int]) -> None:
+    if len(cells) not in counts:
+        wanted = " or ".join(map(str, counts))
+        raise InvalidInput(f"{len(cells)} numbers; {wanted} are needed", where=where)
+    for cell in cells:
+        try:
+            float(cell)
+        except ValueError as error:
+            raise InvalidInput(f"{cell.strip()!r} is not a number", where=where) from error

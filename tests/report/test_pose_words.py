@@ -1,0 +1,68 @@
+"""Poses in words: units, places and counts as a person reads them."""
+
+import numpy as np
+
+from camcal.estimate.pnp import Alternative
+from camcal.formats.camera_file import Noise
+from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.geometry.pose import Pose
+from camcal.report import pose_words
+
+POSE = Pose.from_vector(np.array([0.0, 0.0, np.pi / 2]), np.array([0.1, -0.02, 0.7]))
+RECORD = PoseRecord(POSE, 1e-6 * np.eye(6), np.zeros((6, 6)), "ok", 0.2, 0.5, 54, 54, tilt_rad=np.radians(38.2))
+
+
+IMAGE = Sight("a.png")
+
+
+def poses(record=RECORD, sight=IMAGE, unit="m", freedom=102):
+    return Poses("camera_T_object", unit, Noise(0.25, freedom), {sight: record})
+
+
+def test_a_row_is_in_millimetres_and_degrees():
+    found = poses()
+    row = dict(zip(pose_words.columns(found), pose_words.row(found, Sight("a.png"), RECORD), strict=False))
+    assert row["image"] == "a.png"
+    assert row["points"] == "54"
+    assert row["x y z, mm"] == "100.000 -20.000 700.000"
+    assert row["rotation vector, deg"] == "0.000 0.000 90.000"
+    assert row["seen from"] == "0.707 m away, 38° oblique"
+    assert row["status"] == "ok"
+
+
+def test_squares_stay_squares_and_objects_have_a_column():
+    found = poses(sight=Sight("a.png", "tag_3"), unit="squares")
+    columns = pose_words.columns(found)
+    assert columns[:2] == ["image", "object"]
+    assert "x y z, squares" in columns
+    row = pose_words.row(found, Sight("a.png", "tag_3"), RECORD)
+    assert len(row) == len(columns)
+    assert row[1] == "tag_3"
+    assert "0.100 -0.020 0.700" in row
+    assert "0.707 squares away, 38° oblique" in row
+
+
+def test_points_that_are_left_out_are_counted():
+    record = PoseRecord(POSE, np.eye(6), np.eye(6), "ok", 0.2, 0.5, 54, 50)
+    assert pose_words.points(record) == "50 of 54"
+    assert pose_words.standpoint(poses(record), record) == "0.707 m away"
+
+
+def test_the_noise_says_where_it_is_known_from():
+    assert pose_words.noise(poses(), factor=False) == "noise 0.25 px, from the residuals, 102 degrees of freedom"
+    assert pose_words.noise(poses(freedom=None), factor=False) == "noise 0.25 px, as given"
+    assert pose_words.noise(poses(freedom=None), factor=True) == "noise 0.25 times what the pixels say, as given"
+
+
+def test_other_poses_have_a_row_each():
+    others = (Alternative(POSE.inverse(), 3.5, 0.15), Alternative(POSE, 9.0, 0.01))
+    record = PoseRecord(POSE, np.eye(6), np.eye(6), "ok", 0.2, 0.5, 4, 4, 0.16, 0.9, others)
+    rows = pose_words.alternative_rows(poses(record), Sight("a.png"), record)
+    assert [row[-2:] for row in rows] == [[3.5, "0.15"], [9.0, "0.01"]]
+    assert rows[1][1] == "100.000 -20.000 700.000"
+
+
+def test_a_caption_has_plain_letters_only():
+    caption = pose_words.caption(poses(), Sight("a.png", "tag_3"), RECORD)
+    assert caption == "tag_3: 0.707 m away, 38 deg oblique; RMS 0.20 px, 54 points; ok"
+    assert caption.isascii()
