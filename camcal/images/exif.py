@@ -24,6 +24,7 @@ _CAPTURE = {
     "f_number": (0x829D,),
     "focal_mm": (0x920A,),
 }
+_TAKEN = 0x9003, 0x9291  # date and time, and the fraction of a second
 _ASCII, _SHORT, _LONG, _RATIONAL = 2, 3, 4, 5
 _TOO_LARGE = 0xFFFF  # "this or more" in the ISO tag
 _ENTRY_BYTES = 12
@@ -74,6 +75,17 @@ def capture_facts(block: bytes) -> dict[str, Any]:
         for name, tags in _CAPTURE.items()
     }
     return {name: value for name, value in said.items() if value is not None}
+
+
+def time_taken(block: bytes) -> tuple[str, str] | None:
+    """Return when an image was taken, as `YYYY:MM:DD hh:mm:ss` and the second's decimals; None if not said."""
+    try:
+        order = _ORDERS[block[:4]]
+        entries = _capture_directory(block, order, _first_directory(block, order).entries)
+    except (KeyError, struct.error):
+        return None
+    taken, fraction = (_fact(block, order, entries[tag]) if tag in entries else None for tag in _TAKEN)
+    return (str(taken), str(fraction or "")) if taken else None
 
 
 def is_cut_off(content: bytes) -> bool:

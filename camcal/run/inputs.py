@@ -21,7 +21,7 @@ from camcal.images.image import RAW_SUFFIXES
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".npy"
 }  # fmt: skip
-VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm"})
+VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".mjpeg", ".mjpg"})
 OUTPUT_INDEX = ".camcal-output"
 
 

@@ -9,9 +9,9 @@ from camcal.errors import InvalidInput
 from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
+from camcal.geometry.axes import rotation_of
 from camcal.progress import Progress
 from camcal.run.fanout import over_threads
-from camcal.geometry.axes import rotation_of
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import WORDS, Frame
 from camcal.stereo.points.selection import Selection, select

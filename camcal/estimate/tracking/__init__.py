@@ -1,0 +1,1 @@
+"""Poses followed over time: filtered, smoothed, and judged."""

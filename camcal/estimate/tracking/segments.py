@@ -1,0 +1,204 @@
+"""Poses followed over frames in pieces: where a track starts, what it leaves out, and where it is lost.
+
+A wrong start among two mirrored poses would be followed for long. So a piece starts with every candidate of its first
+frames, and the one that agrees with most of the frames to come is kept. When a piece is lost, the next one starts anew:
+nothing is bridged.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.estimate.kalman import gate
+from camcal.estimate.tracking import pose_filter
+from camcal.estimate.tracking.measurements import PoseMeasurements
+from camcal.estimate.tracking.pose_filter import Belief, Candidates, Verdict
+from camcal.estimate.tracking.pose_smoother import Run
+
+LEAST = 3  # detections of a piece: two fix a velocity, the third tells whether it holds
+STARTS = 5  # detections, every candidate of which is tried as the first
+WINDOW = 25  # frames after which one of them is kept
+LOST = 8  # detections in a row outside the gate
+_DEGREES = 6
+
+
+@dataclass(frozen=True)
+class Following:
+    """When a frame belongs to a track.
+
+    confidence: with which a good detection is inside the gate. max_gap: s without an accepted detection that a piece
+    outlives.
+    """
+
+    confidence: float = 0.999
+    max_gap: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.confidence < 1:
+            raise InvalidInput(f"a gate is a probability between 0 and 1, such as 0.999, found {self.confidence:g}")
+        if not self.max_gap > 0:
+            raise InvalidInput(f"a gap is longer than 0 s, found {self.max_gap:g}")
+
+    @cached_property
+    def gate(self) -> float:
+        """The bound of the NIS."""
+        return gate(_DEGREES, self.confidence)
+
+
+class Start(NamedTuple):
+    """Where a piece starts: the frame, the candidate, and the last frame that was looked at to choose it."""
+
+    frame: int
+    candidate: int
+    settled: int
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A piece of a track: frames `first` … `first` + M - 1, from an accepted detection to an accepted one.
+
+    settled: the frame with which its start was chosen. run: the filter's beliefs at its frames. verdicts: on their
+    detections, arrays (M, …); the first one, which nothing predicts, is accepted with a NIS of NaN.
+    """
+
+    first: int
+    settled: int
+    run: Run
+    verdicts: Verdict
+
+    @property
+    def frames(self) -> Array:
+        """The indices (M,) of its frames."""
+        return self.first + np.arange(len(self.run.growth))
+
+
+def follow(measurements: PoseMeasurements, noise: Array, following: Following) -> list[Segment]:
+    """Return the pieces in which a pose can be followed, in order; noise: (2,) as `process_covariance` has it."""
+    detections = np.flatnonzero(measurements.present)
+    segments: list[Segment] = []
+    place = 0
+    while place < len(detections):
+        chosen = _start(measurements, detections[place:], noise, following)
+        if chosen is None:
+            place += 1
+            continue
+        segment, resume = _followed(measurements, chosen, noise, following)
+        segments.append(segment)
+        place = int(np.searchsorted(detections, resume))
+    return segments
+
+
+def candidates_at(measurements: PoseMeasurements, frame: int | Array) -> Candidates:
+    """Return the candidates of one frame, or of an array of frames."""
+    return Candidates(
+        measurements.rotations[frame],
+        measurements.translations[frame],
+        measurements.covariances[frame],
+        measurements.penalties[frame],
+    )
+
+
+def _start(measurements: PoseMeasurements, detections: Array, noise: Array, following: Following) -> Start | None:
+    """Return the start at one of the first detections with which most of the frames agree, None if too few do."""
+    stamps = measurements.stamps
+    last = min(int(detections[0]) + WINDOW, len(stamps) - 1)
+    apart = np.flatnonzero(np.diff(stamps[detections]) > following.max_gap)
+    if len(apart):
+        last = min(last, int(detections[apart[0]]))
+    trial = _Trial.empty()
+    firsts = detections[:STARTS]
+    for frame in detections[detections <= last]:
+        trial = trial.advanced(measurements, int(frame), noise, following.gate)
+        if frame in firsts:
+            trial = trial.joined(measurements, int(frame))
+    accepted, cost = trial.accepted, trial.cost
+    best = int(np.lexsort((cost, -accepted))[0])
+    if accepted[best] < LEAST:
+        return None
+    frame, candidate = map(int, trial.origins[best])
+    return Start(frame, candidate, last)
+
+
+class _Trial(NamedTuple):
+    """Filters that started at different candidates (B, 2), frame and rank, and are fed with the same frames.
+
+    stamp: s, of the last of them. accepted: (B,) how many detections. cost: (B,) -2 log likelihood of all they saw.
+    """
+
+    origins: Array
+    belief: Belief
+    stamp: float
+    accepted: Array
+    cost: Array
+
+    @classmethod
+    def empty(cls) -> "_Trial":
+        belief = Belief(*(np.empty((0, *shape)) for shape in ((3, 3), (3,), (6,), (12, 12))))
+        return cls(np.empty((0, 2), dtype=int), belief, 0.0, np.empty(0, dtype=int), np.empty(0))
+
+    def advanced(self, measurements: PoseMeasurements, frame: int, noise: Array, bound: float) -> "_Trial":
+        """Return the filters after another frame with detections."""
+        stamp = float(measurements.stamps[frame])
+        expected, _ = pose_filter.predict(self.belief, noise, np.array(stamp - self.stamp))
+        seen = Candidates(*(part[None] for part in candidates_at(measurements, frame)))
+        belief, verdict = pose_filter.update(expected, seen, bound)
+        cost = self.cost + np.minimum(verdict.cost, measurements.outlier_cost)
+        return _Trial(self.origins, belief, stamp, self.accepted + verdict.accepted, cost)
+
+    def joined(self, measurements: PoseMeasurements, frame: int) -> "_Trial":
+        """Return the filters with those that start at a frame."""
+        penalties = measurements.penalties[frame]
+        ranks = np.flatnonzero(np.isfinite(penalties))
+        new = pose_filter.start(*(part[ranks] for part in candidates_at(measurements, frame)[:3]))
+        belief = Belief(*(np.concatenate(parts) for parts in zip(self.belief, new, strict=True)))
+        origins = np.concatenate([self.origins, np.stack([np.full(len(ranks), frame), ranks], axis=1)])
+        accepted = np.concatenate([self.accepted, np.ones(len(ranks), dtype=int)])
+        return _Trial(origins, belief, self.stamp, accepted, np.concatenate([self.cost, penalties[ranks]]))
+
+
+def _followed(measurements: PoseMeasurements, start: Start, noise: Array, following: Following) -> tuple[Segment, int]:
+    """Return the piece from a start to the last detection accepted, and the frame at which the next one may start."""
+    stamps, present = measurements.stamps, measurements.present
+    belief = pose_filter.start(*(part[start.candidate] for part in candidates_at(measurements, start.frame)[:3]))
+    steps = [(belief, belief, np.eye(pose_filter.SIZE))]
+    verdicts = [_first_verdict(start)]
+    accepted = start.frame
+    refused: list[int] = []
+    resume = len(stamps)
+    for frame in range(start.frame + 1, len(stamps)):
+        if present[frame] and stamps[frame] - stamps[accepted] > following.max_gap:
+            resume = frame
+            break
+        expected, growth = pose_filter.predict(belief, noise, np.array(stamps[frame] - stamps[frame - 1]))
+        belief, verdict = pose_filter.update(expected, candidates_at(measurements, frame), following.gate)
+        steps.append((belief, expected, growth))
+        verdicts.append(verdict)
+        if verdict.accepted:
+            accepted, refused = frame, []
+        elif present[frame]:
+            refused.append(frame)
+        if len(refused) == LOST:
+            resume = refused[0]
+            break
+    length = accepted - start.frame + 1
+    return Segment(start.frame, start.settled, _run(steps[:length]), _stacked(verdicts[:length])), resume
+
+
+def _first_verdict(start: Start) -> Verdict:
+    return Verdict(
+        np.array(start.candidate), np.array(True), np.array(np.nan), np.full(_DEGREES, np.nan), np.array(0.0)
+    )
+
+
+def _run(steps: list[tuple[Belief, Belief, Array]]) -> Run:
+    filtered, predicted, growth = zip(*steps, strict=True)
+    after, before = (Belief(*map(np.stack, zip(*part, strict=True))) for part in (filtered, predicted))
+    return Run(after, before, np.stack(growth))
+
+
+def _stacked(verdicts: list[Verdict]) -> Verdict:
+    return Verdict(*map(np.stack, zip(*verdicts, strict=True)))

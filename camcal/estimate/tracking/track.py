@@ -1,0 +1,235 @@
+"""Poses followed over time: what single frames saw, made one track with covariances, velocities and a judgement."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.estimate.consistency import Consistency, consistency, successive
+from camcal.estimate.tracking.jitter import Jitter, jitter
+from camcal.estimate.tracking.measurements import FramePose, PoseMeasurements
+from camcal.estimate.tracking.pose_filter import Belief
+from camcal.estimate.tracking.pose_smoother import smoothed, smoothed_with_lag
+from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
+from camcal.estimate.tracking.segments import LEAST, Following, Segment, follow
+from camcal.geometry.pose import Pose, inverse_jacobian
+
+MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
+STATES = (MEASURED, PREDICTED, REJECTED, GAP)
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """How poses are followed.
+
+    noise: None to find it out. lag: frames of look-ahead, 0 for none, None for all there are. fill: poses for the
+    frames of a piece that have no accepted detection.
+    """
+
+    noise: ProcessNoise | None = None
+    following: Following = field(default_factory=Following)
+    lag: int | None = None
+    fill: bool = False
+
+    def __post_init__(self) -> None:
+        if self.lag is not None and self.lag < 0:
+            raise InvalidInput(f"a lag is 0 frames or more, found {self.lag}")
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A pose over N frames; NaN where there is none.
+
+    frames: what the poses map, such as camera_T_object. stamps: (N,) s. states: (N,) of STATES. segments: (N,) the
+    number of the piece from 0, -1 outside. rotations: (N, 3, 3). translations: (N, 3) m. velocities: (N, 6) m/s and
+    rad/s, R' = hat(w) R. covariances: (N, 6, 6) of the poses' steps. nis: (N,) of detections that were predicted.
+    candidates: (N,) which candidate was looked at, 0 the best of its frame, -1 where there was none.
+    consistency: None where no innovation was accepted. before, after: jitter of the single poses and of the track.
+    """
+
+    frames: str
+    stamps: Array
+    states: tuple[str, ...]
+    segments: Array
+    rotations: Array
+    translations: Array
+    velocities: Array
+    covariances: Array
+    nis: Array
+    candidates: Array
+    noise: ProcessNoise
+    consistency: Consistency | None
+    before: Jitter
+    after: Jitter
+
+    def __post_init__(self) -> None:
+        count = len(self.stamps)
+        shapes = {
+            "stamps": (count,),
+            "rotations": (count, 3, 3),
+            "translations": (count, 3),
+            "velocities": (count, 6),
+            "covariances": (count, 6, 6),
+            "nis": (count,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        for name in ("segments", "candidates"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (count,), name, np.int64))
+
+    @property
+    def posed(self) -> Array:
+        """The mask (N,) of the frames with a pose."""
+        return np.isfinite(self.translations[:, 0])
+
+    def count(self, state: str) -> int:
+        """Return how many frames are in a state."""
+        return self.states.count(state)
+
+    def inverse(self) -> "Track":
+        """Return the same track in the other direction, such as object_T_camera."""
+        turned = self.rotations.swapaxes(-1, -2)
+        speeds = self.velocities[:, :3] - np.cross(self.velocities[:, 3:], self.translations)
+        moves = np.stack([self.translations, speeds, self.velocities[:, 3:]], axis=1)
+        translations, *velocities = -np.einsum("nij,nkj->kni", turned, moves)
+        covariances = np.array(self.covariances)
+        for index in np.flatnonzero(self.posed):
+            jacobian = inverse_jacobian(Pose(self.rotations[index], self.translations[index]))
+            covariances[index] = jacobian @ covariances[index] @ jacobian.T
+        return replace(
+            self,
+            frames="_T_".join(reversed(self.frames.split("_T_"))),
+            rotations=turned,
+            translations=translations,
+            velocities=np.concatenate(velocities, axis=1),
+            covariances=covariances,
+        )
+
+
+def track_poses(
+    stamps: Array, poses: Sequence[FramePose | None], options: TrackOptions, frames: str = "camera_T_object"
+) -> Track:
+    """Return the track of an object from its poses in single frames.
+
+    stamps: (N,) s, increasing. poses: one a frame, None where the object was not found. frames: what they map; of the
+    object in the camera, where they are measured, rather than of the camera in the object.
+    Raises InvalidInput for stamps that do not increase, InsufficientData if the pose can nowhere be followed.
+    """
+    found = sum(pose is not None for pose in poses)
+    if found < LEAST:
+        raise InsufficientData(f"found in {found} of {len(stamps)} frames; following takes {LEAST} or more")
+    measurements = PoseMeasurements.of(stamps, poses)
+    noise = options.noise or tuned(measurements, options.following)
+    segments = follow(measurements, noise.densities, options.following)
+    if not segments:
+        raise InsufficientData(
+            f"no {LEAST} of {found} detections follow one another; are the time stamps right, --max-gap too short?"
+        )
+    return _assembled(frames, measurements, _common(poses), noise, segments, options)
+
+
+def _common(poses: Sequence[FramePose | None]) -> Array:
+    """Return the part (N, 6, 6) of the covariances that frames share, of the nearest detection where there is none."""
+    places = np.array([index for index, pose in enumerate(poses) if pose is not None])
+    parts = np.array([pose.covariance - pose.noise_covariance for pose in poses if pose is not None])
+    every = np.arange(len(poses))
+    after = np.searchsorted(places, every).clip(1, len(places) - 1)  # there are LEAST or more
+    before = after - 1
+    nearer = np.abs(places[before] - every) <= np.abs(places[after] - every)
+    return np.asarray(parts[np.where(nearer, before, after)])
+
+
+@dataclass(eq=False)
+class _Frames:
+    """What is known of each of N frames while the pieces are put in their places."""
+
+    belief: Belief
+    segments: Array
+    accepted: Array
+    settled: Array
+    nis: Array
+    candidates: Array
+
+    @classmethod
+    def nothing(cls, count: int) -> "_Frames":
+        shapes = ((3, 3), (3,), (6,), (12, 12))
+        belief = Belief(*(np.full((count, *shape), np.nan) for shape in shapes))
+        numbers, flags = np.full(count, -1), np.zeros(count, dtype=bool)
+        return cls(belief, numbers, flags, flags.copy(), np.full(count, np.nan), numbers.copy())
+
+    def put(self, number: int, segment: Segment, present: Array, lag: int | None) -> None:
+        """Enter a piece; with a bounded look-ahead the poses before its start is settled are not given."""
+        at, verdicts = segment.frames, segment.verdicts
+        belief = smoothed(segment.run) if lag is None else smoothed_with_lag(segment.run, lag)
+        for whole, part in zip(self.belief, belief, strict=True):
+            whole[at] = part
+        self.segments[at] = number
+        self.accepted[at] = verdicts.accepted
+        self.settled[at] = lag is None or at + lag >= segment.settled
+        self.nis[at] = np.where(present[at], verdicts.nis, np.nan)
+        self.candidates[at] = np.where(present[at], verdicts.chosen, -1)
+
+    def states(self, present: Array, *, fill: bool) -> Array:
+        """Return the states (N,): a detection is measured if its pose is given, a frame without one predicted."""
+        result = np.full(len(present), GAP, dtype=object)
+        result[present & (self.settled | (self.segments < 0))] = REJECTED
+        result[self.accepted & self.settled] = MEASURED
+        if fill:
+            result[~present & self.settled] = PREDICTED
+        return result
+
+
+def _assembled(
+    frames: str,
+    measurements: PoseMeasurements,
+    common: Array,
+    noise: ProcessNoise,
+    segments: Sequence[Segment],
+    options: TrackOptions,
+) -> Track:
+    stamps, present = measurements.stamps, measurements.present
+    known = _Frames.nothing(len(stamps))
+    for number, segment in enumerate(segments):
+        known.put(number, segment, present, options.lag)
+    states = known.states(present, fill=options.fill)
+    posed = known.settled & (options.fill | (states == MEASURED))
+    if not posed.any():
+        raise InsufficientData(f"no start is settled within {options.lag} frames of look-ahead; allow more, or all")
+    rotations, translations, velocities, covariances = (
+        np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan) for values in known.belief
+    )
+    used, pieces = states == MEASURED, known.segments
+    return Track(
+        frames,
+        stamps,
+        tuple(states),
+        pieces,
+        rotations,
+        translations,
+        velocities,
+        covariances[:, :6, :6] + common,
+        known.nis,
+        known.candidates,
+        noise,
+        _judged(segments),
+        jitter(
+            *(part[used] for part in (stamps, measurements.rotations[:, 0], measurements.translations[:, 0], pieces))
+        ),
+        jitter(*(part[used] for part in (stamps, rotations, translations, pieces))),
+    )
+
+
+def _judged(segments: Sequence[Segment]) -> Consistency | None:
+    """Return what the accepted innovations say about the noise."""
+    chains = np.concatenate([np.full(len(segment.verdicts.nis), number) for number, segment in enumerate(segments)])
+    nis, whitened, accepted = (
+        np.concatenate([getattr(segment.verdicts, name) for segment in segments])
+        for name in ("nis", "whitened", "accepted")
+    )
+    predicted = accepted & np.isfinite(nis)
+    if not predicted.any():
+        return None
+    pairs = successive(whitened[predicted], chains[predicted])
+    return consistency(nis[predicted], np.full(int(predicted.sum()), 6.0), pairs)

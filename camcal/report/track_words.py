@@ -1,0 +1,101 @@
+"""A track in words and as plain data: what was seen, what was left out, and whether its uncertainty can be trusted."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.estimate.tracking.jitter import Jitter
+from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
+from camcal.formats.tracks import TrackedObject
+
+_IN_A_ROW = 3  # outliers hardly ever come so
+_JERK = "a jerk or a wrong time rather than outliers; look, and raise --process-noise"
+
+
+def lines(item: TrackedObject) -> Iterator[str]:
+    """Yield the report on a track, a line at a time."""
+    track, frames = item.track, len(item.single)
+    found = sum(each is not None for each in item.single)
+    yield f"found in {found} of {frames} frames ({_percent(found, frames)})"
+    refused, flips = track.count(REJECTED), _flips(track)
+    used = f"used {track.count(MEASURED)}, {flips} of them by their mirror pose"
+    yield f"{used}; left out {refused} ({_percent(refused, found)})"
+    if (jerk := _longest_refusal(track)) is not None:
+        yield f"  {len(jerk)} left out in a row from {track.stamps[jerk[0]]:.6g} s: {_JERK}"
+    yield f"pieces: {', '.join(_piece(track, number) for number in range(int(track.segments.max()) + 1))}"
+    yield f"trembling: single frames {_jitter(track.before)}; track {_jitter(track.after)}"
+    yield f"process noise: translation {_density(track, 0)} m²/s³, rotation {_density(track, 1)} rad²/s³"
+    judged = track.consistency
+    if judged is not None:
+        low, high = judged.interval
+        nis = f"mean NIS {judged.mean_nis:.2f} per degree of freedom ({low:.2f} … {high:.2f} expected)"
+        beyond = f"{100 * judged.beyond_95:.1f} % beyond their 95 % bound"
+        yield f"{judged.verdict}: {nis}, {beyond}, lag-1 correlation {judged.autocorrelation:+.2f}"
+        yield f"  {judged.advice}"
+
+
+def _longest_refusal(track: Track) -> Array | None:
+    """Return the frames of the longest row of detections left out within a piece, None if it is short."""
+    refused = np.array(track.states) == REJECTED
+    frames = np.flatnonzero((refused | (np.array(track.states) == MEASURED)) & (track.segments >= 0))
+    rows = np.split(frames, np.flatnonzero(np.diff(refused[frames].astype(int))) + 1)
+    longest = max((row for row in rows if refused[row].all()), key=len, default=frames[:0])
+    return longest if len(longest) >= _IN_A_ROW else None
+
+
+def plain(item: TrackedObject, images: Sequence[str]) -> dict[str, Any]:
+    """Return the report on a track as plain data."""
+    track = item.track
+    return {
+        "frames": track.frames,
+        "detections": sum(each is not None for each in item.single),
+        "measured": track.count(MEASURED),
+        "predicted": track.count("predicted"),
+        "rejected": [image for image, state in zip(images, track.states, strict=True) if state == REJECTED],
+        "mirrored": _flips(track),
+        "segments": [_segment(track, number, images) for number in range(int(track.segments.max()) + 1)],
+        "process_noise": {
+            "qv": track.noise.translation,
+            "qw": track.noise.rotation,
+            "factors": track.noise.factors,
+        },
+        "consistency": None if track.consistency is None else vars(track.consistency),
+        "jitter": {"before": vars(track.before), "after": vars(track.after)},
+    }
+
+
+def _flips(track: Track) -> int:
+    """Return how many detections were used by another of their candidates than the best of their frame."""
+    return int(np.sum((track.candidates > 0) & (np.array(track.states) == MEASURED)))
+
+
+def _segment(track: Track, number: int, images: Sequence[str]) -> dict[str, Any]:
+    inside = np.flatnonzero(track.segments == number)
+    return {
+        "first": images[inside[0]],
+        "last": images[inside[-1]],
+        "start_s": float(track.stamps[inside[0]]),
+        "end_s": float(track.stamps[inside[-1]]),
+        "frames": len(inside),
+    }
+
+
+def _piece(track: Track, number: int) -> str:
+    stamps = track.stamps[track.segments == number]
+    return f"{stamps[0]:.6g} … {stamps[-1]:.6g} s ({len(stamps)} frames)"
+
+
+def _jitter(jitter: Jitter) -> str:
+    return f"{1e3 * jitter.translation:.3g} mm, {np.degrees(jitter.rotation):.3g}°"
+
+
+def _density(track: Track, axis: int) -> str:
+    noise = track.noise
+    value = (noise.translation, noise.rotation)[axis]
+    return f"{value:.3g}" + ("" if noise.factors is None else f" (×÷ {noise.factors[axis]:.2g})")
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.1f} %" if whole else "none"

@@ -1,0 +1,40 @@
+"""A track in words: what is remarked on, and what is not."""
+
+import numpy as np
+import pytest
+from moving_objects import glances
+
+from camcal.estimate.tracking.process_noise import ProcessNoise
+from camcal.estimate.tracking.track import TrackOptions, track_poses
+from camcal.formats.tracks import TrackedObject
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.report.track_words import lines
+from camcal.simulate import motion
+
+
+@pytest.fixture
+def seen():
+    rng = np.random.default_rng(1)
+    middle = Pose(so3.about_x(2.6), np.array([0.0, 0.0, 1.0]))
+    truth = motion.drifting(np.arange(60) / 30, middle, (0.02, 0.5), rng)
+    return truth, glances(truth, rng), glances(truth, rng, outliers=1.0)
+
+
+def told(truth, poses):
+    track = track_poses(truth.stamps, poses, TrackOptions(ProcessNoise(0.02, 0.5)))
+    return "\n".join(lines(TrackedObject(track, poses)))
+
+
+def test_a_row_of_detections_left_out_is_remarked_on(seen):
+    truth, good, bad = seen
+    text = told(truth, [*good[:40], *bad[40:45], *good[45:]])
+    assert "5 left out in a row from 1.33333 s: a jerk or a wrong time rather than outliers" in text
+
+
+def test_single_outliers_are_not(seen):
+    truth, good, bad = seen
+    text = told(truth, [*good[:40], bad[40], *good[41:50], bad[50], *good[51:]])
+    assert "left out 2 (3.3 %)" in text
+    assert "in a row" not in text
+    assert "consistent: mean NIS" in text
