@@ -20,10 +20,10 @@ from functools import partial
 
 import numpy as np
 
-from camcal.estimate.linear_system import LinearSystem, kalman_filter, rts
-from camcal.estimate.motion_models import MotionModel
-from camcal.estimate.smooth_batch import solve_batch
-from camcal.estimate.smooth_series import Series, system_of
+from camcal.estimate.smoothing.batch import solve_batch
+from camcal.estimate.smoothing.linear_system import LinearSystem, kalman_filter, rts
+from camcal.estimate.smoothing.motion_models import MotionModel
+from camcal.estimate.smoothing.series import Series, system_of
 
 Q, R = 0.04, 0.25
 ACCELERATION, SIGMA = 2.0, 0.05

@@ -20,10 +20,11 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import emit, native, poses, poses_plain, strict_json, strict_yaml
+from camcal.formats import emit, native, poses, strict_json, strict_yaml
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.native_transforms import check_name
 from camcal.formats.pose_forms import LARGEST, Form, LoosePose, form_named
+from camcal.formats.poses import plain as plain_poses
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import Check, Document, Fault, child
 from camcal.geometry import rotation as so3
@@ -84,7 +85,7 @@ def read(path: Path) -> tuple[NamedTransform, ...]:
                 NamedTransform(*frames_of(name), item.pose, item.covariance, _where(document, f"transforms.{name}"))
                 for name, item in block.items()
             )
-        case poses_plain.FORMAT:
+        case plain_poses.FORMAT:
             return _of_poses(path)
     return tuple(item.named() for item in _own(document))
 

@@ -11,11 +11,11 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.estimate.smooth_series import Series, SmoothedSeries
+from camcal.estimate.smoothing.series import Series, SmoothedSeries
 from camcal.formats import emit, tables
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tables import Table
-from camcal.formats.trajectory_rows import require_increasing
+from camcal.formats.trajectories.rows import require_increasing
 
 SUFFIXES = (".csv", ".json")
 FORMAT = "camcal-series"

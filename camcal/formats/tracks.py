@@ -15,7 +15,7 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.estimate.tracking.track import Track
 from camcal.formats import emit
-from camcal.formats.pose_file import PoseRecord
+from camcal.formats.poses.record import PoseRecord
 from camcal.formats.tables import cell
 from camcal.geometry import rotation as so3
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 
 MILLI = 1000.0
 

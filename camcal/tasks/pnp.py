@@ -9,7 +9,7 @@ from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInpu
 from camcal.estimate.pnp import PoseEstimate, PoseOptions
 from camcal.formats import correspondences, native, poses, rigs
 from camcal.formats.camera_file import CameraFile, Noise
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.schema import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words

@@ -9,7 +9,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.rig import Rig
 from camcal.errors import CamcalError
 from camcal.estimate.pnp import PoseEstimate, PoseOptions, estimate_poses, estimate_rig_poses
-from camcal.formats.pose_file import Sight
+from camcal.formats.poses.record import Sight
 from camcal.geometry.pose import Pose
 from camcal.report.overlays import Posed
 from camcal.tasks.pnp_views import Observation

@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import PoseEstimate
-from camcal.formats.pose_file import PoseRecord
+from camcal.formats.poses.record import PoseRecord
 from camcal.tasks.pnp_views import Observation
 
 

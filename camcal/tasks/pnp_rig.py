@@ -8,7 +8,7 @@ from pathlib import Path
 from camcal.cameras.rig import Rig
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.pose_file import Sight
+from camcal.formats.poses.record import Sight
 from camcal.formats.schema import did_you_mean
 from camcal.progress import Progress
 from camcal.run.inputs import VIDEO_SUFFIXES

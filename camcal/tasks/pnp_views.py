@@ -14,7 +14,7 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import Correspondences
 from camcal.formats import boards, tags
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.pose_file import Sight
+from camcal.formats.poses.record import Sight
 from camcal.images.video import frames
 from camcal.progress import Progress
 from camcal.run.inputs import find_media

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from typing import Any
 
 from camcal.errors import InvalidInput
-from camcal.formats import trajectory
+from camcal.formats import trajectories
 from camcal.progress import SILENT, Progress
 from camcal.report import figures
 from camcal.run.outputs import refuse_overwriting
@@ -59,4 +59,4 @@ def _is_table(options: SmoothOptions) -> bool:
         if options.source.suffix.lower() != _TABLE_SUFFIX:
             raise InvalidInput("--columns and --input go with a CSV of numbers over time", where=str(options.source))
         return True
-    return options.source.suffix.lower() == _TABLE_SUFFIX and not trajectory.is_trajectory_csv(options.source)
+    return options.source.suffix.lower() == _TABLE_SUFFIX and not trajectories.is_trajectory_csv(options.source)

@@ -7,9 +7,9 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.consistency import Consistency
-from camcal.estimate.motion_models import MODELS, NOISE_FORMS, MotionModel
-from camcal.estimate.smooth import METHODS
+from camcal.estimate.smoothing.consistency import Consistency
+from camcal.estimate.smoothing.motion_models import MODELS, NOISE_FORMS, MotionModel
+from camcal.estimate.smoothing.smooth import METHODS
 from camcal.estimate.trajectory_error import ErrorOptions, TrajectoryError
 
 ROBUST = ("none", "huber")

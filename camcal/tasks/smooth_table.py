@@ -7,7 +7,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.smooth_series import Series, SeriesOptions, SmoothedSeries, series_at, smooth_series
+from camcal.estimate.smoothing.series import Series, SeriesOptions, SmoothedSeries, series_at, smooth_series
 from camcal.formats import series as tables
 from camcal.report.over_time import Panel, over_time
 from camcal.tasks.smooth_options import Outlier, Smoothing, SmoothOptions

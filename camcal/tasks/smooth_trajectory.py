@@ -8,9 +8,9 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.smooth_poses import PosesOptions, SmoothedPoses, poses_at, smooth_poses
+from camcal.estimate.smoothing.poses import PosesOptions, SmoothedPoses, poses_at, smooth_poses
 from camcal.estimate.trajectory_error import TrajectoryError, trajectory_error
-from camcal.formats import trajectory as trajectories
+from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 from camcal.progress import Progress

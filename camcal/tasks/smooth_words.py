@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from math import degrees
 
-from camcal.estimate.consistency import Consistency
-from camcal.estimate.smooth_robust import OUTLIER_CONFIDENCE
+from camcal.estimate.smoothing.consistency import Consistency
+from camcal.estimate.smoothing.robust import OUTLIER_CONFIDENCE
 from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError
 from camcal.tasks.smooth_options import Smoothing
 

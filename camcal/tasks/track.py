@@ -8,8 +8,8 @@ from typing import Any
 from camcal import files
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.tracking.track import TrackOptions, track_poses
-from camcal.formats import poses, tracks, trajectory
-from camcal.formats.pose_file import Poses, Sight
+from camcal.formats import poses, tracks, trajectories
+from camcal.formats.poses.record import Poses, Sight
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tracks import TrackedObject
 from camcal.geometry.trajectory import Trajectory
@@ -115,7 +115,7 @@ def names_camera(arguments: Sequence[str]) -> bool:
 def _check(options: FollowOptions) -> None:
     if options.output is not None:
         if options.kind is not None or options.output.suffix.lower() not in tracks.SUFFIXES:
-            trajectory.kind_of(options.output, options.kind)
+            trajectories.kind_of(options.output, options.kind)
     elif options.kind is not None:
         raise InvalidInput("--format is about the output; give it with -o")
     if options.plot is not None:
@@ -185,7 +185,7 @@ def _form(options: FollowOptions) -> str | None:
     """Return the form of trajectory that is written, None for a track with all its frames."""
     if options.output is None or (options.kind is None and options.output.suffix.lower() in tracks.SUFFIXES):
         return None
-    return trajectory.kind_of(options.output, options.kind)
+    return trajectories.kind_of(options.output, options.kind)
 
 
 def _chosen(seen: Poses, wanted: str | None) -> list[str]:
@@ -206,7 +206,7 @@ def _written(options: FollowOptions, images: Sequence[str], objects: Mapping[str
         if form is None:
             tracks.write(options.output, images, objects)
         else:
-            trajectory.write(options.output, _trajectory(options.output, objects), form)
+            trajectories.write(options.output, _trajectory(options.output, objects), form)
         outputs.append(options.output)
     if options.plot is not None:
         from camcal.report.track_figure import track_figure

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from camcal.errors import InvalidInput
-from camcal.formats import trajectory as trajectories
+from camcal.formats import trajectories
 from camcal.geometry.axes import reexpress, reexpress_jacobian
 from camcal.geometry.named import frames_of
 from camcal.geometry.pose import inverse_jacobian

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.formats import trajectory as trajectories
+from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 

@@ -9,9 +9,9 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
-from camcal.formats import poses, trajectory
+from camcal.formats import poses, trajectories
 from camcal.formats.camera_file import Noise
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate import motion
@@ -101,14 +101,14 @@ def test_frames_without_a_detection_are_filled_on_request(run, files, tmp_path):
 def test_a_tum_file_is_the_path_of_the_camera_and_says_so(run, files, tmp_path):
     assert run("track", files / "one.json", *GIVEN, "-o", tmp_path / "t.tum")[0] == 0
     assert run("track", files / "one.json", *GIVEN, "-o", tmp_path / "c.tum", "--pose", "camera_T_object")[0] == 0
-    path, straight = trajectory.read(tmp_path / "t.tum"), trajectory.read(tmp_path / "c.tum")
+    path, straight = trajectories.read(tmp_path / "t.tum"), trajectories.read(tmp_path / "c.tum")
     assert (path.frames, straight.frames) == ("object_T_camera", "camera_T_object")
     np.testing.assert_allclose(path.pose(3).inverse().translation, straight.translations[3], atol=1e-9)
 
 
 def test_ros_transforms_name_their_frames(run, files, tmp_path):
     assert run("track", files / "one.json", *GIVEN, "-o", tmp_path / "t.yaml", "--format", "tf")[0] == 0
-    assert trajectory.read(tmp_path / "t.yaml").frames == "camera_T_object"
+    assert trajectories.read(tmp_path / "t.yaml").frames == "camera_T_object"
 
 
 def test_poses_of_the_camera_give_the_same_track(run, files, tmp_path):

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from camcal.formats import pointclouds
-from camcal.formats import trajectory as trajectories
+from camcal.formats import pointclouds, trajectories
 from camcal.geometry.trajectory import Trajectory
 
 RIG = """format: camcal-calibration

@@ -5,7 +5,7 @@ import pytest
 
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.trajectory_error import ErrorOptions, align, associate, pairs, trajectory_error
-from camcal.formats import trajectory as trajectories
+from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 

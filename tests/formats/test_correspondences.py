@@ -147,8 +147,10 @@ def test_a_missing_file_is_named(tmp_path):
         ("p.json", '{"points": [], "points": []}', "p.json: duplicate key 'points'"),
         (
             "p.json",
-            '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": 1, "sigma": 1}, {"X": 1, "Y": 0, "Z": 0, "u": 1, "v": 1}'
-            "]}",
+            (
+                '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": 1, "sigma": 1}, '
+                '{"X": 1, "Y": 0, "Z": 0, "u": 1, "v": 1}]}'
+            ),
             "p.json: points[1]: 'sigma' stands at some points only",
         ),
     ],

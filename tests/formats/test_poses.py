@@ -14,7 +14,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.estimate.pnp import Alternative
 from camcal.formats import poses
 from camcal.formats.camera_file import Noise
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 
 SUFFIXES = (".yaml", ".json", ".csv")

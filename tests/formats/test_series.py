@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.estimate.smooth_series import Series, SeriesOptions, smooth_series
+from camcal.estimate.smoothing.series import Series, SeriesOptions, smooth_series
 from camcal.formats import series as tables
 
 TEXT = "time,x,y,sigma_x,sigma_y\n0,1,2,0.1,0.2\n1,,3,0.1,0.2\n2,3,4,0.1,0.2\n"

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import trajectory as trajectories
-from camcal.formats.trajectory_ros import static_transform_publisher
+from camcal.formats import trajectories
+from camcal.formats.trajectories.ros import static_transform_publisher
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 

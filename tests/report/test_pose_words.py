@@ -4,7 +4,7 @@ import numpy as np
 
 from camcal.estimate.pnp import Alternative
 from camcal.formats.camera_file import Noise
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 from camcal.report import pose_words
 

@@ -6,8 +6,8 @@ import pytest
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import poses
 from camcal.formats.camera_file import Noise
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
 from camcal.formats.pose_forms import form_named
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 from camcal.run.pose_sources import files_of, read_loose, read_one, read_transforms
 

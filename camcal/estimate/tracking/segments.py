@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.kalman import gate
+from camcal.estimate.smoothing.kalman import gate
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.measurements import PoseMeasurements
 from camcal.estimate.tracking.pose_filter import Belief, Candidates, Verdict

@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.consistency import Consistency, consistency, successive
+from camcal.estimate.smoothing.consistency import Consistency, consistency, successive
 from camcal.estimate.tracking.jitter import Jitter, jitter
 from camcal.estimate.tracking.measurements import FramePose, PoseMeasurements
 from camcal.estimate.tracking.pose_filter import Belief

@@ -8,7 +8,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
-from camcal.formats.trajectory_rows import named, numbers, trajectory
+from camcal.formats.trajectories.rows import named, numbers, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 

@@ -10,7 +10,7 @@ from camcal.estimate.poses.records import Alternative
 from camcal.formats.camera_file import Noise
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.native_transforms import NAME
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import Check, Document, Fault, child
 from camcal.geometry import rotation as so3

@@ -7,7 +7,7 @@ names. kitti: 12 numbers a line, no times. tf: ROS transforms as YAML. EuRoC's d
 from pathlib import Path
 
 from camcal.errors import InvalidInput
-from camcal.formats import trajectory_csv, trajectory_lines, trajectory_native, trajectory_ros
+from camcal.formats.trajectories import line_formats, native, ros, table
 from camcal.geometry.trajectory import Trajectory
 
 KINDS = {
@@ -21,12 +21,12 @@ KINDS = {
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes in KINDS.values() for suffix in suffixes))
 
 _WRITERS = {
-    "tum": trajectory_lines.write_tum,
-    "csv": trajectory_csv.write,
-    "yaml": trajectory_native.write_yaml,
-    "json": trajectory_native.write_json,
-    "kitti": trajectory_lines.write_kitti,
-    "tf": trajectory_ros.write,
+    "tum": line_formats.write_tum,
+    "csv": table.write,
+    "yaml": native.write_yaml,
+    "json": native.write_json,
+    "kitti": line_formats.write_kitti,
+    "tf": ros.write,
 }
 
 
@@ -56,23 +56,23 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        return trajectory_csv.read(path, frames)
+        return table.read(path, frames)
     if suffix in (".yaml", ".yml", ".json"):
-        return trajectory_native.read(path)
+        return native.read(path)
     if suffix in SUFFIXES:
-        return trajectory_lines.read(path, frames)
+        return line_formats.read(path, frames)
     raise InvalidInput(f"trajectories are {', '.join(SUFFIXES)}, found {suffix or 'no suffix'}", where=str(path))
 
 
 def is_trajectory_csv(path: Path) -> bool:
     """Tell whether a CSV holds poses, rather than other numbers over time."""
-    return trajectory_csv.holds_poses(path)
+    return table.holds_poses(path)
 
 
 def read_reference(path: Path) -> tuple[Trajectory, int]:
     """Return the trajectory to compare with, and how many poses were left out of it because their time is repeated."""
     if path.suffix.lower() in KINDS["tum"]:
-        return trajectory_lines.read_with_repeats(path)
+        return line_formats.read_with_repeats(path)
     return read(path), 0
 
 

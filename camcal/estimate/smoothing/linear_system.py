@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData
-from camcal.estimate.kalman import Gaussian, Updated, predict, smooth_back, update
+from camcal.estimate.smoothing.kalman import Gaussian, Updated, predict, smooth_back, update
 
 _RANK = 1e-10  # of observed directions, columns scaled to length 1
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.kalman import Gaussian, Updated, predict, smooth_back, update
+from camcal.estimate.smoothing.kalman import Gaussian, Updated, predict, smooth_back, update
 from camcal.solve.differentiate import JacobianCheck, check_jacobian
 
 

@@ -4,9 +4,9 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import NotConverged
-from camcal.estimate.kalman import gate
-from camcal.estimate.linear_system import LinearSystem, Smoothed
-from camcal.estimate.smooth_batch import invertible, solve_batch
+from camcal.estimate.smoothing.batch import invertible, solve_batch
+from camcal.estimate.smoothing.kalman import gate
+from camcal.estimate.smoothing.linear_system import LinearSystem, Smoothed
 from camcal.solve.losses import Huber
 
 OUTLIER_CONFIDENCE = 0.999

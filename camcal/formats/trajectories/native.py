@@ -9,10 +9,11 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import emit, strict_json, strict_yaml, trajectory_ros
+from camcal.formats import emit, strict_json, strict_yaml
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import MAX_VALUES, Document, child
-from camcal.formats.trajectory_rows import ORDER, QUATERNION, named, trajectory
+from camcal.formats.trajectories import ros
+from camcal.formats.trajectories.rows import ORDER, QUATERNION, named, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 
@@ -41,8 +42,8 @@ def read(path: Path) -> Trajectory:
         document = strict_json.load(path, _CHECK)
     else:
         document = strict_yaml.load(path)
-        if trajectory_ros.KEY in document:
-            return trajectory_ros.from_document(document)
+        if ros.KEY in document:
+            return ros.from_document(document)
         if faults := list(_CHECK(document.data, "")):
             raise document.error(faults)
     return _from_document(document)

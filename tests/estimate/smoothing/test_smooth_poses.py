@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InsufficientData
-from camcal.estimate.motion_models import MotionModel
-from camcal.estimate.pose_system import PoseGuess, PoseProblem
-from camcal.estimate.smooth_poses import PosesOptions, poses_at, smooth_poses
+from camcal.estimate.smoothing.motion_models import MotionModel
+from camcal.estimate.smoothing.pose_system import PoseGuess, PoseProblem
+from camcal.estimate.smoothing.poses import PosesOptions, poses_at, smooth_poses
 from camcal.estimate.trajectory_error import rows_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory

@@ -17,8 +17,8 @@ from camcal.errors import FileError, InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.formats.camera_file import Noise
 from camcal.formats.covariance import why_no_covariance
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
-from camcal.formats.poses_plain import FORMAT, ORDER, QUATERNION, UNIT_LENGTH, UNITS, VERSION, check_frames
+from camcal.formats.poses.plain import FORMAT, ORDER, QUATERNION, UNIT_LENGTH, UNITS, VERSION, check_frames
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.estimate import kalman
+from camcal.estimate.smoothing import kalman
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.jitter import jitter
 from camcal.estimate.tracking.pose_filter import Belief, Candidates

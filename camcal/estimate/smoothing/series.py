@@ -6,11 +6,11 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.consistency import Consistency
-from camcal.estimate.linear_system import LinearSystem, kalman_filter, rts
-from camcal.estimate.motion_models import MotionModel
-from camcal.estimate.smooth import smooth_system
-from camcal.estimate.smooth_tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength, with_noise
+from camcal.estimate.smoothing.consistency import Consistency
+from camcal.estimate.smoothing.linear_system import LinearSystem, kalman_filter, rts
+from camcal.estimate.smoothing.motion_models import MotionModel
+from camcal.estimate.smoothing.smooth import smooth_system
+from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength, with_noise
 
 
 @dataclass(frozen=True, eq=False)

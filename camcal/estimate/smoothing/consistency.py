@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.kalman import gate
+from camcal.estimate.smoothing.kalman import gate
 
 CONSISTENT, OVERCONFIDENT, UNDERCONFIDENT = "consistent", "overconfident", "underconfident"
 NOT_JUDGED = "not judged"

@@ -6,10 +6,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.consistency import Consistency, consistency, successive
-from camcal.estimate.linear_system import Filtered, LinearSystem, Smoothed, kalman_filter, rts
-from camcal.estimate.smooth_batch import solve_batch
-from camcal.estimate.smooth_robust import disagreement, is_outlier, robust_weights
+from camcal.estimate.smoothing.batch import solve_batch
+from camcal.estimate.smoothing.consistency import Consistency, consistency, successive
+from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, Smoothed, kalman_filter, rts
+from camcal.estimate.smoothing.robust import disagreement, is_outlier, robust_weights
 
 METHODS = ("rts", "batch")
 

@@ -14,7 +14,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats.emit import number_text
 from camcal.formats.schema import integer, items, mapping, number, text
 from camcal.formats.strict_yaml import Document, child
-from camcal.formats.trajectory_rows import trajectory
+from camcal.formats.trajectories.rows import trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import frames_of
 from camcal.geometry.pose import Pose

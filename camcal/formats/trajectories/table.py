@@ -9,8 +9,9 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import tables, trajectory_lines
-from camcal.formats.trajectory_rows import ORDER, POSITION, QUATERNION, numbers, trajectory
+from camcal.formats import tables
+from camcal.formats.trajectories import line_formats
+from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, numbers, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 
@@ -25,8 +26,8 @@ _SEGMENT = "segment"
 
 def read(path: Path, frames: str | None = None) -> Trajectory:
     """Return the trajectory of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, or of a ground truth of EuRoC."""
-    if trajectory_lines.is_euroc(path):
-        return trajectory_lines.read_euroc(path, frames)
+    if line_formats.is_euroc(path):
+        return line_formats.read_euroc(path, frames)
     lines = tables.numbered_lines(path)
     rows = [(number, line) for number, line in lines if not line.startswith("#")]
     # The header is checked by itself: the rows of a long file are read in one go.
@@ -56,7 +57,7 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
 def holds_poses(path: Path) -> bool:
     """Tell whether a CSV names the columns of poses, or is a ground truth of EuRoC."""
     first = next((line for _, line in tables.numbered_lines(path) if not line.startswith("#")), "")
-    return trajectory_lines.is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
+    return line_formats.is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
 
 
 def write(path: Path, poses: Trajectory) -> None:

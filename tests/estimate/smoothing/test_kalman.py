@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.estimate.consistency import consistency, successive
-from camcal.estimate.extended import ExtendedModel, extended_filter, extended_smoother
-from camcal.estimate.kalman import Gaussian, gate, predict, smooth_back, update
+from camcal.estimate.smoothing.consistency import consistency, successive
+from camcal.estimate.smoothing.extended import ExtendedModel, extended_filter, extended_smoother
+from camcal.estimate.smoothing.kalman import Gaussian, gate, predict, smooth_back, update
 
 F = np.array([[1.0, 0.1], [0.0, 1.0]])
 Q = np.array([[0.1**3 / 3, 0.1**2 / 2], [0.1**2 / 2, 0.1]])

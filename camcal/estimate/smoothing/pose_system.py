@@ -11,8 +11,8 @@ from math import factorial
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.linear_system import LinearSystem
-from camcal.estimate.motion_models import MotionModel
+from camcal.estimate.smoothing.linear_system import LinearSystem
+from camcal.estimate.smoothing.motion_models import MotionModel
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 

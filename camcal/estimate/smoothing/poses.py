@@ -13,14 +13,14 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, NotConverged
-from camcal.estimate.consistency import Consistency
-from camcal.estimate.linear_system import LinearSystem, Smoothed, kalman_filter, rts
-from camcal.estimate.motion_models import MotionModel
-from camcal.estimate.pose_system import PoseGuess, PoseProblem, measured_covariances
-from camcal.estimate.smooth import smooth_system
-from camcal.estimate.smooth_batch import invertible, solve_batch
-from camcal.estimate.smooth_robust import robust_weights
-from camcal.estimate.smooth_tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength
+from camcal.estimate.smoothing.batch import invertible, solve_batch
+from camcal.estimate.smoothing.consistency import Consistency
+from camcal.estimate.smoothing.linear_system import LinearSystem, Smoothed, kalman_filter, rts
+from camcal.estimate.smoothing.motion_models import MotionModel
+from camcal.estimate.smoothing.pose_system import PoseGuess, PoseProblem, measured_covariances
+from camcal.estimate.smoothing.robust import robust_weights
+from camcal.estimate.smoothing.smooth import smooth_system
+from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength
 from camcal.estimate.trajectory_error import rows_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats import emit, poses_csv, poses_plain, strict_json, strict_yaml
-from camcal.formats.pose_file import PoseRecord, Poses, Sight
-from camcal.formats.poses_plain import document
+from camcal.formats import emit, strict_json, strict_yaml
+from camcal.formats.poses import plain, table
+from camcal.formats.poses.plain import document
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 
 __all__ = ["SUFFIXES", "PoseRecord", "Poses", "Sight", "document", "read", "require_suffix", "write"]
 
@@ -33,10 +34,10 @@ def read(path: Path) -> Poses:
     require_suffix(path)
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        return poses_csv.read(path)
+        return table.read(path)
     if suffix == ".json":
-        return poses_plain.from_document(strict_json.load(path, poses_plain.check))
-    return poses_plain.from_document(strict_yaml.load(path, poses_plain.check, _MAX_VALUES))
+        return plain.from_document(strict_json.load(path, plain.check))
+    return plain.from_document(strict_yaml.load(path, plain.check, _MAX_VALUES))
 
 
 def write(path: Path, poses: Poses) -> None:
@@ -44,7 +45,7 @@ def write(path: Path, poses: Poses) -> None:
     require_suffix(path)
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        text = "".join(f"{line}\n" for line in poses_csv.lines(poses))
+        text = "".join(f"{line}\n" for line in table.lines(poses))
     elif suffix == ".json":
         text = json.dumps(emit.rounded(document(poses)), indent=1, ensure_ascii=False) + "\n"
     else:
