@@ -6,7 +6,19 @@ from pathlib import Path
 import pytest
 
 from camcal.cameras.catalogue import MODELS
-from camcal.formats import boards, covariance, detections, detections_csv, native, native_board_shape, native_entry
+from camcal.formats import (
+    boards,
+    correspondences,
+    covariance,
+    detections,
+    detections_csv,
+    frames,
+    native,
+    native_board_shape,
+    native_entry,
+    tags,
+    trajectories,
+)
 from camcal.formats.native_lens import CORE
 from camcal.targets.board import parse_board
 from camcal.targets.surface import TIERS
@@ -33,11 +45,33 @@ def read_vnl(path):
     assert [len(view.ids) for view in found.views] == [3, 0]
 
 
+def read_tags(path):
+    assert tags.read(path).find(20)[0] == "cube"
+
+
+def read_frames(path):
+    assert len(frames.read(path)) == 3
+
+
+def read_points(path):
+    (view,) = correspondences.read(path, (640, 480)).views
+    assert len(view.points) == 2
+
+
+def read_trajectory(path):
+    assert trajectories.read(path).frames == "world_T_camera"
+
+
 READERS = {
     "yaml camera": (".yaml", read_camera_file),
     "yaml board": (".yaml", read_board),
     "csv detections": (".csv", read_csv),
     "vnl corners": (".vnl", read_vnl),
+    "yaml tags": (".yaml", read_tags),
+    "yaml frames": (".yaml", read_frames),
+    "csv correspondences": (".csv", read_points),
+    "yaml correspondences": (".yaml", read_points),
+    "yaml trajectory": (".yaml", read_trajectory),
 }
 
 
