@@ -51,7 +51,7 @@ def fit(
         str, typer.Option(metavar="none|huber|soft_l1|cauchy|tukey", help="Against outliers: how they count.")
     ] = "none",
     restarts: Annotated[
-        int, typer.Option(metavar="N", min=0, help="So many further starts, some powers of e off.")
+        int, typer.Option(metavar="N", min=0, max=1000, help="So many further starts, some powers of e off.")
     ] = 0,
     method: Annotated[
         str, typer.Option(metavar="levenberg-marquardt|gauss-newton", help="Plain Gauss-Newton is for comparison.")
@@ -146,7 +146,7 @@ def _lines(found: "CurveFit") -> list[str]:
         lines.append(f"chi-square {good.chi_square:.6g}, p {good.p_value:.3g}")
     if good.r_squared is not None:
         lines.append(f"R2 {good.r_squared:.6f}")
-    outliers = int((found.weights < 0.5).sum())
+    outliers = int(found.outliers.sum())
     if outliers:
         lines.append(f"{outliers} of {good.rows} rows count less than half")
     lines.append(

@@ -4,7 +4,7 @@ Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, 2012
 transformation parameters between two point patterns, 1991. Pairs and defaults are those of evo, so that numbers agree.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,12 +74,24 @@ class TrajectoryError:
     pairs: int
 
 
+def _require_alignment(kind: str) -> None:
+    if kind not in ALIGNMENTS:
+        raise InvalidInput(f"alignment {kind!r}: use one of {', '.join(ALIGNMENTS)}")
+
+
+def _require_motion(delta: float, unit: str) -> None:
+    if unit not in UNITS or not 0 < delta < np.inf:
+        raise InvalidInput(f"motions over {delta:g} {unit}: a positive number of {', '.join(UNITS)} is needed")
+    if unit == "frames" and delta != int(delta):
+        raise InvalidInput(f"motions over {delta:g} frames: a whole number of frames is needed, or metres or seconds")
+
+
 @dataclass(frozen=True)
 class ErrorOptions:
     """How to compare: alignment of ALIGNMENTS; motions over `delta` in a unit of UNITS.
 
     all_pairs: motions begin at every pose, not where the one before ended. max_difference: of stamps that belong
-    together, s.
+    together, s. Raises InvalidInput for anything else.
     """
 
     alignment: str = "se3"
@@ -87,6 +99,10 @@ class ErrorOptions:
     unit: str = "frames"
     all_pairs: bool = False
     max_difference: float = 0.01
+
+    def __post_init__(self) -> None:
+        _require_alignment(self.alignment)
+        _require_motion(self.delta, self.unit)
 
 
 def trajectory_error(
@@ -101,7 +117,7 @@ def trajectory_error(
         raise InsufficientData(
             f"{len(of_estimate)} stamps agree within {options.max_difference:g} s; are both of one clock?"
         )
-    compared, truth = rows_of(estimate, of_estimate), rows_of(reference, of_reference)
+    compared, truth = estimate.rows(of_estimate), reference.rows(of_reference)
     alignment = align(compared.translations, truth.translations, options.alignment)
     compared = alignment.apply(compared)
     first, second = pairs(compared, options.delta, options.unit, options.all_pairs)
@@ -115,13 +131,6 @@ def trajectory_error(
         ErrorFigures.of(turn) if len(first) else None,
         len(first),
     )
-
-
-def rows_of(trajectory: Trajectory, rows: Array) -> Trajectory:
-    """Return some of the poses of a trajectory, by index (M,)."""
-    names = ("stamps", "rotations", "translations", "covariances", "velocities", "segments")
-    values = {name: getattr(trajectory, name) for name in names}
-    return replace(trajectory, **{name: value[rows] for name, value in values.items() if value is not None})
 
 
 def associate(first: Array, second: Array, max_difference: float) -> tuple[Array, Array]:
@@ -143,8 +152,7 @@ def align(positions: Array, reference: Array, kind: str) -> Similarity:
     """
     if kind == "none":
         return Similarity(np.eye(3), np.zeros(3))
-    if kind not in ALIGNMENTS:
-        raise InvalidInput(f"alignment {kind!r}: use one of {', '.join(ALIGNMENTS)}")
+    _require_alignment(kind)
     middle, target = positions.mean(axis=0), reference.mean(axis=0)
     cross = (reference - target).T @ (positions - middle) / len(positions)
     if kind == "yaw":
@@ -166,8 +174,7 @@ def pairs(trajectory: Trajectory, delta: float, unit: str, all_pairs: bool) -> t
     unit: frames, m along the way, or s. all_pairs: one from every pose, to that nearest to `delta` away (within 10 %);
     else each begins where the one before ended.
     """
-    if unit not in UNITS or not delta > 0 or (unit == "frames" and delta != int(delta)):
-        raise InvalidInput(f"motions over {delta:g} {unit}: a positive number of {', '.join(UNITS)} is needed")
+    _require_motion(delta, unit)
     way = _way(trajectory, unit)
     if all_pairs:
         return _every_pair(way, delta, exact=unit == "frames")

@@ -10,9 +10,9 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.series import Series, SmoothedSeries
-from camcal.formats import emit, tables
+from camcal.formats import emit, measurements
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tables import Table
 from camcal.formats.trajectories.rows import require_increasing
@@ -21,7 +21,7 @@ SUFFIXES = (".csv", ".json")
 FORMAT = "camcal-series"
 VERSION = 1
 
-_SIGMA = "sigma"
+_SIGMA, _STD = "sigma", "std_"
 
 
 def read(path: Path, columns: Sequence[str] = ()) -> Series:
@@ -31,8 +31,12 @@ def read(path: Path, columns: Sequence[str] = ()) -> Series:
     which hold standard deviations of all, or of one column. An empty cell is a missing measurement.
     Raises InvalidInput with file and line for a name that is no column and for anything wrong in the cells.
     """
-    table = _table(path)
+    table = measurements.read(path)
+    if not columns and any(f"{_STD}{name}" in table.columns for name in table.columns):
+        raise InvalidInput("holds smoothed states, not measurements; --columns says what to smooth", where=str(path))
     time, *names = columns or [name for name in table.columns if not name.startswith(_SIGMA)]
+    if len({time, *names}) < 1 + len(names):
+        raise InvalidInput(f"--columns names one twice: {','.join(columns)}")
     for name in (time, *names):
         if name not in table.columns:
             raise InvalidInput(f"no column {name!r}{did_you_mean(name, list(table.columns))}", where=str(path))
@@ -50,7 +54,7 @@ def read_controls(path: Path, series: Series) -> Array:
     The file has the time's column first and one for every column of the series; what stands between two stamps is
     summed up. Raises InvalidInput if a displacement lies outside the series.
     """
-    table = _table(path)
+    table = measurements.read(path)
     time = next(iter(table.columns))
     missing = [name for name in series.names if name not in table.columns]
     if missing:
@@ -72,30 +76,21 @@ def require_suffix(path: Path) -> None:
 
 
 def write(path: Path, smoothed: SmoothedSeries) -> None:
-    """Write the states of a series with their standard deviations and covariances, as CSV or JSON by the suffix."""
+    """Write the states of a series, their covariances and the filter's NIS, as CSV or JSON by the suffix.
+
+    The NIS is left empty, or None, where no measurement was predicted.
+    """
     require_suffix(path)
     names, table = _columns(smoothed)
     if path.suffix.lower() == ".csv":
         form = ",".join(["%.9f", *["%.12g"] * (len(names) - 1)])
-        rows = "\n".join([form % tuple(row) for row in table.tolist()])
+        rows = "\n".join([(form % tuple(row)).replace("nan", "") for row in table.tolist()])
         files.write_text(path, f"# {FORMAT} {VERSION}\n{','.join(names)}\n{rows}\n")
         return
-    columns: dict[str, Any] = dict(zip(names, table.T.tolist(), strict=True))
+    known = np.where(np.isnan(table), np.array(None), table)  # JSON has no NaN
+    columns: dict[str, Any] = dict(zip(names, known.T.tolist(), strict=True))
     document = {"format": FORMAT, "version": VERSION, "columns": columns}
     files.write_text(path, json.dumps(emit.rounded(document)) + "\n")
-
-
-def _table(path: Path) -> Table:
-    lines = [(number, line) for number, line in tables.numbered_lines(path) if not line.startswith("#")]
-    if len(lines) < 2:
-        raise FileError("holds no rows below a header", where=str(path))
-    rows = tables.csv_rows(str(path), lines)
-    names = [name.strip() for name in rows[0]]
-    if any(_is_number(name) for name in names):
-        raise InvalidInput("no header; the first row names the columns, such as t,x,y", where=f"{path}:{lines[0][0]}")
-    if len(set(names)) < len(names):
-        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=f"{path}:{lines[0][0]}")
-    return Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
 
 
 def _measured(table: Table, name: str) -> Array:
@@ -129,21 +124,14 @@ def _columns(smoothed: SmoothedSeries) -> tuple[list[str], Array]:
 
 
 def _states(smoothed: SmoothedSeries) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of every axis: states, their standard deviations, and what they have in common."""
+    """Yield the columns of every axis: states, their standard deviations, and what they have in common, NIS."""
     for axis, name in enumerate(smoothed.series.names):
         called = [name, *(f"{name}_{state}" for state in smoothed.motion.states[1:])]
         for index, state in enumerate(called):
             yield state, smoothed.states[:, axis, index]
         for index, state in enumerate(called):
-            yield f"std_{state}", np.sqrt(smoothed.covariances[:, axis, index, index])
+            yield f"{_STD}{state}", np.sqrt(smoothed.covariances[:, axis, index, index])
         for i, j in combinations_with_replacement(range(len(called)), 2):
             if i != j:
                 yield f"cov_{called[i]}_{called[j]}", smoothed.covariances[:, axis, i, j]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+        yield f"nis_{name}", smoothed.nis[:, axis]

@@ -1,7 +1,7 @@
 """Poses over time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,3 +57,9 @@ class Trajectory:
     def pose(self, index: int) -> Pose:
         """Return one of the poses."""
         return Pose(self.rotations[index], self.translations[index])
+
+    def rows(self, chosen: Array) -> "Trajectory":
+        """Return some of the poses, by their indices (M,), which increase, or a mask (N,)."""
+        names = ("stamps", "rotations", "translations", "covariances", "velocities", "segments")
+        values = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: value[chosen] for name, value in values.items() if value is not None})

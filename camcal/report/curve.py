@@ -26,10 +26,14 @@ def fitted_curve(fit: CurveFit, suffix: str) -> bytes:
         figure = Figure(figsize=(7.2, 6.0))
         FigureCanvasAgg(figure)
         upper, lower = figure.subplots(2, 1, height_ratios=(3, 1))
-        figure.subplots_adjust(left=0.12, right=0.97, top=0.94, bottom=0.09, hspace=0.28)
+        figure.subplots_adjust(left=0.12, right=0.97, top=0.94, bottom=0.09, hspace=0.32)
         across, label = _draw(upper, fit)
         upper.set_title(fit.curve.name)
         _draw_residuals(lower, fit, across, label)
+        if fit.data.target is not None:
+            lower.set_xlim(upper.get_xlim())
+        if fit.outliers.any():
+            upper.legend()
         return encoded(figure, suffix)
 
 
@@ -74,6 +78,8 @@ def _draw_shape(axes: Axes, fit: CurveFit) -> None:
     columns = {first: grid[0].ravel(), second: grid[1].ravel()}
     distance = predictions(fit.curve, columns, fit.values, grid[0].size)[:, 0].reshape(grid[0].shape)
     axes.contour(*grid, distance, levels=[0.0], colors=_CURVE, linewidths=1.2)
+    axes.set_xlabel(first)
+    axes.set_ylabel(second)
     axes.set_aspect("equal", adjustable="datalim")
 
 
@@ -88,9 +94,9 @@ def _draw_residuals(axes: Axes, fit: CurveFit, across: Array, label: str) -> Non
 
 def _scatter(axes: Axes, fit: CurveFit, x: Array, y: Array) -> None:
     """Draw points; those that a robust loss leaves less than half of their weight are open."""
-    kept = fit.weights >= 0.5
-    axes.plot(x[kept], y[kept], "o", ms=3.5, color=_POINTS)
-    axes.plot(x[~kept], y[~kept], "o", ms=4, mfc="none", color=_OUTLIERS)
+    ignored = fit.outliers
+    axes.plot(x[~ignored], y[~ignored], "o", ms=3.5, color=_POINTS, label="measured")
+    axes.plot(x[ignored], y[ignored], "o", ms=4, mfc="none", color=_OUTLIERS, label="less than half of its weight")
 
 
 def _spanned(values: Array) -> Array:

@@ -82,7 +82,8 @@ class DenseFactors:
     def covariance(self) -> Array:
         """Return (JᵀJ)⁻¹ (n, n), without damping; NaN where a parameter is part of what cannot be observed."""
         inverse = self.right[: self.rank].T / self.singular[: self.rank]
-        result = inverse @ inverse.T / np.outer(self.scale, self.scale)
+        with np.errstate(over="ignore"):  # the variance of what hardly matters may be beyond all numbers
+            result = inverse @ inverse.T / np.outer(self.scale, self.scale)
         result[self.unobserved] = np.nan
         result[:, self.unobserved] = np.nan
         return np.asarray(result)

@@ -1,5 +1,7 @@
 """The Levenberg–Marquardt loop: steps that are damped until they lower the cost; how a step is found is the search's.
 
+Its searches are those of `least_squares` (normal equations of an arrow, whose groups are eliminated) and `dense_search`
+(orthogonal factors of the Jacobian itself). `independent` follows the same rules for many small problems at once.
 Source: Marquardt 1963 (scaling of the damping); Nielsen, Damping Parameter in Marquardt's Method, 1999 (its update).
 """
 
@@ -65,11 +67,11 @@ class Stopping:
 
     def unseen(self, cost: float) -> float:
         """Return how large a decrease of a cost may be and yet be hidden by its rounding error."""
-        return max(_ROUNDED * cost, self._blurred(cost))
+        return max(UNSEEN * cost, self._blurred(cost))
 
     def little(self, cost: float) -> float:
         """Return the decrease below which no further step is worth its while."""
-        return max(self.relative_decrease * max(cost, 1e-300), self._blurred(cost))
+        return max(self.relative_decrease * max(cost, LEAST_COST), self._blurred(cost))
 
     def _blurred(self, cost: float) -> float:
         # Cauchy–Schwarz: errors e of residuals r change the cost by r·e, at most ‖r‖ ‖e‖, of which half are usual
@@ -112,10 +114,11 @@ class Descent(Generic[State, Linear]):
 
 
 STOPPING = Stopping()
-_MAX_DAMPING = 1e12
-_BLOCKED, _CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
-_GAUSS_NEWTON = 1e-3  # below this damping a step is all but the full one
-_ROUNDED = 1e-13  # of the cost: a decrease that cannot be seen in it
+MAX_DAMPING, RESTART_DAMPING = 1e12, 1e-9  # beyond the first no step helps; below the second growth begins there
+BLOCKED, CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
+ALL_BUT_FULL = 1e-3  # below this damping a step is all but the full one
+UNSEEN = 1e-13  # of the cost: a decrease that cannot be seen in it
+LEAST_COST = 1e-300  # costs below count as this in what is relative to them
 _HELD = "held at the edge of the domain"
 _RAISED = "the full step raises the cost"
 _SETTLED, _ROUNDING = "the step promises no decrease", "the cost is at its rounding error"
@@ -137,9 +140,9 @@ def descend(
             proposal = search.propose(state, equations, damping)
         except SingularError:
             observe(Iteration(number + 1, equations.cost, None, damping, None, None, accepted=False))
-            if damping > _MAX_DAMPING:
+            if damping > MAX_DAMPING:
                 return Descent(state, equations, number, False, "singular")
-            damping, growth = max(damping, 1e-9) * 2 * growth, growth * 2
+            damping, growth = max(damping, RESTART_DAMPING) * 2 * growth, growth * 2
             continue
         promised = proposal.promised
         trial_state = search.retract(state, proposal.step)
@@ -149,9 +152,9 @@ def descend(
         if trial is not None and trial.cost <= equations.cost:
             fall = equations.cost - trial.cost
             # a step cut short by damping promises little and proves nothing
-            settled = damping < _GAUSS_NEWTON and promised <= stopping.little(trial.cost)
+            settled = damping < ALL_BUT_FULL and promised <= stopping.little(trial.cost)
             still = fall <= 0 and promised <= stopping.unseen(trial.cost)
-            held = blocked >= _BLOCKED and fall <= _CRAWL * trial.cost
+            held = blocked >= BLOCKED and fall <= CRAWL * trial.cost
             state, equations, growth = trial_state, trial, 1.0
             damping *= max(stopping.least, 1 - (2 * min(fall / promised if promised > 0 else 1.0, 1.0) - 1) ** 3)
             if settled or still or held:
@@ -159,10 +162,10 @@ def descend(
                 return Descent(state, equations, number + 1, True, reason)
         elif promised <= stopping.unseen(equations.cost):
             return Descent(state, equations, number + 1, True, _ROUNDING)
-        elif damping > _MAX_DAMPING:
+        elif damping > MAX_DAMPING:
             return Descent(state, equations, number + 1, False, "no step lowers the cost")
         else:
-            damping, growth = max(damping, 1e-9) * stopping.rise * growth, growth * 2
+            damping, growth = max(damping, RESTART_DAMPING) * stopping.rise * growth, growth * 2
     return Descent(state, equations, stopping.iterations, False, "too many iterations")
 
 

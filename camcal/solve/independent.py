@@ -1,5 +1,6 @@
 """Many small least-squares problems at once: the loop of descent.py with a damping and an end for each of them.
 
+Damping, growth and ends are those of that loop, and its constants; steps come from each problem's own normal equations.
 One pass over the arrays of all problems takes the place of a loop over problems, which costs more in calls than in
 arithmetic when a problem has a hundred residuals and six parameters.
 Source: as descent.py.
@@ -11,7 +12,17 @@ from typing import Protocol
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.solve.descent import STOPPING, Stopping
+from camcal.solve.descent import (
+    ALL_BUT_FULL,
+    BLOCKED,
+    CRAWL,
+    LEAST_COST,
+    MAX_DAMPING,
+    RESTART_DAMPING,
+    STOPPING,
+    UNSEEN,
+    Stopping,
+)
 from camcal.solve.losses import Loss
 
 REASONS = (
@@ -25,8 +36,7 @@ REASONS = (
 )
 _RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE = range(7)
 _CONVERGED = (_SETTLED, _HELD, _ROUNDED, _EXACT)
-_LEAST_DAMPING, _MAX_DAMPING = 1e-12, 1e12  # the least keeps the factors of a singular matrix real
-_BLOCKED, _CRAWL, _GAUSS_NEWTON = 5, 1e-4, 1e-3  # as in descent.py
+_LEAST_DAMPING = 1e-12  # keeps the factors of a singular matrix real
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +169,7 @@ class _Search:
         limits = np.broadcast_to(np.asarray(exact, dtype=float), (count,))
         reason = np.where(np.isfinite(models.cost), np.where(models.cost <= limits, _EXACT, _RUNNING), _OUTSIDE)
         counters = np.zeros(count, np.intp), np.zeros(count, np.intp)
-        damping = np.full(count, stopping.damping), np.full(count, 2.0)
+        damping = np.full(count, stopping.damping), np.ones(count)
         return cls(problems, which, stopping, limits, states.copy(), models, *damping, *counters, reason)
 
     def advance(self, alive: Array) -> None:
@@ -190,18 +200,19 @@ class _Search:
         cost, damping = trial.cost[chosen], self.damping[at]
         fall = self.models.cost[at] - cost
         # a step cut short by damping promises little and proves nothing
-        settled = (damping < _GAUSS_NEWTON) & (promised <= self.stopping.relative_decrease * np.maximum(cost, 1e-300))
-        held = (self.blocked[at] >= _BLOCKED) & (fall <= _CRAWL * cost)
+        little = self.stopping.relative_decrease * np.maximum(cost, LEAST_COST)
+        settled = (damping < ALL_BUT_FULL) & (promised <= little)
+        held = (self.blocked[at] >= BLOCKED) & (fall <= CRAWL * cost)
         gain = np.divide(fall, promised, out=np.ones_like(fall), where=promised > 0)
-        eased = damping * np.maximum(0.1, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
-        self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 2.0
+        eased = damping * np.maximum(self.stopping.least, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
+        self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 1.0
         self.states[at] = states
         self.models.put(at, trial, chosen)
         at_end = np.where(settled, _SETTLED, np.where(held, _HELD, _RUNNING))
         self.reason[at] = np.where(cost <= self.exact[at], _EXACT, at_end)
 
     def _reject(self, at: Array, promised: Array) -> None:
-        rounded, stuck = promised <= 1e-13 * self.models.cost[at], self.damping[at] > _MAX_DAMPING
+        rounded, stuck = promised <= UNSEEN * self.models.cost[at], self.damping[at] > MAX_DAMPING
         self.reason[at] = np.where(rounded, _ROUNDED, np.where(stuck, _STUCK, _RUNNING))
-        self.damping[at] = np.maximum(self.damping[at], 1e-9) * self.growth[at] * 5
+        self.damping[at] = np.maximum(self.damping[at], RESTART_DAMPING) * self.stopping.rise * self.growth[at]
         self.growth[at] *= 2

@@ -10,6 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.curves.curve import Curve, Data
 from camcal.estimate.curves.expressions import CONSTANTS, Expression, parse
 from camcal.estimate.curves.families import FAMILIES, Family, family_named
+from camcal.estimate.curves.search import LARGEST
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tables import Table
 
@@ -32,7 +33,12 @@ class Measured:
         if name not in self.table.columns:
             hint = did_you_mean(name, list(self.table.columns))
             raise InvalidInput(f"{option}: no column {name!r}{hint}", where=self.table.path)
-        return self.table.numbers(name)
+        return self._numbers(name)
+
+    def _numbers(self, name: str) -> Array:
+        values = self.table.numbers(name)
+        self.table.refuse(np.abs(values) > LARGEST, lambda row: f"{name}: {values[row]:g} is too large to compute with")
+        return values
 
     def deviations(self) -> Array | None:
         """Return sigma (N,), None if it is not known."""
@@ -58,14 +64,23 @@ class Measured:
         if name in self.table.columns or name.isidentifier():
             return self.column(name, "--y")
         formula = parse(name)
+        self.refuse_shadowed(formula)
         formula.require_known(list(self.table.columns), f"columns are {', '.join(self.table.columns)}")
         values = np.broadcast_to(formula.value(self.named(formula.names)), len(self.table))
         self.table.refuse(~np.isfinite(values), lambda row: f"--y {name} is {values[row]}")
         return values
 
+    def refuse_shadowed(self, formula: Expression) -> None:
+        """Raise InvalidInput if a formula has a constant by whose name there is a column too."""
+        for name in formula.constants & self.table.columns.keys():
+            raise InvalidInput(
+                f"{name!r} is a column and the constant {CONSTANTS[name]:.6g}; give the column another name",
+                where=self.table.path,
+            )
+
     def named(self, names: Sequence[str] | frozenset[str]) -> dict[str, Array]:
         """Return the columns among some names; x stands for the single column of --x."""
-        found = {name: self.table.numbers(name) for name in names if name in self.table.columns}
+        found = {name: self._numbers(name) for name in names if name in self.table.columns}
         if "x" in names and len(self.x) == 1:
             found["x"] = self.column(self.x[0], "--x")
         return found
@@ -100,6 +115,7 @@ def _of_formula(formula: Expression, measured: Measured, start: Mapping[str, flo
         measured.column(name, "--x")
     if measured.x and "x" not in formula.names:
         raise InvalidInput("--x names what x stands for, but there is no x in the model; columns go by their names")
+    measured.refuse_shadowed(formula)
     columns = measured.named(formula.names)
     both = next((name for name in start if name in columns or name in CONSTANTS), None)
     if both is not None:

@@ -13,7 +13,6 @@ from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck
 
 TRACE_COLUMNS = ("run", "iteration", "cost", "trial_cost", "damping", "gain", "step", "accepted")
-_IGNORED = 0.5  # a row whose loss leaves it less than this weight counts as an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +36,7 @@ def document(report: FitReport) -> dict[str, Any]:
         "profile": None if report.intervals is None else {name: list(ends) for name, ends in report.intervals.items()},
         "comparison": _compared(report),
         "jacobian_check": _checked(report),
-        "outliers": [report.lines[int(row)] for row in np.flatnonzero(found.weights < _IGNORED)],
+        "outliers": [report.lines[int(row)] for row in np.flatnonzero(found.outliers)],
         "largest_leverage": {
             "line": report.lines[int(np.argmax(found.leverage))],
             "leverage": float(found.leverage.max()),

@@ -11,7 +11,7 @@ def starts(text: str | None, option: str = "--start") -> dict[str, float]:
     found: dict[str, float] = {}
     for part in _parts(text):
         name, equals, value = part.partition("=")
-        if not equals:
+        if not equals or not name.strip():
             raise InvalidInput(f"{option} {part!r}: write NAME=VALUE, several with commas, such as a=2,b=-1")
         _once(found, name.strip(), option)
         found[name.strip()] = _number(value, option, part)

@@ -48,6 +48,7 @@ def document(found: Smoothing) -> dict[str, Any]:
         "residual_rms": found.residual,
         "log_likelihood": found.log_likelihood,
         "consistency": asdict(found.consistency),
+        "nis": {name: values.tolist() for name, values in found.nis.items()},
         "outliers": [asdict(outlier) for outlier in found.outliers],
         "evaluation": evaluation(found),
         "written": [path.as_posix() for path in found.written],

@@ -9,7 +9,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.consistency import Consistency
 from camcal.estimate.smoothing.motion_models import MODELS, NOISE_FORMS, MotionModel
-from camcal.estimate.smoothing.smooth import METHODS
+from camcal.estimate.smoothing.smooth import LARGEST, METHODS
 from camcal.estimate.trajectory_error import ErrorOptions, TrajectoryError
 
 ROBUST = ("none", "huber")
@@ -54,9 +54,11 @@ class SmoothOptions:
             if value not in known:
                 raise InvalidInput(f"{option} {value!r}: use one of {', '.join(known)}")
         for option, numbers in (("--q", self.q), ("--sigma", self.sigma)):
-            if numbers is not None and not all(number > 0 for number in numbers):
-                raise InvalidInput(f"{option} must be more than 0; leave it out to have it estimated")
-        if self.resample is not None and not self.resample > 0:
+            if numbers is not None and not all(1 / LARGEST < number < LARGEST for number in numbers):
+                raise InvalidInput(
+                    f"{option} must be more than 0, and a number to compute with; leave it out to have it estimated"
+                )
+        if self.resample is not None and not 0 < self.resample < np.inf:
             raise InvalidInput(f"--resample must be more than 0 s, found {self.resample:g}")
         if self.resample is not None and self.form == "discrete":
             raise InvalidInput("--resample needs continuous process noise: discrete noise has no state between samples")
@@ -91,6 +93,7 @@ class Outlier:
 class Smoothing:
     """What came of smoothing. q, sigma: by name, sigma empty where every measurement has its own.
 
+    nis: (N,) by column, or 'pose', of the measurements in the order of the file, NaN where none was predicted.
     residual: root mean square of measured minus smoothed, in the unit of the columns, or m and rad of poses.
     before, after: errors of measured and smoothed poses against a reference. written: the files.
     """
@@ -105,6 +108,7 @@ class Smoothing:
     residual: dict[str, float]
     log_likelihood: float
     consistency: Consistency
+    nis: dict[str, Array]
     outliers: tuple[Outlier, ...]
     before: TrajectoryError | None = None
     after: TrajectoryError | None = None

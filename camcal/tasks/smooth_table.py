@@ -60,6 +60,7 @@ def _smoothing(options: SmoothOptions, smoothed: SmoothedSeries, shown: Smoothed
         {name: _rms(off[:, axis]) for axis, name in enumerate(series.names)},
         smoothed.log_likelihood,
         smoothed.consistency,
+        dict(zip(series.names, smoothed.nis.T, strict=True)),
         tuple(outliers),
         written=tuple(path for path in (options.output, options.plot) if path is not None),
     )

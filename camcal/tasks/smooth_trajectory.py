@@ -77,6 +77,12 @@ def _figures(error: TrajectoryError) -> dict[str, Any]:
     return {"poses": error.poses, "scale": error.alignment.scale, "pairs": error.pairs, **plain}
 
 
+def broken_at_half_turns(vectors: Array) -> Array:
+    """Return rotation vectors (K, 3) to draw a line through: NaN where they jump to the other way round."""
+    jumps = np.linalg.norm(np.diff(vectors, axis=0), axis=1) > np.pi
+    return np.where(np.append(False, jumps)[:, None], np.nan, vectors)
+
+
 def _smoothing(
     options: SmoothOptions,
     measured: Trajectory,
@@ -99,6 +105,7 @@ def _smoothing(
         dict(zip(_PARTS, (_rms(shift), _rms(turn)), strict=True)),
         smoothed.log_likelihood,
         smoothed.consistency,
+        {"pose": smoothed.nis},
         tuple(outliers),
         *errors,
         tuple(path for path in (options.output, options.plot) if path is not None),
@@ -109,6 +116,7 @@ def _panels(measured: Trajectory, smoothed: SmoothedPoses, shown: Trajectory) ->
     """Return translations, and rotations as vectors from the first one; without what covariances cannot say."""
     first = smoothed.trajectory.rotations[0].T
     lines, points = (_six(poses, first) for poses in (shown, measured))
+    lines[:, 3:] = broken_at_half_turns(lines[:, 3:])
     covariances = shown.covariances if shown.covariances is not None else np.zeros((len(shown), 6, 6))
     std = np.sqrt(np.einsum("kii->ki", covariances))
     return [

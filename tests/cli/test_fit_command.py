@@ -228,16 +228,20 @@ def test_strong_correlations_are_warned_of(run, tmp_path):
         (("-m", "a*x", "--start", "a=1", "--bounds", "a=1:0"), 2, "1 is not below 0"),
         (("-m", "a*x", "--start", "a=9", "--bounds", "a=0:1"), 2, "a=9 is outside its bounds 0 … 1"),
         (("-m", "a*x", "--start", "a"), 2, "write NAME=VALUE"),
+        (("-m", "a*x", "--start", "=1"), 2, "write NAME=VALUE"),
         (("-m", "a*x", "--start", "a=one"), 2, "'one' is not a number"),
         (("-m", "a*x", "--start", "a=1,a=2"), 2, "'a' stands twice"),
         (("-m", "a*x", "--start", "a=1,x=2"), 2, "it is a column"),
         (("-m", "a*x", "--start", "a=1", "--x", "z"), 2, "--x: no column 'z'"),
         (("-m", "a + b*y", "--y", "x", "--x", "y", "--start", "a=1,b=1"), 2, "no x in the model"),
+        (("-m", "a*1e300*exp(x)", "--start", "a=1"), 2, "too large to compute with for 100 of 100 rows"),
+        (("-m", "a/0", "--start", "a=1"), 2, "not a number for 100 of 100 rows, first for row 1"),
         (("-m", "a*x", "--fix", "a=2"), 2, "every parameter is fixed"),
         (("-m", "2*x"), 2, "has no parameter to fit"),
         (("-m", "a*y", "--start", "a=1"), 2, "the model uses 'y', which it is to predict"),
         (("-m", "gaus"), 2, "no curve is named 'gaus'. Did you mean 'gauss'?"),
         (("-m", "poly:99"), 2, "write poly:N"),
+        (("-m", "poly:-1"), 2, "poly:-1: write poly:N"),
         (("-m", "plane"), 2, "3 columns are needed for x, y, z"),
         (("-m", "expquad", "--y", "z"), 2, "--y: no column 'z'"),
         (("-m", "expquad", "--sigma", "sgima"), 2, "--sigma: no column 'sgima'"),
@@ -258,6 +262,15 @@ def test_what_makes_no_sense_is_refused_in_one_line(run, data, arguments, code, 
     assert words in err
 
 
+def test_a_column_called_like_a_constant_is_not_taken_for_it(run, tmp_path):
+    path = write(tmp_path / "data.csv", x=np.arange(9.0), pi=np.ones(9), y=np.arange(9.0))
+    for arguments in (("-m", "a*pi*x", "--start", "a=1"), ("-m", "poly:1", "--y", "y*pi")):
+        code, _, err = run("fit", path, *arguments)
+        assert code == 2
+        assert "'pi' is a column and the constant 3.14159" in err
+    assert run("fit", path, "-m", "a*x", "--start", "a=1")[0] == 0
+
+
 def test_fewer_data_than_parameters_exit_with_4(run, tmp_path):
     path = write(tmp_path / "few.csv", x=np.arange(2.0), y=np.arange(2.0))
     code, found = document(run, path, "-m", "expquad")
@@ -269,10 +282,12 @@ def test_fewer_data_than_parameters_exit_with_4(run, tmp_path):
     ("text", "code", "words"),
     [
         ("", 3, "is empty"),
-        ("x,y\n", 2, "no rows of numbers"),
+        ("x,y\n", 3, "no rows of numbers"),
         ("1,2\n3,4\n", 2, "no column names"),
         ("x,x\n1,2\n", 2, "'x' stands twice"),
+        ("x;y\n1,5;2,5\n", 2, "data.csv:1: one column, 'x;y': columns are separated by commas, not semicolons"),
         ("x,y\n1,two\n", 2, "data.csv:2: y: 'two' is not a number"),
+        ("x,y\n1,1e200\n", 2, "data.csv:2: y: 1e+200 is too large to compute with"),
         ("x,y\n1,nan\n", 2, "data.csv:2: y: nan is not finite"),
         ("x,y\n1,2,3\n", 2, "3 cells under 2 columns"),
     ],

@@ -11,6 +11,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 
 SIGMA = 0.02
+KNOWN = ("--q", "1,1", "--sigma", "0.01,0.01")
 KEYS = [
     "schema",
     "source",
@@ -30,6 +31,7 @@ KEYS = [
     "residual_rms",
     "log_likelihood",
     "consistency",
+    "nis",
     "outliers",
     "evaluation",
     "written",
@@ -75,7 +77,8 @@ def turning(tmp_path_factory):
 
 def read(path):
     head, *rows = path.read_text().splitlines()[1:]
-    return dict(zip(head.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
+    table = np.array([[cell or "nan" for cell in row.split(",")] for row in rows], float)
+    return dict(zip(head.split(","), table.T, strict=True))
 
 
 def test_positions_alone_give_positions_and_velocities(run, plane, tmp_path):
@@ -92,6 +95,20 @@ def test_positions_alone_give_positions_and_velocities(run, plane, tmp_path):
     speed = np.cos(np.arange(150) / 30)
     assert np.sqrt(np.mean((found["x_velocity"] - speed) ** 2)) < 0.15
     assert np.mean(np.abs(errors[:, 0]) < 2 * found["std_x"]) > 0.85
+
+
+def test_the_textbooks_constant_velocity_in_a_plane(run, tmp_path):
+    (tmp_path / "p.csv").write_text("t,x,y\n0,0,0\n1,1,2\n2,3,4\n")
+    known = ("--process-noise-form", "discrete", "--q", 4, "--sigma", 1)
+    assert run("smooth", tmp_path / "p.csv", *known, "-o", tmp_path / "o.csv")[0] == 0
+    found = read(tmp_path / "o.csv")
+    # By hand: the first two positions give x1 and v1 = x1 - x0 + a/2, where a has variance 4 and positions have 1.
+    of_positions, of_acceleration = np.array([[0.0, 1.0], [-1.0, 1.0]]), np.array([0.0, 0.5])
+    P = of_positions @ of_positions.T + 4 * np.outer(of_acceleration, of_acceleration)
+    F, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), 4 * np.array([[0.25, 0.5], [0.5, 1.0]])
+    variance = (F @ P @ F.T + Q)[0, 0] + 1
+    np.testing.assert_allclose(found["nis_x"][2], (3 - 2) ** 2 / variance, rtol=1e-9)  # 2 was expected of x, 4 of y
+    np.testing.assert_allclose(found["nis_y"][2], 0, atol=1e-12)
 
 
 def test_the_json_document_of_a_table(run, plane):
@@ -114,6 +131,9 @@ def test_the_json_document_of_a_table(run, plane):
         "verdict",
         "advice",
     ]
+    nis = document["nis"]["x"]
+    assert (len(nis), nis[:2], nis[20]) == (150, [None, None], None)  # two make a velocity; row 20 is empty
+    assert np.mean([value for value in nis if value is not None]) == pytest.approx(document["consistency"]["mean_nis"])
     assert document["evaluation"] is None
 
 
@@ -195,10 +215,7 @@ def test_poses_are_said_with_their_units_and_resampled(run, turning, tmp_path):
         tmp_path / "o.yaml",
         "--format",
         "tf",
-        "--q",
-        "1,1",
-        "--sigma",
-        "0.01,0.01",
+        *KNOWN,
         "--resample",
         "0.25",
         "--evaluate",
@@ -216,14 +233,14 @@ def test_poses_are_said_with_their_units_and_resampled(run, turning, tmp_path):
 def test_times_that_a_reference_repeats_are_told(run, turning, tmp_path):
     first, *rest = (turning / "truth.tum").read_text().splitlines(keepends=True)
     (tmp_path / "truth.tum").write_text("".join([first, *rest, rest[-1]]))
-    code, _, err = run("smooth", turning / "measured.tum", "--q", "1,1", "--evaluate", tmp_path / "truth.tum")
+    code, _, err = run("smooth", turning / "measured.tum", *KNOWN, "--evaluate", tmp_path / "truth.tum")
     assert code == 0
     assert "time is repeated: 1 of the poses" in err
 
 
 def test_the_same_input_gives_the_same_bytes(run, turning, tmp_path):
     for name in ("a.json", "b.json"):
-        run("smooth", turning / "measured.tum", "--q", "1,1", "-o", tmp_path / name)
+        run("smooth", turning / "measured.tum", *KNOWN, "-o", tmp_path / name)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
@@ -236,7 +253,11 @@ def test_the_same_input_gives_the_same_bytes(run, turning, tmp_path):
         (("--sigma", "1,2,3"), 2, "--sigma has 3 numbers"),
         (("--q", "much"), 2, "numbers are needed"),
         (("--resample", "0"), 2, "--resample must be more than 0 s"),
+        (("--resample", "inf"), 2, "--resample must be more than 0 s"),
         (("--resample", "1e-9"), 2, "ask for fewer"),
+        (("--sigma", "1e300"), 2, "a number to compute with"),
+        (("--align", "se2"), 2, "alignment 'se2'"),
+        (("--delta", "1.5"), 2, "a whole number of frames"),
         (("--resample", "1", "--process-noise-form", "discrete"), 2, "--resample needs continuous"),
         (("--method", "batch", "--process-noise-form", "discrete"), 2, "rank 1"),
         (("--columns", "t,z"), 2, "no column 'z'"),
@@ -263,6 +284,13 @@ def test_files_that_are_none_have_their_exits(run, turning, tmp_path):
     code, _, err = run("smooth", tmp_path / "one.csv")
     assert code == 4
     assert "not observed: velocity of x (1 measurements, model cv needs 2" in err
+    (tmp_path / "huge.csv").write_text("t,x\n0,1e300\n1,2e300\n2,1e300\n3,2e300\n")
+    code, _, err = run("smooth", tmp_path / "huge.csv")
+    assert (code, "measurements of more than 1e+50" in err) == (2, True)
+    still = "".join(f"{t} 0 0 {0.01 * (t % 3 + t % 5)} 0 0 0 1\n" for t in range(20))
+    (tmp_path / "still.tum").write_text(still)
+    code, _, err = run("smooth", tmp_path / "still.tum")
+    assert (code, "too few rotations, or none with noise" in err) == (4, True)
     (tmp_path / "one.tum").write_text("0 1 2 3 0 0 0 1\n")
     code, _, err = run("smooth", tmp_path / "one.tum")
     assert code == 4

@@ -30,8 +30,12 @@ def test_columns_are_taken_by_name_and_empty_cells_are_missing(tmp_path):
         (TEXT.replace("0.2\n1", "0\n1"), (), "a.csv:2: a sigma must be more than 0"),
         (TEXT.replace("\n2,3", "\n1,3"), (), "a.csv:4: time 1.000000000 s is not later"),
         (TEXT.replace("2,3,4", "2,three,4"), (), "a.csv:4: x: 'three' is not a number"),
-        ("0,1\n1,2\n", (), "no header"),
+        ("0,1\n1,2\n", (), "no column names"),
         ("t,x,x\n0,1,2\n", (), "'x' stands twice"),
+        (TEXT, ("time", "x", "x"), "one twice"),
+        (TEXT.replace(",", ";"), (), "separated by commas, not semicolons"),
+        (TEXT.replace(",", "\t"), (), "separated by commas, not tabs"),
+        (TEXT.replace(",", " "), (), "separated by commas, not blanks"),
         ("t,x,y,sigma_x\n0,1,2,3\n", (), "'y' has none"),
     ],
 )
@@ -64,10 +68,16 @@ def test_smoothed_states_are_written_with_what_they_have_in_common(tmp_path):
     smoothed = smooth_series(series, SeriesOptions(q=1.0))
     tables.write(tmp_path / "a.csv", smoothed)
     head, *rows = (tmp_path / "a.csv").read_text().splitlines()[1:]
-    assert head == "t,x,x_velocity,std_x,std_x_velocity,cov_x_x_velocity"
-    numbers = np.array([row.split(",") for row in rows], float)
+    assert head == "t,x,x_velocity,std_x,std_x_velocity,cov_x_x_velocity,nis_x"
+    numbers = np.array([[cell or "nan" for cell in row.split(",")] for row in rows], float)
     np.testing.assert_allclose(numbers[:, 1:3], smoothed.states[:, 0], rtol=1e-11)
     np.testing.assert_allclose(numbers[:, 5], smoothed.covariances[:, 0, 0, 1], rtol=1e-11)
+    np.testing.assert_allclose(numbers[:, 6], smoothed.nis[:, 0], rtol=1e-11)
+    np.testing.assert_array_equal(np.isnan(numbers[:, 6]), [True, True, False, False, False])  # two make a velocity
     tables.write(tmp_path / "a.json", smoothed)
     columns = json.loads((tmp_path / "a.json").read_text())["columns"]
     assert ",".join(columns) == head
+    assert columns["nis_x"][:2] == [None, None]
+    with pytest.raises(InvalidInput, match="holds smoothed states"):
+        tables.read(tmp_path / "a.csv")
+    np.testing.assert_allclose(tables.read(tmp_path / "a.csv", ("t", "x")).values[:, 0], smoothed.states[:, 0, 0])

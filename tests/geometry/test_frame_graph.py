@@ -1,5 +1,7 @@
 """Ways between named frames, loops, and frames that are not joined."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,3 +112,14 @@ def test_chi_square_of_loops_is_that_of_chance():
         found.append(loop.chi_square)
     # the mean of 60 values of 6 degrees of freedom is 6 ± √(12/60); four of these
     assert np.mean(found) == pytest.approx(6, abs=1.8)
+
+
+def test_transforms_of_one_name_are_told_apart_by_where_they_stand():
+    first, second = (replace(between("base", "tag"), where=f"poses.yaml#{image}") for image in ("a.png", "b.png"))
+    (loop,) = FrameGraph([first, second]).loops("base")
+    assert loop.names == ("base_T_tag of poses.yaml#b.png", "inv(base_T_tag of poses.yaml#a.png)")
+
+
+def test_a_way_may_be_long():
+    steps = [NamedTransform(f"f{index}", f"f{index + 1}", Pose.identity()) for index in range(3000)]
+    assert len(FrameGraph(steps).path("f0", "f3000")) == 3000

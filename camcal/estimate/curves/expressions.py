@@ -7,6 +7,7 @@ Derivatives, 2nd ed. 2008, chapter 3).
 
 import ast
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -19,6 +20,7 @@ from camcal.estimate.curves.dual import FUNCTIONS, Dual
 
 CONSTANTS = {"pi": math.pi}
 _LONGEST = 2000
+_SHOWN = 80  # letters of a formula in a message
 _DEEPEST = 200  # a sum of n terms is nested n deep
 _BINARY: Mapping[type, Callable[[Dual, Dual], Dual]] = {
     ast.Add: Dual.__add__,
@@ -60,6 +62,11 @@ class Expression:
     def analytic(self) -> bool:
         """Whether it can be differentiated by a complex step: abs is no analytic function."""
         return "abs" not in {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
+
+    @property
+    def constants(self) -> frozenset[str]:
+        """The constants that stand in it."""
+        return frozenset(node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)) & CONSTANTS.keys()
 
     def require_known(self, known: Sequence[str], what: str) -> None:
         """Raise InvalidInput about the first name that is not among those known; `what` says what those are."""
@@ -103,7 +110,9 @@ def _parts(node: ast.expr, text: str) -> Sequence[ast.expr]:
         return node.left, node.right
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
         return (node.operand,)
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
+        if not abs(node.value) <= sys.float_info.max:
+            raise InvalidInput(f"{_place(text, node.col_offset)}: a number beyond {sys.float_info.max:.2g}")
         return ()
     if isinstance(node, ast.Name):
         return ()
@@ -155,6 +164,12 @@ def _evaluated(node: ast.expr, known: Mapping[str, Dual]) -> Dual:
 
 
 def _place(text: str, offset: int) -> str:
-    """Return where in a text something stands; offset: bytes of UTF-8 before it, as the syntax tree counts."""
-    before = text.encode()[:offset].decode(errors="ignore")
-    return f"{text!r}, character {len(before) + 1}"
+    """Return where in a text something stands, and what is about it.
+
+    offset: bytes of UTF-8 before it, as the syntax tree counts.
+    """
+    place = len(text.encode()[:offset].decode(errors="ignore"))
+    first = max(place - _SHOWN // 2, 0) if len(text) > _SHOWN else 0
+    shown = text[first : first + _SHOWN]
+    before, after = "…" * (first > 0), "…" * (first + _SHOWN < len(text))
+    return f"'{before}{repr(shown)[1:-1]}{after}', character {place + 1}"

@@ -89,7 +89,8 @@ def family_named(name: str) -> Family | None:
 
     Raises InvalidInput for a word that is no family, naming the nearest.
     """
-    word, _, degree = name.strip().replace("-", "_").partition(":")
+    word, _, degree = name.strip().partition(":")
+    word = word.replace("-", "_")
     if word == "poly":
         return _polynomial(degree)
     if word in FAMILIES and not degree:

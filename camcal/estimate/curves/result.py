@@ -9,6 +9,7 @@ from camcal.arrays import Array
 from camcal.estimate.curves.curve import Curve, Data
 
 FLAGGED_CORRELATION = 0.99
+IGNORED = 0.5  # a row whose loss leaves it less than this weight counts as an outlier
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,11 @@ class CurveFit:
     def at_bounds(self) -> tuple[str, ...]:
         """The parameters that a bound keeps from going further."""
         return tuple(name for name, estimate in self.parameters.items() if estimate.held == "bound")
+
+    @property
+    def outliers(self) -> Array:
+        """Which rows (N,) a robust loss leaves less than half of their weight."""
+        return np.asarray(self.weights < IGNORED)
 
     def correlations(self) -> Array:
         """Return the correlations (L, L) of the free parameters."""

@@ -20,6 +20,7 @@ Found = Descent[Array, DenseEquations]
 Observe = Callable[[int, Iteration], None]
 
 _ITERATIONS = 2000
+LARGEST = 1e100  # of residuals and slopes: sums of their squares are numbers
 _ROUNDS, _STEADY = 30, 1e-3  # of the scale of a robust fit: how often it is found anew, and when it has settled
 
 
@@ -78,19 +79,20 @@ def _problem(curve: Curve, data: Data, start: Mapping[str, float], options: Sear
 
 
 def _require_defined(problem: CurveProblem) -> None:
-    """Raise InvalidInput, naming the first row, if the curve or a slope of it is not a number at the start."""
+    """Raise InvalidInput, naming the first row, if a residual or slope at the start is no number to compute with."""
     block = problem.blocks(problem.values[problem.free])[0]
     numbers = np.concatenate([block.residuals[..., None], block.shared[0].values], axis=2)
-    defined = np.asarray(np.isfinite(numbers).all(axis=(1, 2)))
+    defined = np.asarray((np.abs(numbers) < LARGEST).all(axis=(1, 2)))
     if defined.all():
         return
     row = int(np.argmin(defined))
     columns = {name: column[row] for name, column in problem.data.columns.items()}
-    where = ", ".join(f"{name}={value:g}" for name, value in columns.items())
+    where = ", ".join(f"{name}={value:g}" for name, value in columns.items()) or f"row {row + 1}"
     start = ", ".join(f"{n}={v:g}" for n, v in zip(problem.curve.parameters, problem.values, strict=True))
     count = int(np.count_nonzero(~defined))
+    what = "too large to compute with" if np.isfinite(numbers[row]).all() else "not a number"
     raise InvalidInput(
-        f"at the start {start} the model is not a number for {count} of {len(defined)} rows, first for {where}; "
+        f"at the start {start} the model is {what} for {count} of {len(defined)} rows, first for {where}; "
         "choose another --start"
     )
 

@@ -19,6 +19,11 @@ _ADVICE = {
     OVERCONFIDENT: "errors are larger than the covariances say: raise sigma",
     UNDERCONFIDENT: "errors are smaller than the covariances say: lower sigma or q",
 }
+_ALTERNATING = {
+    CONSISTENT: "errors are as large as the covariances say, but the filter runs after the noise: lower q, raise sigma",
+    OVERCONFIDENT: "the filter runs after noise that is larger than sigma says: raise sigma",
+    UNDERCONFIDENT: "the filter runs after the noise, its gain is too high: lower q",
+}
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,8 @@ def consistency(nis: Array, freedom: Array, pairs: tuple[Array, Array]) -> Consi
     beyond = float(np.mean(nis > [limits[number] for number in freedom.tolist()]))
     correlation, limit = _autocorrelation(*pairs)
     verdict = _verdict(mean, low, high)
-    advice = _advice(verdict, correlation > max(limit, _NEAR_ONE), beyond > _MANY)
+    least = max(limit, _NEAR_ONE)
+    advice = _advice(verdict, correlation > least, correlation < -least, beyond > _MANY)
     return Consistency(len(nis), mean, (low, high), beyond, correlation, limit, verdict, advice)
 
 
@@ -91,12 +97,15 @@ def _verdict(mean: float, low: float, high: float) -> str:
     return OVERCONFIDENT if mean > 1 else UNDERCONFIDENT
 
 
-def _advice(verdict: str, lasting: bool, many_large: bool) -> str:
+def _advice(verdict: str, lasting: bool, alternating: bool, many_large: bool) -> str:
     """Return what to do.
 
-    lasting: errors stay from step to step, a motion the model does not follow. many_large: more innovations are beyond
-    their bound than noise makes.
+    lasting: errors stay from step to step, a motion the model does not follow. alternating: they change sign from step
+    to step, as where a filter runs after the noise of its measurements. many_large: more innovations are beyond their
+    bound than noise makes.
     """
+    if alternating:
+        return _ALTERNATING[verdict]
     if verdict == OVERCONFIDENT and lasting:
         return "the motion changes faster than the model allows: raise q"
     if verdict == CONSISTENT and lasting:

@@ -19,9 +19,8 @@ from camcal.estimate.smoothing.linear_system import LinearSystem, Smoothed, kalm
 from camcal.estimate.smoothing.motion_models import MotionModel
 from camcal.estimate.smoothing.pose_system import PoseGuess, PoseProblem, measured_covariances
 from camcal.estimate.smoothing.robust import robust_weights
-from camcal.estimate.smoothing.smooth import smooth_system
+from camcal.estimate.smoothing.smooth import require_size, smooth_system
 from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength
-from camcal.estimate.trajectory_error import rows_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 
@@ -51,8 +50,10 @@ class SmoothedPoses:
     """Poses given all measurements, with covariances and (but for rw) velocities.
 
     q: strengths of the process noise of translation and rotation. sigma: of the measurements, None if they have
-    covariances. weights: (K,) of the measured poses. outliers: (K,) bool. log_likelihood: of the measurements, each
-    given those before it. consistency: of a filter's innovations, about the smoothed poses.
+    covariances. weights: (K,) of the measured poses. outliers: (K,) bool. nis: (K,) normalised innovations
+    squared of a filter about the smoothed poses, of six numbers each, NaN where no pose was predicted. log_likelihood:
+    of the measurements, each given those before it. consistency: of the filter's innovations. Smoothed robustly, the
+    last three are those without the outliers.
     """
 
     trajectory: Trajectory
@@ -60,6 +61,7 @@ class SmoothedPoses:
     sigma: tuple[float, float] | None
     weights: Array
     outliers: Array
+    nis: Array
     log_likelihood: float
     consistency: Consistency
 
@@ -67,8 +69,10 @@ class SmoothedPoses:
 def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -> SmoothedPoses:
     """Return poses smoothed, each segment by itself.
 
-    Raises InsufficientData if a segment has too few poses, NotConverged if the rotations do not settle.
+    Raises InsufficientData if a segment has too few poses, NotConverged if the rotations do not settle, InvalidInput
+    for translations too large to compute with.
     """
+    require_size(measured.translations, "translations")
     problem = PoseProblem.of(measured, options.motion, options.sigma)
     _require_observed(problem)
     known = options.sigma is not None or measured.covariances is not None
@@ -82,6 +86,7 @@ def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -
         options.sigma if known else noises[1],
         found.weights,
         found.outliers,
+        found.nis,
         found.log_likelihood,
         found.consistency,
     )
@@ -100,7 +105,7 @@ def poses_at(measured: Trajectory, smoothed: SmoothedPoses, options: PosesOption
     guess = _settled(problem, start, _filtered)
     system = problem.system(guess)
     everything = _trajectory(measured, problem, guess, rts(system, kalman_filter(system)))
-    return rows_of(everything, np.searchsorted(everything.stamps, stamps))
+    return everything.rows(np.searchsorted(everything.stamps, stamps))
 
 
 def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pair, Pair]:
@@ -110,7 +115,8 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
     """
     if options.q is not None and known:
         return options.q, (1.0, 1.0)
-    guesses = [_guess(problem, values, known) for values in (problem.translations, _way_of(problem.rotations))]
+    measured = {"translations": problem.translations, "rotations": _way_of(problem.rotations)}
+    guesses = [_guess(problem, values, known, name) for name, values in measured.items()]
     start = problem.with_noise(
         (guesses[0].q, guesses[1].q), (1.0, 1.0) if known else (guesses[0].sigma, guesses[1].sigma)
     )
@@ -124,10 +130,10 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
     return (found[0].q, found[1].q), (found[0].sigma, found[1].sigma)
 
 
-def _guess(problem: PoseProblem, values: Array, known: bool) -> Noise:
-    """Return a first guess of noise from translations or rotations (K, 3) that were measured."""
+def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> Noise:
+    """Return a first guess of noise from translations or rotations (K, 3), `what`, that were measured."""
     values = values[problem.measured]
-    sigma = measured_noise(values, len(problem.motion.states) + 1)
+    sigma = measured_noise(values, len(problem.motion.states) + 1, what)
     q = strength(problem.motion, problem.stamps[problem.measured], sigma)
     return Noise(q, 1.0 if known else sigma)
 

@@ -9,7 +9,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.consistency import Consistency
 from camcal.estimate.smoothing.linear_system import LinearSystem, kalman_filter, rts
 from camcal.estimate.smoothing.motion_models import MotionModel
-from camcal.estimate.smoothing.smooth import smooth_system
+from camcal.estimate.smoothing.smooth import require_size, smooth_system
 from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength, with_noise
 
 
@@ -58,7 +58,9 @@ class SmoothedSeries:
 
     states: (K, d, n) position and derivatives along each axis. covariances: (K, d, n, n). q, sigma: the noise, sigma
     as a single number if it was estimated, else None. weights: (K, d) of the measurements. outliers: (K, d) bool.
-    log_likelihood: of the measurements, each given those before it. consistency: of the filter's innovations.
+    nis: (K, d) normalised innovations squared of the filter, NaN where no measurement was predicted. log_likelihood: of
+    the measurements, each given those before it. consistency: of the filter's innovations.
+    Smoothed robustly, the last three are those without the outliers.
     """
 
     series: Series
@@ -69,6 +71,7 @@ class SmoothedSeries:
     sigma: float | None
     weights: Array
     outliers: Array
+    nis: Array
     log_likelihood: float
     consistency: Consistency
 
@@ -76,8 +79,10 @@ class SmoothedSeries:
 def smooth_series(series: Series, options: SeriesOptions = SeriesOptions()) -> SmoothedSeries:
     """Return a series smoothed.
 
-    Raises InsufficientData, naming what is not observed, if there are too few measurements.
+    Raises InsufficientData, naming what is not observed, if there are too few measurements, InvalidInput for numbers
+    too large to compute with.
     """
+    require_size(series.values, "measurements")
     _require_observed(series, options.motion)
     noise = _noise(series, options)
     system = with_noise(system_of(series, options.motion), noise)
@@ -92,6 +97,7 @@ def smooth_series(series: Series, options: SeriesOptions = SeriesOptions()) -> S
         noise.sigma if series.sigma is None else None,
         _by_axis(found.weights, shape),
         _by_axis(found.outliers, shape),
+        _by_axis(found.nis, shape),
         found.log_likelihood,
         found.consistency,
     )
@@ -150,6 +156,7 @@ def series_at(smoothed: SmoothedSeries, stamps: Array) -> SmoothedSeries:
         covariances=_by_axis(found.covariances, shape)[wanted],
         weights=np.ones_like(missing),
         outliers=np.zeros(missing.shape, bool),
+        nis=missing,
     )
 
 

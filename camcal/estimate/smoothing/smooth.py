@@ -12,6 +12,13 @@ from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, Smoo
 from camcal.estimate.smoothing.robust import disagreement, is_outlier, robust_weights
 
 METHODS = ("rts", "batch")
+LARGEST = 1e50  # of measurements and of noise: their squares, and products of these, are numbers
+
+
+def require_size(values: Array, what: str) -> None:
+    """Raise InvalidInput if a number among `values`, NaN aside, is too large to compute with."""
+    if np.any(np.abs(values) > LARGEST):
+        raise InvalidInput(f"{what} of more than {LARGEST:g} cannot be computed with; are the units right?")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ _ROUNDS = 2
 _NEARLY_SETTLED = 5e-3  # of a weight: enough to compare noises
 
 
-_TOO_FEW = "too few measurements, or none with noise, to tell how much they have; give --sigma and --q"
+_TOO_FEW = "too few {}, or none with noise, to tell how much they have; give --sigma and --q"
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _search_ratio(system: LinearSystem, guess: Noise) -> Noise:
     def likelihood(numbers: Array) -> float:
         found = solved(float(numbers[0]))
         if found.freedom < 1 or not found.squares > 0:
-            raise InsufficientData(_TOO_FEW)
+            raise InsufficientData(_TOO_FEW.format("measurements"))
         gained = found.squares - found.freedom * np.log(found.squares / found.freedom)
         return found.log_likelihood + 0.5 * float(gained)
 
@@ -150,23 +150,24 @@ def most_likely(likelihood: Callable[[Array], float], guess: Array, tolerance: f
     start = min(grid, key=cost)
     bounds = [(value - reach, value + reach) for value in start]
     simplex = np.vstack([start, start + np.eye(len(start))])
-    found = minimize(
-        cost,
-        start,
-        method="Nelder-Mead",
-        bounds=bounds,
-        options={"xatol": tolerance, "fatol": tolerance, "initial_simplex": simplex, "maxfev": 400},
-    )
+    with np.errstate(invalid="ignore"):  # infinite costs are subtracted where none of the numbers will do
+        found = minimize(
+            cost,
+            start,
+            method="Nelder-Mead",
+            bounds=bounds,
+            options={"xatol": tolerance, "fatol": tolerance, "initial_simplex": simplex, "maxfev": 400},
+        )
     if not found.success:
         raise NotConverged("noise could not be found from the measurements; give --q and --sigma")
     return np.asarray(np.exp(found.x))
 
 
-def measured_noise(values: Array, order: int) -> float:
+def measured_noise(values: Array, order: int, what: str = "measurements") -> float:
     """Return a first guess of the standard deviation of measurements (K, d) that move as smoothly as `order` says.
 
     It is that of differences so often repeated that motion hardly shows in them. Raises InsufficientData if there are
-    too few, or if they hold no noise.
+    too few, or if they hold no noise; `what` they are is said then.
     """
     from math import comb
 
@@ -178,7 +179,7 @@ def measured_noise(values: Array, order: int) -> float:
         if len(differences):
             deviations.append(np.median(differences) / (0.6745 * gain))
     if not deviations:
-        raise InsufficientData(_TOO_FEW)
+        raise InsufficientData(_TOO_FEW.format(what))
     return float(np.max(deviations))
 
 

@@ -42,9 +42,9 @@ def test_values_and_errors_agree_with_scipy():
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
-    inside = np.array([covered(noisy(seed, x=X[::10]), PLAIN) for seed in range(200)])
-    # 600 answers in 200 groups: a standard error of 0.012 or so about 0.95
-    assert 0.93 <= inside.mean() <= 0.97
+    inside = np.array([covered(noisy(seed, x=X[::10]), PLAIN) for seed in range(100)])
+    # 300 answers in 100 groups: a standard error of 0.017 or so about 0.95; normal quantiles would give 0.90
+    assert 0.92 <= inside.mean() <= 0.98
 
 
 def covered(data, options):
@@ -55,24 +55,24 @@ def covered(data, options):
 
 def test_robust_intervals_cover_the_truth_despite_outliers():
     inside = []
-    for seed in range(30):
+    for seed in range(15):
         data = noisy(seed)
         data.target[seed % 10 :: 10] += 15
         inside.append(covered(data, SearchOptions(loss="tukey", method=PLAIN.method)))
-    # 90 answers in 30 groups: a standard error of 0.03
-    assert 0.89 <= np.mean(inside) <= 0.99
+    # 45 answers in 15 groups: a standard error of 0.045; those of least squares cover none
+    assert np.mean(inside) >= 0.86
 
 
 @pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy", "tukey"])
 def test_robust_losses_lose_little_without_outliers_and_little_with_them(loss):
-    truth = np.array([1.0, 2.0, 1.0])
-    clean = fit_curve(EXPQUAD, noisy(3), START, SearchOptions(loss=loss))
+    truth, options = np.array([1.0, 2.0, 1.0]), SearchOptions(loss=loss, method=PLAIN.method)
+    clean = fit_curve(EXPQUAD, noisy(3), START, options)
     best = fit_curve(EXPQUAD, noisy(3), START)
     std = np.array([estimate.std for estimate in best.parameters.values()])
     assert np.all(np.abs(clean.values - best.values) < 0.7 * std)  # of 95 % efficiency: 0.23 standard errors apart
     spoilt = noisy(3)
     spoilt.target[::9] += 30
-    robust = fit_curve(EXPQUAD, spoilt, START, SearchOptions(loss=loss))
+    robust = fit_curve(EXPQUAD, spoilt, START, options)
     assert np.all(np.abs(robust.values - truth) < 5 * std)
     assert np.abs(fit_curve(EXPQUAD, spoilt, START).values - truth).max() > 5 * std.max()
     assert robust.goodness.sigma == pytest.approx(1.0, rel=0.35)  # the median of 100 residuals, a ninth spoilt
@@ -172,11 +172,11 @@ def test_plain_gauss_newton_finds_the_same_from_near_and_nothing_from_afar():
 def test_restarts_find_what_a_bad_start_misses():
     wave = Curve.of("wave", ["sin(w*x)"], ["w"])
     data = Data({"x": X}, np.sin(10 * X))
-    stuck = fit_curve(wave, data, {"w": 17.0})
-    found = fit_curve(wave, data, {"w": 17.0}, SearchOptions(restarts=6))
+    stuck = fit_curve(wave, data, {"w": 16.0})
+    found = fit_curve(wave, data, {"w": 16.0}, SearchOptions(restarts=3))
     assert stuck.goodness.rms > 0.5
     assert found.values[0] == pytest.approx(10, abs=1e-9)
-    assert found.runs == 7 * stuck.runs
+    assert found.runs == 4 * stuck.runs
 
 
 def test_every_turn_of_every_run_is_told():
@@ -270,14 +270,14 @@ def test_the_better_model_is_preferred_and_the_f_test_agrees():
 
 def test_a_needless_parameter_is_not_preferred():
     chosen = []
-    for seed in range(25):
+    for seed in range(15):
         data = Data({"x": X}, np.exp(2 * X + 1) + np.random.default_rng(seed).normal(size=100))
-        larger = fit_curve(EXPQUAD, data, {"a": 0.0, "b": 2.0, "c": 1.0})
-        smaller = fit_curve(Curve.of("exp", ["exp(b*x + c)"], ["b", "c"]), data, {"b": 2.0, "c": 1.0})
+        larger = fit_curve(EXPQUAD, data, {"a": 0.0, "b": 2.0, "c": 1.0}, PLAIN)
+        smaller = fit_curve(Curve.of("exp", ["exp(b*x + c)"], ["b", "c"]), data, {"b": 2.0, "c": 1.0}, PLAIN)
         comparison = compare(larger, smaller)
         chosen.append(comparison.p_value < 0.05)
         assert comparison.preferred != "first" or comparison.p_value < 0.05
-    assert np.mean(chosen) <= 0.17  # 5 % with a standard error of 4.4 %
+    assert np.mean(chosen) <= 0.2  # 5 % with a standard error of 5.6 %
 
 
 def test_information_criteria_are_those_of_the_definition():

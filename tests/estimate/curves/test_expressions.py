@@ -119,6 +119,9 @@ def test_names_are_those_that_need_a_value():
         ("größe*x^2 + 'q'", 1, "a power"),
         ("größe*x + 'q'", 11, "only numbers, names"),
         ("1j*x", 1, "only numbers, names"),
+        ("2*1e999*x", 3, "a number beyond"),
+        (f"x*{10**400}", 3, "a number beyond"),
+        ("x + " * 60 + "'q'", 241, "…x .* only numbers, names"),
         ("", 1, "not a formula"),
     ],
 )

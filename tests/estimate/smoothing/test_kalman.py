@@ -93,6 +93,24 @@ def test_errors_that_last_are_laid_to_the_motion(rng):
     assert "raise q" in report.advice
 
 
+@pytest.mark.parametrize(("sigma", "q"), [(1.0, 100.0), (0.7, 100.0), (0.3, 100.0)])
+def test_a_gain_that_is_too_high_is_told_by_innovations_that_change_sign(rng, sigma, q):
+    # A walk that hardly moves, seen with noise of 1: such a filter holds nearly every measurement for the state.
+    measured, state = rng.normal(size=2000), Gaussian(np.zeros(1), np.eye(1))
+    whitened = []
+    for value in measured:
+        ahead = predict(state, np.eye(1), np.eye(1) * q * sigma**2)
+        found = update(ahead, np.array([value]) - ahead.mean, np.eye(1), np.eye(1) * sigma**2)
+        whitened.append((value - ahead.mean) / np.sqrt(found.innovation_covariance[0]))
+        state = found.state
+    series = np.array(whitened)
+    report = consistency(series[:, 0] ** 2, np.ones(len(series)), successive(series, np.zeros(len(series))))
+    assert report.verdict == "underconfident"
+    assert report.autocorrelation < -0.4  # of differences of white noise: -0.5
+    assert "lower q" in report.advice
+    assert "lower sigma" not in report.advice
+
+
 def test_innovations_are_paired_within_their_chain_over_what_is_missing():
     whitened = np.array([[1.0], [np.nan], [2.0], [3.0], [4.0]])
     first, second = successive(whitened, np.array([0, 0, 0, 1, 1]))

@@ -9,7 +9,6 @@ from camcal.errors import InsufficientData
 from camcal.estimate.smoothing.motion_models import MotionModel
 from camcal.estimate.smoothing.pose_system import PoseGuess, PoseProblem
 from camcal.estimate.smoothing.poses import PosesOptions, poses_at, smooth_poses
-from camcal.estimate.trajectory_error import rows_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 from camcal.solve.differentiate import central_jacobian
@@ -147,7 +146,7 @@ def test_segments_are_smoothed_by_themselves_and_too_short_ones_named(rng):
     poses = measured(rng, stamps, positions, rotations)
     halves = replace(poses, segments=np.arange(COUNT) // 60)
     found = smooth_poses(halves, PosesOptions(q=Q)).trajectory
-    alone = smooth_poses(rows_of(poses, np.arange(60)), PosesOptions(q=Q)).trajectory
+    alone = smooth_poses(poses.rows(np.arange(60)), PosesOptions(q=Q)).trajectory
     np.testing.assert_allclose(found.translations[:60], alone.translations, atol=1e-9)
     with pytest.raises(InsufficientData, match="velocity of segment 1 \\(1 poses"):
         smooth_poses(replace(poses, segments=(np.arange(COUNT) == COUNT - 1).astype(float)), PosesOptions(q=Q))
