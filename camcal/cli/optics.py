@@ -151,10 +151,11 @@ def _show(report: "OpticsReport") -> None:
     from camcal.tasks import optics_document as words
 
     show.table("lens and sensor", ["figure", "value", "unit", "from"], list(words.lens_rows(report)))
-    if report.at:
-        show.table("at a distance", *words.distance_table(report))
+    for columns, rows in words.distance_tables(report):
+        show.table("at a distance", columns, rows)
     if report.board is not None:
-        show.table(words.board_title(report.board), *words.board_table(report.board))
+        for columns, rows in words.board_tables(report.board):
+            show.table(words.board_title(report.board), columns, rows)
         for line in words.board_lines(report, report.board):
             show.text(line)
     for line in words.closing_lines(report):

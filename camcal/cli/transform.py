@@ -126,16 +126,19 @@ def _give(command: str, made: "Made", output: "Output", *, json: bool, quiet: bo
 
 
 def _show(made: "Made", output: "Output", *, verbose: bool) -> None:
-    """Print transforms: bare numbers if a form of them was asked for, for other programs, and in words otherwise."""
-    from camcal.report.transform import lines, loop_line
+    """Print transforms and what they were made of; beside bare numbers only where ways differ, as remarks."""
+    from camcal.report.transform import lines, loop_lines
 
+    if output.numbers is not None and made.loops:
+        for line in (f"made of {made.products[0]}", *loop_lines(made.loops)):
+            show.text(f"# {line}")
     for transform, factors in zip(made.transforms, made.products, strict=True):
         for line in lines(transform, output.numbers, verbose=verbose):
             show.text(line)
         if output.numbers is None:
             show.text(f"  {'made of':<20}  {factors}")
     if output.numbers is None:
-        for loop in made.loops:
-            show.text(loop_line(loop))
+        for line in loop_lines(made.loops):
+            show.text(line)
         if output.path is not None:
             show.text(f"wrote {output.path}")

@@ -82,6 +82,10 @@ def average(
     sources: poses.Poses,
     robust: Annotated[bool, typer.Option("--robust", help="Let poses far from the others count little.")] = False,
     equal: Annotated[bool, typer.Option("--equal", help="Let all count alike, whatever their covariances.")] = False,
+    trajectory: Annotated[
+        bool,
+        typer.Option("--trajectory", help="POSE are trajectory files: average all their poses, of what stood still."),
+    ] = False,
     form: poses.Given = None,
     written: poses.As = None,
     output: poses.OutputFile = None,
@@ -99,7 +103,8 @@ def average(
     from camcal.tasks.transform_output import Output
 
     where = Output(output, written)
-    averaged = run(AverageOptions(sources, form, robust, equal, where), show.progress(quiet))
+    options = AverageOptions(sources, form, robust, equal, trajectory, where)
+    averaged = run(options, show.progress(quiet))
     if json:
         show.document("transform average", document(averaged, where))
     elif not quiet:

@@ -96,10 +96,12 @@ class _MeanProblem:
 
     @property
     def shared(self) -> int:
+        """How many parameters there are: the step of the mean."""
         return 6
 
     @property
     def groups(self) -> tuple[int, int]:
+        """No parameters belong to single estimates."""
         return 0, 0
 
     def squared(self, mean: Pose) -> Array:

@@ -59,6 +59,12 @@ class LooseTransform:
     covariance: Array | None
     where: str
 
+    @classmethod
+    def of(cls, transform: NamedTransform) -> "LooseTransform":
+        """Return a transform that has a rotation."""
+        pose = LoosePose(transform.pose.rotation, transform.pose.translation)
+        return cls(transform.name, pose, transform.covariance, transform.where)
+
     def named(self) -> NamedTransform:
         """Return the transform; raises InvalidInput, saying where, if it has no rotation."""
         try:
@@ -93,9 +99,12 @@ def read(path: Path) -> tuple[NamedTransform, ...]:
 def read_loose(path: Path) -> tuple[LooseTransform, ...]:
     """Return the transforms of a file as they are written, whether they are rotations or not.
 
-    Raises as `read` does, but for rotations; also InvalidInput for a pose file, which holds none but rotations.
+    Raises as `read` does, but for rotations; those of a pose file are rotations or it is refused.
     """
-    return _own(_load(path))
+    document = None if path.suffix.lower() == ".csv" else _load(path)
+    if document is None or document.get("format") == plain_poses.FORMAT:
+        return tuple(map(LooseTransform.of, _of_poses(path)))
+    return _own(document)
 
 
 def _of_poses(path: Path) -> tuple[NamedTransform, ...]:

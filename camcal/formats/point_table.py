@@ -1,6 +1,6 @@
 """Tables of points: a CSV with columns x, y, z, optionally nx, ny, nz and sxx … szz, in any case, and any others."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
 COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
 
+_VARIANCES = ("sxx", "syy", "szz")
 _UPPER = np.triu_indices(3)
 
 
@@ -34,7 +35,8 @@ class PointTable:
 def read(path: Path) -> PointTable:
     """Return the points of a CSV whose first row names its columns; lines that begin with # are left out.
 
-    Raises FileError, InvalidInput with file and line for a missing column or what is no number.
+    Raises FileError, InvalidInput with file and line for a missing column, what is no number or infinite, and a
+    variance below zero.
     """
     lines = [(number, line) for number, line in numbered_lines(path) if not line.startswith("#")]
     rows = csv_rows(str(path), lines)
@@ -84,7 +86,17 @@ def _columns(table: Table, names: Sequence[str]) -> Array | None:
         raise InvalidInput(
             f"column {missing[0]!r} is missing beside the others of {', '.join(names)}", where=table.path
         )
-    return np.column_stack([table.numbers_or_empty(name) for name in known])
+    columns = [table.numbers_or_empty(name) for name in known]
+    for name, column in zip(known, columns, strict=True):
+        table.refuse(np.isinf(column), _words(table, name, "is not finite"))
+        if name.lower() in _VARIANCES:
+            table.refuse(column < 0, _words(table, name, "is no variance"))
+    return np.column_stack(columns)
+
+
+def _words(table: Table, name: str, fault: str) -> Callable[[int], str]:
+    """Return a function that says what is wrong with a column's cell in a row."""
+    return lambda row: f"{name}: {table.columns[name][row]} {fault}"
 
 
 def _full(upper: Array) -> Array:

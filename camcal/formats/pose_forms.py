@@ -32,6 +32,7 @@ from camcal.geometry.pose import Pose
 
 ROUNDED = 1e-3  # how far a rotation may be from one: texts have few digits
 LARGEST = 1e100  # beyond, squares overflow
+LARGEST_ANGLE = 1e6  # rad; of a larger one less than the digits of a text are left once whole turns are taken off
 FORMS = ("matrix", "quat:wxyz", "quat:xyzw", "rvec", "euler:ZYX:deg", "dual-quat", "tum", "kitti", "colmap", "ros")
 
 _COUNTS = {
@@ -139,7 +140,7 @@ class Form:
             case "quat" | "tum" | "ros":
                 order = _QUATERNIONS[self.quaternion]
                 return _of_quaternion(numbers[-4:][list(order)], _before(numbers, 4))
-        angles = numbers[-3:] * _UNITS[self.unit]
+        angles = _checked(numbers[-3:] * _UNITS[self.unit])
         matrix = so3.exp(angles) if self.euler is None else from_euler(angles, self.euler)
         return LoosePose(matrix, _before(numbers, 3))
 
@@ -230,9 +231,16 @@ def elementary(text: str) -> LoosePose:
     found = _ELEMENTARY.fullmatch(text.strip())
     if found is None or found[3] is None or not _is_number(found[2]):
         raise InvalidInput("a turn about an axis is an angle with its unit, such as Rz(90deg) or Rz(1.57rad)")
-    angle = numbers_in(found[2])[0] * _UNITS[found[3]]
+    (angle,) = _checked(numbers_in(found[2]) * _UNITS[found[3]])
     turns = {"x": so3.about_x, "y": so3.about_y, "z": so3.about_z}
     return LoosePose(turns[found[1]](angle), np.zeros(3))
+
+
+def _checked(angles: Array) -> Array:
+    """Return angles (N,) in radians; raises InvalidInput if one is too large to say a direction."""
+    if not np.abs(angles).max() <= LARGEST_ANGLE:
+        raise InvalidInput(f"an angle of more than {LARGEST_ANGLE:g} rad says no direction")
+    return angles
 
 
 def _before(numbers: Array, count: int) -> Array:

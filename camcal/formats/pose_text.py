@@ -70,7 +70,10 @@ def _parsed(text: str, form: Form | None) -> LoosePose:
         raise FileError("holds something else than the numbers of a pose")
     numbers = numbers_in(" ".join(lines)) if lines else np.empty(0)
     if len(lines) > 1 and len(numbers) in {count * len(lines) for count in _IN_A_LINE}:
-        raise InvalidInput(f"holds {len(lines)} poses, one a line; a single one is read here")
+        raise InvalidInput(
+            f"holds {len(lines)} poses, one a line, and a single one is read here; --trajectory of 'camcal transform "
+            "convert' and 'average' takes all"
+        )
     return (form or _form_in(text) or guessed(len(numbers))).parse(numbers)
 
 

@@ -1,7 +1,7 @@
 """Named frames joined by transforms: the way from one to another, and how well loops close."""
 
 import difflib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -24,6 +24,9 @@ class Link:
 
     index: int
     inverted: bool
+
+
+_Tree = dict[str, tuple[Link, str] | None]  # frame: the link that leads to it, and the frame this comes from
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +66,7 @@ class FrameGraph:
 
     def __init__(self, transforms: Iterable[NamedTransform]) -> None:
         self.transforms = tuple(transforms)
+        self._names = Counter(transform.name for transform in self.transforms)
         self._links: dict[str, list[tuple[Link, str]]] = {}
         for index, transform in enumerate(self.transforms):
             self._links.setdefault(transform.target, []).append((Link(index, inverted=False), transform.source))
@@ -80,10 +84,10 @@ class FrameGraph:
         """
         for frame in (target, source):
             self._require(frame)
-        ways = self._ways(target)
-        if source not in ways:
+        tree = self._tree(target)
+        if source not in tree:
             raise InvalidInput(self._why_apart(target, source))
-        return ways[source]
+        return _way(tree, source)
 
     def along(self, links: Sequence[Link]) -> Derived[int]:
         """Return the product of links in their order, by the indices of their transforms."""
@@ -91,36 +95,38 @@ class FrameGraph:
         return reduce(lambda left, right: left @ right, factors, Derived(Pose.identity(), {}))
 
     def name_of(self, link: Link) -> str:
-        """Return a link as one writes it: a_T_b, or inv(a_T_b)."""
-        name = self.transforms[link.index].name
+        """Return a link as one writes it, a_T_b or inv(a_T_b), and where it stands if others have its name."""
+        transform = self.transforms[link.index]
+        alone = self._names[transform.name] == 1 or not transform.where
+        name = transform.name if alone else f"{transform.name} of {transform.where}"
         return f"inv({name})" if link.inverted else name
 
     def loops(self, frame: str) -> list[Loop]:
         """Return one loop for every transform, of those joined with a frame, that is not needed to reach another."""
-        ways = self._ways(frame)
-        needed = {links[-1].index for links in ways.values() if links}
+        tree = self._tree(frame)
+        needed = {step[0].index for step in tree.values() if step is not None}
         return [
-            self._loop(ways, index)
+            self._loop(tree, index)
             for index, transform in enumerate(self.transforms)
-            if index not in needed and transform.target in ways
+            if index not in needed and transform.target in tree
         ]
 
-    def _ways(self, start: str) -> dict[str, tuple[Link, ...]]:
-        """Return the way from a frame to every other that can be reached, breadth first."""
-        ways: dict[str, tuple[Link, ...]] = {start: ()}
+    def _tree(self, start: str) -> _Tree:
+        """Return the last step of the way from a frame to every other that can be reached, breadth first."""
+        tree: _Tree = {start: None}
         ahead = deque([start])
         while ahead:
             here = ahead.popleft()
             for link, there in self._links[here]:
-                if there not in ways:
-                    ways[there] = (*ways[here], link)
+                if there not in tree:
+                    tree[there] = (link, here)
                     ahead.append(there)
-        return ways
+        return tree
 
-    def _loop(self, ways: dict[str, tuple[Link, ...]], index: int) -> Loop:
+    def _loop(self, tree: _Tree, index: int) -> Loop:
         """Return the loop that a transform a_T_b closes: from where the ways to a and b part, along one and back."""
         closing = self.transforms[index]
-        there, back = ways[closing.target], ways[closing.source]
+        there, back = _way(tree, closing.target), _way(tree, closing.source)
         shared = next((n for n, pair in enumerate(zip(there, back, strict=False)) if pair[0] != pair[1]), None)
         shared = min(len(there), len(back)) if shared is None else shared
         returning = [Link(link.index, not link.inverted) for link in reversed(back[shared:])]
@@ -141,11 +147,20 @@ class FrameGraph:
             raise InvalidInput(f"no frame {frame!r}{advice}")
 
     def _why_apart(self, target: str, source: str) -> str:
-        here, there = list(self._ways(target)), list(self._ways(source))
+        here, there = list(self._tree(target)), list(self._tree(source))
         sides = f"one is with {', '.join(here)}, the other with {', '.join(there)}"
         text = f"no transforms join {target!r} and {source!r}: {sides}"
         alike = next(((name, near) for name in here if (near := _nearest(name, there))), None)
         return f"{text}. Are {alike[0]!r} and {alike[1]!r} one frame?" if alike else text
+
+
+def _way(tree: _Tree, frame: str) -> tuple[Link, ...]:
+    """Return the links from the root of a tree to a frame."""
+    links = []
+    while (step := tree[frame]) is not None:
+        link, frame = step
+        links.append(link)
+    return tuple(reversed(links))
 
 
 def _nearest(name: str, known: Sequence[str]) -> str | None:

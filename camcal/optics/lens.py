@@ -23,6 +23,7 @@ class DepthOfField:
 
     @property
     def total(self) -> float:
+        """How deep it is, m; infinite where infinity is sharp."""
         return self.far - self.near
 
 

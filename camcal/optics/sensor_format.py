@@ -25,6 +25,7 @@ class SensorFormat:
 
     @property
     def diagonal_mm(self) -> float:
+        """The diagonal, mm."""
         return hypot(self.width_mm, self.height_mm)
 
 

@@ -59,8 +59,14 @@ def lines(transform: NamedTransform, form: Form | None, *, verbose: bool = False
     return found
 
 
-def loop_line(loop: Loop) -> str:
-    """Return how far a loop is from closing, in words."""
+def loop_lines(loops: Sequence[Loop]) -> list[str]:
+    """Return how far loops are from closing and what this means for the way that was taken, in words."""
+    found = [_loop_line(loop) for loop in loops]
+    rule = "the way is that of the fewest transforms; others are checked by these loops, not averaged in"
+    return [*found, rule] if found else []
+
+
+def _loop_line(loop: Loop) -> str:
     chi_square = "" if loop.chi_square is None else f", χ² = {loop.chi_square:.3g} with 6 degrees of freedom"
     far = f"{1000 * loop.offset:.3g} mm and {np.degrees(loop.angle):.3g}°{chi_square}"
     return f"the loop {' * '.join(loop.names)} closes to {far}"

@@ -13,9 +13,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
-from camcal.errors import InvalidInput
-from camcal.formats import frames, pose_text
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats import frames, pose_text, trajectories
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_forms import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
 from camcal.formats.schema import did_you_mean
@@ -23,17 +24,24 @@ from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.named import JOINT, NamedTransform, frames_of
 from camcal.run.inputs import split_address
 
+Item = TypeVar("Item", NamedTransform, LooseTransform)
+
 _NAMED = re.compile(r"([A-Za-z][A-Za-z0-9_]*_T_[A-Za-z0-9_]+)=(.*)", re.DOTALL)
 _TABLES = {*frames.SUFFIXES, ".csv"}
 
 
-def read_transforms(texts: Sequence[str], form: Form | None = None) -> tuple[NamedTransform, ...]:
+def read_transforms(
+    texts: Sequence[str], form: Form | None = None, *, allow_none: bool = False
+) -> tuple[NamedTransform, ...]:
     """Return the transforms that arguments stand for, in their order; those without a name have empty frames.
 
     form: of numbers and of files of numbers; None where their count leaves no doubt. Arguments that are single numbers
-    are one pose together. Raises InvalidInput and FileError, naming the argument.
+    are one pose together. Raises InvalidInput and FileError, naming the argument, InsufficientData for a file without
+    transforms unless that is allowed.
     """
-    return tuple(found for text in _joined(texts) for found in _of(text, form))
+    return tuple(
+        item for text in _joined(texts) for item in (_of(text, form) if allow_none else _some(_of(text, form), text))
+    )
 
 
 def read_one(text: str, form: Form | None = None) -> NamedTransform:
@@ -47,13 +55,39 @@ def read_one(text: str, form: Form | None = None) -> NamedTransform:
 
 def read_loose(texts: Sequence[str], form: Form | None = None) -> tuple[LooseTransform, ...]:
     """Return transforms as they are written, which may be no rotations; otherwise as `read_transforms`."""
-    return tuple(found for text in _joined(texts) for found in _loose(text, form))
+    return tuple(item for text in _joined(texts) for item in _some(_loose(text, form), text))
+
+
+def read_trajectories(texts: Sequence[str]) -> tuple[NamedTransform, ...]:
+    """Return every pose of trajectory files, a_T_b=FILE where they do not say their frames; `where` has the time.
+
+    Raises FileError and InvalidInput, naming the file.
+    """
+    return tuple(item for text in texts for item in _over_time(text))
 
 
 def files_of(texts: Sequence[str]) -> list[Path]:
     """Return the files among arguments."""
     bodies = [split_name(text)[1] for text in _joined(texts)]
     return [split_address(body)[0] for body in bodies if not _is_said(body)]
+
+
+def _over_time(text: str) -> tuple[NamedTransform, ...]:
+    name, body = split_name(text)
+    found = trajectories.read(Path(body), name or None)
+    target, source = frames_of(found.frames)
+    covariances = [None] * len(found) if found.covariances is None else found.covariances
+    return tuple(
+        NamedTransform(target, source, found.pose(index), covariance, f"{body}#{stamp:.9g}")
+        for index, (stamp, covariance) in enumerate(zip(found.stamps, covariances, strict=True))
+    )
+
+
+def _some(found: Sequence[Item], text: str) -> Sequence[Item]:
+    """Return what an argument stands for; raises InsufficientData if that is nothing."""
+    if not found:
+        raise InsufficientData("holds no transforms", where=split_name(text)[1])
+    return found
 
 
 def _joined(texts: Sequence[str]) -> list[str]:
@@ -84,9 +118,12 @@ def _said(text: str, form: Form | None) -> LoosePose:
 
 
 def split_name(text: str) -> tuple[str, str]:
-    """Return the name before an argument, empty without one, and the rest."""
+    """Return the name before an argument, empty without one, and the rest; raises InvalidInput if that is nothing."""
     match = _NAMED.match(text)
-    return (match[1], match[2]) if match else ("", text)
+    name, body = (match[1], match[2]) if match else ("", text)
+    if not body.strip():
+        raise InvalidInput(f"{text!r} is no pose: numbers, a file or FILE#NAME are needed")
+    return name, body
 
 
 def _of(text: str, form: Form | None) -> tuple[NamedTransform, ...]:
@@ -117,7 +154,7 @@ def _loose(text: str, form: Form | None) -> tuple[LooseTransform, ...]:
     found = frames.read_loose(path)
     if address is None:
         return found
-    chosen = [item for item in found if item.name == address]
+    chosen = [item for item in found if address in {item.name, item.where.partition("#")[2]}]
     if not chosen:
         raise InvalidInput(
             f"no transform {address!r}{did_you_mean(address, [item.name for item in found])}", where=body
@@ -132,7 +169,7 @@ def _tidy(text: str) -> str:
 
 def _addressed(found: Sequence[NamedTransform], address: str, where: str) -> NamedTransform:
     """Return the transform of a name or an image; one that is not there may follow from others."""
-    chosen = [item for item in found if item.name == address or item.where.partition("#")[2] == address]
+    chosen = [item for item in found if address in {item.name, item.where.partition("#")[2]}]
     if len(chosen) > 1:
         raise InvalidInput(f"{len(chosen)} transforms are named {address!r}", where=where)
     if chosen:

@@ -24,8 +24,9 @@ from camcal.tasks.optics_figures import AtDistance, at_distance
 from camcal.tasks.optics_setup import Setup
 
 _BORDER = 1.0  # squares around the corners that must be in the image
-_HALVINGS = 40  # of the range of distances: to 2e-11
+_HALVINGS = 24  # of a factor of 2 between distances: to 4e-8
 _REACH = 1e4  # board sizes between which distances are looked for
+_MOST_PX = 1e6
 _SQUARE_PX, _CELL_PX = 8.0, 2.0  # of a chessboard, and of a marker's cell
 _STEEPEST = np.radians(80)
 _DISTORTED = "opencv5"  # what a lens that is known by its focal length alone will be calibrated with
@@ -52,8 +53,8 @@ class BoardOptions:
             raise InvalidInput(f"--tilt must be within ±80°, found {np.degrees(self.tilt):g}°")
         if not 0 < self.share <= 1:
             raise InvalidInput(f"--share must be more than 0 and at most 1, found {self.share:g}")
-        if not (self.noise_px > 0 and (self.least_px is None or self.least_px > 0)):
-            raise InvalidInput("--noise and --least-square must be more than 0 px")
+        if not all(0 < pixels <= _MOST_PX for pixels in (self.noise_px, self.least_px) if pixels is not None):
+            raise InvalidInput(f"--noise and --least-square must be more than 0 and at most {_MOST_PX:g} px")
 
 
 @dataclass(frozen=True)
@@ -190,19 +191,26 @@ class _Held:
 
     def at_share(self, share: float) -> float:
         """Return the distance (m) at which the board takes a share of the image, 0 if it never takes so much."""
-        return self._where(lambda distance: self.share(distance) > share)
+        return self._farthest(lambda distance: self.share(distance) > share)
 
     def at_square(self, least_px: float) -> float:
-        """Return the distance (m) at which the smallest square has so many pixels."""
-        return self._where(lambda distance: self.squares(distance)[0] > least_px)
+        """Return the farthest distance (m) at which the smallest square has so many pixels, 0 if it never has."""
+        return self._farthest(lambda distance: self.squares(distance)[0] > least_px)
 
-    def _where(self, too_near: Callable[[float], bool]) -> float:
-        low, high = (max(self.board.extent) * reach for reach in (1 / _REACH, _REACH))
-        if not too_near(low):
-            return 0.0
+    def _farthest(self, is_near: Callable[[float], bool]) -> float:
+        """Return up to which distance (m) a board is near, 0 if it is nowhere.
+
+        Looked for from afar: close to a wide lens the outer squares shrink again.
+        """
+        nearest, high = (max(self.board.extent) * reach for reach in (1 / _REACH, _REACH))
+        low = high
+        while not is_near(low):
+            if low < nearest:
+                return 0.0
+            low, high = low / 2, low
         for _ in range(_HALVINGS):
             middle = sqrt(low * high)
-            low, high = (middle, high) if too_near(middle) else (low, middle)
+            low, high = (middle, high) if is_near(middle) else (low, middle)
         return high
 
 

@@ -80,9 +80,10 @@ def _report(setup: Setup, board: BoardOptions | None, plot: Path | None) -> Opti
 
 
 def _require_something(report: OpticsReport) -> None:
-    parts = (report.field_of_view, report.pixel_angle, report.focus, report.diffraction, report.image_circle)
+    parts = (report.field_of_view, report.pixel_angle, report.focus, report.image_circle)
+    sampled = report.diffraction is not None and report.diffraction.airy_px is not None
     exposed = report.exposure is not None and report.exposure.exposure_value is not None
-    if not exposed and all(one is None for one in parts):
+    if not (exposed or sampled) and all(one is None for one in parts):
         raise InvalidInput(
             "too little to compute anything: give a CAMERA file; --focal and --sensor for the field of view, "
             "--focus and --f-number too for the depth of field; --formats lists sensors"
@@ -98,8 +99,8 @@ def _lens_warnings(report: OpticsReport) -> Iterator[str]:
         yield f"the image circle of {given:g} mm is too small: the sensor's corners need {needed:.2f} mm"
     if blur is not None and blur.limited:
         yield (
-            f"limited by diffraction: the Airy disc is {blur.airy_px:.1f} pixels wide, and {100 * blur.contrast:.0f} % "
-            f"of the contrast of the finest detail is left; up to f/{blur.sharp_f_number:.1f} pixels are the limit"
+            f"limited by diffraction: the Airy disc is {blur.airy_px:.1f} pixels wide, and {blur.contrast:.0%} of the "
+            f"contrast of the finest detail is left; up to f/{blur.sharp_f_number:.1f} pixels are the limit"
         )
 
 

@@ -1,16 +1,19 @@
 """The figures of `camcal optics` as plain data for --json and as rows of tables, in the units that people use."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from math import hypot, isfinite, isnan, pi
-from typing import Any
+from typing import Any, TypeVar
 
 from camcal.optics.sensor_format import FORMATS, literal_mm, smallest_format
 from camcal.tasks.board_plan import BoardAt, BoardPlan
 from camcal.tasks.optics import OpticsReport, usable_range
+from camcal.tasks.optics_figures import AtDistance
 from camcal.tasks.optics_setup import Setup
 
 _DEGREES = 180 / pi
+
+At = TypeVar("At", AtDistance, BoardAt)
 
 # figure of a record: its key in the document, words, the factor to its unit, the unit
 _Shown = Mapping[str, tuple[str, str, float, str]]
@@ -54,26 +57,26 @@ _CIRCLE: _Shown = {
 }
 _AT: _Shown = {
     "distance": ("distance_m", "distance", 1.0, "m"),
-    "width": ("width_m", "width", 1.0, "m"),
-    "height": ("height_m", "height", 1.0, "m"),
-    "pixel": ("pixel_mm", "pixel", 1e3, "mm"),
-    "corner_pixel": ("corner_pixel_mm", "in the corner", 1e3, "mm"),
+    "width": ("width_m", "width that is seen", 1.0, "m"),
+    "height": ("height_m", "height that is seen", 1.0, "m"),
+    "pixel": ("pixel_mm", "a pixel in the middle", 1e3, "mm"),
+    "corner_pixel": ("corner_pixel_mm", "a pixel in the corner", 1e3, "mm"),
     "line_pairs": ("line_pairs_per_mm", "line pairs", 1e-3, "1/mm"),
-    "blur_px": ("blur_px", "defocus", 1.0, "px"),
-    "motion_px": ("motion_px", "motion", 1.0, "px"),
-    "longest_exposure": ("longest_exposure_ms", "1 px of motion in", 1e3, "ms"),
-    "exposure_stops": ("exposure_stops", "which is darker by", 1.0, "stops"),
+    "blur_px": ("blur_px", "blur by defocus", 1.0, "px"),
+    "motion_px": ("motion_px", "blur by motion", 1.0, "px"),
+    "longest_exposure": ("longest_exposure_ms", "exposure for 1 px of motion", 1e3, "ms"),
+    "exposure_stops": ("exposure_stops", "light that it would cost", 1.0, "stops"),
     "disparity_px": ("disparity_px", "disparity", 1.0, "px"),
-    "depth_error": ("depth_error_mm", "depth ±", 1e3, "mm"),
+    "depth_error": ("depth_error_mm", "depth, ±", 1e3, "mm"),
 }
 _BOARD_AT: _Shown = {
     "distance": ("distance_m", "distance", 1.0, "m"),
     "smallest_px": ("smallest_square_px", "smallest square", 1.0, "px"),
-    "largest_px": ("largest_square_px", "largest", 1.0, "px"),
+    "largest_px": ("largest_square_px", "largest square", 1.0, "px"),
     "share": ("share", "share of the image", 1.0, ""),
-    "square_for_share": ("square_for_share_mm", "square for the share", 1e3, "mm"),
-    "noise_px": ("noise_px", "noise", 1.0, "px"),
-    "p_wrong": ("p_wrong", "wrong pose", 1.0, ""),
+    "square_for_share": ("square_for_share_mm", "square for the wanted share", 1e3, "mm"),
+    "noise_px": ("noise_px", "noise of a corner", 1.0, "px"),
+    "p_wrong": ("p_wrong", "share of wrong poses", 1.0, ""),
 }
 _SOLVED = {
     "f": ("focal length", 1e3, "mm"),
@@ -81,6 +84,7 @@ _SOLVED = {
     "sensor": ("sensor width", 1e3, "mm"),
 }
 _POSE = ("tx_mm", "ty_mm", "tz_mm", "rx_deg", "ry_deg", "rz_deg")
+_ABREAST = 5  # distances beside each other: more do not fit 80 columns
 _POSE_FACTORS = (1e3, 1e3, 1e3, _DEGREES, _DEGREES, _DEGREES)
 
 
@@ -196,27 +200,41 @@ def in_words(value: float) -> str:
     return f"{value:.6g}" if isfinite(value) else "infinity"
 
 
-def distance_table(report: OpticsReport) -> tuple[list[str], list[list[str]]]:
-    """Return the columns that are known, with their units, and a row for every distance."""
-    return _table([vars(at) for at in report.at], _AT)
+def distance_tables(report: OpticsReport) -> Iterator[tuple[list[str], list[list[str]]]]:
+    """Yield tables with a column for every distance and a row for every figure that is known."""
+    for records in _batches(report.at):
+        yield _columns(records), _figure_rows(records, _AT)
 
 
-def board_table(plan: BoardPlan) -> tuple[list[str], list[list[str]]]:
-    """Return columns and a row for every distance: squares, share, noise, and the pose's standard deviations."""
-    columns, rows = _table([vars(at) for at in plan.at], _BOARD_AT)
-    stds = [_pose(at) for at in plan.at]
-    spreads = [["-"] * len(_POSE) if std is None else [f"{value:.2g}" for value in std.values()] for std in stds]
-    columns += [f"± {key.replace('_', ' ')}" for key in _POSE]
-    return columns, [row + spread for row, spread in zip(rows, spreads, strict=True)]
+def board_tables(plan: BoardPlan) -> Iterator[tuple[list[str], list[list[str]]]]:
+    """Yield tables with a column for every distance: squares, share, noise, and the pose's standard deviations."""
+    for records in _batches(plan.at):
+        stds = [_pose(at) for at in records]
+        spread = [
+            [f"pose, ± {key[:2]}", *("-" if std is None else f"{std[key]:.2g}" for std in stds), key[3:]]
+            for key in _POSE
+            if any(std is not None for std in stds)
+        ]
+        yield _columns(records), _figure_rows(records, _BOARD_AT) + spread
 
 
-def _table(records: list[dict[str, Any]], shown: _Shown) -> tuple[list[str], list[list[str]]]:
-    known = [name for name in shown if any(record[name] is not None for record in records)]
-    columns = [f"{shown[name][1]} {shown[name][3]}".rstrip() for name in known]
-    rows = [
-        ["-" if record[name] is None else _short(record[name] * shown[name][2]) for name in known] for record in records
-    ]
-    return columns, rows
+def _batches(records: Sequence[At]) -> Iterator[Sequence[At]]:
+    for start in range(0, len(records), _ABREAST):
+        yield records[start : start + _ABREAST]
+
+
+def _columns(records: Sequence[At]) -> list[str]:
+    return ["figure", *(f"{_short(record.distance)} m" for record in records), "unit"]
+
+
+def _figure_rows(records: Sequence[At], shown: _Shown) -> list[list[str]]:
+    """Return a row for each figure that is known for any of the records: its words, the values, the unit."""
+    rows = []
+    for name, (_, words, factor, unit) in shown.items():
+        values: list[float | None] = [_scaled(getattr(record, name), factor) for record in records]
+        if name != "distance" and any(value is not None for value in values):
+            rows.append([words, *("-" if value is None else _short(value) for value in values), unit])
+    return rows
 
 
 def _short(value: float) -> str:

@@ -44,16 +44,20 @@ class Focus:
 
 @dataclass(frozen=True)
 class Diffraction:
-    """The Airy disc (m, px), the contrast left at half a cycle a pixel, and the f-number with a disc of two pixels."""
+    """The Airy disc (m, px), the contrast left at half a cycle a pixel, and the f-number with a disc of two pixels.
+
+    All but its size in metres are None without a pitch.
+    """
 
     airy_diameter: float
-    airy_px: float
-    contrast: float
-    sharp_f_number: float
+    airy_px: float | None = None
+    contrast: float | None = None
+    sharp_f_number: float | None = None
 
     @property
     def limited(self) -> bool:
-        return self.airy_px > light.AIRY_PIXELS
+        """Whether the lens, not the pixels, limits how fine a detail is."""
+        return self.airy_px is not None and self.airy_px > light.AIRY_PIXELS
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ class AtDistance:
 
 
 def field(setup: Setup) -> FieldOfView | None:
+    """Return the field of view: to the outer edges of the image, None without a lens and a sensor."""
     if setup.measured and setup.camera is not None:
         return FieldOfView(*field_of_view(setup.camera))
     distance, sides = setup.principal_distance, setup.sensor
@@ -106,6 +111,7 @@ def field(setup: Setup) -> FieldOfView | None:
 
 
 def pixel_angle(setup: Setup) -> PixelAngle | None:
+    """Return the angles of pixels, None without lens, pitch and size."""
     if setup.camera is None:
         return None
     centre, corner = pixel_angles(setup.camera, _probes(setup.camera)).tolist()
@@ -123,6 +129,7 @@ def _probes(camera: Camera) -> Array:
 
 
 def focus(setup: Setup) -> Focus | None:
+    """Return what follows from a focus; depth of field and hyperfocal are None without f-number and circle."""
     focal, distance, number, circle = setup.focal, setup.focus, setup.options.f_number, setup.circle
     if focal is None or distance is None:
         return None
@@ -136,16 +143,19 @@ def focus(setup: Setup) -> Focus | None:
 
 
 def diffraction(setup: Setup) -> Diffraction | None:
-    number, pitch = setup.effective_f_number, setup.pitch
-    if number is None or pitch is None:
+    """Return what diffraction leaves of an image in focus, None without an f-number."""
+    number, pitch, wavelength = setup.effective_f_number, setup.pitch, setup.options.wavelength
+    if number is None:
         return None
-    wavelength = setup.options.wavelength
     disc = light.airy_diameter(wavelength, number)
+    if pitch is None:
+        return Diffraction(disc)
     contrast = light.diffraction_contrast(wavelength, number, pitch)
     return Diffraction(disc, disc / pitch, contrast, light.widest_sharp_f_number(wavelength, pitch))
 
 
 def exposure(setup: Setup) -> Exposure | None:
+    """Return how bright the image is, None without an f-number."""
     number, effective, time = setup.options.f_number, setup.effective_f_number, setup.options.exposure
     if number is None or effective is None:
         return None
@@ -154,6 +164,7 @@ def exposure(setup: Setup) -> Exposure | None:
 
 
 def image_circle(setup: Setup) -> ImageCircle | None:
+    """Return the circle that is lit beside the one that is needed, None if one of them is not known."""
     given = setup.options.image_circle
     if given is None or setup.sensor is None:
         return None
@@ -277,7 +288,7 @@ _NEEDS = {
     "field of view": ("focal", "sensor"),
     "angle of a pixel": ("focal", "pitch", "size"),
     "depth of field": ("focal", "focus", "f_number", "circle"),
-    "diffraction": ("f_number", "pitch"),
+    "diffraction in pixels": ("f_number", "pitch"),
     "exposure value": ("f_number", "exposure"),
     "motion blur": ("speed", "exposure", "focal", "pitch"),
     "stereo depth": ("baseline", "focal", "pitch", "size"),

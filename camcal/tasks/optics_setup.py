@@ -17,6 +17,8 @@ from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
 from camcal.run.inputs import split_address
 
 SOLVABLE = ("f", "wd", "sensor")
+_LEAST, _MOST = 1e-12, 1e12  # in SI units and pixels: beyond, products of lengths overflow, and nothing is real
+_MOST_PIXELS = 1_000_000  # of an image's side
 _DISAGREE = 0.05  # of two ways to the same length: more than lenses and data sheets are off
 _FILE, _SOLVER = "camera file", "--solve"
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
@@ -58,31 +60,39 @@ class OpticsOptions:
     width: float | None = None
 
     def __post_init__(self) -> None:
-        for name, words in _POSITIVE.items():
+        for name, (words, factor) in _POSITIVE.items():
             value = getattr(self, name)
-            if value is not None and not (value > 0 and (isfinite(value) or name == "focus")):
-                raise InvalidInput(f"{words} must be more than 0 and finite, found {value:g}")
-        if not all(distance > 0 and isfinite(distance) for distance in self.distances):
-            raise InvalidInput("--distance must be more than 0 m and finite")
+            if value is not None and not (_is_possible(value) or (name == "focus" and value == inf)):
+                reason = "is beyond all reason" if 0 < value < inf else "must be more than 0 and finite"
+                raise InvalidInput(f"{words} {reason}, found {factor * value:g}")
+        if not all(map(_is_possible, self.distances)):
+            raise InvalidInput(f"--distance must be more than 0 m and at most {_MOST:g} m")
+        if self.size is not None and max(self.size) > _MOST_PIXELS:
+            raise InvalidInput(f"--size: an image side of {max(self.size):g} pixels is beyond all reason")
         if self.solve is not None and self.solve not in SOLVABLE:
             raise InvalidInput(f"--solve {self.solve!r}: use one of {', '.join(SOLVABLE)}")
         if (self.solve is None) != (self.width is None):
             raise InvalidInput("--solve f, wd or sensor and --width METRES, what is to fill the image, go together")
 
 
+# option and the factor to its unit
 _POSITIVE = {
-    "focal": "--focal",
-    "pitch": "--pitch-um",
-    "f_number": "--f-number",
-    "focus": "--focus",
-    "wavelength": "--wavelength",
-    "image_circle": "--image-circle",
-    "speed": "--speed",
-    "exposure": "--exposure",
-    "baseline": "--baseline",
-    "disparity_noise": "--disparity-noise",
-    "width": "--width",
+    "focal": ("--focal", 1e3),
+    "pitch": ("--pitch-um", 1e6),
+    "f_number": ("--f-number", 1.0),
+    "focus": ("--focus", 1.0),
+    "wavelength": ("--wavelength", 1e9),
+    "image_circle": ("--image-circle", 1e3),
+    "speed": ("--speed", 1.0),
+    "exposure": ("--exposure", 1e3),
+    "baseline": ("--baseline", 1.0),
+    "disparity_noise": ("--disparity-noise", 1.0),
+    "width": ("--width", 1.0),
 }
+
+
+def _is_possible(value: float) -> bool:
+    return _LEAST <= value <= _MOST
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +127,14 @@ class Setup:
 
     @property
     def magnification(self) -> float | None:
+        """The size of the image over that of the object in focus; None without a focus."""
         if self.focal is None or self.focus is None:
             return None
         return lens.magnification(self.focal, self.focus)
 
     @property
     def effective_f_number(self) -> float | None:
+        """The f-number that light has on the sensor, N (1 + m); that of infinity without a focus."""
         number = self.options.f_number
         return None if number is None else effective_f_number(number, self.magnification or 0.0)
 
@@ -183,7 +195,7 @@ def _with_sensor(setup: Setup) -> Setup:
 def _sensor(text: str) -> tuple[SensorFormat, str | None]:
     """Return a sensor from the name of its format or from WxH in mm, and what to know of a name."""
     match = _MILLIMETRES.fullmatch(text.strip())
-    if match and float(match[1]) > 0 and float(match[2]) > 0:
+    if match and _is_possible(float(match[1])) and _is_possible(float(match[2])):
         return SensorFormat(text, float(match[1]), float(match[2])), None
     known = sensor_format(text)
     return known, f"{known.name} is a name: its diagonal is about {known.diagonal_mm:.2f} mm, and makers differ"
@@ -266,7 +278,7 @@ def _with_circle(setup: Setup) -> Setup:
     if text is None:
         return replace(setup, circle=setup.pitch, sources={**setup.sources, "circle": "one pixel"})
     match = _CIRCLE.fullmatch(text.strip())
-    if not match or not float(match[1]) > 0:
+    if not match or not _is_possible(float(match[1])):
         raise InvalidInput(f"--coc {text!r}: write a diameter with its unit, such as 5um, 0.03mm or 1.5px")
     if match[2] != "px":
         return replace(setup, circle=float(match[1]) * _METRES[match[2]])

@@ -12,7 +12,7 @@ from camcal.errors import InvalidInput
 from camcal.formats.pose_forms import form_of
 from camcal.geometry.frame_expression import evaluate as evaluate_product
 from camcal.geometry.frame_graph import FrameGraph, Loop
-from camcal.geometry.named import Derived, NamedTransform
+from camcal.geometry.named import Derived, Key, NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop
 from camcal.run.pose_sources import read_transforms
@@ -41,7 +41,7 @@ class ChainOptions:
 
     def __post_init__(self) -> None:
         if not (self.loop_mm >= 0 and self.loop_deg >= 0):
-            raise InvalidInput("a loop's tolerance is not negative")
+            raise InvalidInput("--loop-mm and --loop-deg are 0 or more")
 
 
 @dataclass(frozen=True)
@@ -86,15 +86,13 @@ def chain(options: ChainOptions, progress: Progress = SILENT) -> Made:
     transforms = _named(read_transforms(options.sources, form_of(options.form)))
     graph = FrameGraph(transforms)
     links = graph.path(options.target, options.source)
-    loops = graph.loops(options.target)
+    loops = tuple(graph.loops(options.target))
     for loop in loops:
         _require_closed(loop, options)
-    derived = graph.along(links)
-    exact = _exact({link.index: transforms[link.index] for link in links}, progress)
-    covariance = derived.covariance({index: item.covariance for index, item in enumerate(transforms)})
-    result = NamedTransform(options.target, options.source, derived.pose, covariance)
+    factors = {link.index: transforms[link.index] for link in links}
+    result = _with_covariance((options.target, options.source), graph.along(links), factors)
     options.output.write([result])
-    return Made((result,), (_product(map(graph.name_of, links)),), exact, tuple(loops))
+    return Made((result,), (_product(map(graph.name_of, links)),), _exact(factors, progress), loops)
 
 
 def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
@@ -107,11 +105,9 @@ def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
         transforms[item.name] = item
     product = evaluate_product(options.expression, transforms)
     used = {name: item for name, item in transforms.items() if name in product.derived.by}
-    exact = _exact(used, progress)
-    covariance = product.derived.covariance({name: item.covariance for name, item in used.items()})
-    result = NamedTransform(product.target, product.source, product.derived.pose, covariance)
+    result = _with_covariance((product.target, product.source), product.derived, used)
     options.output.write([result])
-    return Made((result,), (product.text,), exact)
+    return Made((result,), (product.text,), _exact(used, progress))
 
 
 def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
@@ -126,14 +122,14 @@ def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
     for left, right in pairwise(transforms):
         if left.source and right.target and left.source != right.target:
             raise InvalidInput(f"{left.name} * {right.name}: {left.source!r} does not meet {right.target!r}")
-    factors = [Derived.of(index, item.pose) for index, item in enumerate(transforms)]
-    derived = reduce(lambda left, right: left @ right, factors)
-    exact = _exact(dict(enumerate(transforms)), progress)
-    covariance = derived.covariance({index: item.covariance for index, item in enumerate(transforms)})
+    factors = dict(enumerate(transforms))
+    derived = reduce(
+        lambda left, right: left @ right, (Derived.of(index, item.pose) for index, item in factors.items())
+    )
     ends = (transforms[0].target, transforms[-1].source) if all(item.name for item in transforms) else ("", "")
-    result = NamedTransform(*ends, derived.pose, covariance)
+    result = _with_covariance(ends, derived, factors)
     options.output.write([result])
-    return Made((result,), (_product(item.called for item in transforms),), exact)
+    return Made((result,), (_product(item.called for item in transforms),), _exact(factors, progress))
 
 
 def invert(options: PosesOptions, _: Progress = SILENT) -> Made:
@@ -154,6 +150,14 @@ def document(made: Made, output: Output) -> dict[str, Any]:
         "loops": [plain_loop(loop) for loop in made.loops],
         "output": output.path,
     }
+
+
+def _with_covariance(
+    ends: tuple[str, str], derived: Derived[Key], factors: Mapping[Key, NamedTransform]
+) -> NamedTransform:
+    """Return what was derived from factors as a transform between two frames, with the covariance that follows."""
+    covariance = derived.covariance({key: item.covariance for key, item in factors.items()})
+    return NamedTransform(*ends, derived.pose, covariance)
 
 
 def _product(factors: Iterable[str]) -> str:

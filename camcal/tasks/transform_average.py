@@ -12,7 +12,7 @@ from camcal.formats.pose_forms import form_of
 from camcal.geometry.named import NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.pose_sources import read_transforms
+from camcal.run.pose_sources import read_trajectories, read_transforms
 from camcal.tasks.transform_output import Output
 
 _FAR = 3.0  # standard deviations of χ² above its mean
@@ -23,12 +23,14 @@ class AverageOptions:
     """Arguments that stand for estimates of one transform, the form of numbers among them.
 
     robust: estimates far from the others count little. equal: all count alike, whatever their covariances.
+    trajectory: the arguments are trajectory files, all poses of which are estimates.
     """
 
     sources: Sequence[str]
     form: str | None = None
     robust: bool = False
     equal: bool = False
+    trajectory: bool = False
     output: Output = field(default_factory=Output)
 
 
@@ -48,7 +50,7 @@ def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
     Raises InvalidInput for transforms of other frames, FileError, InsufficientData for fewer than two, NotConverged.
     """
     options.output.require_own(options.sources)
-    estimates = read_transforms(options.sources, form_of(options.form))
+    estimates = _estimates(options)
     _require_one_name(estimates)
     covariances = [item.covariance for item in estimates if item.covariance is not None]
     weighted = not options.equal and bool(estimates) and len(covariances) == len(estimates)
@@ -61,6 +63,14 @@ def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
     result = NamedTransform(first.target, first.source, mean.pose, mean.covariance)
     options.output.write([result])
     return Averaged(result, estimates, mean, weighted)
+
+
+def _estimates(options: AverageOptions) -> tuple[NamedTransform, ...]:
+    if not options.trajectory:
+        return read_transforms(options.sources, form_of(options.form))
+    if options.form is not None:
+        raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
+    return read_trajectories(options.sources)
 
 
 def document(averaged: Averaged, output: Output) -> dict[str, Any]:

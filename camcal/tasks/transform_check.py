@@ -50,8 +50,9 @@ class CheckedPose:
 
     @property
     def called(self) -> str:
-        """The name, or else where the pose stands."""
-        return self.written.name or self.written.where
+        """Where the pose stands, and its name if it has one: all poses of a pose file have the same."""
+        name = self.written.name
+        return f"{self.written.where}: {name}" if name else self.written.where
 
     @property
     def row(self) -> list[object]:

@@ -1,14 +1,13 @@
 """`camcal transform convert`: poses in other forms and along other axes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import native, strict_yaml
 from camcal.formats.pose_forms import form_of
 from camcal.formats.schema import did_you_mean
@@ -16,11 +15,11 @@ from camcal.geometry.axes import Axes, change, convention_named, reexpress, reex
 from camcal.geometry.named import NamedTransform, carried
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.inputs import split_address
 from camcal.run.pose_sources import files_of, read_transforms
 from camcal.tasks.transform_output import Output
 
 _UNNAMED = ("a", "b")
+_CAMERA_FILES = (".yaml", ".yml")
 
 
 @dataclass(frozen=True)
@@ -92,16 +91,19 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
     """Return transforms along other axes.
 
     Raises InvalidInput for a frame or convention that is not there and where one frame alone would become left-handed,
-    FileError.
+    InsufficientData where there is nothing to convert, FileError.
     """
     options.output.require_own(options.sources)
-    transforms = read_transforms(options.sources, form_of(options.form))
+    transforms = read_transforms(options.sources, form_of(options.form), allow_none=True)
+    centres = _principal_points_of(options.sources)
+    if not transforms and not centres:
+        raise InsufficientData("there are no transforms and no cameras", where=" ".join(options.sources))
     if options.inverse:
         transforms = tuple(item.inverse() for item in transforms)
     changes = options.changes
-    require_known(changes, {frame for item in transforms for frame in frames_in(item)})
+    require_known(changes, {*centres, *(frame for item in transforms for frame in frames_in(item))})
     converted = tuple(_along(item, changes) for item in transforms)
-    points = tuple(_principal_points(options.sources, changes))
+    points = tuple(_counted_from_corners(centres, changes))
     for point in points:
         progress.warn(
             f"{point.camera}: in {point.convention} the principal point is cx {point.cx:.9g}, cy {point.cy:.9g}, "
@@ -165,25 +167,22 @@ def _along(transform: NamedTransform, changes: Mapping[str, AxesChange]) -> Name
     return replace(transform, pose=pose, covariance=carried(reexpress_jacobian(change_a), transform.covariance))
 
 
-def _principal_points(sources: Sequence[str], changes: Mapping[str, AxesChange]) -> list[PrincipalPoint]:
-    """Return the principal points of cameras in camera files among the sources that a change counts from elsewhere."""
-    found = []
-    for path in dict.fromkeys(split_address(str(path))[0] for path in files_of(sources)):
-        cameras = _cameras(path)
-        for name, (cx, cy) in cameras.items():
-            item = changes.get(name)
-            if item is not None and item.after.pixel_centre:
-                shift = item.after.pixel_centre
-                found.append(PrincipalPoint(name, item.after.name, cx + shift, cy + shift))
+def _principal_points_of(sources: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return cx and cy (px) of the cameras of camera files among the sources, which count from pixel centres."""
+    found: dict[str, tuple[float, float]] = {}
+    for path in dict.fromkeys(files_of(sources)):
+        if path.suffix.lower() in _CAMERA_FILES and strict_yaml.load(path).get("format") == native.FORMAT:
+            cameras = {name: entry.camera for name, entry in native.read(path).cameras.items()}
+            found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in cameras.items()}
     return found
 
 
-def _cameras(path: Path) -> dict[str, tuple[float, float]]:
-    """Return cx and cy of the cameras of a camera file, which counts from the centre of the first pixel."""
-    if path.suffix.lower() not in {".yaml", ".yml"} or strict_yaml.load(path).get("format") != native.FORMAT:
-        return {}
-    found = {}
-    for name, entry in native.read(path).cameras.items():
-        parameters = dict(zip(entry.camera.model.parameter_names, entry.camera.parameters.tolist(), strict=True))
-        found[name] = (parameters["cx"], parameters["cy"])
-    return found
+def _counted_from_corners(
+    centres: Mapping[str, tuple[float, float]], changes: Mapping[str, AxesChange]
+) -> Iterator[PrincipalPoint]:
+    """Yield principal points where the users of a camera's new axes count pixels from elsewhere than camcal does."""
+    for name, (cx, cy) in centres.items():
+        item = changes.get(name)
+        if item is not None and item.after.pixel_centre:
+            shift = item.after.pixel_centre
+            yield PrincipalPoint(name, item.after.name, cx + shift, cy + shift)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from camcal import files
-from camcal.errors import InvalidInput
+from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import frames, pose_text
 from camcal.formats.pose_forms import Form, form_of
 from camcal.geometry.named import NamedTransform
@@ -47,9 +47,14 @@ class Output:
             refuse_overwriting([self.path], files_of(sources))
 
     def write(self, transforms: Sequence[NamedTransform]) -> None:
-        """Write transforms if they go anywhere; raises InvalidInput for several in a text, or two of one name."""
+        """Write transforms if they go anywhere.
+
+        Raises InvalidInput for several in a text, or two of one name, InsufficientData for none.
+        """
         if self.path is None:
             return
+        if not transforms:
+            raise InsufficientData("there are no transforms to write", where=str(self.path))
         if self.path.suffix.lower() in frames.SUFFIXES:
             frames.write(self.path, [_with_frames(transform) for transform in transforms], self.numbers)
             return

@@ -39,6 +39,8 @@ def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> 
         raise InvalidInput("--trajectory takes one file, and --output for where it goes")
     if form is not None and form not in _KINDS:
         raise InvalidInput(f"--as {form}: a trajectory is written as {', '.join(_KINDS)}, or as its suffix says")
+    if options.form is not None:
+        raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
     name, body = split_name(options.sources[0])
     refuse_overwriting([output], [Path(body)])
     kind = trajectories.kind_of(output, None if form is None else _KINDS[form])

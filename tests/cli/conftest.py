@@ -3,8 +3,11 @@
 from collections.abc import Callable
 
 import pytest
+from typer.main import get_command
 
 from camcal.cli.main import app
+
+COMMAND = get_command(app)  # once: building it takes longer than most commands
 
 
 @pytest.fixture
@@ -13,7 +16,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str
 
     def call(*arguments: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as leaving:
-            app([str(argument) for argument in arguments])
+            COMMAND([str(argument) for argument in arguments])
         printed = capsys.readouterr()
         return int(leaving.value.code or 0), printed.out, printed.err
 

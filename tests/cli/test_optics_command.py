@@ -2,12 +2,10 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
-import typer
-
-from camcal.cli.optics import optics
 
 SAMPLES = Path(__file__).parents[2] / "sample_configs"
 WEBCAM = SAMPLES / "cameras" / "webcam.yaml"
@@ -15,6 +13,7 @@ FISHEYE = SAMPLES / "cameras" / "fisheye.yaml"
 
 LENS = ("--f", 8, "--N", 2.8, "--focus", 0.5)
 PIXELS = ("--size", "2048x1536", "--pitch", 3.45)
+ONE_VIEW = ("--views", 1)  # no forecast of a calibration, which most tests do not look at
 KEYS = [
     *("schema", "setup", "solved", "field_of_view", "pixel_angle", "focus", "diffraction", "exposure", "image_circle"),
     *("distances", "board", "missing", "notes", "warnings", "plot"),
@@ -22,14 +21,12 @@ KEYS = [
 
 
 @pytest.fixture
-def figures(capsys):
-    """A function that gives the exit and the document of a command line, without building all other commands."""
-    alone = typer.Typer()
-    alone.command()(optics)
+def figures(run):
+    """A function that gives the exit and the document of a command line."""
 
     def call(*arguments):
-        code = alone([*map(str, arguments), "--json"], standalone_mode=False)
-        return code or 0, json.loads(capsys.readouterr().out)
+        code, out, _ = run("optics", *arguments, "--json")
+        return code, json.loads(out)
 
     return call
 
@@ -53,7 +50,7 @@ def test_a_lens_is_worked_out_in_words(run):
         "in focus up to                      0.540109     m",
         "principal distance                  8.13008      mm",
         "sensor                              7.066 x 5.299  mm     pixels times pitch",
-        "at a distance\n  distance m  width m",
+        "at a distance\n  figure                0.5 m   0.6 m   unit\n  width that is seen    0.4345  0.5214  m",
         "for motion blur give --speed",
         "for stereo depth give --baseline",
     ):
@@ -93,7 +90,15 @@ def test_the_field_of_view_of_a_lens_at_infinity_is_that_of_the_reference(figure
     _, document = figures("--f", 8, "--sensor", "7.2x5.4")
     assert list(document["field_of_view"].values()) == pytest.approx([48.455, 37.299, 58.716], abs=5e-4)
     assert document["missing"]["depth of field"] == "--focus and --coc (or the pitch) and --f-number"
-    assert document["missing"]["diffraction"] == "--size and --f-number"
+    assert document["missing"]["diffraction in pixels"] == "--size and --f-number"
+
+
+def test_the_airy_disc_needs_no_pixels(figures, run):
+    given = ("--f", 8, "--sensor", "7.2x5.4", "--N", 4)
+    diffraction = figures(*given)[1]["diffraction"]
+    assert diffraction["airy_diameter_um"] == pytest.approx(2.43935 * 0.55 * 4, abs=1e-4)  # 2.44 λ N
+    assert diffraction["airy_px"] is None
+    assert "for diffraction in pixels give --size" in run("optics", *given)[1]
 
 
 def test_the_field_of_view_of_a_camera_file_is_through_its_rays(figures, tmp_path):
@@ -211,16 +216,32 @@ def test_a_board_is_planned(run, figures):
     assert list(board["calibration"]["std"]) == ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
     assert 0.1 < board["calibration"]["std"]["fx"] < 2
     out = run("optics", *arguments)[1]
+    assert re.search(r"pose, ± tz +- +0\.0\d+ +0\.0\d+ +mm\n", out)
     for words in (
-        "board chessboard:9x6:25mm, tilted by 20°",
-        "± tz mm",
+        "board chessboard:9x6:25mm, tilted by 20°\n  figure                       0.2 m   0.5 m   0.54 m  unit",
         "use it in focus between 0.4654 m and 0.5401 m",
     ):
         assert words in out
 
 
+def test_tables_fit_80_columns_however_many_distances_are_asked_for(run):
+    given = ("--distance", ",".join(f"{number}.75" for number in range(7)), "--speed", 1, "--exposure", 1)
+    out = run("optics", *LENS, *PIXELS, *given, "--baseline", 0.1, "--board", "chessboard:9x6:25mm", *ONE_VIEW)[1]
+    tables = out[out.index("at a distance") : out.index("it fits the image")]
+    assert max(map(len, tables.splitlines())) <= 80
+    assert tables.count("at a distance") == 2  # five, then two
+    assert tables.count("pose, ± rz") == 2
+
+
+def test_the_farthest_distance_of_a_board_is_found_though_squares_shrink_again_close_to_a_wide_lens(figures):
+    board = ("--board", "charuco:9x7:30mm:22mm:DICT_5X5_100", "--tilt", 30, *ONE_VIEW)
+    farthest = figures(FISHEYE, *board)[1]["board"]["large_enough_to_m"]
+    at = figures(FISHEYE, *board, "--distance", f"{farthest:.9f}")[1]["board"]
+    assert at["distances"][0]["smallest_square_px"] == pytest.approx(at["least_square_px"], rel=1e-6)
+
+
 def test_a_board_of_the_size_that_is_proposed_takes_the_share_that_was_asked_for(figures):
-    arguments = ("--f", 8, *PIXELS, "--distance", 1, "--share", 0.7, "--board")
+    arguments = ("--f", 8, *PIXELS, "--distance", 1, "--share", 0.7, *ONE_VIEW, "--board")
     square = figures(*arguments, "chessboard:9x6:25mm")[1]["board"]["distances"][0]["square_for_share_mm"]
     taken = figures(*arguments, f"chessboard:9x6:{square:.6f}mm")[1]["board"]["distances"][0]["share"]
     assert taken == pytest.approx(0.7, abs=1e-5)  # of the digits of the size
@@ -228,12 +249,12 @@ def test_a_board_of_the_size_that_is_proposed_takes_the_share_that_was_asked_for
 
 def test_a_board_without_a_distance_is_planned_where_it_takes_its_share(figures):
     for given in (("--f", 8, *PIXELS), (WEBCAM,)):
-        board = figures(*given, "--board", "chessboard:6x9:25mm")[1]["board"]
+        board = figures(*given, *ONE_VIEW, "--board", "chessboard:6x9:25mm")[1]["board"]
         assert board["distances"][0]["share"] == pytest.approx(0.6)
 
 
 def test_a_wide_lens_sees_a_board_from_anywhere(run):
-    code, out, _ = run("optics", FISHEYE, "--board", "chessboard:9x6:25mm", "--distance", 0.2)
+    code, out, _ = run("optics", FISHEYE, "--board", "chessboard:9x6:25mm", "--distance", 0.2, *ONE_VIEW)
     assert code == 0
     assert "it fits the image at any distance, and squares have 8 px or more up to" in out
     assert "no ray" in out  # the field is wider than 180°
@@ -241,9 +262,10 @@ def test_a_wide_lens_sees_a_board_from_anywhere(run):
 
 def test_the_markers_of_a_board_need_more_pixels_than_its_squares(figures):
     boards = ("chessboard:9x6:30mm", "charuco:9x7:30mm:22mm:DICT_5X5_100", "charuco:9x7:30mm:22mm:DICT_4X4_50")
-    least = [figures(WEBCAM, "--board", board)[1]["board"]["least_square_px"] for board in boards]
+    given = ("--f", 8, *PIXELS, *ONE_VIEW, "--board")
+    least = [figures(*given, board)[1]["board"]["least_square_px"] for board in boards]
     assert least == pytest.approx([8, 2 * 7 * 30 / 22, 2 * 6 * 30 / 22])  # two pixels a cell, with the border
-    assert figures(WEBCAM, "--board", boards[1], "--least-square", 12)[1]["board"]["least_square_px"] == 12
+    assert figures(*given, boards[1], "--least-square", 12)[1]["board"]["least_square_px"] == 12
 
 
 def test_a_tag_that_is_far_is_warned_of(figures):
@@ -290,6 +312,12 @@ def test_the_sample_settings_are_sound(run):
         (("--f", 8, "--sensor", "1/2.8x"), "sensor format '1/2.8x' is unknown"),
         (("--f", 0), "--focal must be more than 0 and finite, found 0"),
         (("--f", "nan"), "--focal must be more than 0 and finite, found nan"),
+        (("--f", "-8"), "--focal must be more than 0 and finite, found -8"),  # mm, as given
+        (("--f", "1e300", "--focus", "1e308", "--N", "1e-300"), "--focal is beyond all reason, found 1e+300"),
+        ((*LENS, "--coc", f"{'9' * 400}px"), "write a diameter with its unit"),
+        (("--f", 8, "--size", f"{'9' * 20}x3", "--pitch", 3), "--size: an image side of 1e+20 pixels is beyond"),
+        ((WEBCAM, "--board", "chessboard:9x6:25mm", "--noise", "1e300"), "--noise and --least-square must be"),
+        ((WEBCAM, "--board", "chessboard:9x6:25mm", "--least-square", 0), "--noise and --least-square must be"),
         (("--f", 8, "--sensor", "0x5"), "sensor format '0x5' is unknown"),
         ((*LENS, "--coc", "5"), "--coc '5': write a diameter with its unit"),
         (("--f", 8, "--focus", 0.005), "a lens of 8 mm makes no image of what is 5 mm away"),

@@ -1,6 +1,7 @@
 """`camcal transform chain`, `eval`, `compose` and `invert`: what they give, say and refuse."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ FRAMES = """transforms:
   cam_T_tag: {rotation_vector: [0.0, 0.0, 0.0], t: [0.0, 0.0, 2.0], std: [0.001, 0.001, 0.002, 0.01, 0.01, 0.01]}
   lidar_T_cam: {euler: {axes: ZYX, deg: [90.0, 0.0, -90.0]}, t: [0.0, 0.1, 0.0]}
 """
+WEBCAM = str(Path(__file__).parents[2] / "sample_configs" / "cameras" / "webcam.yaml")  # one camera, no transforms
 TRANSFORM_KEYS = [
     "name", "R", "t", "quaternion", "rotation_vector", "std", "covariance", "form", "numbers", "gimbal_lock"
 ]  # fmt: skip
@@ -81,6 +83,20 @@ def test_a_loop_that_closes_is_said_and_one_that_does_not_is_refused(run, frames
                        "--to", "base", "--from", "tag")  # fmt: skip
     assert code == 0
     assert "the loop base_T_cam * cam_T_base closes to" in out
+
+
+def test_bare_numbers_of_one_way_among_several_say_which_it_is_and_are_read_again(run, frames, tmp_path):
+    code, out, _ = run("transform", "chain", frames, "base_T_tag=1 0 2.5004 0 0 90", "--form", "rvec:deg",
+                       "--to", "base", "--from", "tag", "--as", "rvec:deg")  # fmt: skip
+    assert code == 0
+    made_of, loop, rule, *numbers = out.splitlines()
+    assert made_of == "# made of base_T_tag"  # one transform, not two
+    assert loop.startswith("# the loop base_T_cam * cam_T_tag * inv(base_T_tag) closes to 0.4 mm and")
+    assert "checked by these loops, not averaged in" in rule
+    assert numbers == ["# base_T_tag, rvec:deg", "1 0 2.5004 0 0 90"]
+    (tmp_path / "piped.txt").write_text(out)
+    _, again, _ = run("transform", "convert", tmp_path / "piped.txt", "--as", "rvec:deg")
+    assert again.splitlines() == numbers
 
 
 def test_covariances_decide_whether_a_loop_closes(run, tmp_path):
@@ -153,7 +169,11 @@ def test_all_transforms_of_a_file_are_inverted_into_another(run, frames, tmp_pat
             "no transforms",
         ),
         (("chain", "0 0 0 0 0 0", "--form", "rvec", "--to", "a", "--from", "b"), 2, "write a_T_b='0 0 0 0 0 0'"),
-        (("chain", "{frames}", "--to", "base", "--from", "tag", "--loop-mm", "-1"), 2, "not negative"),
+        (
+            ("chain", "{frames}", "--to", "base", "--from", "tag", "--loop-mm", "-1"),
+            2,
+            "--loop-mm and --loop-deg are 0 or more",
+        ),
         (("eval", "base_T_cam", "-f", "{frames}", "-f", "{frames}"), 2, "base_T_cam stands in"),
         (("compose", "0 0 0 0 0 0", "--form", "rvec"), 2, "two or more"),
         (("invert", "nowhere.txt"), 3, "nowhere.txt: no such file"),
@@ -162,6 +182,11 @@ def test_all_transforms_of_a_file_are_inverted_into_another(run, frames, tmp_pat
         (("invert", "{frames}", "-o", "out.png"), 2, "transforms are written as .yaml"),
         (("invert", "{frames}", "--as", "quats"), 2, "form 'quats' is unknown"),
         (("invert", "1 0 0 0 0 1 0 0 0 0 -1 0"), 2, "det = -1, a reflection"),
+        (("invert", ""), 2, "'' is no pose"),
+        (("invert", "a_T_b="), 2, "'a_T_b=' is no pose"),
+        (("invert", "Rz(1e99deg)"), 2, "more than 1e+06 rad says no direction"),
+        (("invert", "0 0 0 0 1e99 0", "--form", "rvec"), 2, "more than 1e+06 rad says no direction"),
+        (("compose", "a_T_b=Rz(1deg)", WEBCAM), 4, "webcam.yaml: holds no transforms"),
     ],
 )
 def test_what_makes_no_sense_is_one_clear_line(run, frames, tmp_path, monkeypatch, arguments, code, words):

@@ -33,6 +33,19 @@ def test_a_camera_of_a_camera_file_gets_other_axes_and_its_pixels_are_counted_fr
     assert "left: in nerf the principal point is cx 320, cy 240" in err
 
 
+def test_a_camera_alone_is_enough_to_count_its_pixels_from_the_corner(run, tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text(RIG[: RIG.index("transforms:")])
+    code, out, err = run("transform", "convert", path, "--axes", "left=opencv:colmap", "--json")
+    assert code == 0
+    assert json.loads(out)["principal_points"] == [{"camera": "left", "convention": "colmap", "cx": 320.0, "cy": 240.0}]
+    assert err.count("\n") == 1
+    code, _, err = run("transform", "convert", path, "-o", tmp_path / "out.yaml")
+    assert code == 4
+    assert "there are no transforms to write" in err
+    assert not (tmp_path / "out.yaml").exists()
+
+
 def test_the_json_document_of_convert(run, rig):
     _, out, _ = run("transform", "convert", rig, "--axes", "left=opencv:colmap", "--json")
     document = json.loads(out)
@@ -155,6 +168,28 @@ def test_the_json_document_of_average(run, tmp_path):
     assert document["transform"]["t"][0] == pytest.approx(0.2)  # weights 4 to 1
     assert list(document["estimates"][0]) == ["name", "where", "weight", "offset_m", "angle_deg"]
     assert document["degrees_of_freedom"] == 6
+
+
+def test_the_poses_of_a_trajectory_are_averaged_by_their_covariances(run, tmp_path):
+    path = tmp_path / "still.csv"
+    covariances = np.array([1.0, 4.0, 4.0])[:, None, None] * 1e-4 * np.eye(6)
+    translations = [[0.0, 0, 0], [3.0, 0, 0], [3.0, 0, 0]]
+    rotations = np.broadcast_to(np.eye(3), (3, 3, 3))
+    still = Trajectory("world_T_camera", np.arange(3.0), rotations, translations, covariances)
+    trajectories.write(path, still)
+    code, out, _ = run("transform", "average", path, "--trajectory", "--json")
+    assert code == 0
+    document = json.loads(out)
+    assert document["weighted"]
+    assert document["transform"]["name"] == "world_T_camera"
+    assert document["transform"]["t"][0] == pytest.approx(1.0)  # weights 4, 1, 1
+    assert document["estimates"][2]["where"] == f"{path}#2"
+    (tmp_path / "still.tum").write_text("0 0 0 0 0 0 0 1\n1 2 0 0 0 0 0 1\n")
+    _, out, _ = run("transform", "average", f"a_T_b={tmp_path / 'still.tum'}", "--trajectory", "--as", "tum")
+    assert out.splitlines() == ["# a_T_b, tum", "0 1 0 0 0 0 0 1"]
+    code, _, err = run("transform", "average", tmp_path / "still.tum")
+    assert code == 2
+    assert "--trajectory of 'camcal transform convert' and 'average' takes all" in err
 
 
 def test_estimates_that_differ_more_than_they_say_are_warned_of(run, tmp_path):
@@ -280,6 +315,8 @@ def test_coordinates_of_a_map_keep_their_digits(run, tmp_path):
         (("points", "in.csv", "--with", "{rig}", "-o", "out.csv", "--unit", "inch"), 2, "unit 'inch'"),
         (("points", "in.csv", "--with", "{rig}", "-o", "out.csv"), 3, "in.csv: no such file"),
         (("check", "{rig}", "--as", "euler:ZYX"), 2, "their axes and their unit"),
+        (("average", "{rig}", "--trajectory", "--form", "tum"), 2, "--form is of numbers"),
+        (("convert", "in.tum", "--trajectory", "--form", "tum", "-o", "out.csv"), 2, "--form is of numbers"),
     ],
 )
 def test_what_makes_no_sense_is_one_clear_line(run, rig, tmp_path, monkeypatch, arguments, code, words):

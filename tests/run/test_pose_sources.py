@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import poses
 from camcal.formats.camera_file import Noise
 from camcal.formats.pose_forms import form_named
@@ -75,14 +75,27 @@ def test_a_missing_file_is_named():
         read_one("nowhere.yaml")
 
 
-def test_poses_of_a_pose_file_are_told_by_their_image(tmp_path):
+@pytest.mark.parametrize("name", ["poses.yaml", "poses.csv"])
+def test_poses_of_a_pose_file_are_told_by_their_image(tmp_path, name):
     record = PoseRecord(Pose(np.eye(3), np.array([0, 0, 2.0])), np.eye(6), np.eye(6), "ok", 0.1, 0.2, 4, 4)
     found = Poses("camera_T_object", "m", Noise(0.3, None), {Sight("a.png"): record, Sight("b.png"): record})
-    poses.write(tmp_path / "poses.yaml", found)
-    one = read_one(f"{tmp_path / 'poses.yaml'}#b.png")
+    path = str(tmp_path / name)
+    poses.write(tmp_path / name, found)
+    one = read_one(f"{path}#b.png")
     assert one.name == "camera_T_object"
     np.testing.assert_array_equal(one.covariance, np.eye(6))
-    assert len(read_transforms([str(tmp_path / "poses.yaml")])) == 2
+    assert len(read_transforms([path])) == 2
+    assert [item.where for item in read_loose([path])] == [f"{path}#a.png", f"{path}#b.png"]
+    (loose,) = read_loose([f"{path}#b.png"])
+    np.testing.assert_array_equal(loose.pose.translation, [0, 0, 2])
+
+
+def test_a_file_without_transforms_is_too_little(tmp_path):
+    (tmp_path / "none.yaml").write_text("transforms: {}\n")
+    for read in (read_transforms, read_loose):
+        with pytest.raises(InsufficientData, match=r"none\.yaml: holds no transforms"):
+            read([str(tmp_path / "none.yaml")])
+    assert read_transforms([str(tmp_path / "none.yaml")], allow_none=True) == ()
 
 
 def test_what_is_no_rotation_is_read_loosely_all_the_same():
