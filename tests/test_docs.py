@@ -230,7 +230,7 @@ def _is_step(line: str) -> bool:
 
 
 def is_within(wanted: list[str], script: list[str]) -> bool:
-    """Return whether the wanted steps stand in the script, in their order; it may say more, such as an output or which tests."""
+    """Return whether the wanted steps stand in the script, in their order; it may say more, such as an output."""
     left = iter(script)
     return all(any(step == want or step.startswith(f"{want} -") for step in left) for want in wanted)
 

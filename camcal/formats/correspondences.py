@@ -35,6 +35,8 @@ OPTIONAL = ("image", "id", "camera", "sigma", *COVARIANCE, "weight")
 YAML = (".yaml", ".yml")
 JSON = (".json",)
 MAX_ID = 10**9
+FARTHEST = 1e9  # m from the origin; squares of squares of more are no numbers any longer
+BEYOND = 1e12  # of a sigma, a variance or a weight; its inverse is the least
 MARGIN = 0.1  # a point farther outside than this share of the image's side is a mistake, not a measurement
 
 _MAX_VALUES = 20_000_000  # of a YAML file, which is a table here
@@ -67,6 +69,7 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
     sizes = image_size if isinstance(image_size, Mapping) else {_only_camera(table): image_size}
     cameras = _cameras(table, sizes)
     points, pixels = (np.column_stack([table.numbers(name) for name in part]) for part in (COLUMNS[:3], COLUMNS[3:]))
+    _refuse_immense(table, points)
     _refuse_outside(table, pixels, np.array([sizes[name] for name in cameras]))
     covariance = _covariance(table)
     ids = table.integers("id", 0, MAX_ID) if "id" in table.columns else None
@@ -127,6 +130,7 @@ def _weighty(table: Table) -> Table:
         return table
     weights = table.numbers("weight")
     table.refuse(weights < 0, lambda row: f"weight {weights[row]:g} is negative")
+    _refuse_beyond(table, weights, "weight {:g}")
     return table.rows(np.flatnonzero(weights > 0))
 
 
@@ -173,6 +177,7 @@ def _covariance(table: Table) -> Array | None:
         return np.asarray(np.eye(2) / table.numbers("weight")[:, None, None])
     sigma = table.numbers("sigma")
     table.refuse(sigma <= 0, lambda row: f"sigma {sigma[row]:g} px is not positive")
+    _refuse_beyond(table, sigma, "sigma {:g} px")
     return np.asarray(np.eye(2) * sigma[:, None, None] ** 2)
 
 
@@ -181,9 +186,26 @@ def _full_covariance(table: Table) -> Array:
     if missing:
         raise InvalidInput(f"column {missing[0]!r} is missing; {','.join(COVARIANCE)} go together", where=table.path)
     suu, suv, svv = (table.numbers(name) for name in COVARIANCE)
+    _refuse_beyond(table, suu, "suu {:g} px²")
+    _refuse_beyond(table, svv, "svv {:g} px²")
     bad = np.asarray((suu <= 0) | (suu * svv <= suv**2))
     table.refuse(bad, lambda _row: "suu, suv, svv are no covariance (not positive)")
     return np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
+
+
+def _refuse_beyond(table: Table, values: Array, named: str) -> None:
+    """Refuse sizes (N,) that are not 0 and so large or small that nothing can be computed with them."""
+    sizes = np.abs(values)
+    beyond = (sizes > 0) & ((sizes > BEYOND) | (sizes < 1 / BEYOND))
+    table.refuse(beyond, lambda row: f"{named.format(values[row])} is beyond reason")
+
+
+def _refuse_immense(table: Table, points: Array) -> None:
+    farthest = np.abs(points).max(axis=1)
+    table.refuse(
+        farthest > FARTHEST,
+        lambda row: f"a coordinate of {farthest[row]:g} m is no measurement; are X, Y, Z in metres?",
+    )
 
 
 def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:

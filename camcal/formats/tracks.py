@@ -1,7 +1,7 @@
 """Tracks of objects: every frame with its state, as a wide table (CSV), YAML or JSON.
 
 A frame without a pose has empty cells in a table, and no such keys in YAML and JSON. Trajectories for other programs,
-of one object and of frames with a pose only, are in `trajectory`.
+of one object and of frames with a pose only, are in `trajectories`, which reads these tables back.
 """
 
 import json
@@ -94,7 +94,7 @@ def _block(item: TrackedObject, index: int, image: str) -> dict[str, Any]:
 
 def _csv_lines(images: Sequence[str], objects: Mapping[str, TrackedObject]) -> Iterator[str]:
     frames = next(iter(objects.values())).track.frames
-    yield f"# {FORMAT} {VERSION} frames={frames} m s rad; v: of the translation, w: R' = hat(w) R; std: R <- Exp(dr) R"
+    yield f"# {FORMAT} {VERSION} frames={frames}; m, s, rad; v: of the translation, w: R' = hat(w) R, R <- Exp(dr) R"
     yield ",".join(_COLUMNS)
     for name, item in objects.items():
         for index, image in enumerate(images):

@@ -19,6 +19,7 @@ _ARROW: Colour = (0, 220, 255)
 _OUTLIER: Colour = (60, 60, 255)
 _NAME: Colour = (255, 255, 255)
 _EDGE: Colour = (20, 20, 20)
+_AROUND = tuple((right, down) for right in (-1, 0, 1) for down in (-1, 0, 1) if right or down)
 _INK, _PAPER = (30, 30, 30), 245
 _LEAST_WIDTH = 900  # px; smaller images are enlarged by a whole factor, so that arrows and letters can be seen
 _AXIS = 0.35  # of the object's largest extent
@@ -110,8 +111,10 @@ class _Canvas:
     def _write(self, text: str, place: tuple[int, int], colour: Colour) -> None:
         """Write beside a place, on a dark edge that sets it off from whatever is there."""
         corner = (place[0] >> _FINE) + 6, (place[1] >> _FINE) - 4
-        for ink, width in ((_EDGE, 4), (colour, 1)):
-            cv2.putText(self.pixels, text, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.55, ink, width, cv2.LINE_AA)
+        # The edge is the same thin text moved about: bold letters of OpenCV 5 are wider and would stand beside it.
+        for right, down, ink in (*((*move, _EDGE) for move in _AROUND), (0, 0, colour)):
+            at = corner[0] + right, corner[1] + down
+            cv2.putText(self.pixels, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, ink, 1, cv2.LINE_AA)
 
     def draw_points(self, each: Posed, enlarged: int) -> None:
         """Draw where points were seen and arrows to where they are projected."""

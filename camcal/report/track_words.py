@@ -11,7 +11,7 @@ from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.tracks import TrackedObject
 
 _IN_A_ROW = 3  # outliers hardly ever come so
-_JERK = "a jerk or a wrong time rather than outliers; look, and raise --process-noise"
+_ASTRAY = "they fit neither the track nor one another; wrong times or detections? Else raise --process-noise"
 
 
 def lines(item: TrackedObject) -> Iterator[str]:
@@ -22,8 +22,10 @@ def lines(item: TrackedObject) -> Iterator[str]:
     refused, flips = track.count(REJECTED), _flips(track)
     used = f"used {track.count(MEASURED)}, {flips} of them by their mirror pose"
     yield f"{used}; left out {refused} ({_percent(refused, found)})"
-    if (jerk := _longest_refusal(track)) is not None:
-        yield f"  {len(jerk)} left out in a row from {track.stamps[jerk[0]]:.6g} s: {_JERK}"
+    if (row := _longest_refusal(track)) is not None:
+        yield f"  {len(row)} left out in a row from {track.stamps[row[0]]:.6g} s: {_ASTRAY}"
+    if track.jerks:
+        yield f"  jerks, after which the velocity was found anew: {_times(track, track.jerks)}"
     yield f"pieces: {', '.join(_piece(track, number) for number in range(int(track.segments.max()) + 1))}"
     yield f"trembling: single frames {_jitter(track.before)}; track {_jitter(track.after)}"
     yield f"process noise: translation {_density(track, 0)} m²/s³, rotation {_density(track, 1)} rad²/s³"
@@ -55,6 +57,7 @@ def plain(item: TrackedObject, images: Sequence[str]) -> dict[str, Any]:
         "predicted": track.count("predicted"),
         "rejected": [image for image, state in zip(images, track.states, strict=True) if state == REJECTED],
         "mirrored": _flips(track),
+        "jerks": [images[frame] for frame in track.jerks],
         "segments": [_segment(track, number, images) for number in range(int(track.segments.max()) + 1)],
         "process_noise": {
             "qv": track.noise.translation,
@@ -80,6 +83,10 @@ def _segment(track: Track, number: int, images: Sequence[str]) -> dict[str, Any]
         "end_s": float(track.stamps[inside[-1]]),
         "frames": len(inside),
     }
+
+
+def _times(track: Track, frames: Sequence[int]) -> str:
+    return ", ".join(f"{track.stamps[frame]:.6g} s" for frame in frames)
 
 
 def _piece(track: Track, number: int) -> str:

@@ -50,12 +50,13 @@ class MarkerDrawing:
         skew = (gradients[:, 0] * gradients[:, 1]).sum(axis=1) / slopes.prod(axis=1)
         skew = np.clip(skew, -_LARGEST_CORRELATION, _LARGEST_CORRELATION)
         widths = slopes * blur
-        across, down = (((places[:, [k]] - self.lines) / widths[:, [k]]).astype(np.float32) for k in (0, 1))
-        jumps = np.diff(np.diff(np.pad(self.ink, 1, constant_values=1.0), axis=0), axis=1).T.astype(np.float32)
+        # Places along the last axis: sums over the few lines between cells are then sums of long rows.
+        across, down = (((places[:, k] - self.lines[:, None]) / widths[:, k]).astype(np.float32) for k in (0, 1))
+        jumps = np.diff(np.diff(np.pad(self.ink, 1, constant_values=1.0), axis=0), axis=1).astype(np.float32)
         p, q = (np.exp(-(z**2) / 2) / np.float32(_ROOT_TWO_PI) for z in (across, down))
         yq, yyq, below = down * q, down**2 * q, ndtr(down)
-        summed, level, tilted = ndtr(across) @ jumps, p @ jumps, (across * p) @ jumps
-        curved = (across**2 * p) @ jumps
+        summed, level, tilted = jumps @ ndtr(across), jumps @ p, jumps @ (across * p)
+        curved = jumps @ (across**2 * p)
         half = skew**2 / 2
         value = 1 + _sum(below, summed) + skew * _sum(q, level) + half * _sum(yq, tilted)
         by_u = _sum(below, level) - skew * _sum(q, tilted) + half * _sum(yq, level - curved)
@@ -74,5 +75,5 @@ class Blurred:
 
 
 def _sum(one: Array, other: Array) -> Array:
-    """Return the inner products (K,) of rows (K, n)."""
-    return np.asarray((one * other).sum(axis=1))
+    """Return the inner products (K,) of columns (n, K)."""
+    return np.asarray((one * other).sum(axis=0))

@@ -68,8 +68,8 @@ def fit_marker(gray: Array, corners: Array, drawing: MarkerDrawing) -> MarkerFit
         window = look(gray, middle, parameters[_ENTRIES], drawing, most)
         if len(window.values) < 2 * _COUNT:
             return None
-        problem = _MarkerProblem.of(window, drawing, parameters)
-        solution = minimise(problem, problem.lit(parameters), stopping)
+        problem, parameters = _MarkerProblem.lit(window, drawing, parameters)
+        solution = minimise(problem, parameters, stopping)
         parameters = solution.state
     try:
         return _result(problem, solution, middle)
@@ -93,18 +93,15 @@ class _MarkerProblem:
     groups = (0, 0)
 
     @classmethod
-    def of(cls, window: Window, drawing: MarkerDrawing, parameters: Array) -> "_MarkerProblem":
-        """Return the problem with the noise as it looks from some parameters."""
-        problem = cls(window, drawing, 1.0)
-        residuals = problem.evaluated(problem.lit(parameters))[0]
-        return cls(window, drawing, _variance(residuals))
+    def lit(cls, window: Window, drawing: MarkerDrawing, parameters: Array) -> tuple["_MarkerProblem", Array]:
+        """Return the problem with the noise as it looks from some parameters, and these with the best light.
 
-    def lit(self, parameters: Array) -> Array:
-        """Return the parameters with level and contrast by linear least squares."""
-        seen = self.evaluated(parameters)[1][:, _LEVEL.start :]
-        result = parameters.copy()
-        result[_LEVEL.start :] = np.linalg.lstsq(seen, self.window.values, rcond=None)[0]
-        return result
+        Level and contrast are linear: they follow by least squares, whatever the parameters say of them.
+        """
+        shades = cls(window, drawing, 1.0).evaluated(parameters)[1][:, _LEVEL.start :]
+        light = np.linalg.lstsq(shades, window.values, rcond=None)[0]
+        variance = _variance(shades @ light - window.values)
+        return cls(window, drawing, variance), np.concatenate([parameters[: _LEVEL.start], light])
 
     def evaluated(self, parameters: Array) -> tuple[Array, Array]:
         """Return model less image (K,) and the derivatives (K, 25)."""

@@ -261,6 +261,7 @@ def _warnings(
 ) -> list[str]:
     estimates = list(found.values())
     warnings = pnp_remarks.of_noise(estimates, observations, observer.noise_px)
+    warnings += pnp_remarks.of_outliers(estimates, observations)
     if seen.unit == "m":
         warnings += pnp_remarks.of_units(estimates, observations)
     if observer.rig is not None:

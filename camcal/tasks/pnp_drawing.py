@@ -14,7 +14,7 @@ from camcal.images.video import frames
 from camcal.progress import Progress, values_of
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import VIDEO_SUFFIXES, record_outputs
+from camcal.run.inputs import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs
 from camcal.run.outputs import refuse_collisions, refuse_overwriting
 from camcal.tasks.photographs import read_photograph
 from camcal.tasks.tag_views import frame_name
@@ -96,7 +96,12 @@ def _work(pages: Sequence[Sheet], videos: Sequence[Path], folders: Sequence[Path
     for page in pages:
         if page.image in waiting:
             places = [Path(page.image), *(folder / page.image for folder in folders)]
-            yield _Work(page, next((place for place in places if place.is_file()), None))
+            yield _Work(page, next((place for place in places if _may_be_image(place)), None))
+
+
+def _may_be_image(path: Path) -> bool:
+    """Tell whether a file is there that may be an image: points that name no image have the name of their own file."""
+    return path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()
 
 
 def _draw(work: _Work) -> Path:

@@ -11,6 +11,8 @@ from camcal.estimate.pnp import PosePrior
 from camcal.formats import pose_text, poses
 from camcal.geometry.pose import Pose, inverse_jacobian
 
+_REASON = 1e-12, 1e12  # m or rad, between which a standard deviation is one that can be computed with
+
 
 @dataclass(frozen=True)
 class PriorOptions:
@@ -22,6 +24,8 @@ class PriorOptions:
     def __post_init__(self) -> None:
         if self.sigma is not None and not min(self.sigma) > 0:
             raise InvalidInput(f"--prior-sigma must be more than 0, found {self.sigma[0]:g} m, {self.sigma[1]:g} rad")
+        if self.sigma is not None and not _REASON[0] <= min(self.sigma) <= max(self.sigma) <= _REASON[1]:
+            raise InvalidInput(f"--prior-sigma {self.sigma[0]:g} m, {self.sigma[1]:g} rad is beyond reason")
 
 
 def read_prior(options: PriorOptions, of_object: bool) -> PosePrior:

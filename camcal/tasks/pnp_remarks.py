@@ -87,6 +87,17 @@ def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Ob
     return [f"the residuals are {times:.2g} times as large as the noise that is given: less is certain than they say"]
 
 
+def of_outliers(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+    """Return a warning where a pose follows from fewer than half of the points: the others may not be by chance."""
+    pairs = zip(estimates, observations, strict=True)
+    few = [(each, observation) for each, observation in pairs if 2 * each.used < len(each.inliers)]
+    if not few:
+        return []
+    (first, observation), more = few[0], f" and so {len(few) - 1} more poses" if len(few) > 1 else ""
+    finding = f"{first.used} of {len(first.inliers)} points agree with the pose of {observation.sight}{more}"
+    return [f"{finding}: are u and v exchanged, or the points numbered otherwise? Look at --draw"]
+
+
 def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
     """Return a warning where nothing that one camera of a rig saw agrees with what the others saw."""
     odd: list[str] = []

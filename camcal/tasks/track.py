@@ -96,7 +96,7 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
         try:
             found = track_poses(stamps, single, options.tracking, straight.frames)
         except InsufficientData as error:
-            lost[name] = InsufficientData(error.message, where=name or error.where)
+            lost[name] = InsufficientData(error.message, where=name or options.inputs[0])
             continue
         shown = found if direction == straight.frames else found.inverse()
         objects[name] = TrackedObject(shown, single if shown is found else [each and each.inverse() for each in single])
@@ -135,6 +135,8 @@ def _of_file(options: FollowOptions) -> _Seen:
         raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
     if options.looking.board or options.looking.tags:
         raise InvalidInput("a pose file has its poses already; leave --board and --tags out")
+    if options.noise_px is not None:
+        raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
     path = Path(options.inputs[0])
     require_there(path)
     read = poses.read(path)
@@ -193,6 +195,8 @@ def _chosen(seen: Poses, wanted: str | None) -> list[str]:
     names = sorted({sight.object for sight in seen.estimates}, key=files.natural_key)
     if wanted is None:
         return names
+    if names == [""]:
+        raise InvalidInput(f"--object {wanted}: there is one object here and it has no name; leave the option out")
     if wanted not in names:
         raise InvalidInput(f"--object {wanted}: it was not seen{did_you_mean(wanted, names)}")
     return [wanted]

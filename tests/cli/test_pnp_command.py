@@ -258,3 +258,48 @@ def test_bad_input_is_one_line_and_an_exit_code(rig, capsys, arguments, code, me
     err = capsys.readouterr().err.splitlines()
     assert len(err) == 1
     assert message in err[0]
+
+
+def test_points_that_name_no_image_are_drawn_on_gray(folder):
+    table = rows_of(TRUTH, np.random.default_rng(2)).tolist()
+    (folder / "plain.csv").write_text("X,Y,Z,u,v\n" + "".join(",".join(map(str, row)) + "\n" for row in table))
+    assert run("camera.yaml", "--points", "plain.csv", "--draw", "pictures") == 0
+    assert (folder / "pictures" / "plain_pose.png").is_file()
+
+
+def test_a_pose_of_fewer_than_half_of_the_points_is_doubted(folder, capsys):
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-0.1, 0.1, (30, 3))
+    pixels = CAMERA.project(TRUTH.apply(points)).pixels
+    pixels[10:] = rng.uniform(0, 480, (20, 2))
+    rows = np.column_stack([points, pixels]).tolist()
+    (folder / "most_wrong.csv").write_text("X,Y,Z,u,v\n" + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    assert run("camera.yaml", "--points", "most_wrong.csv", "--noise", 0.2) == 0
+    assert "of 30 points agree" in capsys.readouterr().err
+
+
+def test_coordinates_that_no_camera_sees_are_refused_at_their_line(folder, capsys):
+    (folder / "far.csv").write_text("X,Y,Z,u,v\n0,0,0,1,1\n0,1e300,0,1,2\n")
+    assert run("camera.yaml", "--points", "far.csv") == 2
+    assert "far.csv:3: a coordinate of 1e+300 m" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--noise", "--threshold"])
+@pytest.mark.parametrize("value", ["1e300", "1e-300"])
+def test_sizes_that_cannot_be_computed_with_are_refused(folder, capsys, option, value):
+    assert run("camera.yaml", "--points", "points.csv", option, value) == 2
+    assert "beyond reason" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("column", "value"), [("sigma", "1e200"), ("sigma", "1e-200"), ("weight", "1e300")])
+def test_columns_beyond_reason_are_refused_at_their_line(folder, capsys, column, value):
+    lines = (folder / "points.csv").read_text().splitlines()
+    (folder / "odd.csv").write_text("\n".join([f"{lines[0]},{column}", *(f"{line},{value}" for line in lines[1:])]))
+    assert run("camera.yaml", "--points", "odd.csv") == 2
+    assert f"odd.csv:2: {column} {value.replace('e', 'e+') if '-' not in value else value}" in capsys.readouterr().err
+
+
+def test_a_prior_beyond_reason_is_refused(folder, capsys):
+    arguments = "camera.yaml", "--points", "points.csv", "--noise", 0.2, "--prior", "p.yaml"
+    assert run(*arguments, "--prior-sigma", "1e300,5") == 2
+    assert "beyond reason" in capsys.readouterr().err

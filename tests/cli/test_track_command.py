@@ -144,7 +144,7 @@ def test_the_json_document(run, files):
     assert list(document) == ["schema", "frame_count", "objects", "lost", "notes", "failed", "outputs"]
     assert document["schema"] == "camcal/track/1"
     assert list(document["objects"][0]) == [
-        "object", "frames", "detections", "measured", "predicted", "rejected", "mirrored", "segments",
+        "object", "frames", "detections", "measured", "predicted", "rejected", "mirrored", "jerks", "segments",
         "process_noise", "consistency", "jitter",
     ]  # fmt: skip
     assert document["objects"][0]["process_noise"] == {"qv": 0.02, "qw": 0.5, "factors": None}
@@ -232,3 +232,44 @@ def test_times_are_asked_for_before_images_are_looked_at(run, tmp_path):
     assert (code, "when were the frames taken" in err) == (2, True)
     code, _, err = run("track", camera, tmp_path / "frames", "--board", "chessboard:6x4:30mm", "--fps", 30, "--jobs", 1)
     assert code == 4
+
+
+def test_a_table_is_read_back_as_a_trajectory_by_other_commands(run, files, tmp_path):
+    code, _, _ = run("track", files / "one.json", *GIVEN, "-o", tmp_path / "t.csv")
+    assert code == 0
+    run("track", files / "one.json", *GIVEN, "--format", "tum", "--pose", "camera_T_object", "-o", tmp_path / "t.tum")
+    table, lines = (trajectories.read(tmp_path / name) for name in ("t.csv", "t.tum"))
+    assert table.frames == "camera_T_object"
+    assert len(table) < COUNT  # frames without a pose are left out
+    np.testing.assert_allclose(table.stamps, lines.stamps, atol=1e-8)
+    np.testing.assert_allclose(table.translations, lines.translations, atol=1e-8)
+    assert np.all(np.diagonal(table.covariances, axis1=1, axis2=2) > 0)
+    code, _, err = run("smooth", tmp_path / "t.csv", "-o", tmp_path / "smooth.tum")
+    assert (code, err) == (0, "")
+
+
+def test_a_table_of_several_objects_is_not_taken_for_one_trajectory(run, files, tmp_path):
+    run("track", files / "two.json", *GIVEN, "-o", tmp_path / "t.csv")
+    code, _, err = run("smooth", tmp_path / "t.csv", "-o", tmp_path / "smooth.tum")
+    assert code == 2
+    assert "2 objects (tag_3, tag_5)" in err
+    assert "--object" in err
+
+
+def test_what_a_pose_file_cannot_follow_is_said(run, files):
+    for option, value, words in (("--object", "tag_9", "no name"), ("--noise", "0.2", "'camcal pnp'")):
+        code, _, err = run("track", files / "one.json", *GIVEN, option, value)
+        assert code == 2
+        assert words in err
+
+
+def test_a_table_with_half_a_pose_is_refused_at_its_line(run, files, tmp_path):
+    run("track", files / "one.json", *GIVEN, "-o", tmp_path / "t.csv")
+    lines = (tmp_path / "t.csv").read_text().splitlines()
+    cells = lines[9].split(",")
+    cells[lines[1].split(",").index("tx")] = ""
+    lines[9] = ",".join(cells)
+    (tmp_path / "half.csv").write_text("\n".join(lines))
+    code, _, err = run("smooth", tmp_path / "half.csv", "-o", tmp_path / "smooth.tum")
+    assert code == 2
+    assert "half.csv:10: tx: '' is not a number" in err

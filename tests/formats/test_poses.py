@@ -221,3 +221,14 @@ def test_what_is_no_pose_file_at_all_cannot_be_read(tmp_path, name, content, mes
     (tmp_path / name).write_text(content)
     with pytest.raises(FileError, match=message):
         poses.read(tmp_path / name)
+
+
+def test_a_translation_beyond_all_measure_is_refused(tmp_path):
+    path = tmp_path / "far.json"
+    pose = '{"translation": [1e300, 0, 1], "quaternion": {"qw": 1, "qx": 0, "qy": 0, "qz": 0}}'
+    path.write_text(
+        '{"format": "camcal-poses", "version": 1, "frames": "camera_T_object", "poses": ['
+        f'{{"image": "a.png", "camera_T_object": {pose}}}]}}'
+    )
+    with pytest.raises(InvalidInput, match=r"translation\[0\]: 1e\+300 is outside"):
+        poses.read(path)

@@ -29,7 +29,7 @@ def told(truth, poses):
 def test_a_row_of_detections_left_out_is_remarked_on(seen):
     truth, good, bad = seen
     text = told(truth, [*good[:40], *bad[40:45], *good[45:]])
-    assert "5 left out in a row from 1.33333 s: a jerk or a wrong time rather than outliers" in text
+    assert "5 left out in a row from 1.33333 s: they fit neither the track nor one another" in text
 
 
 def test_single_outliers_are_not(seen):

@@ -12,6 +12,7 @@ from camcal.geometry.pose import Pose, inverse_jacobian
 CAMERA_T_OBJECT, RIG_T_OBJECT = "camera_T_object", "rig_T_object"
 AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags
 WEAK_TURN, WEAK_PLACE = 0.1, 0.1  # standard deviations: rad, and share of the distance
+LARGEST_PX = 1e9  # of a noise; its inverse is the least: numbers beyond cannot be computed with
 WEAK_CHANCE, WEAK_MISFIT = 1e-3, 3.0  # poses; times the noise
 
 
@@ -87,6 +88,8 @@ class PoseOptions:
         for what, value in (("noise", self.noise_px), ("threshold", self.threshold_px)):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InvalidInput(f"a {what} of {value:g} px is not positive")
+            if value is not None and not 1 / LARGEST_PX <= value <= LARGEST_PX:
+                raise InvalidInput(f"a {what} of {value:g} px is beyond reason; 0.1 to 1 px is usual")
         if self.outliers not in ("none", "few", "many"):
             raise InvalidInput(f"outliers {self.outliers!r} is not one of none, few, many")
         if not 0 < self.confidence < 1:

@@ -13,6 +13,7 @@ from camcal.estimate.poses.records import Alternative
 from camcal.geometry.pose import Pose
 
 _ASTRAY = 0.1, 0.3  # how far a wrong pose is off, standard deviations: share of the distance, and rad
+_LEAST_DISTANCE = 1e-6  # m; poses of a camera in its own frame may have none
 _RARE = 0.05  # share of detections that go wrong
 
 
@@ -90,7 +91,7 @@ class PoseMeasurements:
         would let a filter with too little noise call every quick motion an outlier.
         """
         distance = float(np.median(np.linalg.norm(self.translations[self.present, 0], axis=-1)))
-        return float(6 * np.log(_ASTRAY[0] * distance * _ASTRAY[1]) - 2 * np.log(_RARE))
+        return float(6 * np.log(_ASTRAY[0] * max(distance, _LEAST_DISTANCE) * _ASTRAY[1]) - 2 * np.log(_RARE))
 
     @property
     def present(self) -> Array:

@@ -69,9 +69,21 @@ def start(rotations: Array, translations: Array, covariances: Array) -> Belief:
     """Return the beliefs of first poses and their covariances (..., 6, 6), with velocities unknown."""
     beliefs = np.zeros((*translations.shape[:-1], SIZE, SIZE))
     beliefs[..., :6, :6] = covariances
-    speed = _SPEED * np.linalg.norm(translations, axis=-1)[..., None]
-    beliefs[..., _RATES, _RATES] = np.concatenate([np.tile(speed, 3), np.full((*speed.shape[:-1], 3), _TURN)], -1) ** 2
+    beliefs[..., _RATES, _RATES] = _unknown_rates(translations)
     return Belief(rotations, translations, np.zeros((*translations.shape[:-1], 6)), beliefs)
+
+
+def after_jerk(belief: Belief) -> Belief:
+    """Return the beliefs with velocities as unknown as at a start: they may have become any others since."""
+    covariances = belief.covariances.copy()
+    covariances[..., _RATES, _RATES] += _unknown_rates(belief.translations)
+    return belief._replace(covariances=covariances)
+
+
+def _unknown_rates(translations: Array) -> Array:
+    """Return the variances (..., 6) of unknown velocities at translations (..., 3)."""
+    speed = _SPEED * np.linalg.norm(translations, axis=-1)[..., None]
+    return np.concatenate([np.tile(speed, 3), np.full((*speed.shape[:-1], 3), _TURN)], -1) ** 2
 
 
 def transition(turn: Array, turned: Array, dt: Array) -> Array:

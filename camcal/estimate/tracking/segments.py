@@ -3,6 +3,9 @@
 A wrong start among two mirrored poses would be followed for long. So a piece starts with every candidate of its first
 frames, and the one that agrees with most of the frames to come is kept. When a piece is lost, the next one starts anew:
 nothing is bridged.
+
+A jerk is no loss: if two detections in a row lie outside the gate, but both are inside once the velocity before the
+first of them may have become any other, the piece goes on with that.
 """
 
 from dataclasses import dataclass
@@ -23,6 +26,7 @@ LEAST = 3  # detections of a piece: two fix a velocity, the third tells whether 
 STARTS = 5  # detections, every candidate of which is tried as the first
 WINDOW = 25  # frames after which one of them is kept
 LOST = 8  # detections in a row outside the gate
+AGREEING = 2  # of them that fit one another: the first gives the new velocity, the second tells whether it holds
 _DEGREES = 6
 
 
@@ -63,17 +67,30 @@ class Segment:
 
     settled: the frame with which its start was chosen. run: the filter's beliefs at its frames. verdicts: on their
     detections, arrays (M, …); the first one, which nothing predicts, is accepted with a NIS of NaN.
+    jerks: the frames with the first detections after the velocity had become another.
     """
 
     first: int
     settled: int
     run: Run
     verdicts: Verdict
+    jerks: tuple[int, ...]
 
     @property
     def frames(self) -> Array:
         """The indices (M,) of its frames."""
         return self.first + np.arange(len(self.run.growth))
+
+    @property
+    def foretold(self) -> Array:
+        """The mask (M,) of accepted detections that a known velocity predicted: their innovations tell of the noise.
+
+        At the first two of a piece and the first after a jerk they tell of how little was known of the velocity.
+        """
+        result = np.array(self.verdicts.accepted)
+        result[np.flatnonzero(result)[:2]] = False
+        result[np.array(self.jerks, dtype=int) - self.first] = False
+        return result
 
 
 def follow(measurements: PoseMeasurements, noise: Array, following: Following) -> list[Segment]:
@@ -164,41 +181,74 @@ def _followed(measurements: PoseMeasurements, start: Start, noise: Array, follow
     """Return the piece from a start to the last detection accepted, and the frame at which the next one may start."""
     stamps, present = measurements.stamps, measurements.present
     belief = pose_filter.start(*(part[start.candidate] for part in candidates_at(measurements, start.frame)[:3]))
-    steps = [(belief, belief, np.eye(pose_filter.SIZE))]
-    verdicts = [_first_verdict(start)]
+    taken = [_Taken(belief, belief, np.eye(pose_filter.SIZE), _first_verdict(start))]
     accepted = start.frame
     refused: list[int] = []
+    jerks: list[int] = []
     resume = len(stamps)
     for frame in range(start.frame + 1, len(stamps)):
         if present[frame] and stamps[frame] - stamps[accepted] > following.max_gap:
             resume = frame
             break
-        expected, growth = pose_filter.predict(belief, noise, np.array(stamps[frame] - stamps[frame - 1]))
-        belief, verdict = pose_filter.update(expected, candidates_at(measurements, frame), following.gate)
-        steps.append((belief, expected, growth))
-        verdicts.append(verdict)
-        if verdict.accepted:
-            accepted, refused = frame, []
-        elif present[frame]:
+        taken.append(_taken(measurements, taken[-1].filtered, frame, noise, following.gate))
+        if present[frame] and not taken[-1].verdict.accepted:
             refused.append(frame)
+            agreeing = range(refused[-AGREEING:][0], frame + 1)
+            if len(refused) >= AGREEING and (
+                again := _after_jerk(measurements, taken, agreeing, noise, following.gate)
+            ):
+                taken[-len(again) :] = again
+                jerks.append(agreeing[0])
+        if taken[-1].verdict.accepted:
+            accepted, refused = frame, []
         if len(refused) == LOST:
             resume = refused[0]
             break
-    length = accepted - start.frame + 1
-    return Segment(start.frame, start.settled, _run(steps[:length]), _stacked(verdicts[:length])), resume
+    return _segment(start, taken[: accepted - start.frame + 1], jerks), resume
+
+
+class _Taken(NamedTuple):
+    """What a filter made of a frame: beliefs after and before it, how errors grew (12, 12), and the verdict on it."""
+
+    filtered: Belief
+    predicted: Belief
+    growth: Array
+    verdict: Verdict
+
+
+def _taken(measurements: PoseMeasurements, belief: Belief, frame: int, noise: Array, bound: float) -> _Taken:
+    """Return what a filter makes of a frame; belief: after the frame before."""
+    dt = np.array(measurements.stamps[frame] - measurements.stamps[frame - 1])
+    expected, growth = pose_filter.predict(belief, noise, dt)
+    filtered, verdict = pose_filter.update(expected, candidates_at(measurements, frame), bound)
+    return _Taken(filtered, expected, growth, verdict)
+
+
+def _after_jerk(
+    measurements: PoseMeasurements, taken: list[_Taken], frames: range, noise: Array, bound: float
+) -> list[_Taken]:
+    """Return what the filter makes of the last frames if the velocity before them may have changed.
+
+    taken: of all frames so far, `frames` being the last ones. Nothing is returned unless all their detections agree.
+    """
+    belief = pose_filter.after_jerk(taken[-len(frames) - 1].filtered)
+    again: list[_Taken] = []
+    for frame in frames:
+        again.append(_taken(measurements, belief, frame, noise, bound))
+        belief = again[-1].filtered
+        if measurements.present[frame] and not again[-1].verdict.accepted:
+            return []
+    return again
+
+
+def _segment(start: Start, taken: list[_Taken], jerks: list[int]) -> Segment:
+    filtered, predicted, growth, verdicts = zip(*taken, strict=True)
+    after, before = (Belief(*map(np.stack, zip(*part, strict=True))) for part in (filtered, predicted))
+    run = Run(after, before, np.stack(growth))
+    return Segment(start.frame, start.settled, run, Verdict(*map(np.stack, zip(*verdicts, strict=True))), tuple(jerks))
 
 
 def _first_verdict(start: Start) -> Verdict:
     return Verdict(
         np.array(start.candidate), np.array(True), np.array(np.nan), np.full(_DEGREES, np.nan), np.array(0.0)
     )
-
-
-def _run(steps: list[tuple[Belief, Belief, Array]]) -> Run:
-    filtered, predicted, growth = zip(*steps, strict=True)
-    after, before = (Belief(*map(np.stack, zip(*part, strict=True))) for part in (filtered, predicted))
-    return Run(after, before, np.stack(growth))
-
-
-def _stacked(verdicts: list[Verdict]) -> Verdict:
-    return Verdict(*map(np.stack, zip(*verdicts, strict=True)))

@@ -46,7 +46,8 @@ class Track:
     number of the piece from 0, -1 outside. rotations: (N, 3, 3). translations: (N, 3) m. velocities: (N, 6) m/s and
     rad/s, R' = hat(w) R. covariances: (N, 6, 6) of the poses' steps. nis: (N,) of detections that were predicted.
     candidates: (N,) which candidate was looked at, 0 the best of its frame, -1 where there was none.
-    consistency: None where no innovation was accepted. before, after: jitter of the single poses and of the track.
+    jerks: the frames before which the velocity became another at once, in order.
+    consistency: None where no detection was predicted. before, after: jitter of the single poses and of the track.
     """
 
     frames: str
@@ -60,6 +61,7 @@ class Track:
     nis: Array
     candidates: Array
     noise: ProcessNoise
+    jerks: tuple[int, ...]
     consistency: Consistency | None
     before: Jitter
     after: Jitter
@@ -213,6 +215,7 @@ def _assembled(
         known.nis,
         known.candidates,
         noise,
+        tuple(jerk for segment in segments for jerk in segment.jerks),
         _judged(segments),
         jitter(
             *(part[used] for part in (stamps, measurements.rotations[:, 0], measurements.translations[:, 0], pieces))
@@ -222,14 +225,13 @@ def _assembled(
 
 
 def _judged(segments: Sequence[Segment]) -> Consistency | None:
-    """Return what the accepted innovations say about the noise."""
+    """Return what the innovations of accepted detections say about the noise."""
     chains = np.concatenate([np.full(len(segment.verdicts.nis), number) for number, segment in enumerate(segments)])
-    nis, whitened, accepted = (
-        np.concatenate([getattr(segment.verdicts, name) for segment in segments])
-        for name in ("nis", "whitened", "accepted")
+    nis, whitened = (
+        np.concatenate([getattr(segment.verdicts, name) for segment in segments]) for name in ("nis", "whitened")
     )
-    predicted = accepted & np.isfinite(nis)
-    if not predicted.any():
+    foretold = np.concatenate([segment.foretold for segment in segments])
+    if not foretold.any():
         return None
-    pairs = successive(whitened[predicted], chains[predicted])
-    return consistency(nis[predicted], np.full(int(predicted.sum()), 6.0), pairs)
+    pairs = successive(whitened[foretold], chains[foretold])
+    return consistency(nis[foretold], np.full(int(foretold.sum()), 6.0), pairs)

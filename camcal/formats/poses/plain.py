@@ -18,6 +18,7 @@ from camcal.geometry.pose import Pose
 
 FORMAT = "camcal-poses"
 VERSION = 1
+FARTHEST = 1e12  # m; squares of squares of more are no numbers any longer
 QUATERNION = ("qw", "qx", "qy", "qz")  # a bare y is a truth value to YAML 1.1
 ORDER = ("tx", "ty", "tz", "rx", "ry", "rz")
 STEPS = "R <- Exp(dr) R, t <- t + dt"
@@ -28,7 +29,10 @@ _FIGURES = ("planarity", "least_depth", "image_share", "condition")
 _COVARIANCES = ("covariance", "covariance_noise")
 _FIT = {"rms_px": number(0), "max_px": number(0), "n_points": integer(0), "n_inliers": integer(0)}
 _TRANSFORM = mapping(
-    {"translation": items(number(), 3), "quaternion": mapping(dict.fromkeys(QUATERNION, number(-1.1, 1.1)))},
+    {
+        "translation": items(number(-FARTHEST, FARTHEST), 3),
+        "quaternion": mapping(dict.fromkeys(QUATERNION, number(-1.1, 1.1))),
+    },
     {"rotation_vector": items(number(), 3)},
 )
 

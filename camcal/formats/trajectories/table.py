@@ -10,7 +10,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
-from camcal.formats.trajectories import line_formats
+from camcal.formats.trajectories import line_formats, tracked
 from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, numbers, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
@@ -20,18 +20,19 @@ FORMAT = "camcal-trajectory"
 _PAIRS = tuple(combinations_with_replacement(range(6), 2))
 _POSE = ("t", *POSITION, *QUATERNION)
 _COVARIANCE = tuple(f"cov_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
-_VELOCITY = ("vx", "vy", "vz", "wx", "wy", "wz")
 _SEGMENT = "segment"
 
 
 def read(path: Path, frames: str | None = None) -> Trajectory:
-    """Return the trajectory of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, or of a ground truth of EuRoC."""
+    """Return the trajectory of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, of a track, or of a truth of EuRoC."""
     if line_formats.is_euroc(path):
         return line_formats.read_euroc(path, frames)
     lines = tables.numbered_lines(path)
+    if tracked.holds_track(lines):
+        return tracked.read(path, lines, frames or _named(lines))
     rows = [(number, line) for number, line in lines if not line.startswith("#")]
     # The header is checked by itself: the rows of a long file are read in one go.
-    head = tables.Table.from_csv(str(path), rows[:1], _POSE, (*_COVARIANCE, *_VELOCITY, _SEGMENT))
+    head = tables.Table.from_csv(str(path), rows[:1], _POSE, (*_COVARIANCE, *tracked.VELOCITY, _SEGMENT))
     names = list(head.columns)
     if len(rows) < 2:
         raise FileError("holds no poses", where=str(path))
@@ -49,7 +50,7 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
         poses.rotations,
         poses.translations,
         None if upper is None else _matrices(upper),
-        columns(_VELOCITY),
+        columns(tracked.VELOCITY),
         table[:, names.index(_SEGMENT)] if _SEGMENT in names else None,
     )
 
@@ -64,7 +65,7 @@ def write(path: Path, poses: Trajectory) -> None:
     """Write a row for every pose, with all that is known of it."""
     names, columns = list(_POSE[1:]), [poses.translations, so3.to_quaternion(poses.rotations)]
     if poses.velocities is not None:
-        names += _VELOCITY
+        names += tracked.VELOCITY
         columns.append(poses.velocities)
     if poses.covariances is not None:
         names += _COVARIANCE

@@ -15,6 +15,7 @@ from camcal.estimate.tracking.segments import Following
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.geometry.trajectory import Trajectory
 from camcal.simulate import motion
 
 STAMPS = np.arange(90) / 30
@@ -115,6 +116,43 @@ def test_frames_without_a_detection_have_a_pose_only_on_request():
     assert filled.posed.all()
     assert np.abs(filled.translations[40:45] - truth.translations[40:45]).max() < 0.01
     assert filled.covariances[42, 0, 0] > 1.5 * filled.covariances[30, 0, 0]
+
+
+def test_a_jerk_costs_a_detection_at_most_and_no_break():
+    truth, rng = drift(5)
+    struck = truth.translations + np.maximum(STAMPS - STAMPS[50], 0)[:, None] * [0.9, -0.6, 0.0]  # m/s, from rest
+    truth = replace(truth, translations=struck)
+    track = follow(truth, glances(truth, rng))
+    assert track.segments.max() == 0
+    assert track.count(REJECTED) <= 1
+    assert len(track.jerks) == 1
+    assert 51 <= track.jerks[0] <= 53
+    assert rms(truth, track)[0] < 0.005
+    # Before the jerk nothing of the velocity after it is believed: smoothing does not round the corner off.
+    np.testing.assert_allclose(track.translations[45:51], truth.translations[45:51], atol=0.01)
+    assert track.consistency.verdict == "consistent"
+
+
+def test_outliers_one_after_another_are_no_jerk():
+    truth, rng = drift(6)
+    seen = glances(truth, rng)
+    seen[40:44] = [glances(truth, rng, outliers=1.0)[index] for index in range(40, 44)]
+    track = follow(truth, seen)
+    assert track.jerks == ()
+    assert set(track.states[40:44]) == {REJECTED}
+
+
+def test_an_object_in_the_middle_of_the_camera_is_followed_like_any_other():
+    still = Trajectory(motion.FRAMES, STAMPS, np.tile(np.eye(3), (len(STAMPS), 1, 1)), np.zeros((len(STAMPS), 3)))
+    track = follow(still, glances(still, np.random.default_rng(8)), noise=None)
+    assert track.posed.all()
+    assert np.isfinite(track.noise.densities).all()
+
+
+def test_a_start_tells_nothing_of_the_noise():
+    truth, rng = drift(7)
+    track = follow(truth, glances(truth, rng))
+    assert track.consistency.innovations == len(STAMPS) - 2
 
 
 def test_a_long_gap_is_not_bridged():
