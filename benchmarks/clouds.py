@@ -40,7 +40,7 @@ from camcal.stereo.points.normals import normals
 from camcal.stereo.points.outliers import has_neighbours
 from camcal.stereo.points.selection import Selection, select
 from camcal.stereo.points.voxels import one_per_voxel
-from camcal.tasks.cloud import in_order_on_threads
+from camcal.tasks.stereo.cloud import in_order_on_threads
 
 PEERS = Path(__file__).parent / "peers" / "cloud_peers.py"
 SMALL = 1282, 1110

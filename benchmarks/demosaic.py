@@ -38,8 +38,8 @@ from camcal.raw.develop import Development
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.run.fanout import over_threads
-from camcal.tasks.demosaic import DemosaicOptions
-from camcal.tasks.demosaic import demosaic as demosaic_files
+from camcal.tasks.raw.demosaic import DemosaicOptions
+from camcal.tasks.raw.demosaic import demosaic as demosaic_files
 
 PEERS = Path(__file__).parent / "peers" / "demosaic_peers.py"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -34,7 +34,7 @@ from camcal.simulate.scene import views
 from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board, Detection
 from camcal.targets.detect import detect
-from camcal.tasks.photographs import Reading, agreeing_gains, measured, photograph_of
+from camcal.tasks.calibration.photographs import Reading, agreeing_gains, measured, photograph_of
 
 SIZE, PATTERN, BLACK, WHITE = (1280, 960), "RGGB", 64.0, 4095.0
 BOARD = Board("chessboard", 9, 6, 0.04)

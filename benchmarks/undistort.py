@@ -32,7 +32,7 @@ from camcal.images.save import save
 from camcal.images.scratch import Scratch
 from camcal.images.views import ViewOptions, make_view
 from camcal.run.fanout import available_cores
-from camcal.tasks.undistort import UndistortOptions, undistort
+from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 
 SIZE = (4000, 3000)
 CAMERA = Camera(

@@ -361,7 +361,7 @@ def test_the_exit_codes_are_those_of_the_errors():
 
 
 def test_the_readme_names_what_the_demo_leaves():
-    from camcal.tasks import demo
+    from camcal.tasks.calibration import demo
 
     left = re.findall(r"^([\w.]+/?)  +", demo._README, flags=re.MULTILINE)
     assert "camera.yaml" in left

@@ -165,7 +165,7 @@ def test_a_package_imports_only_what_stands_to_its_left(plant, module, text, fou
 
 
 def test_what_stands_to_the_left_may_be_imported(plant):
-    plant("tasks/demo.py", "from camcal.simulate import scene\nfrom camcal import __version__, arrays")
+    plant("tasks/calibration/demo.py", "from camcal.simulate import scene\nfrom camcal import __version__, arrays")
     plant("files.py", "from camcal.errors import FileError")
     assert upward_imports(plant("simulate/scene.py", "from . import render\nfrom camcal.targets import board")) == []
 

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show, targets
 
 if TYPE_CHECKING:
-    from camcal.tasks.calibrate import CalibrateReport
+    from camcal.tasks.calibration.calibrate import CalibrateReport
 
 LISTED = 10
 
@@ -79,9 +79,9 @@ def calibrate(
     """
     from camcal.errors import ItemsFailed
     from camcal.report.calibration import as_data
-    from camcal.tasks.calibrate import CalibrateOptions, channel_data
-    from camcal.tasks.calibrate import calibrate as run
-    from camcal.tasks.photographs import Reading
+    from camcal.tasks.calibration.calibrate import CalibrateOptions, channel_data
+    from camcal.tasks.calibration.calibrate import calibrate as run
+    from camcal.tasks.calibration.photographs import Reading
 
     layout = shared.given_layout(format, size, stride, offset, endian, align)
     report = run(

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.demo import DemoReport
+    from camcal.tasks.calibration.demo import DemoReport
 
 
 def demo(
@@ -28,8 +28,8 @@ def demo(
 
     The photographs are rendered with a known lens and a slightly bent board, so that truth stands beside estimate.
     """
-    from camcal.tasks.demo import DemoOptions, document
-    from camcal.tasks.demo import demo as run
+    from camcal.tasks.calibration.demo import DemoOptions, document
+    from camcal.tasks.calibration.demo import demo as run
 
     options = DemoOptions(output, views, seed, jobs)
     report = run(options, show.progress(quiet))

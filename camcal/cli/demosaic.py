@@ -11,7 +11,7 @@ from camcal.cli import show
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
-    from camcal.tasks.demosaic import DemosaicOptions, DevelopedFrame
+    from camcal.tasks.raw.demosaic import DemosaicOptions, DevelopedFrame
 
 LISTED = 10
 CLIPPED = 1e-3  # share of a colour's samples that is worth saying
@@ -109,8 +109,8 @@ def demosaic(
     from camcal.errors import InvalidInput
     from camcal.raw.balance import Balance
     from camcal.raw.develop import Development
-    from camcal.tasks.demosaic import DemosaicOptions
-    from camcal.tasks.raw_corrections import CorrectionFiles, RawInput
+    from camcal.tasks.raw.demosaic import DemosaicOptions
+    from camcal.tasks.raw.raw_corrections import CorrectionFiles, RawInput
 
     if make_bad_pixel_map and preview_patterns:
         raise InvalidInput("--make-bad-pixel-map and --preview-patterns exclude each other")
@@ -137,8 +137,8 @@ def demosaic(
 
 def _develop(options: "DemosaicOptions", json: bool, quiet: bool, verbose: bool) -> None:
     from camcal.errors import ItemsFailed
-    from camcal.tasks.demosaic import demosaic as run
-    from camcal.tasks.demosaic import document
+    from camcal.tasks.raw.demosaic import demosaic as run
+    from camcal.tasks.raw.demosaic import document
 
     outcomes = run(options, show.progress(quiet))
     if json:
@@ -151,7 +151,7 @@ def _develop(options: "DemosaicOptions", json: bool, quiet: bool, verbose: bool)
 
 
 def _make_map(options: "DemosaicOptions", json: bool, quiet: bool) -> None:
-    from camcal.tasks.bad_pixel_map import BadPixelMapOptions, document, make_bad_pixel_map
+    from camcal.tasks.raw.bad_pixel_map import BadPixelMapOptions, document, make_bad_pixel_map
 
     found = make_bad_pixel_map(
         BadPixelMapOptions(options.inputs, options.output, options.reading, options.recursive), show.progress(quiet)
@@ -164,7 +164,7 @@ def _make_map(options: "DemosaicOptions", json: bool, quiet: bool) -> None:
 
 
 def _preview(options: "DemosaicOptions", json: bool, quiet: bool) -> None:
-    from camcal.tasks.pattern_previews import document, preview_patterns
+    from camcal.tasks.raw.pattern_previews import document, preview_patterns
 
     previews = preview_patterns(options)
     if json:

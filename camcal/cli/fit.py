@@ -10,7 +10,7 @@ from camcal.cli import show
 
 if TYPE_CHECKING:
     from camcal.estimate.curves.result import CurveFit, Estimate
-    from camcal.tasks.fit_report import FitReport
+    from camcal.tasks.curves.fit_report import FitReport
 
 
 def fit(
@@ -85,10 +85,10 @@ def fit(
     What the data cannot tell is said by name: parameters that cannot be told apart, bounds that hold, searches that
     did not end in a minimum.
     """
-    from camcal.tasks.fit import FitOptions
-    from camcal.tasks.fit import fit as run
-    from camcal.tasks.fit_report import document
-    from camcal.tasks.fit_verdict import require_settled
+    from camcal.tasks.curves.fit import FitOptions
+    from camcal.tasks.curves.fit import fit as run
+    from camcal.tasks.curves.fit_report import document
+    from camcal.tasks.curves.fit_verdict import require_settled
 
     options = FitOptions(
         data,
@@ -169,7 +169,7 @@ def _show_comparison(report: "FitReport") -> None:
 
 
 def _show_trace(report: "FitReport") -> None:
-    from camcal.tasks.fit_report import TRACE_COLUMNS, trace_rows
+    from camcal.tasks.curves.fit_report import TRACE_COLUMNS, trace_rows
 
     show.table("iterations", TRACE_COLUMNS, trace_rows(report.turns))
 

@@ -9,8 +9,8 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.inspect import Inspection
-    from camcal.tasks.inspect_raw import InspectRawOptions
+    from camcal.tasks.calibration.inspect import Inspection
+    from camcal.tasks.raw.inspect_raw import InspectRawOptions
 
 CAMERA_SUFFIXES = (".yaml", ".yml")  # for these, what reads images need not be loaded
 
@@ -54,7 +54,7 @@ def inspect(
     if path.suffix.lower() in CAMERA_SUFFIXES or not _is_raw(path):
         _inspect_camera(path, camera or name, get, json, quiet, verbose)
         return
-    from camcal.tasks.inspect_raw import InspectRawOptions
+    from camcal.tasks.raw.inspect_raw import InspectRawOptions
 
     _refuse_camera_options(file, get, camera or name)
     layout = shared.given_layout(format, size, stride, offset, endian, align, frame)
@@ -62,7 +62,7 @@ def inspect(
 
 
 def _is_raw(path: Path) -> bool:
-    from camcal.tasks.inspect_raw import is_raw
+    from camcal.tasks.raw.inspect_raw import is_raw
 
     return is_raw(path)
 
@@ -77,7 +77,7 @@ def _refuse_camera_options(file: str, get: str | None, camera: str | None) -> No
 
 
 def _inspect_raw(options: "InspectRawOptions", json: bool, quiet: bool) -> None:
-    from camcal.tasks import inspect_raw as task
+    from camcal.tasks.raw import inspect_raw as task
 
     if options.says_too_little:
         _guess_layout(options, json, quiet)
@@ -94,7 +94,7 @@ def _inspect_raw(options: "InspectRawOptions", json: bool, quiet: bool) -> None:
 
 
 def _guess_layout(options: "InspectRawOptions", json: bool, quiet: bool) -> None:
-    from camcal.tasks import inspect_raw as task
+    from camcal.tasks.raw import inspect_raw as task
 
     guess = task.guess_layout(options)
     if json:
@@ -104,8 +104,8 @@ def _guess_layout(options: "InspectRawOptions", json: bool, quiet: bool) -> None
 
 
 def _inspect_camera(path: Path, camera: str | None, get: str | None, json: bool, quiet: bool, verbose: bool) -> None:
-    from camcal.tasks.inspect import InspectOptions, document, value_at
-    from camcal.tasks.inspect import inspect as run
+    from camcal.tasks.calibration.inspect import InspectOptions, document, value_at
+    from camcal.tasks.calibration.inspect import inspect as run
 
     inspection = run(InspectOptions(path, camera))
     if get is not None:
@@ -131,7 +131,7 @@ def _one_value(value: Any) -> str:
 
 
 def _show(inspection: "Inspection", verbose: bool) -> None:
-    from camcal.tasks.inspect import camera_lines, file_lines, image_rows, parameter_rows
+    from camcal.tasks.calibration.inspect import camera_lines, file_lines, image_rows, parameter_rows
 
     for name, field in inspection.fields.items():
         entry = inspection.file.cameras[name]

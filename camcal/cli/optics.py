@@ -9,8 +9,8 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.board_plan import BoardOptions
-    from camcal.tasks.optics import OpticsReport
+    from camcal.tasks.lenses.board_plan import BoardOptions
+    from camcal.tasks.lenses.optics import OpticsReport
 
 
 def optics(
@@ -87,9 +87,9 @@ def optics(
     Give what is known: a camera file, or a focal length and a sensor; every figure that follows is shown, and what
     the others still need. --formats lists sensors.
     """
-    from camcal.tasks import optics_document as words
-    from camcal.tasks.optics import optics as run
-    from camcal.tasks.optics_setup import OpticsOptions
+    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses.optics import optics as run
+    from camcal.tasks.lenses.optics_setup import OpticsOptions
 
     if formats:
         _show_formats(json)
@@ -131,13 +131,13 @@ def _board_options(
 ) -> "BoardOptions | None":
     from math import radians
 
-    from camcal.tasks.board_plan import BoardOptions
+    from camcal.tasks.lenses.board_plan import BoardOptions
 
     return None if board is None else BoardOptions(board, radians(tilt), noise, share, least_square, views)
 
 
 def _show_formats(json: bool) -> None:
-    from camcal.tasks import optics_document as words
+    from camcal.tasks.lenses import optics_document as words
 
     if json:
         show.document("optics", words.formats_document())
@@ -148,7 +148,7 @@ def _show_formats(json: bool) -> None:
 
 
 def _show(report: "OpticsReport") -> None:
-    from camcal.tasks import optics_document as words
+    from camcal.tasks.lenses import optics_document as words
 
     show.table("lens and sensor", ["figure", "value", "unit", "from"], list(words.lens_rows(report)))
     for columns, rows in words.distance_tables(report):

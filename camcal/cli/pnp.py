@@ -11,8 +11,8 @@ from camcal.cli import show
 from camcal.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from camcal.tasks.pnp import PnpReport
-    from camcal.tasks.pnp_prior import PriorOptions
+    from camcal.tasks.poses.pnp import PnpReport
+    from camcal.tasks.poses.pnp_prior import PriorOptions
 
 LISTED = 10
 
@@ -131,9 +131,9 @@ def pnp(
     covariance and, where another pose fits nearly as well, with that pose and its probability.
     """
     from camcal.errors import ItemsFailed, NotConverged
-    from camcal.tasks.pnp import Gates, PnpOptions, document
-    from camcal.tasks.pnp import pnp as run
-    from camcal.tasks.pnp_views import Looking
+    from camcal.tasks.poses.pnp import Gates, PnpOptions, document
+    from camcal.tasks.poses.pnp import pnp as run
+    from camcal.tasks.poses.pnp_views import Looking
 
     arguments = [text for text in (str(rig) if rig else None, camera_file) if text is not None] + (inputs or [])
     if not arguments:
@@ -180,7 +180,7 @@ def _noise(text: str | None) -> float | Literal["auto"] | None:
 
 
 def _prior(path: Path | None, sigma: str | None) -> "PriorOptions | None":
-    from camcal.tasks.pnp_prior import PriorOptions
+    from camcal.tasks.poses.pnp_prior import PriorOptions
 
     if path is None:
         if sigma is not None:

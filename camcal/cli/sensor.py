@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.sensor import SensorOptions, SensorReport
+    from camcal.tasks.raw.sensor import SensorOptions, SensorReport
 
 
 def sensor(
@@ -68,8 +68,8 @@ def sensor(
     Two flat and two dark frames are enough for a first answer; twelve levels from dark to saturated and sixteen dark
     frames for a good one. Frames are sorted by folder, exposure, and brightness.
     """
-    from camcal.tasks.sensor import SensorOptions, document
-    from camcal.tasks.sensor import sensor as run
+    from camcal.tasks.raw.sensor import SensorOptions, document
+    from camcal.tasks.raw.sensor import sensor as run
 
     options = SensorOptions(
         tuple(flats),
@@ -102,7 +102,7 @@ def _seconds(text: str | None, option: str) -> tuple[float, ...]:
 
 
 def _show(report: "SensorReport", options: "SensorOptions", verbose: bool) -> None:
-    from camcal.tasks.sensor import rows
+    from camcal.tasks.raw.sensor import rows
 
     found = report.sensor
     width, height = found.size

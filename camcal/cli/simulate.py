@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show, simulate_stereo
 
 if TYPE_CHECKING:
-    from camcal.tasks.simulate import RawOptions, SimulateOptions, SimulateReport
+    from camcal.tasks.simulation.simulate import RawOptions, SimulateOptions, SimulateReport
 
 
 def simulate(
@@ -175,8 +175,8 @@ def simulate(
     from math import radians
 
     from camcal.errors import InvalidInput
-    from camcal.tasks.simulate import Exposure, Shape, SimulateOptions, document
-    from camcal.tasks.simulate import simulate as run
+    from camcal.tasks.simulation.simulate import Exposure, Shape, SimulateOptions, document
+    from camcal.tasks.simulation.simulate import simulate as run
 
     simulate_stereo.require_fitting(context, stereo=stereo)
     if stereo:
@@ -235,7 +235,7 @@ def _raw(
 ) -> "RawOptions | None":
     """Return what is asked of the sensor; raises InvalidInput for options that have no meaning beside the others."""
     from camcal.errors import InvalidInput
-    from camcal.tasks.simulate import RawCamera, RawOptions, Sensor
+    from camcal.tasks.simulation.simulate import RawCamera, RawOptions, Sensor
 
     if pattern is None:
         if sensor or any(option is not None for option in (light, aberration, flats, darks)):

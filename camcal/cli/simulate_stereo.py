@@ -10,7 +10,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.simulate_stereo import StereoOptions, StereoReport
+    from camcal.tasks.simulation.simulate_stereo import StereoOptions, StereoReport
 
 _AS_THEY_ARE = ("baseline", "doffs", "objects", "blur", "noise", "depth", "row_shift", "row_tilt")
 _ALONE = {
@@ -48,7 +48,7 @@ def run(given: Mapping[str, Any]) -> None:
     """Render the pairs that the options of `camcal simulate` ask for, and show what came of it."""
     from math import radians
 
-    from camcal.tasks.simulate_stereo import StereoOptions, document, pair_options, simulate_pairs
+    from camcal.tasks.simulation.simulate_stereo import StereoOptions, document, pair_options, simulate_pairs
 
     settings = {
         "size": shared.parse_size(given["size"]) if given["size"] else None,

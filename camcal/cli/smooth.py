@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.smooth_options import Smoothing
+    from camcal.tasks.poses.smooth_options import Smoothing
 
 
 def smooth(
@@ -90,9 +90,9 @@ def smooth(
     innovations say whether the covariances can be believed.
     """
     from camcal.estimate.trajectory_error import ErrorOptions
-    from camcal.tasks.smooth import document
-    from camcal.tasks.smooth import smooth as smooth_file
-    from camcal.tasks.smooth_options import SmoothOptions
+    from camcal.tasks.poses.smooth import document
+    from camcal.tasks.poses.smooth import smooth as smooth_file
+    from camcal.tasks.poses.smooth_options import SmoothOptions
 
     found = smooth_file(
         SmoothOptions(
@@ -128,7 +128,7 @@ def _parse_delta(text: str) -> tuple[float, str]:
 
 
 def _show(found: "Smoothing", verbose: bool) -> None:
-    from camcal.tasks.smooth_words import evaluation_rows, lines, outlier_line
+    from camcal.tasks.poses.smooth_words import evaluation_rows, lines, outlier_line
 
     for line in lines(found):
         show.text(line)

@@ -11,7 +11,7 @@ from camcal.cli import show
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
-    from camcal.tasks.stereo_check import CheckedPair, Pair
+    from camcal.tasks.stereo.stereo_check import CheckedPair, Pair
 
 
 def check(
@@ -45,7 +45,7 @@ def check(
     puts them right, and more is worth a new rectification.
     """
     from camcal.errors import ItemsFailed
-    from camcal.tasks.stereo_check import StereoCheckOptions, document, require_good, stereo_check
+    from camcal.tasks.stereo.stereo_check import StereoCheckOptions, document, require_good, stereo_check
 
     options = StereoCheckOptions((left,), (right,), output, max_rms, recursive, jobs)
     outcomes = stereo_check(options, show.progress(quiet))
@@ -79,7 +79,7 @@ def _show(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool) -> No
 
 def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]") -> None:
     from camcal.report.pair_check import spanned, verdict
-    from camcal.tasks.stereo_check import overall
+    from camcal.tasks.stereo.stereo_check import overall
 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
     columns = ("left", "median dy", "±", "RMS", "95 %", "disparity", "")

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.cloud import CloudOptions, CloudReport
+    from camcal.tasks.stereo.cloud import CloudOptions, CloudReport
 
 COMMAND = "stereo cloud"
 LISTED = 10
@@ -106,8 +106,8 @@ def cloud(
     What is not given is taken from the file that 'camcal stereo disparity' writes beside a map. Pixels without a match
     (zero, negative, NaN, infinite) never become points. Gray images give a colour and an intensity from 0 to 1.
     """
-    from camcal.tasks.cloud import CloudOptions, PointOptions, VertexOptions
-    from camcal.tasks.rectified_pair import GeometryOptions
+    from camcal.tasks.stereo.cloud import CloudOptions, PointOptions, VertexOptions
+    from camcal.tasks.stereo.rectified_pair import GeometryOptions
 
     options = CloudOptions(
         disparity,
@@ -137,7 +137,7 @@ def cloud(
 
 
 def _make_cloud(options: "CloudOptions", json: bool, quiet: bool) -> None:
-    from camcal.tasks.cloud import document, stereo_cloud
+    from camcal.tasks.stereo.cloud import document, stereo_cloud
 
     report = stereo_cloud(options, show.progress(quiet))
     if json:
@@ -148,7 +148,7 @@ def _make_cloud(options: "CloudOptions", json: bool, quiet: bool) -> None:
 
 def _make_clouds(options: "CloudOptions", json: bool, quiet: bool, verbose: bool) -> None:
     from camcal.progress import require_all
-    from camcal.tasks.cloud_folder import cloud_folder, document
+    from camcal.tasks.stereo.cloud_folder import cloud_folder, document
 
     outcomes = cloud_folder(options, show.progress(quiet))
     if json:

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.matched_pair import MatchedPair
+    from camcal.tasks.stereo.matched_pair import MatchedPair
 
 COMMAND = "stereo disparity"
 LISTED = 10
@@ -72,9 +72,9 @@ def disparity(
     """
     from camcal.progress import require_all
     from camcal.stereo.matching.match import MatchOptions
-    from camcal.tasks.matched_pair import document
-    from camcal.tasks.rectified_pair import GeometryOptions
-    from camcal.tasks.stereo_disparity import DisparityOptions, network_of, stereo_disparity
+    from camcal.tasks.stereo.matched_pair import document
+    from camcal.tasks.stereo.rectified_pair import GeometryOptions
+    from camcal.tasks.stereo.stereo_disparity import DisparityOptions, network_of, stereo_disparity
 
     options = DisparityOptions(
         (left,),

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.stereo_eval import EvalReport, PairReport
+    from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
 
 LISTED = 10
 
@@ -77,9 +77,9 @@ def evaluate(
     truth itself, warped to the right image, tells what is occluded.
     """
     from camcal.errors import GateFailed, ItemsFailed
-    from camcal.tasks.rectified_pair import GeometryOptions
-    from camcal.tasks.stereo_eval import EvalOptions, document, stereo_eval
-    from camcal.tasks.truth_pairs import TruthPair
+    from camcal.tasks.stereo.rectified_pair import GeometryOptions
+    from camcal.tasks.stereo.stereo_eval import EvalOptions, document, stereo_eval
+    from camcal.tasks.stereo.truth_pairs import TruthPair
 
     files = TruthPair(disparity, truth, mask, right_truth, sigma, confidence)
     geometry = GeometryOptions(camera, fx=fx, baseline=baseline, doffs=doffs)

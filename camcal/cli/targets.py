@@ -8,7 +8,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.detect import DetectReport
+    from camcal.tasks.calibration.detect import DetectReport
 
 LISTED = 50
 
@@ -55,8 +55,8 @@ def detect(
     """
     from camcal.errors import InvalidInput, ItemsFailed
     from camcal.formats.boards import load_board
-    from camcal.tasks.detect import DetectOptions, detect_images, document
-    from camcal.tasks.photographs import Reading
+    from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
+    from camcal.tasks.calibration.photographs import Reading
 
     if board is None:
         raise InvalidInput("--board is needed, such as --board chessboard:9x6:25mm")

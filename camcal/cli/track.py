@@ -10,7 +10,7 @@ from camcal.cli import show
 
 if TYPE_CHECKING:
     from camcal.estimate.tracking.process_noise import ProcessNoise
-    from camcal.tasks.track import FollowReport
+    from camcal.tasks.poses.track import FollowReport
 
 
 def track(
@@ -103,10 +103,10 @@ def track(
     from camcal.estimate.tracking.segments import Following
     from camcal.estimate.tracking.track import TrackOptions
     from camcal.targets.tags import single_name
-    from camcal.tasks.frame_times import Timing
-    from camcal.tasks.pnp_views import Looking
-    from camcal.tasks.track import FollowOptions, document, names_camera
-    from camcal.tasks.track import track as run
+    from camcal.tasks.poses.frame_times import Timing
+    from camcal.tasks.poses.pnp_views import Looking
+    from camcal.tasks.poses.track import FollowOptions, document, names_camera
+    from camcal.tasks.poses.track import track as run
 
     if causal and lag:
         raise InvalidInput("--causal looks no frame ahead and --lag some: give one of them")

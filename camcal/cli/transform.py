@@ -9,8 +9,8 @@ from camcal.cli import show
 from camcal.cli import transform_options as poses
 
 if TYPE_CHECKING:
-    from camcal.tasks.transform import Made
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform import Made
+    from camcal.tasks.frames.transform_output import Output
 
 
 def chain(
@@ -35,9 +35,9 @@ def chain(
     Frames are joined by their names alone. Where transforms form a loop, how far it is from closing is said, and one
     that does not close is refused.
     """
-    from camcal.tasks.transform import ChainOptions
-    from camcal.tasks.transform import chain as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform import ChainOptions
+    from camcal.tasks.frames.transform import chain as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written)
     made = run(ChainOptions(sources, target, source, form, where, loop_mm, loop_deg), show.progress(quiet))
@@ -64,9 +64,9 @@ def evaluate(
 
     A transform that occurs twice is one quantity: what cancels has no uncertainty left.
     """
-    from camcal.tasks.transform import ExpressionOptions
-    from camcal.tasks.transform import evaluate as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform import ExpressionOptions
+    from camcal.tasks.frames.transform import evaluate as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written)
     made = run(ExpressionOptions(expression, sources, form, where), show.progress(quiet))
@@ -87,9 +87,9 @@ def compose(
 
     Frames that are named must meet; poses without names are taken to fit.
     """
-    from camcal.tasks.transform import PosesOptions
-    from camcal.tasks.transform import compose as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform import PosesOptions
+    from camcal.tasks.frames.transform import compose as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written)
     made = run(PosesOptions(sources, form, where), show.progress(quiet))
@@ -107,9 +107,9 @@ def invert(
     config: shared.Config = None,
 ) -> None:
     """Invert poses, all of a file if it holds several: b_T_a from a_T_b, the covariance with it."""
-    from camcal.tasks.transform import PosesOptions
-    from camcal.tasks.transform import invert as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform import PosesOptions
+    from camcal.tasks.frames.transform import invert as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written)
     made = run(PosesOptions(sources, form, where), show.progress(quiet))
@@ -117,7 +117,7 @@ def invert(
 
 
 def _give(command: str, made: "Made", output: "Output", *, json: bool, quiet: bool, verbose: bool) -> None:
-    from camcal.tasks.transform import document
+    from camcal.tasks.frames.transform import document
 
     if json:
         show.document(command, document(made, output))

@@ -10,10 +10,10 @@ from camcal.cli import show
 from camcal.cli import transform_options as poses
 
 if TYPE_CHECKING:
-    from camcal.tasks.transform_average import Averaged
-    from camcal.tasks.transform_check import Checked
-    from camcal.tasks.transform_convert import ConvertOptions
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform_average import Averaged
+    from camcal.tasks.frames.transform_check import Checked
+    from camcal.tasks.frames.transform_convert import ConvertOptions
+    from camcal.tasks.frames.transform_output import Output
 
 LISTED = 10
 
@@ -48,9 +48,9 @@ def convert(
     Unity is left-handed: there the axes of both frames change, or no rotation is left.
     """
     from camcal.report.transform import lines
-    from camcal.tasks.transform_convert import ConvertOptions, document
-    from camcal.tasks.transform_convert import convert as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform_convert import ConvertOptions, document
+    from camcal.tasks.frames.transform_convert import convert as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written, trajectory)
     options = ConvertOptions(sources, tuple(axes or ()), form, inverse, where)
@@ -68,7 +68,7 @@ def convert(
 
 
 def _convert_trajectory(options: "ConvertOptions", *, json: bool, quiet: bool) -> None:
-    from camcal.tasks.transform_trajectory import convert_trajectory, document
+    from camcal.tasks.frames.transform_trajectory import convert_trajectory, document
 
     converted = convert_trajectory(options, show.progress(quiet))
     if json:
@@ -98,9 +98,9 @@ def average(
 
     The mean of rotations is Karcher's: the one from which the squared angles add up to the least.
     """
-    from camcal.tasks.transform_average import AverageOptions, document
-    from camcal.tasks.transform_average import average as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform_average import AverageOptions, document
+    from camcal.tasks.frames.transform_average import average as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written)
     options = AverageOptions(sources, form, robust, equal, trajectory, where)
@@ -142,9 +142,9 @@ def check(
 
     A determinant of -1 is a reflection, of a flipped axis or a left-handed frame, and is never mended.
     """
-    from camcal.tasks.transform_check import CheckOptions, document, require_good
-    from camcal.tasks.transform_check import check as run
-    from camcal.tasks.transform_output import Output
+    from camcal.tasks.frames.transform_check import CheckOptions, document, require_good
+    from camcal.tasks.frames.transform_check import check as run
+    from camcal.tasks.frames.transform_output import Output
 
     where = Output(output, written)
     checked = run(CheckOptions(sources, form, fix, where), show.progress(quiet))
@@ -196,7 +196,7 @@ def points(
     not average out.
     """
     from camcal.report.transform import lines
-    from camcal.tasks.transform_points import PointsOptions, document, transform_points
+    from camcal.tasks.frames.transform_points import PointsOptions, document, transform_points
 
     moved = transform_points(PointsOptions(file, transform, output, inverse, form, unit), show.progress(quiet))
     if json:

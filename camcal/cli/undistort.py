@@ -11,8 +11,8 @@ from camcal.cli import show
 from camcal.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from camcal.tasks.undistort import UndistortOptions, UndistortReport
-    from camcal.tasks.undistort_points import PointsOptions
+    from camcal.tasks.calibration.undistort import UndistortOptions, UndistortReport
+    from camcal.tasks.calibration.undistort_points import PointsOptions
 
 LISTED = 10
 
@@ -96,8 +96,8 @@ def undistort(
     camera to go on with.
     """
     from camcal.images.views import ViewOptions
-    from camcal.tasks.undistort import UndistortOptions
-    from camcal.tasks.undistort_points import PointsOptions
+    from camcal.tasks.calibration.undistort import UndistortOptions
+    from camcal.tasks.calibration.undistort_points import PointsOptions
 
     view = ViewOptions(alpha, keep_k, _size(size), projection, fov, stretch)
     if points is not None:
@@ -128,8 +128,8 @@ def undistort(
 
 def _undistort_images(options: "UndistortOptions", json: bool, quiet: bool, verbose: bool) -> None:
     from camcal.errors import ItemsFailed
-    from camcal.tasks.undistort import document
-    from camcal.tasks.undistort import undistort as run
+    from camcal.tasks.calibration.undistort import document
+    from camcal.tasks.calibration.undistort import undistort as run
 
     report = run(options, show.progress(quiet))
     if json:
@@ -141,8 +141,8 @@ def _undistort_images(options: "UndistortOptions", json: bool, quiet: bool, verb
 
 
 def _undistort_points(options: "PointsOptions", json: bool, quiet: bool) -> None:
-    from camcal.tasks.undistort_points import document
-    from camcal.tasks.undistort_points import undistort_points as run
+    from camcal.tasks.calibration.undistort_points import document
+    from camcal.tasks.calibration.undistort_points import undistort_points as run
 
     report = run(options, show.progress(quiet))
     if json:

@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.tasks.view import ViewReport
+    from camcal.tasks.stereo.view import ViewReport
 
 
 def view(
@@ -91,8 +91,8 @@ def view(
     A page is one file that opens offline in any browser: drag to turn, wheel or pinch to zoom, click two points to
     measure. Pictures and films need no screen. A map without a geometry beside it is shown as it is, as a .png.
     """
-    from camcal.tasks.view import ViewOptions, document
-    from camcal.tasks.view import view as run
+    from camcal.tasks.stereo.view import ViewOptions, document
+    from camcal.tasks.stereo.view import view as run
 
     options = ViewOptions(
         source,

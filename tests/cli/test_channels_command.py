@@ -12,7 +12,7 @@ from camcal.formats import native
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.raw.demosaic import demosaic
-from camcal.tasks.simulate import RawCamera, RawOptions, SimulateOptions, simulate
+from camcal.tasks.simulation.simulate import RawCamera, RawOptions, SimulateOptions, simulate
 
 BOARD = "chessboard:8x5:30mm"
 SIZE = (480, 360)

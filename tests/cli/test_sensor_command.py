@@ -15,7 +15,7 @@ from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Capture, Mosaic
 from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
 from camcal.simulate.sensor import FixedPattern, Sensor
-from camcal.tasks.simulate import RawOptions, SimulateOptions, simulate
+from camcal.tasks.simulation.simulate import RawOptions, SimulateOptions, simulate
 
 KEYS = [
     "schema",

@@ -3,7 +3,7 @@
 import pytest
 
 from camcal.formats import native
-from camcal.tasks.calibrate import CalibrateOptions, calibrate
+from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
-from camcal.tasks.pnp import PnpOptions, pnp
-from camcal.tasks.pnp_views import Looking
+from camcal.tasks.poses.pnp import PnpOptions, pnp
+from camcal.tasks.poses.pnp_views import Looking
 
 
 def camera_file(folder, size, parameters):

@@ -8,7 +8,7 @@ from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.formats.tags import load_tags
 from camcal.geometry.pose import Pose
-from camcal.tasks.tag_views import tag_views
+from camcal.tasks.poses.tag_views import tag_views
 
 CAMERA = Camera(model_named("pinhole"), (640, 480), np.array([615.16748, 615.16754, 312.189, 243.43738]))
 

@@ -10,7 +10,7 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.load import load
 from camcal.images.views import ViewOptions
-from camcal.tasks.undistort import UndistortOptions, undistort
+from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 
 # the camera of the image, as the textbook states it (EuRoC cam0)
 PARAMETERS = np.array([458.654, 457.296, 367.215, 248.375, -0.28340811, 0.07395907, 0.00019359, 1.76187114e-05])

@@ -13,8 +13,8 @@ from camcal import opencv
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
 from camcal.targets.board import Board, Detection, parse_board
-from camcal.tasks.board_remarks import nothing_found
-from camcal.tasks.detect import DetectOptions, detect_images, document
+from camcal.tasks.calibration.board_remarks import nothing_found
+from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
 
 BOARD = Board("chessboard", 6, 5, 0.03)
 CHARUCO = parse_board("charuco:6x4:40mm:30mm:DICT_4X4_50")

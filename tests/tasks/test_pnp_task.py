@@ -17,9 +17,9 @@ from camcal.progress import Silent
 from camcal.simulate.observe import observe
 from camcal.targets.board import Detection, Detections, parse_board
 from camcal.targets.surface import Surface
-from camcal.tasks.pnp import Gates, PnpOptions, pnp
-from camcal.tasks.pnp_prior import PriorOptions
-from camcal.tasks.pnp_views import Looking
+from camcal.tasks.poses.pnp import Gates, PnpOptions, pnp
+from camcal.tasks.poses.pnp_prior import PriorOptions
+from camcal.tasks.poses.pnp_views import Looking
 
 BOARD = parse_board("chessboard:9x6:30mm")
 CAMERA = Camera(model_named("opencv5"), (1280, 960), [900.0, 905.0, 640.0, 480.0, -0.2, 0.05, 1e-3, 0.0, 0.0])

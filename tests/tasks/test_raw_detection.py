@@ -22,8 +22,8 @@ from camcal.raw.reading import GivenLayout
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board, parse_board
-from camcal.tasks.detect import MIXED, DetectOptions, detect_images
-from camcal.tasks.photographs import Reading, agreeing_gains, measured, photograph_of, read_photograph
+from camcal.tasks.calibration.detect import MIXED, DetectOptions, detect_images
+from camcal.tasks.calibration.photographs import Reading, agreeing_gains, measured, photograph_of, read_photograph
 
 SIZE = (480, 360)
 BOARD = Board("chessboard", 8, 5, 0.03)

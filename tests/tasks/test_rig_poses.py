@@ -14,8 +14,8 @@ from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
 from camcal.progress import SILENT, Silent
 from camcal.targets.board import Detection, Detections, parse_board
-from camcal.tasks.pnp_rig import seen_by_rig
-from camcal.tasks.pnp_views import Looking
+from camcal.tasks.poses.pnp_rig import seen_by_rig
+from camcal.tasks.poses.pnp_views import Looking
 
 BOARD = parse_board("chessboard:4x3:10mm")
 CAMERA = Camera(model_named("pinhole"), (640, 480), [500.0, 500.0, 320.0, 240.0])

@@ -15,7 +15,7 @@ from camcal.images.load import load
 from camcal.images.remap import build_maps
 from camcal.images.save import save
 from camcal.images.views import ViewOptions, make_view
-from camcal.tasks.undistort import UndistortOptions, undistort
+from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 
 SIZE = (120, 80)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([90.0, 91, 61, 39, -0.25, 0.06, 1e-3, -1e-3, 0]))

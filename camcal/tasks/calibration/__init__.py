@@ -1,0 +1,1 @@
+"""From images of boards to cameras, and what is done with a camera."""

@@ -1,0 +1,74 @@
+"""What is seen of a board, from images or from a detections file: the first step of every task that needs a board."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from camcal.errors import InvalidInput
+from camcal.formats import boards, detections
+from camcal.progress import Progress
+from camcal.targets.board import Board, Detection, Detections
+from camcal.tasks.calibration.detect import DetectOptions, detect_images
+from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, read_photograph
+
+DETECTION_SUFFIXES = (".csv", ".vnl")
+
+
+@dataclass(frozen=True)
+class BoardViews:
+    """The board, its detections, remarks on them, and the images that could not be read.
+
+    colours: the same views by the samples of red and of blue, where they were asked for.
+    """
+
+    board: Board
+    detections: Detections
+    notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+    colours: Mapping[str, tuple[Detection, ...]] = field(default_factory=dict)
+
+
+def board_views(
+    inputs: tuple[str, ...],
+    board: str | Board | None,
+    recursive: bool,
+    jobs: int | None,
+    progress: Progress,
+    image_size: tuple[int, int] | None = None,
+    reading: Reading = AS_IMAGES,
+) -> BoardViews:
+    """Return what images, folders and globs show of a board, or what one detections file holds.
+
+    board: a board, its file or its short form; it may be None where a detections file names the board.
+    image_size: (width, height) of the images of a .vnl file, which has none; None: the images beside it tell.
+    reading: what is made of raw frames, and which colours are looked at.
+    Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.
+    """
+    known = boards.load_board(board) if isinstance(board, str) else board
+    tables = [text for text in inputs if Path(text).suffix.lower() in DETECTION_SUFFIXES]
+    if tables and len(inputs) > 1:
+        raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])
+    if tables and reading != AS_IMAGES:
+        option = reading.arguments()[0]
+        raise InvalidInput(f"{option} is about images, and a detections file holds corners already", where=tables[0])
+    if tables:
+        path = Path(tables[0])
+        found = detections.read(path, known, image_size or (lambda name: _size_beside(path, name)))
+        if found.board is None:
+            raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm", where=tables[0])
+        return BoardViews(found.board, found)
+    if known is None:
+        raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
+    options = DetectOptions(inputs, known, recursive=recursive, jobs=jobs, reading=reading)
+    report = detect_images(options, progress)
+    return BoardViews(report.detections.board or known, report.detections, report.notes, report.failed, report.colours)
+
+
+def _size_beside(table: Path, image: str) -> tuple[int, int]:
+    """Return the size of an image that a table names, relative to the table's folder or to where we are."""
+    candidates = [folder / image for folder in (table.parent, Path())]
+    for path in candidates:
+        if path.is_file():
+            height, width = read_photograph(path).gray.shape
+            return width, height
+    raise InvalidInput(f"has no image size and {image} is not there: pass --image-size WxH", where=str(table))

@@ -1,0 +1,245 @@
+"""`camcal calibrate`: images or a detections file in, one camera file out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from camcal import files
+from camcal.calibrate import intrinsics
+from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.intrinsics import Calibration, View
+from camcal.cameras.catalogue import model_named
+from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
+from camcal.formats import detections, native, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ValidRegion, Verdict
+from camcal.progress import SILENT, Progress
+from camcal.quality.advise import Advice, advise, misfits
+from camcal.report.calibration import view_record
+from camcal.run.inputs import split_address
+from camcal.run.outputs import refuse_overwriting
+from camcal.targets.board import Detection
+from camcal.tasks.calibration.board_views import BoardViews, board_views
+from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
+
+DEFAULT_MODEL = "opencv5"
+WIDE_MODELS = ("kannala_brandt4", "opencv8")
+BETTER = 0.7  # another model must lower the noise to this share to be taken unasked
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What to calibrate from and how; see `camcal calibrate --help`.
+
+    inputs: images, folders and globs, or one detections file. model: None for DEFAULT_MODEL, or where that cannot
+    hold the lens, the best of WIDE_MODELS. board: a board file or short form, None when the
+    detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height)
+    of the images of a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own.
+    """
+
+    inputs: tuple[str, ...]
+    output: Path
+    board: str | None = None
+    model: str | None = None
+    fix: tuple[str, ...] = ()
+    guess: str | None = None
+    flat_board: bool = False
+    free_corners: bool = True
+    max_rejected: float = 0.1
+    name: str = "camera"
+    save_detections: Path | None = None
+    image_size: tuple[int, int] | None = None
+    recursive: bool = False
+    jobs: int | None = None
+    reading: Reading = AS_IMAGES
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """The lens of a colour, and how far that colour lies from green."""
+
+    lens: ColourLens
+    aberration: Aberration
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrateReport:
+    """The calibration, what is to be said of it, the file that was written, remarks of the detection, failed inputs.
+
+    channels: by the names of colours, empty unless asked for.
+    """
+
+    calibration: Calibration
+    advice: Advice
+    file: CameraFile
+    notes: tuple[str, ...]
+    failed: tuple[str, ...]
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+
+
+def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
+    """Return the calibration of one camera after writing it to options.output.
+
+    Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
+    """
+    outputs = [path for path in (options.output, options.save_detections) if path is not None]
+    refuse_overwriting(outputs, map(Path, options.inputs))
+    how = _solver_options(options)
+    seen = board_views(
+        options.inputs, options.board, options.recursive, options.jobs, progress, options.image_size, options.reading
+    )
+    if options.save_detections:
+        detections.write(options.save_detections, seen.detections)
+    progress.start("solving", None)
+    calibration, remarks = _solve(seen, how, options.model is None)
+    channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
+    progress.finish()
+    advice = advise(calibration)
+    file = camera_file(calibration, advice, options, channels)
+    native.write(options.output, file)
+    return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed, channels)
+
+
+def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) -> Channel:
+    try:
+        lens = fit_colour(calibration, views)
+    except (InsufficientData, NotConverged) as error:
+        raise type(error)(f"{colour}: {error.message}") from error
+    return Channel(lens, aberration(calibration.camera, lens))
+
+
+def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool) -> tuple[Calibration, tuple[str, ...]]:
+    """Return the calibration and remarks; `choose`: take a wide lens model where the default one does not fit."""
+    failure: CamcalError | None = None
+    first: Calibration | None = None
+    try:
+        first = intrinsics.calibrate(seen.detections.views, seen.board, how)
+    except (InsufficientData, NotConverged) as error:
+        failure = error
+    if not choose or (first is not None and not misfits(first)):
+        return _or_raise(first, failure), ()
+    others = [_attempt(seen, replace(how, model=model_named(name))) for name in WIDE_MODELS]
+    best = min((other for other in others if other), key=lambda other: other.sigma_px, default=None)
+    if best is None or (first is not None and best.sigma_px > BETTER * first.sigma_px):
+        return _or_raise(first, failure), ()
+    left = f"leaves {first.sigma_px:.2f} px of noise" if first else "finds no solution"
+    name = best.camera.model.name
+    return best, (f"{DEFAULT_MODEL} {left}, {name} {best.sigma_px:.2f} px: {name} is used (--model decides otherwise)",)
+
+
+def _attempt(seen: BoardViews, how: intrinsics.Options) -> Calibration | None:
+    try:
+        return intrinsics.calibrate(seen.detections.views, seen.board, how)
+    except (InvalidInput, InsufficientData, NotConverged):
+        return None
+
+
+def _or_raise(calibration: Calibration | None, failure: CamcalError | None) -> Calibration:
+    if calibration is None:
+        raise failure or NotConverged("no solution was found")
+    return calibration
+
+
+def _solver_options(options: CalibrateOptions) -> intrinsics.Options:
+    guess = None
+    if options.guess is not None:
+        path, name = split_address(options.guess)
+        guess = native.read_camera(path, name)
+    if not 0 <= options.max_rejected <= 1:
+        raise InvalidInput(f"--max-rejected {options.max_rejected:g} is not a share between 0 and 1")
+    return intrinsics.Options(
+        model_named(options.model or DEFAULT_MODEL),
+        options.fix,
+        guess,
+        ShapeOptions(smooth=not options.flat_board, offsets=options.free_corners),
+        options.max_rejected,
+    )
+
+
+def camera_file(
+    calibration: Calibration,
+    advice: Advice,
+    options: CalibrateOptions,
+    channels: Mapping[str, Channel] = MappingProxyType({}),
+) -> CameraFile:
+    """Return what the camera file says of a calibration; green is the camera itself and no channel of its own."""
+    entry = CameraEntry(
+        calibration.camera,
+        valid=ValidRegion.of(calibration.camera),
+        quality=quality_figures(calibration),
+        noise=Noise(calibration.sigma_px, calibration.freedom),
+        verdict=Verdict(advice.trustworthy, advice.reasons),
+        channels={colour: channel.lens.camera for colour, channel in channels.items()},
+    )
+    shaped = calibration.surface.tiers or calibration.surface.offsets is not None
+    return CameraFile(
+        {options.name: entry},
+        board_shape=calibration.surface if shaped else None,
+        provenance=_provenance(calibration, options) | channel_figures(channels),
+    )
+
+
+def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """Return what is known of the aberration of every colour against green, under the key 'aberration'; pixels."""
+    figures = {
+        colour: {
+            "corner_px": channel.aberration.corner_px,
+            "corner_std_px": channel.aberration.corner_std_px,
+            "largest_px": channel.aberration.largest_px,
+            "largest_std_px": channel.aberration.largest_std_px,
+            "largest_at": channel.aberration.largest_at.tolist(),
+            "terms": list(channel.lens.terms),
+            "sigma_px": channel.lens.sigma_px,
+            "points_used": channel.lens.points,
+            "points_rejected": channel.lens.rejected,
+        }
+        for colour, channel in channels.items()
+    }
+    return {"aberration": figures} if figures else {}
+
+
+def channel_data(channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """Return the lens of every colour and its aberration as plain data for --json."""
+    figures = channel_figures(channels)
+    return {
+        colour: {
+            "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
+            "std": {name: camera.std(name) for name in camera.model.parameter_names},
+            "aberration": figures["aberration"][colour],
+        }
+        for colour, camera in ((colour, channel.lens.camera) for colour, channel in channels.items())
+    }
+
+
+def quality_figures(calibration: Calibration) -> dict[str, float]:
+    """Return the figures of the file's quality block: pixels and counts."""
+    import numpy as np
+
+    lengths = np.linalg.norm(calibration.residuals, axis=1)
+    return {
+        "rms_px": calibration.rms_px,
+        "median_px": float(np.median(lengths)),
+        "p95_px": float(np.percentile(lengths, 95)),
+        "max_px": float(lengths.max()),
+        "images_used": len(calibration.used),
+        "points_used": len(lengths),
+        "points_rejected": len(calibration.rejected),
+    }
+
+
+def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str, Any]:
+    arguments = ["calibrate", *options.inputs, *(["--board", options.board] if options.board else [])]
+    arguments += ["--model", options.model] if options.model else []
+    arguments += [*(["--fix", ",".join(options.fix)] if options.fix else [])]
+    arguments += ["--guess", options.guess] if options.guess else []
+    arguments += ["--flat-board"] if options.flat_board else []
+    arguments += options.reading.arguments()
+    return provenance.build(arguments, calibration.board, [_image(view) for view in calibration.views])
+
+
+def _image(view: View) -> dict[str, Any]:
+    path = Path(view.image)
+    record = view_record(view)
+    return record | ({"sha256": files.sha256(path)} if path.is_file() else {})

@@ -1,0 +1,150 @@
+"""`camcal demo`: the main job on photographs of our own, so that the truth stands beside the estimate."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from camcal import files
+from camcal.calibrate.intrinsics import Calibration
+from camcal.progress import SILENT, Progress
+from camcal.simulate.observe import Truth
+from camcal.simulate.shapes import Shape
+from camcal.tasks.calibration.calibrate import CalibrateOptions, CalibrateReport, calibrate
+from camcal.tasks.calibration.undistort import UndistortOptions, UndistortReport, undistort
+from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateOptions, SimulateReport, simulate
+
+PRINTED_BOARD = "chessboard:10x7:30mm"
+BEND = Shape(bow_x=0.8e-3, bow_y=0.4e-3, twist=0.2e-3)
+SIZE = (1024, 768)
+CAMERA = "camera.yaml"
+DETECTIONS = "detections.csv"
+UNDISTORTED = "undistorted"
+README = "README.txt"
+
+_README = """\
+What `camcal demo` left here
+
+images/           {count} photographs, rendered: a chessboard of 10 x 7 inner corners, squares of 30 mm, slightly bent,
+                  under a lens whose numbers are known
+board.yaml        what was printed; commands take it as --board
+detections.csv    the corners that were found in the images; a calibration can start from them
+camera.yaml       the result: the camera as it was estimated, with standard deviations and the board's shape
+undistorted/      one image with straight lines, and the camera file that fits it
+truth.yaml        the camera and the board's bend as they truly are; nothing but this folder knows them
+poses.csv         where the board truly was in every image: camera_T_board takes board points to the camera
+corners.csv       where the corners truly are in the images
+
+What to try next, in this folder
+
+camcal inspect camera.yaml                                          what the camera file says
+camcal inspect truth.yaml                                           and what it should say
+camcal calibrate images --board board.yaml -o again.yaml            the calibration once more, from the images
+camcal calibrate detections.csv -o again.yaml                       the same from the corners, without the images
+camcal calibrate detections.csv --flat-board -o flat.yaml           what is lost by believing that boards are flat
+camcal undistort camera.yaml images -o straight --alpha 1           all images, without losing a pixel
+camcal simulate charuco:9x7:30mm:22mm:DICT_5X5_100 -o other         other boards, lenses, light: see --help
+
+With photographs of your own, of a board of your own, this is all:
+
+camcal calibrate photos --board chessboard:9x6:25mm -o camera.yaml
+"""
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """Where to leave the demonstration, how many photographs, which ones, and how many cores to work on."""
+
+    output: Path
+    views: int = 20
+    seed: int = 0
+    jobs: int | None = None
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A number as it is, as it was estimated, and the standard deviation that was claimed (None: it was held)."""
+
+    name: str
+    truth: float
+    estimate: float
+    std: float | None
+
+    @property
+    def sigmas(self) -> float | None:
+        """The error in standard deviations."""
+        return (self.estimate - self.truth) / self.std if self.std else None
+
+
+@dataclass(frozen=True, eq=False)
+class DemoReport:
+    """What the three steps say, and truth beside estimate."""
+
+    simulated: SimulateReport
+    calibrated: CalibrateReport
+    undistorted: UndistortReport
+    compared: tuple[Compared, ...]
+
+
+def demo(options: DemoOptions, progress: Progress = SILENT) -> DemoReport:
+    """Return truth beside estimate after leaving images, corners, cameras and an explanation in options.output.
+
+    Raises InvalidInput if the folder holds something else, FileError if it cannot be written.
+    """
+    folder = options.output
+    simulated = simulate(_scene(options), progress)
+    calibrated = calibrate(
+        CalibrateOptions(
+            (str(folder / IMAGES),),
+            folder / CAMERA,
+            str(folder / BOARD),
+            save_detections=folder / DETECTIONS,
+            jobs=options.jobs,
+        ),
+        progress,
+    )
+    undistorted = undistort(
+        UndistortOptions(str(folder / CAMERA), [simulated.images[0]], folder / UNDISTORTED, jobs=options.jobs), progress
+    )
+    files.write_text(folder / README, _README.format(count=len(simulated.images)))
+    return DemoReport(simulated, calibrated, undistorted, compare(simulated.truth, calibrated.calibration))
+
+
+def _scene(options: DemoOptions) -> SimulateOptions:
+    return SimulateOptions(
+        PRINTED_BOARD,
+        options.output,
+        size=SIZE,
+        views=options.views,
+        shape=BEND,
+        seed=options.seed,
+        jobs=options.jobs,
+    )
+
+
+def compare(truth: Truth, calibration: Calibration) -> tuple[Compared, ...]:
+    """Return the parameters of the lens and the bend of the board, in millimetres, as they are and as estimated."""
+    true, estimated, surface = truth.camera, calibration.camera, calibration.surface
+    lens = tuple(
+        Compared(name, true.value(name), estimated.value(name), estimated.std(name))
+        for name in estimated.model.parameter_names
+        if name in true.model.parameter_names
+    )
+    bend = 1e3 * truth.shape.deflection(truth.board)
+    return (*lens, Compared("bend of the board, mm", bend, 1e3 * surface.deflection, 1e3 * surface.deflection_std))
+
+
+def document(report: DemoReport, options: DemoOptions) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    calibration = report.calibrated.calibration
+    return {
+        "output": options.output.as_posix(),
+        "images": len(report.simulated.images),
+        "views_used": len(calibration.used),
+        "rms_px": calibration.rms_px,
+        "sigma_px": calibration.sigma_px,
+        "trustworthy": report.calibrated.advice.trustworthy,
+        "compared": [
+            {"name": row.name, "truth": row.truth, "estimate": row.estimate, "std": row.std, "sigmas": row.sigmas}
+            for row in report.compared
+        ],
+    }

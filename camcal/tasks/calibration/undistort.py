@@ -1,0 +1,208 @@
+"""`camcal undistort`: images and videos to straight lines, and the camera file that fits what was written."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal.cameras.model import Camera
+from camcal.errors import CamcalError, InvalidInput
+from camcal.images.load import load
+from camcal.images.remap import align_channels, build_maps
+from camcal.images.save import JPEG_QUALITY, KINDS, save
+from camcal.images.video import frames
+from camcal.images.views import PINHOLE, ViewOptions, make_view
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.run.inputs import Media, find_media, record_outputs
+from camcal.run.outputs import refuse_collisions, refuse_overwriting
+from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
+from camcal.tasks.stereo.view_camera import (
+    SourceCamera,
+    read_source,
+    require_own,
+    view_arguments,
+    write_view,
+)
+
+CAMERA_FILE = "camera.yaml"
+MASK_FILE = "valid_mask.png"
+FORMATS = ("jpg", "png", "tiff", "npy")
+
+_OTHERWISE = {".pfm": ".tiff"}  # of the types that are read and not written; all others become PNG
+_FRAME_SUFFIX = ".jpg"
+_SHRUNK = 0.25  # of the size it had: below that, the middle of an image is worth a warning
+
+
+@dataclass(frozen=True)
+class UndistortOptions:
+    """What to undistort and how; see `camcal undistort --help`.
+
+    camera: a camera file or FILE#NAME. output: a folder. border: one number, or one for each channel.
+    format: one of FORMATS, None keeps the type of the source. mask: write which pixels have a source, too.
+    rescale: fit the camera to images that were resized. align_channels: draw the colours of colour images through their
+    own lenses, where the camera file has them.
+    """
+
+    camera: str
+    inputs: Sequence[Path | str]
+    output: Path
+    camera_name: str | None = None
+    view: ViewOptions = field(default_factory=ViewOptions)
+    interpolation: str = "linear"
+    border: tuple[float, ...] = (0.0,)
+    mask: bool = False
+    format: str | None = None
+    quality: int = JPEG_QUALITY
+    rescale: bool = False
+    align_channels: bool = True
+    recursive: bool = False
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.format is not None and self.format not in FORMATS:
+            raise InvalidInput(f"format {self.format!r} is unknown; use one of {', '.join(FORMATS)}")
+        if not 1 <= self.quality <= 100:
+            raise InvalidInput(f"JPEG quality is 1 … 100, found {self.quality}")
+
+    def arguments(self) -> list[str]:
+        """Return the command line that gives the same images."""
+        kind = ["--interpolation", self.interpolation] if self.interpolation != "linear" else []
+        flags = ["--rescale"] if self.rescale else []
+        flags += [] if self.align_channels else ["--no-align-channels"]
+        inputs = [str(path) for path in self.inputs]
+        return ["undistort", self.camera, *inputs, *view_arguments(self.camera_name, self.view), *kind, *flags]
+
+
+@dataclass(frozen=True, eq=False)
+class UndistortReport:
+    """The camera of the view, what became of every image, and what was written beside the images.
+
+    valid: share of the view's pixels that have a source. aligned: the colours that a colour image is aligned in.
+    """
+
+    view: Camera
+    outcomes: tuple[Outcome[Path, Drawn], ...]
+    camera_file: Path
+    mask_file: Path | None
+    valid: float
+    aligned: tuple[str, ...] = ()
+
+    @property
+    def failed(self) -> tuple[Outcome[Path, Drawn], ...]:
+        return tuple(outcome for outcome in self.outcomes if outcome.error is not None)
+
+
+def undistort(options: UndistortOptions, progress: Progress = SILENT) -> UndistortReport:
+    """Return what became of every image after writing what can be written to options.output.
+
+    Raises InvalidInput for a view the camera cannot give, or an output that would replace an input; FileError; and
+    the first image's error when there is none that could be written.
+    """
+    source = read_source(options.camera, options.camera_name)
+    media = find_media(options.inputs, recursive=options.recursive)
+    outputs = {path: options.output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
+    camera_file, mask_file = options.output / CAMERA_FILE, options.output / MASK_FILE
+    refuse_collisions(outputs)
+    refuse_overwriting([*outputs.values(), camera_file, mask_file], [source.path, *media.images])
+    require_own(camera_file)
+    if options.rescale:
+        source = _rescaled(source, media)
+    view = make_view(source.camera, options.view)
+    _warn_of_shrinking(source.camera, view, progress)
+    maps = build_maps(source.camera, view, options.interpolation)
+    lenses = source.channels if options.align_channels else {}
+    maps = align_channels(maps, lenses, view) if lenses else maps
+    advice = ": if it was resized, not cropped, give --rescale"
+    outcomes = tuple(_drawn(Drawing(maps, options.border, options.quality, advice), outputs, media, options, progress))
+    require_success(outcomes)
+    if options.mask:
+        save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
+    write_view(camera_file, source, view, options.arguments(), progress, tuple(lenses))
+    written = [outcome.value.output.name for outcome in outcomes if outcome.value]
+    record_outputs(options.output, [*written, *([MASK_FILE] if options.mask else [])])
+    return UndistortReport(
+        view,
+        outcomes,
+        camera_file,
+        mask_file if options.mask else None,
+        float(maps.valid().mean()),
+        tuple(lenses),
+    )
+
+
+def _drawn(
+    drawing: Drawing, outputs: Mapping[Path, Path], media: Media, options: UndistortOptions, progress: Progress
+) -> Iterator[Outcome[Path, Drawn]]:
+    """Yield what became of every image and every frame."""
+    if outputs:
+        yield from drawing.images(outputs, options.jobs, progress)
+    suffix = f".{options.format}" if options.format else _FRAME_SUFFIX
+    for video in media.videos:
+        yield from drawing.video(video, options.output / f"{video.stem}{suffix}", options.jobs, progress)
+
+
+def _suffix(source: Path, kind: str | None) -> str:
+    if kind is not None:
+        return f".{kind}"
+    suffix = source.suffix.lower()
+    return source.suffix if suffix in KINDS else _OTHERWISE.get(suffix, ".png")
+
+
+def _rescaled(source: SourceCamera, media: Media) -> SourceCamera:
+    """Return the camera and its channels for images of the size of the first one that can be read."""
+    size, usual = _first_size(media), source.camera.image_size
+    if size is None or size == usual:
+        return source
+    if not same_shape(size, usual):
+        found, wanted = ("{}x{}".format(*each) for each in (size, usual))
+        raise InvalidInput(f"images of {found} are no resized images of {wanted}: they need a camera of their own")
+    scale = size[0] / usual[0], size[1] / usual[1]
+
+    def resized(camera: Camera) -> Camera:
+        return Camera(camera.model, size, camera.model.rescale(camera.parameters, scale, (0.0, 0.0)))
+
+    channels = {colour: resized(lens) for colour, lens in source.channels.items()}
+    return replace(source, camera=resized(source.camera), channels=channels)
+
+
+def _first_size(media: Media) -> tuple[int, int] | None:
+    for path in (*media.images, *media.videos):
+        try:
+            return next(frames(path)).size if path in media.videos else load(path).size
+        except CamcalError:
+            continue  # it is reported when its turn comes
+    return None
+
+
+def _warn_of_shrinking(camera: Camera, view: Camera, progress: Progress) -> None:
+    share = view.value("fx") / view.image_size[0] * camera.image_size[0] / camera.value("fx")
+    if view.model.name == PINHOLE and share < _SHRUNK:
+        progress.warn(
+            f"the middle of the image shrinks to {100 * share:.0f} % in a pinhole this wide; "
+            "--projection cylinder, or a smaller --fov, keeps more of it"
+        )
+
+
+def document(report: UndistortReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    view = report.view
+    aligned = {"aligned_channels": list(report.aligned)} if report.aligned else {}
+    return {
+        "camera_file": report.camera_file,
+        "mask": report.mask_file,
+        "view": {
+            "model": view.model.name,
+            "image_size": view.image_size,
+            "parameters": {name: view.value(name) for name in view.model.parameter_names},
+            "valid": report.valid,
+        },
+        "images": [
+            {"source": outcome.item, "frame": drawn.frame, "output": drawn.output, "orientation": drawn.orientation}
+            for outcome in report.outcomes
+            if (drawn := outcome.value) is not None
+        ],
+        "failed": [{"source": outcome.item, "message": str(outcome.error)} for outcome in report.failed],
+        **aligned,
+    }

@@ -1,0 +1,194 @@
+"""`camcal transform chain`, `eval`, `compose` and `invert`: transforms made of others."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from camcal.errors import InvalidInput
+from camcal.formats.pose_forms import form_of
+from camcal.geometry.frame_expression import evaluate as evaluate_product
+from camcal.geometry.frame_graph import FrameGraph, Loop
+from camcal.geometry.named import Derived, Key, NamedTransform
+from camcal.progress import SILENT, Progress
+from camcal.report.transform import plain, plain_loop
+from camcal.run.pose_sources import read_transforms
+from camcal.tasks.frames.transform_output import Output
+
+LOOP_MM = 1.0
+LOOP_DEG = 0.1
+
+_CONSISTENT = 27.86  # χ² of 6 degrees of freedom that chance exceeds once in 10 000 times
+
+
+@dataclass(frozen=True)
+class ChainOptions:
+    """Arguments that stand for named transforms, and the frames to join: target_T_source.
+
+    loop_mm, loop_deg: how far a loop of transforms without covariances may be from closing. form: of numbers.
+    """
+
+    sources: Sequence[str]
+    target: str
+    source: str
+    form: str | None = None
+    output: Output = field(default_factory=Output)
+    loop_mm: float = LOOP_MM
+    loop_deg: float = LOOP_DEG
+
+    def __post_init__(self) -> None:
+        if not (self.loop_mm >= 0 and self.loop_deg >= 0):
+            raise InvalidInput("--loop-mm and --loop-deg are 0 or more")
+
+
+@dataclass(frozen=True)
+class ExpressionOptions:
+    """A product such as 'a_T_b * inv(c_T_b)', and arguments that stand for its transforms."""
+
+    expression: str
+    sources: Sequence[str]
+    form: str | None = None
+    output: Output = field(default_factory=Output)
+
+
+@dataclass(frozen=True)
+class PosesOptions:
+    """Arguments that stand for transforms, the form of numbers among them, and where the result goes."""
+
+    sources: Sequence[str]
+    form: str | None = None
+    output: Output = field(default_factory=Output)
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """Transforms, and what each was made of, as one writes it.
+
+    exact: names of those without a covariance where others have one.
+    loops: among the transforms that are joined with the chain's.
+    """
+
+    transforms: tuple[NamedTransform, ...]
+    products: tuple[str, ...]
+    exact: tuple[str, ...] = ()
+    loops: tuple[Loop, ...] = ()
+
+
+def chain(options: ChainOptions, progress: Progress = SILENT) -> Made:
+    """Return target_T_source by way of the fewest transforms.
+
+    Raises InvalidInput where the frames are not joined or a loop does not close, FileError.
+    """
+    options.output.require_own(options.sources)
+    transforms = _named(read_transforms(options.sources, form_of(options.form)))
+    graph = FrameGraph(transforms)
+    links = graph.path(options.target, options.source)
+    loops = tuple(graph.loops(options.target))
+    for loop in loops:
+        _require_closed(loop, options)
+    factors = {link.index: transforms[link.index] for link in links}
+    result = _with_covariance((options.target, options.source), graph.along(links), factors)
+    options.output.write([result])
+    return Made((result,), (_product(map(graph.name_of, links)),), _exact(factors, progress), loops)
+
+
+def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
+    """Return the product that an expression says; raises InvalidInput if inner frames do not cancel, FileError."""
+    options.output.require_own(options.sources)
+    transforms: dict[str, NamedTransform] = {}
+    for item in _named(read_transforms(options.sources, form_of(options.form))):
+        if item.name in transforms:
+            raise InvalidInput(f"{item.name} stands in {transforms[item.name].where} too", where=item.where)
+        transforms[item.name] = item
+    product = evaluate_product(options.expression, transforms)
+    used = {name: item for name, item in transforms.items() if name in product.derived.by}
+    result = _with_covariance((product.target, product.source), product.derived, used)
+    options.output.write([result])
+    return Made((result,), (product.text,), _exact(used, progress))
+
+
+def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
+    """Return the product of transforms in their order; frames that are not named are taken to fit.
+
+    Raises InvalidInput where named frames do not meet, FileError.
+    """
+    options.output.require_own(options.sources)
+    transforms = read_transforms(options.sources, form_of(options.form))
+    if len(transforms) < 2:
+        raise InvalidInput(f"{len(transforms)} transform is no product; give two or more, each in quotes if in numbers")
+    for left, right in pairwise(transforms):
+        if left.source and right.target and left.source != right.target:
+            raise InvalidInput(f"{left.name} * {right.name}: {left.source!r} does not meet {right.target!r}")
+    factors = dict(enumerate(transforms))
+    derived = reduce(
+        lambda left, right: left @ right, (Derived.of(index, item.pose) for index, item in factors.items())
+    )
+    ends = (transforms[0].target, transforms[-1].source) if all(item.name for item in transforms) else ("", "")
+    result = _with_covariance(ends, derived, factors)
+    options.output.write([result])
+    return Made((result,), (_product(item.called for item in transforms),), _exact(factors, progress))
+
+
+def invert(options: PosesOptions, _: Progress = SILENT) -> Made:
+    """Return the inverse of every transform; raises InvalidInput, FileError."""
+    options.output.require_own(options.sources)
+    transforms = read_transforms(options.sources, form_of(options.form))
+    inverses = tuple(item.inverse() for item in transforms)
+    options.output.write(inverses)
+    return Made(inverses, tuple(f"inv({item.called})" for item in transforms))
+
+
+def document(made: Made, output: Output) -> dict[str, Any]:
+    """Return transforms and what they were made of as plain data for --json."""
+    return {
+        "transforms": [plain(transform, output.numbers) for transform in made.transforms],
+        "products": made.products,
+        "exact": made.exact,
+        "loops": [plain_loop(loop) for loop in made.loops],
+        "output": output.path,
+    }
+
+
+def _with_covariance(
+    ends: tuple[str, str], derived: Derived[Key], factors: Mapping[Key, NamedTransform]
+) -> NamedTransform:
+    """Return what was derived from factors as a transform between two frames, with the covariance that follows."""
+    covariance = derived.covariance({key: item.covariance for key, item in factors.items()})
+    return NamedTransform(*ends, derived.pose, covariance)
+
+
+def _product(factors: Iterable[str]) -> str:
+    return " * ".join(factors) or "nothing"
+
+
+def _named(transforms: Sequence[NamedTransform]) -> Sequence[NamedTransform]:
+    """Return transforms all of which have names; raises InvalidInput for one that has none."""
+    for item in transforms:
+        if not item.name:
+            raise InvalidInput(
+                f"its frames are not known; write a_T_b={item.where}, with the names of yours", where=item.where
+            )
+    return transforms
+
+
+def _exact(used: Mapping[Any, NamedTransform], progress: Progress) -> tuple[str, ...]:
+    """Return the transforms taken as exact beside others that are not, after saying so."""
+    without = tuple(item.called for item in used.values() if item.covariance is None)
+    if not without or len(without) == len(used):
+        return ()
+    progress.warn(f"without a covariance, taken as exact: {', '.join(without)}")
+    return without
+
+
+def _require_closed(loop: Loop, options: ChainOptions) -> None:
+    offset_mm, angle_deg = 1000 * loop.offset, float(np.degrees(loop.angle))
+    far = f"{' * '.join(loop.names)} is {offset_mm:.3g} mm and {angle_deg:.3g}° from closing"
+    if loop.chi_square is not None:
+        if loop.chi_square > _CONSISTENT:
+            raise InvalidInput(f"{far}, χ² = {loop.chi_square:.3g} with 6 degrees of freedom; one of them is wrong")
+    elif offset_mm > options.loop_mm or angle_deg > options.loop_deg:
+        limit = f"{options.loop_mm:g} mm and {options.loop_deg:g}°"
+        raise InvalidInput(f"{far}, more than {limit}; one of them is wrong, or allow it with --loop-mm, --loop-deg")

@@ -1,0 +1,138 @@
+"""`camcal transform check`: how far poses, as they are written, are from being any."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from camcal.errors import GateFailed, InvalidInput
+from camcal.formats.frames import LooseTransform
+from camcal.formats.pose_forms import LoosePose, form_of
+from camcal.geometry import rotation as so3
+from camcal.geometry.named import NamedTransform, frames_of
+from camcal.geometry.orthogonality import HOPELESS, Orthogonality, examine
+from camcal.geometry.pose import Pose
+from camcal.progress import SILENT, Progress
+from camcal.report.transform import plain
+from camcal.run.pose_sources import read_loose
+from camcal.tasks.frames.transform_output import Output
+
+EXACT = 1e-6  # what a camera file asks of its rotations
+
+OK = "ok"
+INEXACT = "inexact"
+REFLECTION = "reflection"
+NONE = "no pose"
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """Arguments that stand for poses, the form of numbers among them; fix: give the nearest poses, to `output` too."""
+
+    sources: Sequence[str]
+    form: str | None = None
+    fix: bool = False
+    output: Output = field(default_factory=Output)
+
+    def __post_init__(self) -> None:
+        if self.output.path is not None and not self.fix:
+            raise InvalidInput("--output is for the poses that --fix makes")
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedPose:
+    """A pose as it is written, what its nine numbers are, and the verdict: ok, inexact, reflection or no pose."""
+
+    written: LooseTransform
+    found: Orthogonality
+    verdict: str
+
+    @property
+    def called(self) -> str:
+        """Where the pose stands, and its name if it has one: all poses of a pose file have the same."""
+        name = self.written.name
+        return f"{self.written.where}: {name}" if name else self.written.where
+
+    @property
+    def row(self) -> list[object]:
+        """The cells of a table: name, verdict, orthonormality error, determinant, angle in degrees, length."""
+        angle = None if np.isnan(self.found.angle) else float(np.degrees(self.found.angle))
+        return [self.called, self.verdict, self.found.error, self.found.determinant, angle, self.written.pose.norm]
+
+    @property
+    def fault(self) -> str:
+        """What is wrong, in words; empty for a pose."""
+        if self.verdict == OK:
+            return ""
+        norm = self.written.pose.norm
+        if norm is not None and abs(norm - 1) > EXACT:
+            return f"the quaternion has length {norm:.9g}"
+        return self.found.fault(EXACT) or f"what should be 0 0 0 1 is off by {self.written.pose.strays:.3g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What was found of every pose, and the nearest poses of those that have one, if that was asked for."""
+
+    poses: tuple[CheckedPose, ...]
+    fixed: tuple[NamedTransform, ...]
+
+
+def check(options: CheckOptions, _: Progress = SILENT) -> Checked:
+    """Return what was found of poses; raises InvalidInput, FileError for what is not even numbers."""
+    options.output.require_own(options.sources)
+    poses = tuple(_checked(written) for written in read_loose(options.sources, form_of(options.form)))
+    fixed = tuple(_fixed(pose.written) for pose in poses if pose.verdict in {OK, INEXACT}) if options.fix else ()
+    if fixed:
+        options.output.write(fixed)
+    return Checked(poses, fixed)
+
+
+def require_good(checked: Checked, *, fix: bool) -> None:
+    """Raise GateFailed, a line for each pose that is none; inexact ones pass if they were to be fixed."""
+    passing = {OK, INEXACT} if fix else {OK}
+    faults = [f"{pose.called}: {pose.fault}" for pose in checked.poses if pose.verdict not in passing]
+    if faults:
+        raise GateFailed("\n".join(faults))
+
+
+def document(checked: Checked, output: Output) -> dict[str, Any]:
+    """Return what was found as plain data for --json."""
+    return {
+        "poses": [
+            {
+                "name": pose.written.name or None,
+                "where": pose.written.where,
+                "verdict": pose.verdict,
+                "fault": pose.fault or None,
+                "orthonormality_error": pose.found.error,
+                "determinant": pose.found.determinant,
+                "angle_to_nearest_deg": float(np.degrees(pose.found.angle)),
+                "quaternion_length": pose.written.pose.norm,
+            }
+            for pose in checked.poses
+        ],
+        "fixed": [plain(transform, output.numbers) for transform in checked.fixed],
+        "output": output.path,
+    }
+
+
+def _checked(written: LooseTransform) -> CheckedPose:
+    found = examine(written.pose.matrix)
+    return CheckedPose(written, found, _verdict(written.pose, found))
+
+
+def _verdict(pose: LoosePose, found: Orthogonality) -> str:
+    if found.is_reflection:
+        return REFLECTION
+    stretched = 0.0 if pose.norm is None else abs(pose.norm - 1)
+    if not found.can_be_fixed or stretched > HOPELESS or pose.strays > EXACT:
+        return NONE
+    return OK if found.is_rotation(EXACT) and stretched <= EXACT else INEXACT
+
+
+def _fixed(written: LooseTransform) -> NamedTransform:
+    frames = frames_of(written.name) if written.name else ("", "")
+    pose = Pose(so3.nearest(written.pose.matrix), written.pose.translation)
+    return NamedTransform(*frames, pose, written.covariance, written.where)

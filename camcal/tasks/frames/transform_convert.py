@@ -1,0 +1,188 @@
+"""`camcal transform convert`: poses in other forms and along other axes."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats import native, strict_yaml
+from camcal.formats.pose_forms import form_of
+from camcal.formats.schema import did_you_mean
+from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
+from camcal.geometry.named import NamedTransform, carried
+from camcal.progress import SILENT, Progress
+from camcal.report.transform import plain
+from camcal.run.pose_sources import files_of, read_transforms
+from camcal.tasks.frames.transform_output import Output
+
+_UNNAMED = ("a", "b")
+_CAMERA_FILES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class AxesChange:
+    """A frame whose axes point elsewhere from now on."""
+
+    frame: str
+    before: Axes
+    after: Axes
+
+    @classmethod
+    def parse(cls, text: str) -> "AxesChange":
+        """Return the change that a text such as camera=opencv:opengl says; raises InvalidInput for another text."""
+        frame, equals, conventions = text.partition("=")
+        before, colon, after = conventions.partition(":")
+        if not (frame and equals and colon):
+            raise InvalidInput(f"--axes {text!r}: write FRAME=FROM:TO, such as camera=opencv:opengl")
+        return cls(frame, convention_named(before), convention_named(after))
+
+    @property
+    def matrix(self) -> Array:
+        """The matrix (3, 3) that takes coordinates along the old axes to those along the new ones."""
+        return change(self.before, self.after)
+
+
+@dataclass(frozen=True)
+class ConvertOptions:
+    """Arguments that stand for poses and the form of numbers among them; inverse: of each pose, before all else.
+
+    axes: changes such as camera=opencv:opengl, where frames of poses without names are a and b.
+    """
+
+    sources: Sequence[str]
+    axes: Sequence[str] = ()
+    form: str | None = None
+    inverse: bool = False
+    output: Output = field(default_factory=Output)
+
+    @property
+    def changes(self) -> dict[str, AxesChange]:
+        """The changes by frame; raises InvalidInput for a frame that is changed twice."""
+        changes = [AxesChange.parse(text) for text in self.axes]
+        by_frame = {item.frame: item for item in changes}
+        if len(by_frame) < len(changes):
+            raise InvalidInput("--axes: a frame is changed twice")
+        return by_frame
+
+
+@dataclass(frozen=True)
+class PrincipalPoint:
+    """Where a camera's principal point is, px, if the centre of the top-left pixel is counted as its axes' users do."""
+
+    camera: str
+    convention: str
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, eq=False)
+class Converted:
+    """Transforms, the changes of axes, and principal points of cameras whose pixels are counted from elsewhere."""
+
+    transforms: tuple[NamedTransform, ...]
+    changes: tuple[AxesChange, ...]
+    principal_points: tuple[PrincipalPoint, ...]
+
+
+def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
+    """Return transforms along other axes.
+
+    Raises InvalidInput for a frame or convention that is not there and where one frame alone would become left-handed,
+    InsufficientData where there is nothing to convert, FileError.
+    """
+    options.output.require_own(options.sources)
+    transforms = read_transforms(options.sources, form_of(options.form), allow_none=True)
+    centres = _principal_points_of(options.sources)
+    if not transforms and not centres:
+        raise InsufficientData("there are no transforms and no cameras", where=" ".join(options.sources))
+    if options.inverse:
+        transforms = tuple(item.inverse() for item in transforms)
+    changes = options.changes
+    require_known(changes, {*centres, *(frame for item in transforms for frame in frames_in(item))})
+    converted = tuple(_along(item, changes) for item in transforms)
+    points = tuple(_counted_from_corners(centres, changes))
+    for point in points:
+        progress.warn(
+            f"{point.camera}: in {point.convention} the principal point is cx {point.cx:.9g}, cy {point.cy:.9g}, "
+            "as its pixels are counted from the corner of the first one"
+        )
+    options.output.write(converted)
+    return Converted(converted, tuple(changes.values()), points)
+
+
+def document(converted: Converted, output: Output) -> dict[str, Any]:
+    """Return transforms and what was changed as plain data for --json."""
+    return {
+        "transforms": [plain(transform, output.numbers) for transform in converted.transforms],
+        "axes": plain_changes(converted.changes),
+        "principal_points": [vars(point) for point in converted.principal_points],
+        "trajectory": None,
+        "output": output.path,
+    }
+
+
+def plain_changes(changes: Sequence[AxesChange]) -> list[dict[str, Any]]:
+    """Return changes of axes as plain data for --json."""
+    return [
+        {
+            "frame": item.frame,
+            "from": item.before.name,
+            "to": item.after.name,
+            "words": item.after.words,
+            "left_handed": item.after.left_handed,
+            "pixel_centre": item.after.pixel_centre,
+        }
+        for item in changes
+    ]
+
+
+def frames_in(transform: NamedTransform) -> tuple[str, str]:
+    """Return the frames of a transform, a and b where it has no names."""
+    return (transform.target, transform.source) if transform.name else _UNNAMED
+
+
+def require_known(changes: Mapping[str, AxesChange], frames: set[str]) -> None:
+    """Raise InvalidInput for a change of a frame that is not there."""
+    for frame in changes:
+        if frame not in frames:
+            known = sorted(frames)
+            raise InvalidInput(f"--axes: no frame {frame!r}{did_you_mean(frame, known)}")
+
+
+def matrices_of(changes: Mapping[str, AxesChange], frames: tuple[str, str]) -> tuple[Array, Array]:
+    """Return the matrices (3, 3) that change the axes of two frames."""
+    a, b = (changes[frame].matrix if frame in changes else np.eye(3) for frame in frames)
+    return a, b
+
+
+def _along(transform: NamedTransform, changes: Mapping[str, AxesChange]) -> NamedTransform:
+    change_a, change_b = matrices_of(changes, frames_in(transform))
+    try:
+        pose = reexpress(transform.pose, change_a, change_b)
+    except InvalidInput as error:
+        raise InvalidInput(f"{transform.called}: {error.message}", where=transform.where or None) from error
+    return replace(transform, pose=pose, covariance=carried(reexpress_jacobian(change_a), transform.covariance))
+
+
+def _principal_points_of(sources: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return cx and cy (px) of the cameras of camera files among the sources, which count from pixel centres."""
+    found: dict[str, tuple[float, float]] = {}
+    for path in dict.fromkeys(files_of(sources)):
+        if path.suffix.lower() in _CAMERA_FILES and strict_yaml.load(path).get("format") == native.FORMAT:
+            cameras = {name: entry.camera for name, entry in native.read(path).cameras.items()}
+            found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in cameras.items()}
+    return found
+
+
+def _counted_from_corners(
+    centres: Mapping[str, tuple[float, float]], changes: Mapping[str, AxesChange]
+) -> Iterator[PrincipalPoint]:
+    """Yield principal points where the users of a camera's new axes count pixels from elsewhere than camcal does."""
+    for name, (cx, cy) in centres.items():
+        item = changes.get(name)
+        if item is not None and item.after.pixel_centre:
+            shift = item.after.pixel_centre
+            yield PrincipalPoint(name, item.after.name, cx + shift, cy + shift)

@@ -1,0 +1,250 @@
+"""A board planned for a camera: where it fits, is sharp and large enough, and how well it will be measured."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, sqrt
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats.boards import load_board
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.opencv import marker_dictionary
+from camcal.optics import light, precision
+from camcal.quality.forecast import calibration_std, forecast_pose
+from camcal.simulate.observe import observe
+from camcal.simulate.scene import views as scene_views
+from camcal.targets.board import Board
+from camcal.tasks.lenses.optics_figures import AtDistance, at_distance
+from camcal.tasks.lenses.optics_setup import Setup
+
+_BORDER = 1.0  # squares around the corners that must be in the image
+_HALVINGS = 24  # of a factor of 2 between distances: to 4e-8
+_REACH = 1e4  # board sizes between which distances are looked for
+_MOST_PX = 1e6
+_SQUARE_PX, _CELL_PX = 8.0, 2.0  # of a chessboard, and of a marker's cell
+_STEEPEST = np.radians(80)
+_DISTORTED = "opencv5"  # what a lens that is known by its focal length alone will be calibrated with
+
+
+@dataclass(frozen=True)
+class BoardOptions:
+    """A board (file or short form), its tilt (rad) about the vertical, and what is asked of it.
+
+    noise_px: of a corner of a sharp board at rest. share: of the image's width or height that the board is to take.
+    least_px: the smallest square that is still detected, None for what the kind of board needs. views: of a
+    calibration.
+    """
+
+    board: str
+    tilt: float = 0.0
+    noise_px: float = 0.1
+    share: float = 0.6
+    least_px: float | None = None
+    views: int = 20
+
+    def __post_init__(self) -> None:
+        if not abs(self.tilt) <= _STEEPEST:
+            raise InvalidInput(f"--tilt must be within ±80°, found {np.degrees(self.tilt):g}°")
+        if not 0 < self.share <= 1:
+            raise InvalidInput(f"--share must be more than 0 and at most 1, found {self.share:g}")
+        if not all(0 < pixels <= _MOST_PX for pixels in (self.noise_px, self.least_px) if pixels is not None):
+            raise InvalidInput(f"--noise and --least-square must be more than 0 and at most {_MOST_PX:g} px")
+
+
+@dataclass(frozen=True)
+class BoardAt:
+    """The board at one distance (m), its centre in the middle of the image.
+
+    smallest_px, largest_px: sides of squares. share: of the image's width or height, above 1 where it does not fit.
+    square_for_share: of the same grid that takes the wanted share, m, None if none does. noise_px: of a corner, with
+    blur. sigma: standard deviations of the pose of the board's centre, tx ty tz (m) rx ry rz (rad), p_wrong: how often
+    another pose will fit better; None where the board does not fit the image.
+    """
+
+    distance: float
+    smallest_px: float
+    largest_px: float
+    share: float
+    square_for_share: float | None
+    noise_px: float
+    sigma: tuple[float, ...] | None = None
+    p_wrong: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPlan:
+    """A board, what it will be like at some distances, and the calibration from `views` views of it.
+
+    nearest: where it just fits the image (0: anywhere), farthest: where its squares have as few pixels as allowed,
+    least_px.
+    calibration: standard deviations by parameter, None (and the reason) where no such views exist.
+    """
+
+    board: Board
+    options: BoardOptions
+    least_px: float
+    nearest: float
+    farthest: float
+    at: tuple[BoardAt, ...]
+    calibration: Mapping[str, float] | None
+    reason: str | None
+
+
+def plan_board(setup: Setup, options: BoardOptions, distances: Sequence[float]) -> BoardPlan:
+    """Return what to expect of a board before a camera, at some distances (m) or where it takes the wanted share.
+
+    Raises InvalidInput for a board that is none or of unknown size, or a camera that is not known well enough.
+    """
+    camera, board = _camera(setup), _upright(load_board(options.board), setup)
+    if board.square is None:
+        raise InvalidInput("the board's size is unknown; add the side of a square, such as chessboard:9x6:25mm")
+    held = _Held(camera, board, options.tilt)
+    filling = held.at_share(options.share)
+    least_px = _least_square(board) if options.least_px is None else options.least_px
+    farthest = held.at_square(least_px)
+    known = [at_distance(setup, distance) for distance in distances or [filling or farthest]]
+    stds, reason = _calibration(setup, board, options)
+    return BoardPlan(
+        board,
+        options,
+        least_px,
+        held.at_share(1.0),
+        farthest,
+        tuple(_at(held, setup, options, one, filling) for one in known),
+        stds,
+        reason,
+    )
+
+
+def _camera(setup: Setup) -> Camera:
+    if setup.camera is None:
+        raise InvalidInput("--board needs a CAMERA file, or --focal, --size and --pitch-um (or --sensor)")
+    return setup.camera
+
+
+def _least_square(board: Board) -> float:
+    """Return the pixels that a side of a square must have for the board to be found.
+
+    On simulated photographs squares of a chessboard are found down to 5 px, and markers down to 1.7 px a cell.
+    """
+    if board.marker is None or board.dictionary is None:
+        return _SQUARE_PX
+    cells = marker_dictionary(board.dictionary).markerSize + 2  # and its black border
+    return _CELL_PX * cells * board.pitch / board.marker
+
+
+def _upright(board: Board, setup: Setup) -> Board:
+    """Return the board with its long side along that of the image."""
+    width, height = setup.size or (1, 1)
+    return board.transposed() if (board.columns > board.rows) != (width >= height) else board
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A board of known size before a camera, tilted about the vertical by `tilt` (rad)."""
+
+    camera: Camera
+    board: Board
+    tilt: float
+
+    @property
+    def points(self) -> Array:
+        """The corners (C, 3) from the board's centre, m."""
+        return self.board.points() - np.array([*self.board.extent, 0.0]) / 2
+
+    @cached_property
+    def _middle(self) -> Array:
+        """The ray (3,) of the middle of the image, of depth 1."""
+        pixel = (np.array([self.camera.image_size], dtype=float) - 1) / 2
+        ray = self.camera.unproject(pixel).directions[0]
+        return np.asarray(ray / ray[2])
+
+    def pose(self, distance: float) -> Pose:
+        """Return camera_T_board with the board's centre in the middle of the image, at a distance along the axis."""
+        return Pose(so3.about_y(self.tilt), distance * self._middle)
+
+    def share(self, distance: float) -> float:
+        """Return the share of the image's width or height that the board takes, inf outside the lens's domain."""
+        reach = np.array(self.board.extent) / 2 + _BORDER * self.board.pitch
+        corners = np.array([[x, y, 0.0] for x in np.linspace(-1, 1, 9) for y in (-1, 0, 1)]) * [*reach, 0.0]
+        projection = self.camera.project(self.pose(distance).apply(corners))
+        if not projection.valid.all():
+            return inf
+        middle = (np.array(self.camera.image_size) - 1) / 2
+        return float(np.max(2 * np.abs(projection.pixels - middle).max(axis=0) / self.camera.image_size))
+
+    def squares(self, distance: float) -> tuple[float, float]:
+        """Return the smallest and the largest side of a square in pixels, inf outside the lens's domain."""
+        projection = self.camera.project(self.pose(distance).apply(self.points))
+        if not projection.valid.all():
+            return inf, inf
+        grid = projection.pixels.reshape(self.board.rows, self.board.columns, 2)
+        sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (0, 1)]
+        together = np.concatenate(sides)
+        return float(together.min()), float(together.max())
+
+    def at_share(self, share: float) -> float:
+        """Return the distance (m) at which the board takes a share of the image, 0 if it never takes so much."""
+        return self._farthest(lambda distance: self.share(distance) > share)
+
+    def at_square(self, least_px: float) -> float:
+        """Return the farthest distance (m) at which the smallest square has so many pixels, 0 if it never has."""
+        return self._farthest(lambda distance: self.squares(distance)[0] > least_px)
+
+    def _farthest(self, is_near: Callable[[float], bool]) -> float:
+        """Return up to which distance (m) a board is near, 0 if it is nowhere.
+
+        Looked for from afar: close to a wide lens the outer squares shrink again.
+        """
+        nearest, high = (max(self.board.extent) * reach for reach in (1 / _REACH, _REACH))
+        low = high
+        while not is_near(low):
+            if low < nearest:
+                return 0.0
+            low, high = low / 2, low
+        for _ in range(_HALVINGS):
+            middle = sqrt(low * high)
+            low, high = (middle, high) if is_near(middle) else (low, middle)
+        return high
+
+
+def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, filling: float) -> BoardAt:
+    distance = known.distance
+    smallest, largest = held.squares(distance)
+    noise = options.noise_px * _blur_factor(setup, known)
+    share = held.share(distance)
+    square = held.board.pitch * distance / filling if filling else None
+    if share > 1:
+        return BoardAt(distance, smallest, largest, share, square, noise)
+    forecast = forecast_pose(held.camera, held.points, held.pose(distance), noise)
+    sigma = tuple(np.sqrt(np.diag(forecast.covariance)).tolist())
+    return BoardAt(distance, smallest, largest, share, square, noise, sigma, forecast.p_wrong)
+
+
+def _blur_factor(setup: Setup, known: AtDistance) -> float:
+    """Return how much more a corner scatters than in a sharp image at rest: by defocus and motion, where known."""
+    number, pitch = setup.effective_f_number, setup.pitch
+    spot = 0.0 if number is None or pitch is None else light.airy_sigma(setup.options.wavelength, number) / pitch
+    spread = precision.edge_spread(spot, known.blur_px or 0.0, known.motion_px or 0.0)
+    return precision.edge_noise_factor(spread, precision.edge_spread(spot, 0.0, 0.0))
+
+
+def _calibration(setup: Setup, board: Board, options: BoardOptions) -> tuple[Mapping[str, float] | None, str | None]:
+    camera = _camera(setup)
+    if not setup.measured:
+        model = model_named(_DISTORTED)
+        camera = Camera(model, camera.image_size, model.start(camera.image_size, camera.value("fx")))
+    rng = np.random.default_rng(0)
+    try:
+        poses = scene_views(replace(camera, covariance=None), board, options.views, rng=rng)
+        detections, _ = observe(camera, board, poses, rng=rng)
+        std = calibration_std(camera, board, detections.views, poses, options.noise_px)
+    except (InvalidInput, InsufficientData) as error:
+        return None, str(error)
+    return dict(zip(camera.model.parameter_names, std.tolist(), strict=True)), None

@@ -1,0 +1,182 @@
+"""`camcal optics`: what a lens and a sensor can see, how sharp, and how well a board will be measured with them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import degrees, isfinite, isnan
+from pathlib import Path
+
+from camcal import files
+from camcal.errors import InvalidInput
+from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
+from camcal.progress import SILENT, Progress
+from camcal.run.inputs import split_address
+from camcal.run.outputs import refuse_overwriting
+from camcal.tasks.lenses import optics_figures as part
+from camcal.tasks.lenses.board_plan import BoardOptions, BoardPlan, plan_board
+from camcal.tasks.lenses.optics_setup import OpticsOptions, Setup, set_up
+
+
+@dataclass(frozen=True, eq=False)
+class OpticsReport:
+    """What is known of a setup; a part that is None cannot be computed, and `missing` says what it needs.
+
+    at: figures at the distances asked for, or at the focus.
+    """
+
+    setup: Setup
+    field_of_view: part.FieldOfView | None
+    pixel_angle: part.PixelAngle | None
+    focus: part.Focus | None
+    diffraction: part.Diffraction | None
+    exposure: part.Exposure | None
+    image_circle: part.ImageCircle | None
+    at: tuple[part.AtDistance, ...]
+    board: BoardPlan | None
+    missing: Mapping[str, str]
+    warnings: tuple[str, ...]
+    plot: Path | None
+
+
+def optics(
+    options: OpticsOptions,
+    board: BoardOptions | None = None,
+    plot: Path | None = None,
+    progress: Progress = SILENT,
+) -> OpticsReport:
+    """Return all that can be said of a lens in use, after drawing its blur over distance if a file is named.
+
+    Raises InvalidInput for options that contradict each other, or that say too little for any figure, for the board
+    or for the plot; FileError for a file that cannot be read or written.
+    """
+    if plot is not None:
+        _require_drawable(plot, options.camera)
+    report = _report(set_up(options), board, plot)
+    if plot is not None:
+        _draw(report, plot)
+    for warning in report.warnings:
+        progress.warn(warning)
+    return report
+
+
+def _report(setup: Setup, board: BoardOptions | None, plot: Path | None) -> OpticsReport:
+    distances = setup.options.distances or tuple(value for value in (setup.focus,) if value and isfinite(value))
+    report = OpticsReport(
+        setup,
+        part.field(setup),
+        part.pixel_angle(setup),
+        part.focus(setup),
+        part.diffraction(setup),
+        part.exposure(setup),
+        part.image_circle(setup),
+        tuple(part.at_distance(setup, distance) for distance in distances),
+        None if board is None else plan_board(setup, board, distances),
+        part.missing(setup),
+        (),
+        plot,
+    )
+    _require_something(report)
+    found = (*_lens_warnings(report), *_distance_warnings(report), *_board_warnings(report))
+    return replace(report, warnings=(*setup.warnings, *found))
+
+
+def _require_something(report: OpticsReport) -> None:
+    parts = (report.field_of_view, report.pixel_angle, report.focus, report.image_circle)
+    sampled = report.diffraction is not None and report.diffraction.airy_px is not None
+    exposed = report.exposure is not None and report.exposure.exposure_value is not None
+    if not (exposed or sampled) and all(one is None for one in parts):
+        raise InvalidInput(
+            "too little to compute anything: give a CAMERA file; --focal and --sensor for the field of view, "
+            "--focus and --f-number too for the depth of field; --formats lists sensors"
+        )
+
+
+def _lens_warnings(report: OpticsReport) -> Iterator[str]:
+    field, circle, blur = report.field_of_view, report.image_circle, report.diffraction
+    if field is not None and any(map(isnan, (field.horizontal, field.vertical, field.diagonal))):
+        yield "the lens model has no ray for a part of the image's edge: no field of view there"
+    if circle is not None and circle.given < circle.needed:
+        given, needed = 1e3 * circle.given, 1e3 * circle.needed
+        yield f"the image circle of {given:g} mm is too small: the sensor's corners need {needed:.2f} mm"
+    if blur is not None and blur.limited:
+        yield (
+            f"limited by diffraction: the Airy disc is {blur.airy_px:.1f} pixels wide, and {blur.contrast:.0%} of the "
+            f"contrast of the finest detail is left; up to f/{blur.sharp_f_number:.1f} pixels are the limit"
+        )
+
+
+def _distance_warnings(report: OpticsReport) -> Iterator[str]:
+    sharp = report.focus
+    for at in report.at:
+        if at.motion_px is not None and at.longest_exposure is not None and at.motion_px > 1:
+            yield (
+                f"at {at.distance:g} m motion blurs {at.motion_px:.1f} px; expose for "
+                f"{1e3 * at.longest_exposure:.3g} ms or less"
+            )
+        if sharp is None or sharp.near is None or sharp.far is None:
+            continue
+        if not sharp.near <= at.distance <= sharp.far:
+            disc = "" if at.blur_px is None else f": the blur disc is {at.blur_px:.1f} px"
+            yield f"{at.distance:g} m is out of focus{disc}"
+
+
+def _board_warnings(report: OpticsReport) -> Iterator[str]:
+    plan = report.board
+    if plan is None:
+        return
+    low, high = usable_range(report)
+    if low >= high:
+        yield (
+            f"there is no distance for this board: it fits the image from {plan.nearest:.3g} m, its squares are "
+            f"large enough up to {plan.farthest:.3g} m{_sharp_words(report)}"
+        )
+    for at in plan.at:
+        if at.share > 1:
+            yield f"at {at.distance:g} m the board does not fit the image; its nearest distance is {plan.nearest:.3g} m"
+        elif at.smallest_px < plan.least_px:
+            yield f"at {at.distance:g} m squares have {at.smallest_px:.1f} px, fewer than {plan.least_px:.3g}"
+        if at.sigma is not None and (turn := max(at.sigma[3:])) > WEAK_TURN:
+            yield f"at {at.distance:g} m the board's direction will be known to ±{degrees(turn):.2g}° only"
+        if at.p_wrong is not None and at.p_wrong > AMBIGUOUS:
+            yield f"at {at.distance:g} m a wrong pose will fit better in {100 * at.p_wrong:.2g} % of images"
+    if plan.reason is not None:
+        yield f"no forecast of a calibration: {plan.reason}"
+
+
+def usable_range(report: OpticsReport) -> tuple[float, float]:
+    """Return between which distances (m) a board fits the image, is in focus and has large enough squares."""
+    plan, sharp = report.board, report.focus
+    if plan is None:
+        raise ValueError("the report has no board")
+    low, high = plan.nearest, plan.farthest
+    if sharp is not None and sharp.near is not None and sharp.far is not None:
+        low, high = max(low, sharp.near), min(high, sharp.far)
+    return low, high
+
+
+def _sharp_words(report: OpticsReport) -> str:
+    sharp = report.focus
+    if sharp is None or sharp.near is None:
+        return ""
+    return f", and {sharp.near:.3g} m to {sharp.far:.3g} m are in focus"
+
+
+def _require_drawable(plot: Path, camera: str | None) -> None:
+    """Raise InvalidInput for a file that is no figure or is the camera file."""
+    from camcal.report.figures import require_suffix  # matplotlib takes longer to import than all the rest to compute
+
+    require_suffix(plot)
+    refuse_overwriting([plot], [split_address(camera)[0]] if camera else [])
+
+
+def _draw(report: OpticsReport, plot: Path) -> None:
+    """Write the blur over distance; raises InvalidInput if the depth of field is not known."""
+    from camcal.report.figures import BlurCurve, blur_over_distance
+
+    setup, sharp = report.setup, report.focus
+    if sharp is None or sharp.near is None or sharp.far is None:
+        raise InvalidInput(f"--plot needs the depth of field: give {report.missing['depth of field']} too")
+    known = (setup.focal, setup.options.f_number, setup.focus, setup.circle)
+    focal, number, focus, circle = (float(value or 0) for value in known)
+    disc = None if report.diffraction is None else report.diffraction.airy_diameter
+    curve = BlurCurve(focal, number, focus, circle, sharp.near, sharp.far, setup.pitch, disc)
+    files.write_bytes(plot, blur_over_distance(curve, plot.suffix))

@@ -1,0 +1,183 @@
+"""When frames were taken: from a rate, a file, their names, their EXIF, or the video they come from."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path, PurePath
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.formats import tables
+from camcal.images import exif, video
+from camcal.images.load import load
+from camcal.progress import Progress
+from camcal.run.inputs import require_there
+from camcal.tasks.poses.tag_views import frame_name
+
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+_NAME, _EXIF = "name", "exif"
+_NUMBER = r"(\d+(?:\.\d+)?)(?!.*\d)"  # the last number of a name
+_UNEVEN = 1.5  # longest over shortest step of a video whose rate varies
+_EXIF_FORM = "%Y:%m:%d %H:%M:%S"
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Where the times of frames come from; without anything, from the video.
+
+    fps: frames follow one another at this rate. source: a file of times, "exif", "name" for the last number of the
+    names, or "name:REGEX" for the first group of a pattern; with fps too, that number counts frames. unit: of the
+    numbers of files and names, one of UNITS.
+    """
+
+    fps: float | None = None
+    source: str | None = None
+    unit: str = "s"
+
+    def __post_init__(self) -> None:
+        if self.fps is not None and not (np.isfinite(self.fps) and self.fps > 0):
+            raise InvalidInput(f"--fps must be more than 0, found {self.fps:g}")
+        if self.unit not in UNITS:
+            raise InvalidInput(f"--time-unit {self.unit!r}: use one of {', '.join(UNITS)}")
+        if self.fps is not None and self.source is not None and not self.by_name:
+            raise InvalidInput("--fps and --timestamps say the same twice; only numbers of frames in names need both")
+
+    @property
+    def by_name(self) -> bool:
+        """Whether names tell the times."""
+        return self.source is not None and self.source.partition(":")[0] == _NAME
+
+
+def frame_times(frames: Sequence[str], videos: Sequence[Path], timing: Timing, progress: Progress) -> Array:
+    """Return the times (N,) s of frames, which are named in order.
+
+    videos: those that frames may stem from. Raises InvalidInput if nothing tells the times, or they do not increase.
+    """
+    times = _told(frames, videos, timing, progress)
+    late = np.flatnonzero(~(np.diff(times) > 0))
+    if len(late):
+        first, second = late[0], late[0] + 1
+        how = "the time of" if times[first] == times[second] else "a time before"
+        raise InvalidInput(
+            f"{times[second]:.9g} s is {how} the frame before, {frames[first]}; times must increase",
+            where=frames[second],
+        )
+    return times
+
+
+def require_times(videos: Sequence[Path], timing: Timing) -> None:
+    """Raise InvalidInput or FileError if nothing tells when frames were taken, before they are looked at."""
+    if timing.source not in (None, _EXIF) and not timing.by_name:
+        require_there(Path(str(timing.source)))
+    elif timing.source is None and timing.fps is None and not any(video.stamps(path) is not None for path in videos):
+        raise _nothing_tells(videos)
+
+
+def _told(frames: Sequence[str], videos: Sequence[Path], timing: Timing, progress: Progress) -> Array:
+    if timing.by_name:
+        return _of_names(frames, timing)
+    if timing.source == _EXIF:
+        return np.array([_of_exif(Path(frame)) for frame in frames])
+    if timing.source is not None:
+        return _of_file(Path(timing.source), frames, UNITS[timing.unit])
+    own = video.stamps(videos[0]) if len(videos) == 1 else None
+    if timing.fps is not None:
+        _warn_of_rate(frames, own, progress)
+        return np.arange(len(frames)) / timing.fps
+    if own is None:
+        raise _nothing_tells(videos)
+    return _of_video(videos[0], own, frames)
+
+
+def _nothing_tells(videos: Sequence[Path]) -> InvalidInput:
+    if videos:
+        return InvalidInput("tells no times of its frames; give its --fps", where=str(videos[0]))
+    return InvalidInput("when were the frames taken? Give --fps, or --timestamps with a file, name or exif")
+
+
+def _of_video(source: Path, own: Array, frames: Sequence[str]) -> Array:
+    known = {frame_name(source, number): stamp for number, stamp in enumerate(own)}
+    unknown = [frame for frame in frames if frame not in known]
+    if unknown:
+        raise InvalidInput("is no frame of the video; give --fps or --timestamps for all", where=unknown[0])
+    return np.array([known[frame] for frame in frames])
+
+
+def _warn_of_rate(frames: Sequence[str], own: Array | None, progress: Progress) -> None:
+    """Warn where one rate for all frames is likely wrong."""
+    if own is not None:
+        steps = np.diff(own)
+        if steps.max() > _UNEVEN * steps.min():
+            progress.warn("the frame rate of the video varies; leave --fps out and its own times are taken")
+        return
+    numbers = [re.search(_NUMBER, PurePath(frame).stem) for frame in frames]
+    steps = np.diff([float(number[1]) for number in numbers if number])
+    if len(steps) == len(frames) - 1 and steps.size and steps.max() != steps.min():
+        progress.warn(
+            "numbers are missing in the names, but --fps takes frames one after another; add --timestamps name"
+        )
+
+
+def _of_names(frames: Sequence[str], timing: Timing) -> Array:
+    _, _, given = str(timing.source).partition(":")
+    try:
+        pattern = re.compile(given or _NUMBER)
+    except re.error as error:
+        raise InvalidInput(f"--timestamps {timing.source}: no regular expression: {error}") from error
+    if pattern.groups < 1:
+        raise InvalidInput(f"--timestamps {timing.source}: put the number in brackets, such as name:frame_(\\d+)")
+    scale = UNITS[timing.unit] if timing.fps is None else 1 / timing.fps
+    return np.array([_number_in(frame, pattern) * scale for frame in frames])
+
+
+def _number_in(frame: str, pattern: re.Pattern[str]) -> float:
+    found = pattern.search(PurePath(frame).stem)
+    if found is None or found[1] is None:
+        raise InvalidInput(f"has no time in its name ({pattern.pattern})", where=frame)
+    return _time(frame, found[1])
+
+
+def _of_exif(path: Path) -> float:
+    said = exif.time_taken(load(path).exif)
+    if said is None:
+        raise InvalidInput("EXIF does not say when it was taken; give --fps or --timestamps", where=str(path))
+    taken, fraction = said
+    try:
+        whole = datetime.strptime(taken, _EXIF_FORM).replace(tzinfo=UTC)
+    except ValueError:
+        raise InvalidInput(f"EXIF has {taken!r}, which is no time", where=str(path)) from None
+    return whole.timestamp() + float(f"0.{fraction.strip() or 0}")
+
+
+def _of_file(path: Path, frames: Sequence[str], scale: float) -> Array:
+    """Return the times of a file: a number a line, for each frame one; or with names, `time name` or a CSV."""
+    lines = [(number, line) for number, line in tables.numbered_lines(path) if not line.startswith("#")]
+    if not lines:
+        raise FileError("holds no times", where=str(path))
+    if "," in lines[0][1] and not lines[0][1][0].isdigit():
+        table = tables.Table.from_csv(str(path), lines, ["t"], ["image"])
+        stamps, names = table.numbers("t"), list(table.columns.get("image", []))
+    else:
+        cells = [(number, line.replace(",", " ").split(maxsplit=1)) for number, line in lines]
+        stamps = np.array([_time(f"{path}:{number}", cell[0]) for number, cell in cells])
+        names = [cell[1].strip() for _, cell in cells if len(cell) > 1]
+    if names and len(names) == len(stamps):
+        known = {PurePath(name).name: stamp for name, stamp in zip(names, stamps, strict=True)}
+        without = [frame for frame in frames if PurePath(frame).name not in known]
+        if without:
+            raise InvalidInput(f"has no time of {PurePath(without[0]).name}", where=str(path))
+        return np.array([known[PurePath(frame).name] for frame in frames]) * scale
+    if len(stamps) != len(frames):
+        raise InvalidInput(f"{len(stamps)} times for {len(frames)} frames", where=str(path))
+    return stamps * scale
+
+
+def _time(where: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(f"{text!r} is no time", where=where) from None

@@ -1,0 +1,302 @@
+"""`camcal pnp`: correspondences, or images of a board or of tags, and a camera or a rig of them, to poses."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
+from camcal.estimate.pnp import PoseEstimate, PoseOptions
+from camcal.formats import correspondences, native, poses, rigs
+from camcal.formats.camera_file import CameraFile, Noise
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.schema import did_you_mean
+from camcal.progress import SILENT, Progress
+from camcal.report import pose_words
+from camcal.report.overlays import Posed
+from camcal.run.inputs import split_address
+from camcal.run.outputs import refuse_overwriting
+from camcal.tasks.poses import pnp_remarks
+from camcal.tasks.poses.pnp_drawing import draw, require_folder, sheets, videos_in
+from camcal.tasks.poses.pnp_observer import Observer
+from camcal.tasks.poses.pnp_prior import PriorOptions, read_prior
+from camcal.tasks.poses.pnp_records import record_of
+from camcal.tasks.poses.pnp_rig import joined, seen_by_rig
+from camcal.tasks.poses.pnp_views import Looking, Observation, Seen, seen_by
+
+AUTO = "auto"
+OUTLIERS = (AUTO, "none", "few", "many")
+
+
+@dataclass(frozen=True)
+class Gates:
+    """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers."""
+
+    max_rms: float | None = None
+    max_ambiguity: float | None = None
+    min_inliers: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_rms is not None and not self.max_rms > 0:
+            raise InvalidInput(f"--max-rms must be more than 0 px, found {self.max_rms:g}")
+        if self.max_ambiguity is not None and not 0 <= self.max_ambiguity <= 1:
+            raise InvalidInput(f"--max-ambiguity is a probability, 0 … 1, found {self.max_ambiguity:g}")
+
+    def fault(self, record: PoseRecord) -> str | None:
+        """Return the figure that keeps a pose from passing, None if it passes."""
+        if self.max_rms is not None and record.rms_px > self.max_rms:
+            return f"RMS {record.rms_px:.3g} px, more than {self.max_rms:g} px"
+        if self.max_ambiguity is not None and record.p_wrong > self.max_ambiguity:
+            return f"wrong with probability {record.p_wrong:.2g}, more than {self.max_ambiguity:g}"
+        if self.min_inliers is not None and record.n_inliers < self.min_inliers:
+            return f"{record.n_inliers} of {record.n_points} points are inliers, fewer than {self.min_inliers}"
+        return None
+
+
+@dataclass(frozen=True)
+class PnpOptions:
+    """A camera file (FILE or FILE#NAME), or a rig's, and what was seen: `points`, or `inputs` of a board or of tags.
+
+    points: a file of correspondences. inputs: images, videos, folders and globs, or one detections file; of a rig
+    CAMERA=PATH. name: of the camera in its file. pose: camera_T_object, object_T_camera (of a rig: of its frame).
+    outliers: auto is many for points, few for boards and tags. noise_px: standard deviation of a pixel coordinate (with
+    covariances of the pixels the root of their factor); None: as the points' file has it in px, otherwise as "auto",
+    from the residuals. intrinsics: propagate the camera's covariance. draw: a folder for pictures.
+    """
+
+    camera: str
+    points: Path | None = None
+    inputs: tuple[str, ...] = ()
+    looking: Looking = field(default_factory=Looking)
+    rig: bool = False
+    output: Path | None = None
+    draw: Path | None = None
+    name: str | None = None
+    pose: str | None = None
+    outliers: str = AUTO
+    threshold_px: float | None = None
+    noise_px: float | Literal["auto"] | None = None
+    prior: PriorOptions | None = None
+    seed: int = 0
+    all_solutions: bool = False
+    intrinsics: bool = True
+
+    @property
+    def paths(self) -> list[Path]:
+        """The inputs without the names of a rig's cameras before them."""
+        return [Path(text.partition("=")[2] or text if self.rig else text) for text in self.inputs]
+
+
+@dataclass(frozen=True, eq=False)
+class PnpReport:
+    """The poses, remarks, pictures, and the images that failed: unreadable, or seen but without a pose.
+
+    unsettled: those whose pose did not converge. factor: the noise is that of covariances that the pixels came with.
+    """
+
+    poses: Poses
+    notes: tuple[str, ...]
+    failed: tuple[str, ...]
+    unsettled: tuple[Sight, ...] = ()
+    pictures: tuple[Path, ...] = ()
+    factor: bool = False
+
+    def require_good(self, gates: Gates) -> None:
+        """Raise GateFailed with a line for each pose that does not pass."""
+        faults = {sight: gates.fault(record) for sight, record in self.poses.estimates.items()}
+        lines = [f"{sight}: {fault}" for sight, fault in faults.items() if fault]
+        if lines:
+            raise GateFailed("\n".join(lines))
+
+
+def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
+    """Return the pose of every object in every image, after writing them to options.output if that is given.
+
+    Raises InvalidInput, FileError, or what kept the first image from a pose if none has one; nothing is written then.
+    """
+    _check(options)
+    file = _read(options, progress)
+    observer = _observer(options, file)
+    inverse = _is_inverse(options.pose, observer.frame)
+    settings = _settings(options)
+    prior = read_prior(options.prior, of_object=not inverse) if options.prior else None
+    observer, seen = _look(options, observer, file, progress)
+    noise = 1.0 if options.noise_px is None and seen.absolute else settings.noise_px
+    settings = replace(settings, noise_px=noise, prior=prior)
+    found, refused = observer.estimates(seen.observations, settings)
+    refused = {**seen.refused, **refused}
+    if not found:
+        raise _why_no_pose(seen, refused)
+    observations = {each.sight: each for each in seen.observations if each.sight in found}
+    for warning in _warnings(observer, seen, found, list(observations.values()), settings):
+        progress.warn(warning)
+    straight = _poses(observer, seen, found, refused, options.all_solutions)
+    result = straight.inverse() if inverse else straight
+    if options.output:
+        poses.write(options.output, result)
+    return PnpReport(
+        result,
+        seen.notes,
+        (*seen.failed, *map(str, refused)),
+        tuple(sight for sight, estimate in found.items() if not estimate.converged),
+        _drawn(options, observer, straight, found, observations, progress),
+        any(view.covariance is not None for each in observations.values() for view in each.views),
+    )
+
+
+def _check(options: PnpOptions) -> None:
+    looking = options.looking
+    if options.points is None and not options.inputs:
+        raise InvalidInput("nothing to work on: give --points FILE, or images with --board BOARD or --tags TAGS")
+    if options.points is not None and (options.inputs or looking.board or looking.tags):
+        raise InvalidInput("--points has its own points; leave --board, --tags and the images out")
+    if options.points is not None and looking.scale:
+        raise InvalidInput("--scale-intrinsics goes by the size of images, which a file of points does not have")
+    if options.rig and (options.name or split_address(options.camera)[1]):
+        raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
+    if looking.board and looking.tags:
+        raise InvalidInput("a run looks for --board or for --tags, not for both")
+    if options.outliers not in OUTLIERS:
+        raise InvalidInput(f"--outliers {options.outliers!r}{did_you_mean(options.outliers, OUTLIERS)}")
+    if options.draw is not None:
+        require_folder(options.draw)
+    if options.output is None:
+        return
+    poses.require_suffix(options.output)
+    inputs = [split_address(options.camera)[0], *options.paths]
+    inputs += [path for path in (options.points, options.prior and options.prior.path) if path]
+    refuse_overwriting([options.output], inputs)
+
+
+def _read(options: PnpOptions, progress: Progress) -> CameraFile:
+    file = native.read(split_address(options.camera)[0])
+    for warning in file.warnings:
+        progress.warn(warning)
+    return file
+
+
+def _observer(options: PnpOptions, file: CameraFile) -> Observer:
+    path, name = split_address(options.camera)
+    if options.rig:
+        return Observer.of_rig(*rigs.rig_of(file, str(path)))
+    entry = native.select(file, name or options.name, str(path))
+    return Observer.of_camera(entry.camera, entry.noise.sigma_px if entry.noise else None)
+
+
+def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: Progress) -> tuple[Observer, Seen]:
+    """Return what was seen, and the observer with its cameras as they are for images of this size."""
+    rig, looking = observer.rig, options.looking
+    if options.points is not None:
+        sizes = {name: camera.image_size for name, camera in rig.cameras.items()} if rig else None
+        seen = _seen_points(correspondences.read(options.points, sizes or observer.cameras[None].image_size))
+        return observer, replace(seen, observations=joined(seen.observations))
+    if rig is not None:
+        rig, seen = seen_by_rig(rig, file, options.inputs, looking, progress)
+        return Observer.of_rig(rig, observer.frame), seen
+    name = split_address(options.camera)[1] or options.name
+    camera, seen = seen_by(observer.cameras[None], name, file, options.inputs, looking, progress)
+    return Observer.of_camera(camera, observer.noise_px), seen
+
+
+def _seen_points(read: correspondences.PointViews) -> Seen:
+    pairs = zip(read.views, read.ids, strict=True)
+    return Seen(tuple(Observation(Sight(view.image), (view,), (ids,)) for view, ids in pairs), absolute=read.absolute)
+
+
+def _is_inverse(pose: str | None, frame: str) -> bool:
+    """Return whether the name of a pose asks for object_T_camera; raises InvalidInput for a name that is neither."""
+    names = (f"{frame}_T_object", f"object_T_{frame}")
+    if pose not in (None, *names):
+        raise InvalidInput(f"--pose {pose}: it is {names[0]} or {names[1]} here")
+    return pose == names[1]
+
+
+def _settings(options: PnpOptions) -> PoseOptions:
+    """Return how to estimate, but for what the pixels say of their noise, and for the prior."""
+    outliers = options.outliers
+    if outliers == AUTO:
+        outliers = "few" if options.points is None else "many"
+    return PoseOptions(
+        None if isinstance(options.noise_px, str) else options.noise_px,
+        "none" if outliers == "none" else "few" if outliers == "few" else "many",
+        options.threshold_px,
+        seed=options.seed,
+        intrinsics=options.intrinsics,
+    )
+
+
+def _poses(
+    observer: Observer,
+    seen: Seen,
+    found: Mapping[Sight, PoseEstimate],
+    refused: Mapping[Sight, CamcalError],
+    all_solutions: bool,
+) -> Poses:
+    """Return frame_T_object of every sight."""
+    records = {
+        each.sight: record_of(found[each.sight], each, observer.cameras, all_solutions=all_solutions)
+        for each in seen.observations
+        if each.sight in found
+    }
+    some = next(iter(found.values()))
+    missing = {**seen.nothing, **{sight: error.message for sight, error in refused.items()}}
+    return Poses(f"{observer.frame}_T_object", seen.unit, Noise(some.sigma_px, some.freedom), records, missing)
+
+
+def _why_no_pose(seen: Seen, refused: Mapping[Sight, CamcalError]) -> CamcalError:
+    if refused:
+        sight, error = next(iter(refused.items()))
+        return type(error)(error.message, where=str(sight))
+    for sight, reason in seen.nothing.items():
+        return InsufficientData(f"no pose from {len(seen.nothing)} images; {reason}", where=str(sight))
+    return InsufficientData("no pose; no image could be read")
+
+
+def _warnings(
+    observer: Observer,
+    seen: Seen,
+    found: Mapping[Sight, PoseEstimate],
+    observations: Sequence[Observation],
+    settings: PoseOptions,
+) -> list[str]:
+    estimates = list(found.values())
+    warnings = pnp_remarks.of_noise(estimates, observations, observer.noise_px)
+    warnings += pnp_remarks.of_outliers(estimates, observations)
+    if seen.unit == "m":
+        warnings += pnp_remarks.of_units(estimates, observations)
+    if observer.rig is not None:
+        warnings += pnp_remarks.of_rig(estimates, observations)
+    else:
+        views = [observation.views[0] for observation in observations]
+        warnings += pnp_remarks.of_lens(observer.cameras[None], views, estimates, settings)
+    return warnings
+
+
+def _drawn(
+    options: PnpOptions,
+    observer: Observer,
+    straight: Poses,
+    found: Mapping[Sight, PoseEstimate],
+    observations: Mapping[Sight, Observation],
+    progress: Progress,
+) -> tuple[Path, ...]:
+    """Return the pictures that were drawn of the poses, which take points of the object to the camera or rig."""
+    if options.draw is None:
+        return ()
+    objects: dict[tuple[str, str | None], list[Posed]] = {}
+    for sight, estimate in found.items():
+        words = pose_words.caption(straight, sight, straight.estimates[sight])
+        for key, posed in observer.posed(observations[sight], estimate, words).items():
+            objects.setdefault(key, []).append(posed)
+    folders = [path.parent for path in (*options.paths, options.points) if path is not None]
+    return draw(sheets(objects, options.draw), videos_in(options.paths), folders, options.looking.jobs, progress)
+
+
+def document(report: PnpReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    return {
+        **poses.document(report.poses),
+        "notes": list(report.notes),
+        "failed": list(report.failed),
+        "pictures": [path.as_posix() for path in report.pictures],
+    }

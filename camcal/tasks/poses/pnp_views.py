@@ -1,0 +1,215 @@
+"""What one camera saw of objects with known points: the first step of `camcal pnp`, whatever it is given."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.cameras.resized import resized
+from camcal.errors import CamcalError, InvalidInput
+from camcal.estimate.pnp import Correspondences
+from camcal.formats import boards, tags
+from camcal.formats.camera_file import CameraFile
+from camcal.formats.poses.record import Sight
+from camcal.images.video import frames
+from camcal.progress import Progress
+from camcal.run.inputs import find_media
+from camcal.targets.board import Board, Detection
+from camcal.targets.surface import Surface
+from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
+from camcal.tasks.calibration.photographs import read_photograph
+from camcal.tasks.poses.board_frames import board_frames
+from camcal.tasks.poses.tag_views import tag_views
+
+ADVICE = "; if the images were resized, not cropped, give --scale-intrinsics"
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What is estimated at once: an object in an image, or at an instant of a rig in the images of several cameras.
+
+    views: of the cameras, in their order. ids: of their points (N,), view by view.
+    """
+
+    sight: Sight
+    views: tuple[Correspondences, ...]
+    ids: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What is there to work on, the unit of its points, images that show nothing, and what is wrong with others.
+
+    absolute: whether the pixels' covariances are in px², not up to a factor.
+    """
+
+    observations: tuple[Observation, ...]
+    unit: str = "m"
+    absolute: bool = False
+    nothing: Mapping[Sight, str] = field(default_factory=dict)
+    refused: Mapping[Sight, CamcalError] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Looking:
+    """What is looked for, and how: a board (file or short form) or tags (file or short form).
+
+    board_shape: take the board as the camera file says it is, not as drawn. scale: fit the camera to resized images.
+    """
+
+    board: str | None = None
+    tags: str | None = None
+    board_shape: bool = True
+    scale: bool = False
+    recursive: bool = False
+    jobs: int | None = None
+
+
+def seen_by(
+    camera: Camera, name: str | None, file: CameraFile, inputs: tuple[str, ...], looking: Looking, progress: Progress
+) -> tuple[Camera, Seen]:
+    """Return what images, videos or a detections file show of a board or of tags to one camera of a file.
+
+    The camera comes first, as it is for images of this size. name: of the camera, by which the views of a detections
+    file with several are told apart.
+    Raises InvalidInput, FileError, or InsufficientData if a board is in none of the images.
+    """
+    tables = any(Path(text).suffix.lower() in DETECTION_SUFFIXES for text in inputs)
+    if looking.tags is not None:
+        if tables:
+            raise InvalidInput("holds corners of a board; tags are found in images", where=inputs[0])
+        return _seen_tags(camera, inputs, looking, progress)
+    board = _board(looking, file, tables)
+    if not tables:
+        camera = _fitting(camera, *_first_size(inputs, looking.recursive), looking.scale)
+    found = _boards(inputs, board, looking, progress)
+    views = _of_one_camera(found.detections.views, name)
+    camera = _fitting(camera, *_usual_size(views, camera), looking.scale)
+    points, remark = _points(found.board, file.board_shape if looking.board_shape else None)
+    shown = [view for view in views if view.found]
+    fitting = [view for view in shown if view.size == camera.image_size]
+    return camera, Seen(
+        tuple(_observation(view, points) for view in fitting),
+        found.board.unit,
+        nothing={Sight(view.image): view.reason or "nothing found" for view in views if not view.found},
+        refused={Sight(view.image): _other_size(view.size, camera) for view in shown if view.size != camera.image_size},
+        notes=(*found.notes, *remark),
+        failed=found.failed,
+    )
+
+
+def _observation(view: Detection, points: Array) -> Observation:
+    correspondences = Correspondences(view.image, points[view.ids], view.pixels, view.covariance)
+    return Observation(Sight(view.image), (correspondences,), (view.ids,))
+
+
+def _seen_tags(camera: Camera, inputs: tuple[str, ...], looking: Looking, progress: Progress) -> tuple[Camera, Seen]:
+    objects = tags.load_tags(str(looking.tags))
+    camera = _fitting(camera, *_first_size(inputs, looking.recursive), looking.scale)
+    found = tag_views(inputs, objects, looking.recursive, looking.jobs, progress, camera.image_size)
+    observations = (
+        Observation(Sight(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
+    )
+    nothing = {Sight(image): reason for image, reason in found.nothing.items()}
+    return camera, Seen(tuple(observations), nothing=nothing, notes=found.notes, failed=found.failed)
+
+
+def _board(looking: Looking, file: CameraFile, tables: bool) -> Board | None:
+    """Return the board to look for: the one that is named, or the one whose shape the camera file has.
+
+    None leaves it to the detections file. Raises InvalidInput if nothing says which one.
+    """
+    if looking.board is not None:
+        return boards.load_board(looking.board)
+    if tables:
+        return None
+    if file.board_shape is None:
+        raise InvalidInput("what is to be found in the images? Give --board, such as chessboard:9x6:25mm, or --tags")
+    return file.board_shape.board
+
+
+def _boards(inputs: tuple[str, ...], board: Board | None, looking: Looking, progress: Progress) -> BoardViews:
+    """Return what is seen of a board; videos are read frame by frame."""
+    if board is None or any(Path(text).suffix.lower() in DETECTION_SUFFIXES for text in inputs):
+        return board_views(inputs, board, looking.recursive, looking.jobs, progress)
+    media = find_media(inputs, looking.recursive)
+    if not media.videos:
+        return board_views(inputs, board, looking.recursive, looking.jobs, progress)
+    filmed = board_frames(media.videos, board, looking.jobs, progress)
+    if not media.images:
+        return filmed
+    still = board_views(tuple(map(str, media.images)), filmed.board, False, looking.jobs, progress)
+    both = replace(still.detections, views=(*still.detections.views, *filmed.detections.views))
+    return BoardViews(still.board, both, still.notes, (*still.failed, *filmed.failed))
+
+
+def _of_one_camera(views: Sequence[Detection], name: str | None) -> list[Detection]:
+    """Return the views of the named camera where a detections file holds those of several."""
+    names = sorted({view.camera for view in views})
+    if len(names) < 2:
+        return list(views)
+    if name not in names:
+        raise InvalidInput(f"the detections are of the cameras {', '.join(names)}; say which with --camera")
+    return [view for view in views if view.camera == name]
+
+
+def _points(board: Board, shape: Surface | None) -> tuple[Array, tuple[str, ...]]:
+    """Return the points (C, 3) of a board as it is, as far as its shape is known, and what is to be said of that."""
+    if shape is None:
+        return board.points(), ()
+    if replace(shape.board, legacy=None) != replace(board, legacy=None):
+        other = "the camera file knows the shape of another board; this one is taken as drawn"
+        return board.points(), (other,)
+    length = f"{1000 * shape.deflection:.2g} mm" if board.unit == "m" else f"{shape.deflection:.2g} squares"
+    return shape.points(), (f"the board is taken in the shape that the camera file has of it, {length} out of plane",)
+
+
+def _usual_size(views: Sequence[Detection], camera: Camera) -> tuple[tuple[int, int], str]:
+    """Return the size of most views, the camera's own if any has it, and the first view of that size."""
+    sizes = Counter(view.size for view in views if view.found)
+    if not sizes or camera.image_size in sizes:
+        return camera.image_size, ""
+    size = max(sizes, key=lambda each: sizes[each])
+    return size, next(view.image for view in views if view.found and view.size == size)
+
+
+def _first_size(inputs: tuple[str, ...], recursive: bool) -> tuple[tuple[int, int] | None, str]:
+    """Return the size of the first image or video that can be read, and its name."""
+    media = find_media(inputs, recursive)
+    for path in (*media.images, *media.videos):
+        try:
+            if path in media.videos:
+                return next(frames(path)).size, str(path)
+            height, width = read_photograph(path).gray.shape
+        except CamcalError:
+            continue  # it is reported when its turn comes
+        return (width, height), str(path)
+    return None, ""
+
+
+def _fitting(camera: Camera, size: tuple[int, int] | None, where: str, scale: bool) -> Camera:
+    """Return the camera for images of this size; raises InvalidInput, saying what to do, if it does not fit."""
+    if size is None or size == camera.image_size:
+        return camera
+    try:
+        fitted = resized(camera, size)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=where) from error
+    if not scale:
+        raise _with_place(_other_size(size, camera), where)
+    return fitted
+
+
+def _other_size(size: tuple[int, int], camera: Camera) -> InvalidInput:
+    found, known = (f"{width} x {height}" for width, height in (size, camera.image_size))
+    return InvalidInput(f"the image has {found} pixels, the camera file is for {known}{ADVICE}")
+
+
+def _with_place(error: InvalidInput, where: str) -> InvalidInput:
+    return InvalidInput(error.message, where=where)

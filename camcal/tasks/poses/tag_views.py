@@ -1,0 +1,145 @@
+"""What images and videos show of tags: correspondences for every image and object, the first step of poses by tags."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import CamcalError, FileError
+from camcal.estimate.pnp import Correspondences
+from camcal.images.load import gray_8bit
+from camcal.images.video import frames
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.run.fanout import fan_out
+from camcal.run.inputs import find_media
+from camcal.targets.markers import Markers, detect_markers
+from camcal.targets.tags import TagObjects
+from camcal.tasks.calibration.photographs import read_photograph
+
+_TIMEOUT_S = 600.0  # for one image; the slowest take seconds
+_LISTED = 8  # ids in a reason
+
+
+@dataclass(frozen=True, eq=False)
+class TagViews:
+    """What was seen: views by image and object, in the order of the images, and reasons of images without any.
+
+    failed: a line for every file that could not be read. images: all that could be read, in order; frames of a video
+    are named by `frame_name`.
+    """
+
+    views: tuple[Correspondences, ...]
+    nothing: Mapping[str, str] = field(default_factory=dict)
+    failed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    images: tuple[str, ...] = ()
+
+
+class _Look(NamedTuple):
+    """An image to look at: of a file, or the pixels of a frame, or the error that ended a video."""
+
+    name: str
+    gray: Array | None = None
+    error: CamcalError | None = None
+
+
+class _Seen(NamedTuple):
+    """The markers of an image and its width and height."""
+
+    markers: Markers
+    size: tuple[int, int]
+
+
+def tag_views(
+    inputs: Sequence[Path | str],
+    tags: TagObjects,
+    recursive: bool = False,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    image_size: tuple[int, int] | None = None,
+) -> TagViews:
+    """Return what images, folders, globs and videos show of tags: one view for every image and object.
+
+    A view holds all corners of its object, of every visible tag; see targets.tags for their order and frames.
+    image_size: (width, height) of the camera; an image of another size has that for its reason. None: any.
+    Raises InvalidInput, FileError for inputs that are not there, or if none can be read.
+    """
+    media = find_media(inputs, recursive)
+    outcomes = _search([_Look(path.as_posix()) for path in media.images], "images", tags, jobs, progress)
+    for video in media.videos:
+        outcomes += _search(_frames(video), video.name, tags, jobs, progress)
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    seen = {outcome.item.name: outcome.value for outcome in outcomes if outcome.value is not None}
+    if not seen:
+        raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
+    views: list[Correspondences] = []
+    nothing: dict[str, str] = {}
+    for name, item in seen.items():
+        found = _objects(name, item.markers, tags)
+        reason = _why_not(item, found, tags, image_size)
+        views += [] if reason else found
+        nothing |= {name: reason} if reason else {}
+    notes = tuple(f"{name}: {note}" for name, item in seen.items() for note in item.markers.notes)
+    return TagViews(tuple(views), nothing, tuple(map(str, errors)), notes, tuple(seen))
+
+
+def frame_name(video: Path, number: int) -> str:
+    """Return how a frame of a video is named, as `undistort` names the files it makes of them: clips/movie_000012."""
+    return video.with_name(f"{video.stem}_{number:06d}").as_posix()
+
+
+def _frames(video: Path) -> Iterator[_Look]:
+    try:
+        for number, image in enumerate(frames(video)):
+            yield _Look(frame_name(video, number), gray_8bit(image.pixels))
+    except CamcalError as error:
+        yield _Look(video.as_posix(), error=error)
+
+
+def _search(
+    looks: Sequence[_Look] | Iterator[_Look], what: str, tags: TagObjects, jobs: int | None, progress: Progress
+) -> list[Outcome[_Look, _Seen]]:
+    """Return what became of every image, its pixels dropped."""
+    timeout = None if jobs == 1 else _TIMEOUT_S
+    work = partial(_look_at, family=tags.family)
+    found = fan_out(work, looks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout)
+    return [Outcome(_Look(outcome.item.name), outcome.value, outcome.error) for outcome in found]
+
+
+def _look_at(look: _Look, family: str) -> _Seen:
+    if look.error is not None:
+        raise look.error
+    gray = read_photograph(Path(look.name)).gray if look.gray is None else look.gray
+    return _Seen(detect_markers(gray, family), (gray.shape[1], gray.shape[0]))
+
+
+def _objects(image: str, markers: Markers, tags: TagObjects) -> list[Correspondences]:
+    """Return the view of every object that has a tag in an image, in the order of their first ids."""
+    parts: dict[str, list[tuple[Array, Array, Array]]] = {}
+    for tag, corners, covariance in zip(markers.ids, markers.corners, markers.covariance, strict=True):
+        if (found := tags.find(int(tag))) is not None:
+            parts.setdefault(found[0], []).append((found[1], corners, covariance))
+    views = []
+    for name, rows in parts.items():
+        points, pixels, covariance = (np.concatenate(column) for column in zip(*rows, strict=True))
+        views.append(Correspondences(image, points, pixels, covariance, object=name))
+    return views
+
+
+def _why_not(
+    seen: _Seen, found: Sequence[Correspondences], tags: TagObjects, image_size: tuple[int, int] | None
+) -> str | None:
+    """Return why an image has no view, None if it has."""
+    if image_size not in (None, seen.size):
+        has, known = ("{} x {}".format(*size) for size in (seen.size, image_size or seen.size))
+        return f"the image has {has} pixels, the camera file is for {known}"
+    if found:
+        return None
+    if len(seen.markers.ids):
+        ids = ", ".join(map(str, seen.markers.ids[:_LISTED])) + (" …" if len(seen.markers.ids) > _LISTED else "")
+        return f"ids {ids} of {tags.family} are seen, but none that has an object"
+    return seen.markers.notes[0] if seen.markers.notes else f"no tag of {tags.family} found"

@@ -1,0 +1,267 @@
+"""`camcal track`: poses of single frames, or the frames themselves, to tracks of objects over time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from camcal import files
+from camcal.errors import CamcalError, InsufficientData, InvalidInput
+from camcal.estimate.tracking.track import TrackOptions, track_poses
+from camcal.formats import poses, tracks, trajectories
+from camcal.formats.poses.record import Poses, Sight
+from camcal.formats.schema import did_you_mean
+from camcal.formats.tracks import TrackedObject
+from camcal.geometry.trajectory import Trajectory
+from camcal.progress import SILENT, Progress
+from camcal.report import track_words
+from camcal.run.inputs import Media, find_media, require_there
+from camcal.run.outputs import refuse_collisions, refuse_overwriting
+from camcal.tasks.poses.frame_times import Timing, frame_times, require_times
+from camcal.tasks.poses.pnp import PnpOptions, pnp
+from camcal.tasks.poses.pnp_views import Looking
+
+POSE_SUFFIXES = (".yaml", ".yml", ".json")
+_OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an object
+
+
+@dataclass(frozen=True)
+class FollowOptions:
+    """A camera file (FILE or FILE#NAME) and the video or images it took; or a pose file alone.
+
+    camera: None for a pose file. name: of the camera in its file. noise_px: standard deviation of a pixel coordinate,
+    None to find it out. timing: when frames were taken. object: the one to follow, None for all. pose: what is written,
+    such as object_T_camera; None as the form wants it. kind: of the output, one of the forms of trajectories or None.
+    """
+
+    inputs: tuple[str, ...]
+    camera: str | None = None
+    looking: Looking = field(default_factory=Looking)
+    name: str | None = None
+    noise_px: float | None = None
+    timing: Timing = field(default_factory=Timing)
+    object: str | None = None
+    tracking: TrackOptions = field(default_factory=TrackOptions)
+    pose: str | None = None
+    output: Path | None = None
+    kind: str | None = None
+    plot: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FollowReport:
+    """The tracks by object, the names of their frames, objects that could not be followed, and remarks.
+
+    failed: images that could not be read. outputs: the files that were written.
+    """
+
+    images: tuple[str, ...]
+    objects: Mapping[str, TrackedObject]
+    lost: Mapping[str, CamcalError]
+    notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+    outputs: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Poses of single frames, the names of all frames in order, the videos they stem from, and remarks."""
+
+    poses: Poses
+    images: tuple[str, ...]
+    videos: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+
+def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
+    """Return the tracks of all objects, after writing them and their picture where that is asked for.
+
+    Raises InvalidInput, FileError, or InsufficientData if no object can be followed; nothing is written then.
+    """
+    _check(options)
+    seen = _of_file(options) if options.camera is None else _of_images(options.camera, options, progress)
+    if seen.poses.unit != "m":
+        raise InvalidInput(f"lengths are in {seen.poses.unit}, not in metres; give the board's squares a size")
+    direction = _direction(options, seen.poses)
+    stamps = frame_times(seen.images, seen.videos, options.timing, progress)
+    straight = seen.poses if seen.poses.of_object else seen.poses.inverse()
+    objects: dict[str, TrackedObject] = {}
+    lost: dict[str, CamcalError] = {}
+    names = _chosen(straight, options.object)
+    progress.start("following", len(names))
+    for name in names:
+        progress.advance()
+        single = [straight.estimates.get(Sight(image, name)) for image in seen.images]
+        try:
+            found = track_poses(stamps, single, options.tracking, straight.frames)
+        except InsufficientData as error:
+            lost[name] = InsufficientData(error.message, where=name or options.inputs[0])
+            continue
+        shown = found if direction == straight.frames else found.inverse()
+        objects[name] = TrackedObject(shown, single if shown is found else [each and each.inverse() for each in single])
+    progress.finish()
+    if not objects:
+        raise next(iter(lost.values()))
+    outputs = _written(options, seen.images, objects)
+    return FollowReport(seen.images, objects, lost, seen.notes, seen.failed, outputs)
+
+
+def names_camera(arguments: Sequence[str]) -> bool:
+    """Tell whether the first of the arguments is the camera of what follows; a pose file needs none."""
+    return len(arguments) > 2 or (len(arguments) == 2 and Path(arguments[1]).suffix.lower() not in POSE_SUFFIXES)
+
+
+def _check(options: FollowOptions) -> None:
+    if options.output is not None:
+        if options.kind is not None or options.output.suffix.lower() not in tracks.SUFFIXES:
+            trajectories.kind_of(options.output, options.kind)
+    elif options.kind is not None:
+        raise InvalidInput("--format is about the output; give it with -o")
+    if options.plot is not None:
+        from camcal.report.figures import require_suffix  # matplotlib takes longer to import than a short track
+
+        require_suffix(options.plot)
+    outputs = [path for path in (options.output, options.plot) if path is not None]
+    sources = [options.camera.rpartition("#")[0] or options.camera] if options.camera else []
+    sources += [options.timing.source] if options.timing.source else []
+    refuse_overwriting(outputs, map(Path, (*options.inputs, *sources)))
+    if len(outputs) == 2 and outputs[0].resolve() == outputs[1].resolve():
+        raise InvalidInput("would be both the track and its picture", where=str(outputs[0]))
+
+
+def _of_file(options: FollowOptions) -> _Seen:
+    if len(options.inputs) != 1:
+        raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
+    if options.looking.board or options.looking.tags:
+        raise InvalidInput("a pose file has its poses already; leave --board and --tags out")
+    if options.noise_px is not None:
+        raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
+    path = Path(options.inputs[0])
+    require_there(path)
+    read = poses.read(path)
+    images = {sight.image for sight in (*read.estimates, *read.missing)}
+    return _Seen(read, tuple(sorted(images, key=files.natural_key)))
+
+
+def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen:
+    media = find_media(options.inputs, options.looking.recursive)
+    if len(media.videos) > 1 or (media.videos and media.images):
+        raise InvalidInput(
+            f"{len(media.videos)} videos and {len(media.images)} images; follow one video, or images alone"
+        )
+    require_times(media.videos, options.timing)
+    found = pnp(
+        PnpOptions(
+            camera,
+            inputs=options.inputs,
+            looking=options.looking,
+            name=options.name,
+            noise_px=options.noise_px,
+        ),
+        progress,
+    )
+    known = {str(sight) for sight in found.poses.missing}
+    failed = tuple(line for line in found.failed if line not in known)
+    return _Seen(found.poses, _frame_names(found.poses, media), media.videos, found.notes, failed)
+
+
+def _frame_names(seen: Poses, media: Media) -> tuple[str, ...]:
+    """Return the names of all frames, in natural order, images that could not be read included."""
+    names = {sight.image for sight in (*seen.estimates, *seen.missing)} | {path.as_posix() for path in media.images}
+    return tuple(sorted(names, key=files.natural_key))
+
+
+def _direction(options: FollowOptions, seen: Poses) -> str:
+    """Return the frames that are written; raises InvalidInput for a name that is neither of both."""
+    straight = seen.frames if seen.of_object else seen.inverse().frames
+    turned = "_T_".join(reversed(straight.split("_T_")))
+    if options.pose not in (None, straight, turned):
+        raise InvalidInput(f"--pose {options.pose}: it is {straight} or {turned} here")
+    if options.pose is not None:
+        return options.pose
+    return turned if options.output is not None and _form(options) in _OF_CAMERA else straight
+
+
+def _form(options: FollowOptions) -> str | None:
+    """Return the form of trajectory that is written, None for a track with all its frames."""
+    if options.output is None or (options.kind is None and options.output.suffix.lower() in tracks.SUFFIXES):
+        return None
+    return trajectories.kind_of(options.output, options.kind)
+
+
+def _chosen(seen: Poses, wanted: str | None) -> list[str]:
+    """Return the names of the objects to follow, in natural order."""
+    names = sorted({sight.object for sight in seen.estimates}, key=files.natural_key)
+    if wanted is None:
+        return names
+    if names == [""]:
+        raise InvalidInput(f"--object {wanted}: there is one object here and it has no name; leave the option out")
+    if wanted not in names:
+        raise InvalidInput(f"--object {wanted}: it was not seen{did_you_mean(wanted, names)}")
+    return [wanted]
+
+
+def _written(options: FollowOptions, images: Sequence[str], objects: Mapping[str, TrackedObject]) -> tuple[Path, ...]:
+    """Write the tracks and their pictures as far as they are asked for, and return the files."""
+    outputs = []
+    if options.output is not None:
+        form = _form(options)
+        if form is None:
+            tracks.write(options.output, images, objects)
+        else:
+            trajectories.write(options.output, _trajectory(options.output, objects), form)
+        outputs.append(options.output)
+    if options.plot is not None:
+        from camcal.report.track_figure import track_figure
+
+        for path, (name, item) in zip(_plots(options.plot, list(objects)), objects.items(), strict=True):
+            single = [None if each is None else each.transform for each in item.single]
+            title = f"{item.track.frames}{f', {name}' if name else ''}"
+            gate = options.tracking.following.gate
+            files.write_bytes(path, track_figure(item.track, single, title, gate, path.suffix))
+            outputs.append(path)
+    return tuple(outputs)
+
+
+def _plots(plot: Path, names: Sequence[str]) -> list[Path]:
+    """Return the picture of every object: of several, the object's name is added to the file's."""
+    if len(names) == 1:
+        return [plot]
+    safe = ["".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name) for name in names]
+    paths = {Path(name): plot.with_stem(f"{plot.stem}_{text}") for name, text in zip(names, safe, strict=True)}
+    refuse_collisions(paths)
+    return list(paths.values())
+
+
+def _trajectory(output: Path, objects: Mapping[str, TrackedObject]) -> Trajectory:
+    """Return the poses of the one object that the form has room for."""
+    if len(objects) > 1:
+        raise InvalidInput(
+            f"holds one object, and {len(objects)} were followed ({', '.join(objects)}): choose one with --object, "
+            f"or write {' '.join(tracks.SUFFIXES)}",
+            where=str(output),
+        )
+    (track,) = (item.track for item in objects.values())
+    there = track.posed
+    return Trajectory(
+        track.frames,
+        track.stamps[there],
+        track.rotations[there],
+        track.translations[there],
+        track.covariances[there],
+        track.velocities[there],
+        track.segments[there],
+    )
+
+
+def document(report: FollowReport) -> dict[str, Any]:
+    """Return the report as plain data for --json; the poses themselves are in the file."""
+    return {
+        "frame_count": len(report.images),
+        "objects": [{"object": name} | track_words.plain(item, report.images) for name, item in report.objects.items()],
+        "lost": [{"object": name, "message": error.message} for name, error in report.lost.items()],
+        "notes": list(report.notes),
+        "failed": list(report.failed),
+        "outputs": list(report.outputs),
+    }

@@ -1,0 +1,1 @@
+"""Raw frames: development, corrections, and the sensor behind them."""

@@ -1,0 +1,226 @@
+"""`camcal demosaic`: raw frames to images, as many at a time as there are cores."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from camcal import files
+from camcal.errors import InvalidInput
+from camcal.images.image import Image
+from camcal.images.save import KINDS, save
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.raw.balance import NO_BALANCE
+from camcal.raw.demosaic import HALF, resolved
+from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
+from camcal.raw.dng import write_dng
+from camcal.raw.mosaic import Mosaic
+from camcal.raw.phase import check_phase
+from camcal.raw.planes import Each, one_by_one
+from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES, missing_pattern
+from camcal.raw.tone import DEPTHS
+from camcal.run.fanout import fan_out, over_threads
+from camcal.run.inputs import find_images, record_outputs
+from camcal.run.outputs import place, refuse_overwriting
+from camcal.tasks.raw import demosaic_settings
+from camcal.tasks.raw.raw_corrections import CorrectionFiles, RawInput
+
+DNG = ".dng"
+DEFAULT_TYPE = "tiff"  # 16-bit PNG takes seventeen times as long to write
+TYPES = ("tiff", "png", "ppm", "npy", "dng")
+_SIXTEEN_BITS = 65535.0
+
+
+@dataclass(frozen=True)
+class DemosaicOptions:
+    """Raw frames (files, folders, globs), where the images go, and what is done to them.
+
+    output: a file for a single frame, otherwise a folder of files of a type. trust_pattern: do not ask the frames
+    whether green stands where the pattern says.
+    """
+
+    inputs: Sequence[Path | str]
+    output: Path
+    reading: RawInput = field(default_factory=RawInput)
+    development: Development = field(default_factory=Development)
+    corrections: CorrectionFiles = field(default_factory=CorrectionFiles)
+    type: str = DEFAULT_TYPE
+    trust_pattern: bool = False
+    recursive: bool = False
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.type not in TYPES:
+            raise InvalidInput(f"type {self.type!r} is unknown; use one of {', '.join(TYPES)}")
+
+
+@dataclass(frozen=True)
+class DevelopedFrame:
+    """One image written: its source, its size (width, height), and the levels and gains that made it.
+
+    black: counts of the places of the cell in reading order. peak: the largest count of the raw frame. clipped: share
+    of the samples at or above white, by place of the cell. settings: the file that repeats it.
+    """
+
+    source: Path
+    output: Path
+    settings: Path
+    size: tuple[int, int]
+    pattern: str
+    black: tuple[float, ...]
+    white: float
+    peak: float
+    clipped: tuple[float, ...]
+    gains: tuple[float, float, float] | None
+
+
+def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outcome[Path, DevelopedFrame]]:
+    """Return what became of every raw frame, in the order of the inputs; a frame that fails costs only itself.
+
+    Raises InvalidInput when the pattern is missing or an output would replace an input, FileError for no input, and
+    whatever kept a single frame from being developed.
+    """
+    sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
+    _require_pattern(sources, options.reading.pattern)
+    outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
+    settings = [demosaic_settings.path_beside(output) for output in outputs.values()]
+    refuse_overwriting(settings, sources)
+    for path in settings:
+        demosaic_settings.require_own(path)
+    corrections = options.corrections.load(options.reading, sources[0])
+    if len(sources) == 1:
+        outcomes = [_alone(sources[0], outputs, options, corrections)]
+    else:
+        work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
+        outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
+    if outputs[sources[0]] != options.output:
+        record_outputs(options.output, [outputs[outcome.item].name for outcome in outcomes if outcome.value])
+    _warn_of_a_short_scale(outcomes, progress)
+    return outcomes
+
+
+def _alone(
+    source: Path, outputs: Mapping[Path, Path], options: DemosaicOptions, corrections: Corrections
+) -> Outcome[Path, DevelopedFrame]:
+    """Return what became of a single frame: all cores work on its tiles. Raises what keeps it from being developed."""
+    with over_threads(options.jobs) as each:
+        return Outcome(source, _develop_file(source, options, corrections, outputs, each))
+
+
+def _develop_file(
+    source: Path,
+    options: DemosaicOptions,
+    corrections: Corrections,
+    outputs: Mapping[Path, Path],
+    each: Each = one_by_one,
+) -> DevelopedFrame:
+    try:
+        return _developed(source, outputs[source], options, corrections, each)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=error.where or str(source)) from error
+
+
+def _developed(
+    source: Path, output: Path, options: DemosaicOptions, corrections: Corrections, each: Each
+) -> DevelopedFrame:
+    frame = options.reading.read(source)
+    if not options.trust_pattern:
+        check_phase(frame)
+    settings = demosaic_settings.path_beside(output)
+    if output.suffix.lower() == DNG:
+        kept = negative(frame, options.development, corrections)
+        write_dng(output, kept)
+        picture = Picture(kept.values, None, linear=True, clipped=clipped_shares(frame))
+    else:
+        picture = develop(frame, options.development, corrections, each)
+        save(output, Image(picture.pixels, frame.orientation))
+    developed = DevelopedFrame(
+        source=source,
+        output=output,
+        settings=settings,
+        size=(picture.pixels.shape[1], picture.pixels.shape[0]),
+        pattern=frame.pattern,
+        black=tuple(frame.black.ravel().tolist()),
+        white=frame.white,
+        peak=float(frame.values.max()),
+        clipped=picture.clipped,
+        gains=picture.gains,
+    )
+    files.write_text(
+        settings, demosaic_settings.text(_settings(options, picture, frame.pattern), _record(frame, developed, options))
+    )
+    return developed
+
+
+def _settings(options: DemosaicOptions, picture: Picture, pattern: str) -> dict[str, Any]:
+    """Return the options that repeat a development, with what was found in place of what was to be found."""
+    reading, development, corrections = options.reading, options.development, options.corrections
+    depth = next(name for name, dtype in DEPTHS.items() if dtype == picture.pixels.dtype)
+    return {
+        "pattern": reading.pattern,
+        **reading.layout.settings(),
+        "black": _numbers(reading.black),
+        "white": _numbers((reading.white,) if reading.white is not None else None),
+        "dark": [str(path) for path in corrections.dark],
+        "bad-pixels": None if corrections.bad is None else str(corrections.bad),
+        "flat": [str(path) for path in corrections.flat],
+        "wb": _numbers(picture.gains) or NO_BALANCE,
+        "ev": _numbers((development.exposure,)) if development.exposure else None,
+        "algorithm": resolved(development.algorithm, pattern),
+        "encoding": "linear" if picture.linear else "gamma",
+        "colour": development.colour,
+        "tone": development.tone,
+        "depth": depth,
+        "trust-pattern": options.trust_pattern or None,
+    }
+
+
+def _numbers(values: Sequence[float] | None) -> str | None:
+    """Return numbers as a text that gives the very same ones when it is read."""
+    return None if values is None else ",".join(repr(float(value)) for value in values)
+
+
+def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) -> dict[str, Any]:
+    """Return what was found of a frame, for people and programs; nothing of it is needed to repeat it."""
+    record = {
+        "source": developed.source.as_posix(),
+        "sha256": files.sha256(developed.source),
+        "image_size": list(developed.size),
+        "pattern": developed.pattern,
+        "black": list(developed.black),
+        "white": developed.white,
+        "clipped": list(developed.clipped),
+        "capture": demosaic_settings.capture_facts(frame),
+    }
+    if options.development.algorithm == HALF:
+        record["pixel_of_the_mosaic"] = "(2 x + 0.5, 2 y + 0.5)"
+    return record
+
+
+def _require_pattern(sources: Sequence[Path], pattern: str | None) -> None:
+    bare = [source for source in sources if source.suffix.lower() in BARE_SUFFIXES]
+    if bare and pattern is None:
+        raise missing_pattern(bare[0])
+
+
+def _warn_of_a_short_scale(outcomes: Sequence[Outcome[Path, DevelopedFrame]], progress: Progress) -> None:
+    """Warn once if 16-bit files look as if they held fewer bits: the images then come out almost black."""
+    for outcome in outcomes:
+        frame = outcome.value
+        if frame is not None and frame.white == _SIXTEEN_BITS and 0 < frame.peak < _SIXTEEN_BITS / 4:
+            likely = 2 ** max(8, int(frame.peak).bit_length()) - 1
+            progress.warn(f"{frame.source}: no count above {frame.peak:g} of 65535; is it --white {likely}?")
+            return
+
+
+def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any]:
+    """Return what became of the frames as plain data for --json."""
+    written = [outcome.value for outcome in outcomes if outcome.value is not None]
+    paths = ("source", "output", "settings")
+    return {
+        "images": [asdict(frame) | {name: getattr(frame, name).as_posix() for name in paths} for frame in written],
+        "failed": [
+            {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
+        ],
+    }

@@ -1,0 +1,249 @@
+"""`camcal sensor`: what a sensor can do, from flat and dark frames."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from math import ceil, isfinite, log2
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.errors import CamcalError, InvalidInput
+from camcal.formats import emit, provenance
+from camcal.optics.sensor_format import pixel_pitch, sensor_format
+from camcal.progress import SILENT, Progress, values_of
+from camcal.raw.emva import Figures
+from camcal.raw.level import Level, measure_level
+from camcal.raw.mosaic import require_pattern
+from camcal.raw.photon_transfer import Curve, Figure
+from camcal.raw.reading import read_mosaic
+from camcal.raw.sensor import DECIBELS_A_STOP, Characterisation, characterise
+from camcal.report import figures
+from camcal.run.fanout import fan_out
+from camcal.run.outputs import refuse_overwriting
+from camcal.tasks.raw.frame_sets import FrameSet, find_sets
+
+FORMAT, VERSION = "camcal-sensor", 1
+COMMENT = "camcal sensor file. DN: counts, e: electrons. The block `sensor` goes into a camera file as it is."
+
+_WORDS = {
+    "gain_dn_per_e": ("gain", 1.0, "DN/e"),
+    "read_noise_e": ("read noise", 1.0, "e"),
+    "full_well_e": ("full well", 1.0, "e"),
+    "dynamic_range_db": ("dynamic range", 1.0, "dB"),
+    "threshold_e": ("smallest signal", 1.0, "e"),
+    "emva_dynamic_range_db": ("dynamic range from there", 1.0, "dB"),
+    "snr_max_db": ("largest signal-to-noise ratio", 1.0, "dB"),
+    "black_dn": ("black level", 1.0, "DN"),
+    "dsnu_e": ("DSNU", 1.0, "e"),
+    "prnu": ("PRNU", 100.0, "%"),
+    "linearity_error": ("linearity error", 100.0, "%"),
+    "dark_current_e_s": ("dark current", 1.0, "e/s"),
+}
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """Flat and dark frames (files, folders, globs), and what is known of them.
+
+    pattern: of bare mosaics. exposures: seconds, one for all flats or one for each input; dark_exposures: likewise.
+    iso: which frames to use, or what all were taken at where files do not say. white: counts at saturation.
+    pitch: of the pixels, metres; format: the sensor's, which gives the pitch. plot: a file for the figure.
+    """
+
+    flats: Sequence[Path | str]
+    darks: Sequence[Path | str]
+    output: Path
+    pattern: str | None = None
+    exposures: Sequence[float] = ()
+    dark_exposures: Sequence[float] = ()
+    iso: float | None = None
+    white: float | None = None
+    pitch: float | None = None
+    format: str | None = None
+    plot: Path | None = None
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.pattern is not None:
+            require_pattern(self.pattern)
+        for value in (*self.exposures, *self.dark_exposures):
+            if not (isfinite(value) and value > 0):
+                raise InvalidInput(f"an exposure of {value:g} s: use seconds above 0")
+        for number, name in ((self.pitch, "pixel pitch"), (self.white, "white level"), (self.iso, "ISO speed")):
+            if number is not None and not (isfinite(number) and number > 0):
+                raise InvalidInput(f"a {name} of {number:g}: use a number above 0")
+        if self.pitch is not None and self.format is not None:
+            raise InvalidInput("--format gives the pixel pitch: leave out --pitch-um, or the format")
+
+
+@dataclass(frozen=True, eq=False)
+class SensorReport:
+    """What was found, from which frames; pitch: metres, None if unknown."""
+
+    sensor: Characterisation
+    flats: tuple[FrameSet, ...]
+    darks: tuple[FrameSet, ...]
+    iso: float | None
+    pitch: float | None
+
+
+def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
+    """Return what a sensor can do, after writing it to options.output and, if asked for, a figure.
+
+    Raises InvalidInput for frames that do not go together or an output that is one of them, InsufficientData for too
+    few or saturated ones, FileError for a file that cannot be read or written.
+    """
+    if options.format is not None:
+        sensor_format(options.format)
+    if options.plot is not None:
+        figures.require_suffix(options.plot)
+    darks = _sets(options, progress)
+    known = [one.mean for one in darks if one.mean is not None]
+    flats = _sets(options, progress, black=min(known, default=0.0))
+    iso, flats, darks = _at_one_speed(flats, darks, options.iso)
+    _refuse_overwriting(options, (*flats, *darks))
+    found = characterise(_levels(flats, options, progress), _levels(darks, options, progress))
+    report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size))
+    if options.plot is not None:
+        files.write_bytes(options.plot, figures.photon_transfer(found, options.plot.suffix))
+    files.write_text(options.output, emit.document(_without_none(_file(report, options)), COMMENT))
+    for warning in found.warnings:
+        progress.warn(warning)
+    return report
+
+
+def _sets(options: SensorOptions, progress: Progress, black: float | None = None) -> list[FrameSet]:
+    inputs, exposures = (options.darks, options.dark_exposures) if black is None else (options.flats, options.exposures)
+    return find_sets(inputs, exposures, options.pattern, black=black, jobs=options.jobs, progress=progress)
+
+
+def _at_one_speed(
+    flats: list[FrameSet], darks: list[FrameSet], wanted: float | None
+) -> tuple[float | None, list[FrameSet], list[FrameSet]]:
+    """Return the ISO speed and the frames taken at it; frames that do not say theirs are taken to have it.
+
+    Raises InvalidInput if there are several speeds and none is chosen, or none of the chosen one.
+    """
+    speeds = sorted({one.iso for one in (*flats, *darks) if one.iso is not None})
+    listed = ", ".join(f"{speed:g}" for speed in speeds)
+    if wanted is None and len(speeds) > 1:
+        raise InvalidInput(f"frames of ISO {listed}, and the gain differs between them: choose one with --iso")
+    iso = wanted if wanted is not None else next(iter(speeds), None)
+    kept = [[one for one in sets if one.iso in (None, iso)] for sets in (flats, darks)]
+    for sets, kind in zip(kept, ("flat", "dark"), strict=True):
+        if not sets:
+            raise InvalidInput(f"no {kind} frames of ISO {iso:g}; there are ISO {listed}")
+    return iso, kept[0], kept[1]
+
+
+def _refuse_overwriting(options: SensorOptions, sets: Sequence[FrameSet]) -> None:
+    outputs = [path for path in (options.output, options.plot) if path is not None]
+    refuse_overwriting(outputs, [path for one in sets for path in one.paths])
+    if len({path.resolve() for path in outputs}) < len(outputs):
+        raise InvalidInput("is asked for twice, as --output and as --plot", where=str(options.output))
+
+
+def _levels(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> list[Level]:
+    work = partial(_measure, pattern=options.pattern, white=options.white)
+    return values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
+
+
+def _measure(one: FrameSet, pattern: str | None, white: float | None) -> Level:
+    frames = (read_mosaic(path, pattern) for path in one.paths)
+    try:
+        return measure_level(frames, one.exposure_s, white)
+    except CamcalError as error:
+        raise type(error)(error.message, where=error.where or one.where) from error
+
+
+def _pitch(options: SensorOptions, size: tuple[int, int]) -> float | None:
+    return options.pitch if options.format is None else pixel_pitch(sensor_format(options.format), size)
+
+
+def sensor_block(report: SensorReport) -> dict[str, Any]:
+    """Return the block `sensor` of a camera file."""
+    found, white = report.sensor.figures, report.sensor.white
+    return {
+        "pixel_pitch_um": None if report.pitch is None else 1e6 * report.pitch,
+        "gain_e_per_dn": 1 / found.gain_dn_per_e.value,
+        "read_noise_e": found.read_noise_e.value,
+        "full_well_e": found.full_well_e.value,
+        "black_level_dn": max(found.black_dn.value, 0.0),
+        # A file of 16 bits may hold fewer: then the largest one is never seen.
+        "bits": ceil(log2(white + 1)) if report.sensor.peak > white / 2 else None,
+    }
+
+
+def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
+    found = report.sensor
+    arguments = ["sensor", *map(str, options.flats), "--dark", *map(str, options.darks)]
+    images = [{"file": path.as_posix()} for one in (*report.flats, *report.darks) for path in one.paths]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        **_content(report),
+        "curves": {name: _curve(curve) for name, curve in found.curves.items()},
+        "provenance": provenance.build(arguments, None, images),
+    }
+
+
+def document(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    plot = {} if options.plot is None else {"plot": options.plot.as_posix()}
+    return {"output": options.output.as_posix(), **plot, **_content(report)}
+
+
+def _content(report: SensorReport) -> dict[str, Any]:
+    found = report.sensor
+    return {
+        "image_size": list(found.size),
+        "iso": report.iso,
+        "levels": {"flat": len(report.flats), "dark": len(report.darks)},
+        "sensor": {key: value for key, value in sensor_block(report).items() if value is not None},
+        "saturation": found.saturation,
+        "rounding_limited": found.limited,
+        "figures": _numbers(found.figures),
+        "dynamic_range_stops": found.dynamic_range_stops,
+        "phases": {name: _numbers(part) for name, part in found.phases.items()},
+        "warnings": list(found.warnings),
+    }
+
+
+def _numbers(part: Figures) -> dict[str, Any]:
+    return {name: {"value": figure.value, "std": figure.std} for name, figure in figures_by_name(part).items()}
+
+
+def figures_by_name(part: Figures) -> dict[str, Figure]:
+    """Return the figures that were measured."""
+    named = {field.name: getattr(part, field.name) for field in fields(Figures)}
+    return {name: figure for name, figure in named.items() if figure is not None}
+
+
+def rows(part: Figures) -> list[list[Any]]:
+    """Return name, value, standard deviation and unit of every figure in the units that people use."""
+    table: list[list[Any]] = []
+    for name, figure in figures_by_name(part).items():
+        words, factor, unit = _WORDS[name]
+        table.append([words, factor * figure.value, factor * figure.std, unit])
+        if name == "dynamic_range_db":
+            table.append(["", figure.value / DECIBELS_A_STOP, figure.std / DECIBELS_A_STOP, "stops"])
+    return table
+
+
+def _curve(curve: Curve) -> dict[str, Any]:
+    known = bool(np.isfinite(curve.exposure_s).all())
+    return {
+        "exposure_s": curve.exposure_s.tolist() if known else None,
+        "signal_dn": curve.signal.tolist(),
+        "variance_dn2": curve.variance.tolist(),
+        "fitted": curve.fitted.tolist(),
+    }
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return value

@@ -1,0 +1,258 @@
+"""`camcal simulate`: photographs of a board by a known camera, with the truth beside them."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from math import radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats import boards, detections, native, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
+from camcal.formats.emit import number_text
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.images.save import save
+from camcal.progress import SILENT, Progress, require_all
+from camcal.run.fanout import fan_out
+from camcal.run.inputs import split_address
+from camcal.simulate import mosaics
+from camcal.simulate.lens import make_camera
+from camcal.simulate.observe import Truth, observe, view_name
+from camcal.simulate.pattern import pattern_of
+from camcal.simulate.render import Exposure, render
+from camcal.simulate.scene import views
+from camcal.simulate.shapes import FLAT, Shape
+from camcal.targets.board import Board, Detections
+from camcal.targets.surface import Surface
+from camcal.tasks.simulation import simulate_raw, simulation_folder
+from camcal.tasks.simulation.simulate_raw import RawCamera, RawOptions, Sensor
+
+__all__ = [
+    "Exposure",
+    "RawCamera",
+    "RawOptions",
+    "Sensor",
+    "Shape",
+    "SimulateOptions",
+    "SimulateReport",
+    "document",
+    "simulate",
+]
+
+DEFAULT_MODEL = "opencv5"
+DEFAULT_SIZE = (1280, 960)
+DEFAULT_FOV = radians(70)
+IMAGES = "images"
+TRUTH = "truth.yaml"
+BOARD = "board.yaml"
+POSES = "poses.csv"
+CORNERS = "corners.csv"
+MAX_VIEWS = 10_000  # view names have four digits
+
+STRONGEST_BEND = 0.05  # peak to peak, as a share of the board's larger side
+
+_POSE_COLUMNS = ("image", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class SimulateOptions:
+    """What to photograph and how; see `camcal simulate --help`.
+
+    camera: a camera file (FILE or FILE#NAME); name: which of its cameras. Without a file the lens is made of model,
+    size (width, height), fov (rad) and distortion (coefficients by name, None for typical ones). shape: in the board's
+    unit. partial: let boards be cut by the image. raw: make mosaics of a sensor, which then gives noise and depth.
+    """
+
+    board: str
+    output: Path
+    camera: str | None = None
+    name: str | None = None
+    model: str | None = None
+    size: tuple[int, int] | None = None
+    fov: float | None = None
+    distortion: Mapping[str, float] | None = None
+    views: int = 20
+    partial: bool = False
+    shape: Shape = FLAT
+    exposure: Exposure = field(default_factory=Exposure)
+    seed: int = 0
+    jobs: int | None = None
+    raw: RawOptions | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SimulateReport:
+    """What was photographed, the corners that are in the images, and the images and other frames written."""
+
+    truth: Truth
+    corners: Detections
+    images: tuple[Path, ...]
+    frames: tuple[Path, ...] = ()
+
+
+def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateReport:
+    """Return what was photographed after writing images and truth into options.output.
+
+    Raises InvalidInput if the folder holds something else, or for a board, lens or scene that cannot be;
+    FileError if it cannot be written.
+    """
+    board = boards.load_board(options.board)
+    pattern_of(board)  # a board that cannot be drawn is refused before anything is written
+    _require_mild(options.shape, board)
+    if not 1 <= options.views <= MAX_VIEWS:
+        raise InvalidInput(f"{options.views} views: use 1 to {MAX_VIEWS}")
+    camera = _camera(options)
+    rng = np.random.default_rng(options.seed)
+    poses = views(camera, board, options.views, rng=rng, partial=options.partial)
+    corners, truth = observe(camera, board, poses, rng=rng, shape=options.shape)
+    folder = options.output
+    _clear(folder, options.views)
+    _write_truth(folder, truth, corners, options)
+    images = _photograph_all(folder, truth, options, progress)
+    return SimulateReport(truth, corners, images, _take_frames(folder, camera, options, progress))
+
+
+def _require_mild(shape: Shape, board: Board) -> None:
+    """Raise InvalidInput for a bend that is no length, or so strong that the board would hide parts of itself."""
+    if board.square is None and shape != Shape(stretch=shape.stretch):
+        raise InvalidInput("a bend in mm needs the size of a square, and the board does not say it")
+    deflection, limit = shape.deflection(board), STRONGEST_BEND * max(board.extent)
+    if deflection > limit:
+        raise InvalidInput(f"the board is bent by {1e3 * deflection:.4g} mm; use at most {1e3 * limit:.4g} mm")
+
+
+def _camera(options: SimulateOptions) -> Camera:
+    if options.camera is None:
+        if options.name is not None:
+            raise InvalidInput(f"--camera {options.name} names one of a camera file, and none is given")
+        model = model_named(options.model or DEFAULT_MODEL)
+        return make_camera(
+            model, options.size or DEFAULT_SIZE, DEFAULT_FOV if options.fov is None else options.fov, options.distortion
+        )
+    if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
+        raise InvalidInput("a camera file says it all: leave out --model, --size, --fov and --distortion")
+    path, name = split_address(options.camera)
+    known = native.read_camera(path, options.name or name)
+    return Camera(known.model, known.image_size, known.parameters)
+
+
+def _clear(folder: Path, count: int) -> None:
+    """Remove the images of an earlier run that this one does not replace; refuse a folder of something else."""
+    simulation_folder.require_own(folder, TRUTH)
+    kept = {view_name(index) for index in range(count)}
+    for path in (folder / IMAGES).glob("view[0-9][0-9][0-9][0-9].png"):
+        if path.name not in kept:
+            path.unlink()
+    simulate_raw.clear_frames(folder)
+
+
+def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
+    items = [(folder / IMAGES / view_name(index), index, pose) for index, pose in enumerate(truth.poses)]
+    work = partial(_photograph, truth, options)
+    require_all(fan_out(work, items, jobs=options.jobs, processes=True, what="rendering", progress=progress), "images")
+    return tuple(path for path, _, _ in items)
+
+
+def _photograph(truth: Truth, options: SimulateOptions, item: tuple[Path, int, Pose]) -> None:
+    path, index, pose = item
+    # A generator of its own for every view, so that the images do not depend on who renders them.
+    rng = np.random.default_rng([options.seed, index])
+    camera, board, shape, exposure = truth.camera, truth.board, truth.shape, options.exposure
+    if options.raw is None:
+        save(path, render(camera, board, pose, rng=rng, exposure=exposure, shape=shape))
+        return
+    raw = options.raw.camera
+    fixed = simulate_raw.fixed_pattern(raw, camera.image_size, options.seed)
+    save(path, mosaics.photograph(raw, camera, board, pose, exposure=exposure, shape=shape, fixed=fixed, rng=rng))
+
+
+def _take_frames(folder: Path, camera: Camera, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
+    if options.raw is None:
+        return ()
+    return simulate_raw.take_frames(
+        folder,
+        options.raw,
+        camera.image_size,
+        vignetting=options.exposure.vignetting,
+        seed=options.seed,
+        jobs=options.jobs,
+        progress=progress,
+    )
+
+
+def _write_truth(folder: Path, truth: Truth, corners: Detections, options: SimulateOptions) -> None:
+    """Write the truth, which is known before the images; so a folder left by a killed run is known for what it is."""
+    native.write(folder / TRUTH, truth_file(truth, options))
+    boards.write(folder / BOARD, truth.board)
+    files.write_text(folder / POSES, _poses_text(truth))
+    detections.write(folder / CORNERS, corners)
+
+
+def truth_file(truth: Truth, options: SimulateOptions) -> CameraFile:
+    """Return the camera file of the truth: the camera, the board's shape, and how the images were made."""
+    settings = {"views": options.views, "seed": options.seed, "partial": options.partial}
+    how = {**settings, "exposure": asdict(options.exposure), f"shape_{truth.board.unit}": asdict(truth.shape)}
+    lens = [options.camera] if options.camera else []
+    entry = CameraEntry(truth.camera, valid=ValidRegion.of(truth.camera))
+    if options.raw is not None:
+        entry = simulate_raw.truth_entry(truth.camera, options.raw.camera)
+        how["raw"] = simulate_raw.how_made(options.raw)
+    return CameraFile(
+        {"camera": entry},
+        board_shape=surface_of(truth.shape, truth.board) if truth.shape != FLAT else None,
+        provenance=provenance.build(["simulate", options.board, *lens], truth.board),
+        extra={simulation_folder.MARK: how},
+    )
+
+
+def surface_of(shape: Shape, board: Board) -> Surface:
+    """Return a shape in the terms that calibration estimates: the same but for what a pose or a scale can take."""
+    terms = {
+        "xy": shape.twist,
+        "P2(x)": -2 / 3 * shape.bow_x,  # 1 - x² = 2/3 - 2/3 P2(x)
+        "P2(y)": -2 / 3 * shape.bow_y,
+        "P3(x)": 2 / 5 * shape.cubic,  # x³ - x = 2/5 P3(x) - 2/5 x
+        "x/y scale": 2 * shape.stretch / (2 + shape.stretch),
+        "shear": 0.0,
+    }
+    return Surface(
+        board,
+        ("bow", "cubic", "stretch"),
+        tuple(terms),
+        np.array(list(terms.values())),
+        np.zeros((len(terms), len(terms))),
+        deflection=shape.deflection(board),
+    )
+
+
+def _poses_text(truth: Truth) -> str:
+    lines = [f"# camcal-poses 1 frames=camera_T_board unit={truth.board.unit}", ",".join(_POSE_COLUMNS)]
+    for index, pose in enumerate(truth.poses):
+        numbers = [*pose.translation, *so3.to_quaternion(pose.rotation), *pose.vector()]
+        lines.append(",".join([view_name(index), *(number_text(float(number)) for number in numbers)]))
+    return "\n".join(lines) + "\n"
+
+
+def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    camera, board = report.truth.camera, report.truth.board
+    frames = {"frames": [path.as_posix() for path in report.frames]} if options.raw is not None else {}
+    return {
+        "output": options.output.as_posix(),
+        "model": camera.model.name,
+        "image_size": list(camera.image_size),
+        "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
+        "board": boards.block(board),
+        "deflection": report.truth.shape.deflection(board),
+        "unit": board.unit,
+        "images": [path.as_posix() for path in report.images],
+        "corners": sum(len(view.ids) for view in report.corners.views),
+        **frames,
+    }

@@ -1,0 +1,191 @@
+"""`camcal simulate --stereo`: rectified pairs of a generated world, with the exact disparity of every pixel."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from math import degrees, pi, radians, tan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.formats import disparity, disparity_sidecar, native, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion
+from camcal.formats.disparity_sidecar import Sidecar
+from camcal.images.save import save
+from camcal.progress import SILENT, Progress, require_all
+from camcal.run.fanout import fan_out
+from camcal.simulate.stereo_scene import PairOptions, StereoTruth, render_pair
+from camcal.stereo.geometry import StereoGeometry, of_pair
+from camcal.tasks.simulation import simulation_folder
+
+__all__ = ["PairOptions", "StereoOptions", "StereoReport", "document", "pair_options", "simulate_pairs"]
+
+DEFAULT_FOV = radians(60)
+DEFAULT_DISPARITIES = (0.01, 0.1)  # shares of the width
+
+RIG = "rig.yaml"
+LEFT, RIGHT, DISPARITY, DISPARITY_RIGHT, VISIBLE = FOLDERS = "left", "right", "disparity", "disparity_right", "visible"
+MAX_PAIRS = 1000  # their names have three digits
+
+
+@dataclass(frozen=True)
+class StereoOptions:
+    """Where pairs go, how many, and how they are made; see `camcal simulate --help`."""
+
+    output: Path
+    pairs: int = 1
+    pair: PairOptions = field(default_factory=PairOptions)
+    seed: int = 0
+    jobs: int | None = None
+
+
+@dataclass(frozen=True)
+class PairFiles:
+    """The files of a pair, the disparities in it, pixels, and the share of the left pixels that both cameras see."""
+
+    left: Path
+    right: Path
+    disparity: Path
+    disparity_right: Path
+    visible: Path
+    least: float
+    greatest: float
+    shared: float
+
+
+@dataclass(frozen=True)
+class StereoReport:
+    """The pairs that were written, the file of their cameras, and what turns their disparity into depth."""
+
+    rig: Path
+    geometry: StereoGeometry
+    pairs: tuple[PairFiles, ...]
+
+
+def pair_options(
+    size: tuple[int, int] = PairOptions.size,
+    fov: float = DEFAULT_FOV,
+    *,
+    baseline: float = PairOptions.baseline,
+    doffs: float = PairOptions.doffs,
+    disparities: tuple[float, float] | None = None,
+    distance: tuple[float, float] | None = None,
+    **others: Any,
+) -> PairOptions:
+    """Return how pairs are made from what people know of cameras and scenes.
+
+    size: (width, height). fov: across the width, rad. baseline: metres. doffs: pixels. disparities: least and
+    greatest, pixels; or distance: nearest and farthest, metres; without both 1 to 10 % of the width. others: as they
+    are. Raises InvalidInput for what contradicts itself or cannot be.
+    """
+    if not 0 < fov < pi:
+        raise InvalidInput(f"no pinhole has a field of view of {degrees(fov):g}°; use more than 0 and less than 180")
+    focal = size[0] / 2 / tan(fov / 2)
+    if disparities is not None and distance is not None:
+        raise InvalidInput("disparities and distances say the same; leave one out")
+    if distance is not None:
+        near, far = distance
+        if not 0 < near < far:
+            raise InvalidInput(f"distances of {near:g} to {far:g} m: the nearest comes first and is above 0")
+        disparities = focal * baseline / far - doffs, focal * baseline / near - doffs
+    if disparities is None:
+        least, greatest = DEFAULT_DISPARITIES
+        disparities = least * size[0], greatest * size[0]
+    return PairOptions(size, focal, baseline, doffs, disparities, **others)
+
+
+def simulate_pairs(options: StereoOptions, progress: Progress = SILENT) -> StereoReport:
+    """Return the pairs after writing images, disparities, what both cameras see, and the cameras into options.output.
+
+    Raises InvalidInput if the folder holds something else or so many pairs are not made, FileError if it cannot be
+    written.
+    """
+    if not 1 <= options.pairs <= MAX_PAIRS:
+        raise InvalidInput(f"{options.pairs} pairs: use 1 to {MAX_PAIRS}")
+    folder = options.output
+    simulation_folder.require_own(folder, RIG)
+    for path in _left_over(folder, options.pairs):
+        path.unlink()
+    native.write(folder / RIG, rig_file(options))
+    work = partial(_make, options)
+    made = fan_out(work, range(options.pairs), jobs=options.jobs, processes=True, what="rendering", progress=progress)
+    outcomes = list(made)
+    require_all(outcomes, "pairs")
+    pairs = tuple(outcome.value for outcome in outcomes if outcome.value is not None)
+    return StereoReport(folder / RIG, of_pair(*options.pair.cameras()), pairs)
+
+
+def _left_over(folder: Path, count: int) -> Iterator[Path]:
+    """Yield the files of an earlier run that this one does not replace."""
+    kept = {_name(index) for index in range(count)}
+    for kind in FOLDERS:
+        for path in (folder / kind).glob("[0-9][0-9][0-9].*"):
+            if path.name.partition(".")[0] not in kept:
+                yield path
+
+
+def _name(index: int) -> str:
+    return f"{index:03d}"
+
+
+def _make(options: StereoOptions, index: int) -> PairFiles:
+    # A generator of its own for every pair, so that the images do not depend on who renders them.
+    truth = render_pair(options.pair, np.random.default_rng([options.seed, index]))
+    name = _name(index)
+    folder = options.output
+    pair = PairFiles(
+        folder / LEFT / f"{name}.png",
+        folder / RIGHT / f"{name}.png",
+        folder / DISPARITY / f"{name}.pfm",
+        folder / DISPARITY_RIGHT / f"{name}.pfm",
+        folder / VISIBLE / f"{name}.png",
+        float(np.nanmin(truth.disparity_left)),
+        float(np.nanmax(truth.disparity_left)),
+        float(truth.visible.mean()),
+    )
+    _write(pair, truth)
+    return pair
+
+
+def _write(pair: PairFiles, truth: StereoTruth) -> None:
+    save(pair.left, truth.left)
+    save(pair.right, truth.right)
+    save(pair.visible, np.where(truth.visible, 255, 0).astype(np.uint8))
+    geometry = of_pair(truth.left_camera, truth.right_camera, truth.right_T_left)
+    _write_disparity(pair.disparity, truth.disparity_left, pair.left, geometry)
+    seen_from_right = replace(geometry, cx=geometry.cx + geometry.doffs)
+    _write_disparity(pair.disparity_right, truth.disparity_right, pair.right, seen_from_right)
+
+
+def _write_disparity(path: Path, values: Array, image: Path, geometry: StereoGeometry) -> None:
+    written = disparity.write(path, values)
+    disparity_sidecar.write(path, Sidecar(written.scale, written.invalid, geometry, image))
+
+
+def rig_file(options: StereoOptions) -> CameraFile:
+    """Return the camera file of the pairs: both cameras, the way between them, and how the images were made."""
+    left, right, right_T_left = options.pair.cameras()
+    how = {"pairs": options.pairs, "seed": options.seed, "stereo": asdict(options.pair)}
+    return CameraFile(
+        {name: CameraEntry(camera, valid=ValidRegion.of(camera)) for name, camera in ((LEFT, left), (RIGHT, right))},
+        transforms={"right_T_left": Transform(right_T_left)},
+        provenance=provenance.build(["simulate", "--stereo"], None),
+        extra={simulation_folder.MARK: how},
+    )
+
+
+def document(report: StereoReport, options: StereoOptions) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    return {
+        "output": options.output.as_posix(),
+        "rig": report.rig.as_posix(),
+        "image_size": list(options.pair.size),
+        "geometry": asdict(report.geometry),
+        "pairs": [
+            {name: value.as_posix() if isinstance(value, Path) else value for name, value in asdict(pair).items()}
+            for pair in report.pairs
+        ],
+    }

@@ -1,0 +1,1 @@
+"""Pairs, disparity maps, point clouds, and looking at them."""

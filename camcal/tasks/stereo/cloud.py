@@ -1,0 +1,304 @@
+"""`camcal stereo cloud`: a disparity map and what is known of its pair to a point cloud."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import InvalidInput
+from camcal.formats import disparity, pointclouds, pose_text
+from camcal.formats.disparity import DisparityMap
+from camcal.formats.disparity_sidecar import Sidecar
+from camcal.images.load import load
+from camcal.progress import SILENT, Progress, values_of
+from camcal.run.fanout import fan_out, over_threads
+from camcal.run.inputs import require_there, split_address
+from camcal.run.outputs import refuse_overwriting
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.cloud import CloudMaker, thinned
+from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.points.frames import OPTICAL, UNITS, Frame, frame_named
+from camcal.stereo.points.outliers import ORGANISED, RADIUS
+from camcal.stereo.points.selection import Selected, Selection, depth_figures, select
+from camcal.stereo.points.vertices import METRES, VertexStream
+from camcal.tasks.stereo import rectified_pair
+from camcal.tasks.stereo.map_sources import named_file, stereo_image
+from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair
+
+GRIDS = (".pcd",)  # point clouds that can be organised as an image
+
+_FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates are worth a warning
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """Which pixels become points. See `stereo.points.selection.Selection` for what is not said here.
+
+    depth: metres. crop: xmin, xmax, ymin, ymax, zmin, zmax, metres. mask: an image, not zero where points are wanted.
+    max_sigma: largest standard deviation of the depth, percent of it. min_confidence: a number or a name of
+    `Confidence`. sigma_disparity: pixels, for all pixels alike. outliers: organised, radius, radius:METRES or none.
+    voxel: side, metres.
+    """
+
+    depth: tuple[float, float] = (0.0, float("inf"))
+    crop: tuple[float, ...] | None = None
+    mask: Path | None = None
+    max_sigma: float | None = None
+    min_confidence: str | None = None
+    sigma_disparity: float | None = None
+    stride: int = 1
+    outliers: str = ORGANISED
+    voxel: float | None = None
+    max_points: int | None = None
+
+
+@dataclass(frozen=True)
+class VertexOptions:
+    """What is said of a point, and where. frame, unit: see `stereo.points.frames`. pose: file of the camera's place."""
+
+    frame: str = OPTICAL
+    unit: str = METRES
+    pose: Path | None = None
+    normals: bool = False
+    sigma: bool = False
+    organised: bool = False
+    ascii_text: bool = False
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """A disparity map, the left image, and where the geometry comes from.
+
+    files: the image and the camera file (FILE or FILE#NAME), either or both, told apart by the suffix; what is not
+    given is taken from the sidecar of the map. scale: counts of the file per pixel of disparity, None by its type.
+    """
+
+    disparity: Path
+    output: Path
+    files: tuple[str, ...] = ()
+    geometry: GeometryOptions = field(default_factory=GeometryOptions)
+    scale: float | None = None
+    points: PointOptions = field(default_factory=PointOptions)
+    vertices: VertexOptions = field(default_factory=VertexOptions)
+    jobs: int | None = None
+
+
+@dataclass(frozen=True)
+class CloudReport:
+    """What was written: points of so many pixels, the scale the disparity was read with, the geometry.
+
+    matched: pixels with a match. outliers: those left out because they stand alone. depth: smallest, median and largest
+    z along the optical axis, metres, None for an empty cloud. appearance: colour, gray or none. frame: in words.
+    fields: of a point, in the order of the file.
+    """
+
+    output: Path
+    points: int
+    pixels: int
+    matched: int
+    outliers: int
+    scale: float
+    geometry: StereoGeometry
+    depth: tuple[float, float, float] | None
+    appearance: str
+    frame: str
+    unit: str
+    fields: tuple[str, ...]
+
+
+def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudReport:
+    """Return what was written to options.output.
+
+    Raises InvalidInput for a geometry that is incomplete or not rectified, sizes that differ, and for what is asked of
+    a point and not known; FileError.
+    """
+    require_there(options.disparity)
+    pointclouds.require_suffix(options.output, ascii_text=options.vertices.ascii_text)
+    if options.vertices.organised and options.output.suffix.lower() not in GRIDS:
+        raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
+    image_path, address = _image_and_camera(options.files)
+    found = disparity.read(options.disparity, options.scale)
+    if image_path is None and found.sidecar:
+        image_path = named_file(found.sidecar.image, options.disparity, progress)
+    refuse_overwriting([options.output], _inputs(options, image_path))
+    pair = _pair(options, address, found, progress)
+    image = _stereo_image(options, found, pair, image_path, progress)
+    frame = _frame(options.vertices, found.sidecar, progress)
+    with over_threads(options.jobs) as each:
+        selected = select(image, _selection(options.points), frame, each)
+    if not selected.kept.any():
+        progress.warn(f"{options.disparity}: {_why_empty(selected)}; the cloud is empty")
+    stream = _stream(options, image, selected, frame)
+    pointclouds.write(options.output, stream, ascii_text=options.vertices.ascii_text)
+    return _report(options, found, image, selected, stream)
+
+
+def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
+    cameras = [text for text in files if split_address(text)[0].suffix.lower() in rectified_pair.SUFFIXES]
+    images = [Path(text) for text in files if text not in cameras]
+    if len(cameras) > 1 or len(images) > 1:
+        raise InvalidInput(f"one image and one camera file are taken, found {' and '.join(files)}")
+    return (images[0] if images else None), (cameras[0] if cameras else None)
+
+
+def _inputs(options: CloudOptions, image: Path | None) -> list[Path]:
+    return [options.disparity, *(path for path in (image, options.points.mask, options.vertices.pose) if path)]
+
+
+def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> RectifiedPair:
+    height, width = found.values.shape
+    pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
+    if pair.geometry is None:
+        raise InvalidInput(
+            "the geometry is not known: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
+        )
+    return pair
+
+
+def _stereo_image(
+    options: CloudOptions, found: DisparityMap, pair: RectifiedPair, image: Path | None, progress: Progress
+) -> StereoImage:
+    """Return the map with all that the options make use of."""
+    sidecar, points = found.sidecar or Sidecar(), options.points
+
+    def asked(path: Path | None, option: str) -> Path | None:
+        return named_file(path, options.disparity, progress, option)
+
+    sigma: Path | float | None = points.sigma_disparity
+    if sigma is None and (options.vertices.sigma or points.max_sigma is not None):
+        sigma = asked(sidecar.sigma, "--sigma" if options.vertices.sigma else "--max-sigma")
+    confidence = None if points.min_confidence is None else asked(sidecar.confidence, "--min-confidence")
+    return stereo_image(found, pair, image, sigma, confidence)
+
+
+def _frame(options: VertexOptions, sidecar: Sidecar | None, progress: Progress) -> Frame:
+    world_T_camera = pose_text.read(options.pose) if options.pose else None
+    turn = sidecar.camera_R_rectified if sidecar else None
+    frame = frame_named(options.frame, turn, world_T_camera, options.unit)
+    step = float(np.spacing(np.abs(frame.frame_T_left.translation).max().astype(np.float32)))
+    if step > _FINEST:
+        progress.warn(
+            f"so far from the origin of the world, coordinates have steps of {step:.2g} m; subtract an offset"
+        )
+    return frame
+
+
+def _selection(options: PointOptions) -> Selection:
+    """Return what pixels have to fulfil, from what the user wrote."""
+    method, _, radius = options.outliers.partition(":")
+    if radius and method != RADIUS:
+        raise InvalidInput(f"outliers {options.outliers!r}: only radius takes a number")
+    if options.crop is not None and len(options.crop) != 6:
+        raise InvalidInput(f"--crop needs six numbers, xmin,xmax,ymin,ymax,zmin,zmax, found {len(options.crop)}")
+    return Selection(
+        depth=options.depth,
+        crop=None if options.crop is None else np.reshape(options.crop, (3, 2)),
+        mask=_mask(options.mask) if options.mask else None,
+        max_sigma=None if options.max_sigma is None else options.max_sigma / 100,
+        min_confidence=None if options.min_confidence is None else _confidence(options.min_confidence),
+        stride=options.stride,
+        outliers=method,
+        radius=_metres(radius) if radius else None,
+    )
+
+
+def _mask(path: Path) -> Array:
+    pixels = load(path).pixels
+    return np.asarray(pixels > 0 if pixels.ndim == 2 else (pixels[..., :3] > 0).any(axis=2))
+
+
+def _confidence(text: str) -> int:
+    """Return the number of a class of confidence, given as a number or by its name."""
+    names = {member.name.lower(): int(member) for member in Confidence}
+    number = names.get(text.lower(), int(text) if text.isdecimal() else -1)
+    if number not in names.values():
+        classes = ", ".join(f"{value} {name}" for name, value in names.items())
+        raise InvalidInput(f"confidence {text!r} is unknown; use one of {classes}")
+    return number
+
+
+def _metres(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InvalidInput(f"the radius around a point is a number of metres, found {text!r}") from error
+
+
+def _why_empty(selected: Selected) -> str:
+    if not selected.matched:
+        return "no pixel has a match"
+    return f"of {selected.matched} pixels with a match none is within the limits"
+
+
+def _stream(options: CloudOptions, image: StereoImage, selected: Selected, frame: Frame) -> VertexStream:
+    points, vertices = options.points, options.vertices
+    maker = CloudMaker(
+        image, selected.kept, frame, vertices.normals, vertices.sigma, vertices.organised, stride=points.stride
+    )
+    stream = maker.stream(_notes(options, image), in_order_on_threads(options.jobs))
+    voxel = None if points.voxel is None else points.voxel * UNITS[frame.unit]
+    return thinned(stream, voxel, points.max_points)
+
+
+def _notes(options: CloudOptions, image: StereoImage) -> dict[str, str]:
+    geometry = image.geometry
+    notes = {
+        "disparity": options.disparity.name,
+        "fx": f"{geometry.fx:.12g} px",
+        "baseline": f"{geometry.baseline:.12g} m",
+    }
+    return notes | ({"doffs": f"{geometry.doffs:.12g} px"} if geometry.doffs else {})
+
+
+def in_order_on_threads(jobs: int | None) -> Callable[[Callable[[slice], Array], Iterable[slice]], Iterator[Array]]:
+    """Return a `map` that works ahead on threads while what it gave is written."""
+
+    def in_order(work: Callable[[slice], Array], items: Iterable[slice]) -> Iterator[Array]:
+        for outcome in fan_out(work, items, jobs=jobs):
+            yield from values_of([outcome])
+
+    return in_order
+
+
+def _report(
+    options: CloudOptions, found: DisparityMap, image: StereoImage, selected: Selected, stream: VertexStream
+) -> CloudReport:
+    fields = stream.type.names or ()
+    appearance = "none" if image.pixels is None else "gray" if image.pixels.ndim == 2 else "colour"
+    return CloudReport(
+        output=options.output,
+        points=int(np.count_nonzero(selected.kept)) if stream.grid else stream.count,
+        pixels=found.values.size,
+        matched=selected.matched,
+        outliers=selected.outliers,
+        scale=found.scale,
+        geometry=image.geometry,
+        depth=depth_figures(image, selected.kept),
+        appearance=appearance,
+        frame=stream.frame,
+        unit=stream.unit,
+        fields=tuple(fields),
+    )
+
+
+def document(report: CloudReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    names = ("min", "median", "max")
+    return {
+        "output": report.output.as_posix(),
+        "points": report.points,
+        "pixels": report.pixels,
+        "matched": report.matched,
+        "outliers": report.outliers,
+        "scale": report.scale,
+        "geometry": asdict(report.geometry),
+        "depth_m": dict(zip(names, report.depth, strict=True)) if report.depth else None,
+        "appearance": report.appearance,
+        "frame": report.frame,
+        "unit": report.unit,
+        "fields": list(report.fields),
+    }

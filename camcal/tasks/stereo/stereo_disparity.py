@@ -1,0 +1,263 @@
+"""`camcal stereo disparity`: rectified pairs to disparity maps, and how far to believe them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.formats import disparity as maps
+from camcal.formats import disparity_sidecar
+from camcal.formats.disparity_sidecar import Sidecar, SourceFile
+from camcal.images.load import load
+from camcal.images.save import save
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.raw.planes import one_by_one
+from camcal.report.disparity_pictures import disparity_picture, robust_range
+from camcal.run.fanout import fan_out, over_threads
+from camcal.run.inputs import record_outputs
+from camcal.run.outputs import place, refuse_overwriting
+from camcal.run.pairs import find_pairs
+from camcal.stereo.disparity import Confidence, Disparity
+from camcal.stereo.matching.learned import learned_disparity
+from camcal.stereo.matching.match import BEST, MatchOptions, match_prepared
+from camcal.stereo.matching.preparation import prepare
+from camcal.tasks.stereo.matched_pair import Figures, Limits, MapFiles, MatchedPair, Pair
+from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair, pair_of
+
+TYPES = tuple(suffix[1:] for suffix in maps.SUFFIXES)
+OWN, ONNX = "own", "onnx"
+ENGINES = (OWN, ONNX)
+
+_AT_THE_END = 0.01  # share of the pixels in the last pixel of the range that is no chance
+
+
+@dataclass(frozen=True)
+class DisparityOptions:
+    """Pairs (files, folders, patterns of either side), where their maps go, and how they are matched.
+
+    output: a file for a single pair, otherwise a folder. camera_file: of the rectified pair, FILE or FILE#NAME.
+    type: of the files in a folder. model: the network of the engine onnx. picture: draw each map. map_only: write no
+    uncertainty and no classes beside it.
+    """
+
+    left: Sequence[Path | str]
+    right: Sequence[Path | str]
+    output: Path
+    camera_file: str | None = None
+    geometry: GeometryOptions = field(default_factory=GeometryOptions)
+    matching: MatchOptions = field(default_factory=MatchOptions)
+    model: Path | None = None
+    type: str = "tiff"
+    picture: bool = False
+    map_only: bool = False
+    recursive: bool = False
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.type not in TYPES:
+            raise InvalidInput(f"type {self.type!r} is unknown; use one of {', '.join(TYPES)}")
+        if self.model is not None and self.matching != MatchOptions():
+            raise InvalidInput(
+                "a network takes no --quality, --range, --fill, --align-rows, --exposure; leave them out"
+            )
+
+
+def network_of(engine: str, model: Path | None) -> Path | None:
+    """Return the network that matches, None for camcal's own matchers; raises InvalidInput if one is missing."""
+    if engine not in ENGINES:
+        raise InvalidInput(f"engine {engine!r} is unknown; use one of {', '.join(ENGINES)}")
+    if (engine == ONNX) != (model is not None):
+        raise InvalidInput("--engine onnx and --model FILE go together")
+    return model
+
+
+def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> list[Outcome[Pair, MatchedPair]]:
+    """Return what became of every pair, in natural order; one that fails costs only itself.
+
+    Raises InvalidInput and FileError for inputs that are no pairs and outputs that would replace them, and whatever
+    kept a single pair from being matched.
+    """
+    pairs = find_pairs(options.left, options.right, options.recursive)
+    outputs = _places(pairs, options)
+    work = partial(_match_files, options=options, outputs=outputs)
+    if len(pairs) == 1:
+        outcomes = [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
+    else:
+        outcomes = list(_all_alike(pairs, work, options, progress))
+    if options.output not in outputs.values():  # it is a folder
+        names = [name for outcome in outcomes if outcome.value for name in _names(outcome.value)]
+        record_outputs(options.output, names)
+    return outcomes
+
+
+def _all_alike(
+    pairs: Sequence[Pair], work: "partial[MatchedPair]", options: DisparityOptions, progress: Progress
+) -> Iterator[Outcome[Pair, MatchedPair]]:
+    """Yield what becomes of several pairs, whose pictures have the colours of the first one's."""
+    if options.picture:
+        for outcome in fan_out(work, pairs[:1]):
+            if outcome.value is not None:
+                work = partial(work, limits=outcome.value.limits)
+    for outcome in fan_out(work, pairs, jobs=options.jobs, processes=True, what="disparity", progress=progress):
+        if outcome.value is not None:
+            _warned(outcome.value, progress)
+        yield outcome
+
+
+def _places(pairs: Sequence[Pair], options: DisparityOptions) -> Mapping[Path, Path]:
+    outputs = place([left for left, _ in pairs], options.output, f".{options.type}", maps.SUFFIXES)
+    inputs = [path for pair in pairs for path in pair]
+    for output in outputs.values():
+        written = MapFiles.beside(output)
+        refuse_overwriting(written, inputs)
+        disparity_sidecar.require_own(written.sidecar)
+    return outputs
+
+
+def _match_files(
+    pair: Pair,
+    options: DisparityOptions,
+    outputs: Mapping[Path, Path],
+    limits: Limits | None = None,
+    *,
+    alone: bool = False,
+) -> MatchedPair:
+    left, right = (load(path).pixels for path in pair)
+    written = MapFiles.beside(outputs[pair[0]])
+    try:
+        size = left.shape[1], left.shape[0]
+        known = pair_of(options.geometry, options.camera_file, size)
+        found = _by_network(left, right, options.model) if options.model else _matched(left, right, options, alone)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=error.where or f"{pair[0]} and {pair[1]}") from error
+    return _written(pair, found, known, written, options, limits)
+
+
+class _Matched(NamedTuple):
+    """A map, by how much the rows were aligned (px RMS), and what there is to say of it."""
+
+    disparity: Disparity
+    rows: float
+    remarks: tuple[str, ...]
+
+
+def _matched(left: Array, right: Array, options: DisparityOptions, alone: bool) -> _Matched:
+    matching = options.matching
+    prepared = prepare(left, right, matching.search, align=matching.aligns, expose=matching.expose_alike)
+    if alone and matching.quality == BEST:
+        with over_threads(options.jobs) as each:
+            disparity = match_prepared(prepared, matching, each)
+    else:
+        disparity = match_prepared(prepared, matching, one_by_one)
+    return _Matched(disparity, prepared.rows, prepared.remarks)
+
+
+def _by_network(left: Array, right: Array, model: Path) -> _Matched:
+    values = learned_disparity(left, right, model)
+    known = np.isfinite(values)
+    confidence = np.where(known, Confidence.SINGLE, Confidence.NONE)
+    ends = (int(np.floor(values[known].min())), int(np.ceil(values[known].max()))) if known.any() else (0, 0)
+    return _Matched(Disparity(values, np.full_like(values, np.nan), confidence, ends), 0.0, ())
+
+
+def _written(
+    pair: Pair,
+    found: _Matched,
+    known: RectifiedPair,
+    places: MapFiles,
+    options: DisparityOptions,
+    limits: Limits | None,
+) -> MatchedPair:
+    """Return the report of a pair whose files have been written, the map and its sidecar last."""
+    disparity, remarks = _as_stored(places.map, found)
+    _remove_companions(places)
+    has_sigma = bool(np.isfinite(disparity.sigma).any()) and not options.map_only
+    if has_sigma:
+        maps.write(places.sigma, disparity.sigma)
+    if not options.map_only:
+        save(places.confidence, disparity.confidence)
+    limits = limits or robust_range(disparity.values)
+    if options.picture:
+        save(places.picture, disparity_picture(disparity.values, limits, known.geometry))
+    stored = maps.write(places.map, disparity.values)
+    sidecar = Sidecar(
+        stored.scale,
+        stored.invalid,
+        known.geometry,
+        pair[0],
+        places.sigma if has_sigma else None,
+        None if options.map_only else places.confidence,
+        disparity.searched,
+        _settings(options) | {"rows_px": found.rows},
+        {name: SourceFile(path, files.sha256(path)) for name, path in zip(("left", "right"), pair, strict=True)},
+        relative_sigma=known.relative_sigma,
+    )
+    disparity_sidecar.write(places.map, sidecar)
+    return MatchedPair(
+        *pair,
+        output=places.map,
+        figures=Figures.of(disparity),
+        rows=found.rows,
+        scale=stored.scale,
+        picture=places.picture if options.picture else None,
+        limits=limits,
+        geometry_known=known.geometry is not None,
+        remarks=remarks + ((stored.remark,) if stored.remark else ()),
+    )
+
+
+def _remove_companions(places: MapFiles) -> None:
+    """Remove what an earlier run left beside the map: the sidecar first, for it would tell of the map to come."""
+    for path in (places.sidecar, places.sigma, places.confidence, places.picture):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise FileError(f"cannot be replaced: {error.strerror}", where=str(path)) from error
+
+
+def _as_stored(path: Path, found: _Matched) -> tuple[Disparity, tuple[str, ...]]:
+    """Return the map as the type of file can hold it, and what is to be said of it."""
+    disparity, remarks = found.disparity, found.remarks + _at_the_ends(found.disparity)
+    behind = disparity.values <= 0
+    if path.suffix.lower() == ".png" and behind.any():
+        remarks += (f"{behind.sum()} disparities of 0 or less are left out of a PNG; a TIFF holds them",)
+        nothing = np.float32(np.nan)
+        values, sigma = (np.where(behind, nothing, each) for each in (disparity.values, disparity.sigma))
+        disparity = Disparity(values, sigma, disparity.confidence * ~behind, disparity.searched)
+    return disparity, remarks
+
+
+def _at_the_ends(disparity: Disparity) -> tuple[str, ...]:
+    """Return a remark if more disparities lie at an end of the range than chance puts there."""
+    values = disparity.values[disparity.confidence > Confidence.FILLED]
+    if not values.size:
+        return ("nothing is matched; do both images show the same scene, and is the range right?",)
+    first, last = disparity.searched
+    crowded = [
+        f"{share:.1%} of the disparities lie at the {end} end of the range {first}:{last}; look farther with --range"
+        for end, share in (("lower", np.mean(values < first + 1)), ("upper", np.mean(values > last - 1)))
+        if share > _AT_THE_END
+    ]
+    return tuple(crowded)
+
+
+def _settings(options: DisparityOptions) -> dict[str, Any]:
+    if options.model is not None:
+        return {"engine": ONNX, "model": options.model.name}
+    return {"engine": OWN, "quality": options.matching.quality, "fill": options.matching.fill}
+
+
+def _warned(matched: MatchedPair, progress: Progress) -> MatchedPair:
+    for remark in matched.remarks:
+        progress.warn(f"{matched.left}: {remark}")
+    return matched
+
+
+def _names(matched: MatchedPair) -> list[str]:
+    return [path.name for path in MapFiles.beside(matched.output)]

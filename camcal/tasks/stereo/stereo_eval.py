@@ -1,0 +1,297 @@
+"""`camcal stereo eval`: disparity maps against the truth, with gates."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.formats import disparity
+from camcal.formats.disparity import DisparityMap
+from camcal.formats.disparity_sidecar import Sidecar
+from camcal.formats.schema import did_you_mean
+from camcal.images.load import load
+from camcal.images.save import save
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.report.disparity_pictures import error_picture
+from camcal.run.fanout import fan_out
+from camcal.run.outputs import place, refuse_overwriting
+from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
+from camcal.stereo.truth.visibility import seen_by_both, unhidden
+from camcal.tasks.stereo.map_sources import named_file
+from camcal.tasks.stereo.rectified_pair import GeometryOptions, geometry_of
+from camcal.tasks.stereo.truth_pairs import TruthPair, truth_pairs
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
+
+_SEEN = 255  # in Middlebury's masks; 128 is occluded
+_LIKELY_SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 256.0)
+_ALIKE = 0.05  # of the ratio of medians, for a scale to be the likely one
+_SAMPLES = 1 << 16
+
+
+@dataclass(frozen=True)
+class EvalOptions:
+    """Disparity maps and truths, how to read them, and what is asked of them.
+
+    files: one file of each kind, or folders. scale, truth_scale: counts per pixel of disparity, None by the sidecar or
+    the type of file. camera_file: FILE or FILE#NAME of the rectified pair. geometry: comes before that, and both before
+    the sidecars. output: an error picture, or a folder of them. gates: such as "bad2=2.5" or
+    "bad2:all=5": the worst that will do.
+    """
+
+    files: TruthPair
+    scale: float | None = None
+    truth_scale: float | None = None
+    camera_file: str | None = None
+    geometry: GeometryOptions = field(default_factory=GeometryOptions)
+    output: Path | None = None
+    gates: Sequence[str] = ()
+    jobs: int | None = None
+
+
+@dataclass(frozen=True)
+class PairReport:
+    """What one map is worth: how it and its truth were scaled, what tells the occluded pixels, the picture."""
+
+    files: TruthPair
+    evaluation: Evaluation
+    scale: float
+    truth_scale: float
+    occlusion: str
+    geometry: StereoGeometry | None
+    picture: Path | None
+    remark: str | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A gate as it was given, the figure it is about, and whether it holds."""
+
+    gate: str
+    value: float
+    passed: bool
+
+
+@dataclass(frozen=True)
+class EvalReport:
+    """What became of every pair, their mean (of a single one: its own figures), and the gates on that."""
+
+    outcomes: Sequence[Outcome[TruthPair, PairReport]]
+    mean: Evaluation
+    verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def pairs(self) -> list[PairReport]:
+        return [outcome.value for outcome in self.outcomes if outcome.value is not None]
+
+
+class Gate(NamedTuple):
+    """A figure, its column (None: the first that has it), and the largest, of density the smallest, value allowed."""
+
+    text: str
+    name: str
+    column: str | None
+    limit: float
+
+
+def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport:
+    """Return the errors of all maps. A map of several that cannot be evaluated costs only itself.
+
+    Raises InvalidInput for gates that name no figure, files that do not fit together or an incomplete geometry,
+    FileError, InsufficientData if no pixel has a truth; if all of several maps fail, the first error.
+    """
+    gates = [read_gate(text) for text in options.gates]
+    pairs = truth_pairs(options.files)
+    pictures = _pictures(pairs, options.output)
+    work = partial(_evaluate_pair, options=options, pictures=pictures, progress=progress)
+    if len(pairs) == 1:
+        outcomes = [Outcome(pairs[0], work(pairs[0]))]
+    else:
+        outcomes = list(fan_out(work, pairs, jobs=options.jobs, what="evaluate", progress=progress))
+    done = [outcome.value for outcome in outcomes if outcome.value is not None]
+    if not done:
+        raise next(outcome.error for outcome in outcomes if outcome.error is not None)
+    for report in done:
+        if report.remark:
+            progress.warn(report.remark)
+    mean = mean_of([report.evaluation for report in done])
+    for report in done:
+        if unknown := _unknown(report.evaluation, mean):
+            progress.warn(f"{report.files.disparity}: has {unknown}; the mean is that of the others")
+    return EvalReport(outcomes, mean, tuple(_verdict(gate, mean) for gate in gates))
+
+
+def _unknown(evaluation: Evaluation, mean: Evaluation) -> str | None:
+    """Return which figures are not known of one map, while they are of others; None if there are none."""
+    gaps = [
+        (name, column)
+        for column, figures in mean.figures.items()
+        for name, value in figures.items()
+        if np.isnan(evaluation.figures[column][name]) and not np.isnan(value)
+    ]
+    if not gaps:
+        return None
+    names, columns = (", ".join(dict.fromkeys(words)) for words in zip(*gaps, strict=True))
+    return f"no {names} in {columns}"
+
+
+def _pictures(pairs: Sequence[TruthPair], output: Path | None) -> dict[Path, Path]:
+    if output is None:
+        return {}
+    pictures = place([pair.disparity for pair in pairs], output, ".png", PICTURES)
+    refuse_overwriting(pictures.values(), [path for pair in pairs for path in pair.files.values()])
+    return pictures
+
+
+def _evaluate_pair(
+    files: TruthPair, options: EvalOptions, pictures: Mapping[Path, Path], progress: Progress
+) -> PairReport:
+    found = disparity.read(files.disparity, options.scale)
+    truth = disparity.read(files.truth, options.truth_scale)
+    geometry = _geometry(options, found, (found.sidecar, truth.sidecar), progress)
+    values, true = found.matched(), truth.matched()
+    visible, occlusion = _visible(files, options, true)
+    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale, progress))
+    try:
+        evaluation = evaluate(values, true, visible, geometry, prediction)
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=str(files.disparity)) from error
+    picture = pictures.get(files.disparity)
+    if picture is not None:
+        save(picture, error_picture(np.abs(values - true), np.isfinite(true), visible))
+    remark = _likely_scale(values, true, files)
+    return PairReport(files, evaluation, found.scale, truth.scale, occlusion, geometry, picture, remark)
+
+
+def _geometry(
+    options: EvalOptions, found: DisparityMap, sidecars: Iterable[Sidecar | None], progress: Progress
+) -> StereoGeometry | None:
+    """Return the geometry that numbers, a camera file or a sidecar give, in this order; None without any."""
+    height, width = found.values.shape
+    sidecar = next((known for known in sidecars if known and known.geometry), None)
+    given = options.geometry
+    if options.camera_file is None and sidecar is None and given.numbers():
+        given = replace(given, cx=0.0, cy=0.0)  # the depth does not ask for them
+    return geometry_of(given, options.camera_file, (width, height), sidecar, progress)
+
+
+def _visible(files: TruthPair, options: EvalOptions, truth: Array) -> tuple[Array, str]:
+    """Return the mask of what both cameras see (H, W), and where it is from."""
+    if files.mask is not None and files.right_truth is not None:
+        raise InvalidInput("--mask and --right-truth exclude each other")
+    if files.mask is not None:
+        return _read_mask(files.mask), f"mask {files.mask.name}"
+    if files.right_truth is not None:
+        right = disparity.read(files.right_truth, options.truth_scale).matched()
+        return seen_by_both(truth, right), "left-right check of the truths"
+    return unhidden(truth), "the truth warped to the right image"
+
+
+def _read_mask(path: Path) -> Array:
+    """Return where a mask says that both cameras see: 255 of 8 bits, what is not 0 of 16 (KITTI's disp_noc)."""
+    pixels = load(path).pixels
+    if pixels.ndim == 3:
+        pixels = pixels[:, :, 0]
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise FileError(f"a mask has 8 or 16 bits, found {pixels.dtype}", where=str(path))
+    return np.asarray(pixels == _SEEN if pixels.dtype == np.uint8 else pixels > 0)
+
+
+def _predicted(
+    files: TruthPair, sidecar: Sidecar | None, truth_scale: float, progress: Progress
+) -> tuple[Array | None, Array | None]:
+    """Return sigma and confidence of every pixel, from the files named or those that the sidecar names.
+
+    truth_scale: counts of the truth per pixel. Rounding to them is an error of the truth, which sigma has to allow for.
+    """
+    known = sidecar or Sidecar()
+    sigma = files.sigma or named_file(known.sigma, files.disparity, progress)
+    confidence = files.confidence or named_file(known.confidence, files.disparity, progress)
+    rounding = 1 / (np.sqrt(12) * truth_scale) if truth_scale > 1 else 0.0  # a truth in whole pixels has a scale of 1,
+    return (  # and so have all in floating point: neither says how exact it is
+        np.hypot(disparity.read(sigma).matched(), np.float32(rounding)) if sigma else None,
+        load(confidence).pixels if confidence else None,
+    )
+
+
+def _likely_scale(values: Array, truth: Array, files: TruthPair) -> str | None:
+    """Return a remark if one map looks as if its numbers were still counts: they are 4, 8, … times the other's."""
+    both = (values > 0) & (truth > 0) & np.isfinite(values) & np.isfinite(truth)
+    pairs = values[both][:: max(1, both.sum() // _SAMPLES)], truth[both][:: max(1, both.sum() // _SAMPLES)]
+    if not pairs[0].size:
+        return None
+    ratio = float(np.median(pairs[1] / pairs[0]))
+    for option, times, path in (("--truth-scale", ratio, files.truth), ("--scale", 1 / ratio, files.disparity)):
+        for scale in _LIKELY_SCALES:
+            if abs(times / scale - 1) < _ALIKE:
+                return f"{path}: its disparities are {scale:g} times the others; is it {option} {scale:g}?"
+    return None
+
+
+def read_gate(text: str) -> Gate:
+    """Return a gate written as FIGURE=LIMIT or FIGURE:COLUMN=LIMIT; raises InvalidInput for anything else."""
+    address, _, limit = text.partition("=")
+    name, _, column = address.partition(":")
+    if name not in FIGURES:
+        raise InvalidInput(f"unknown figure {name!r}{did_you_mean(name, FIGURES)}", where=f"--gate {text}")
+    try:
+        bound = float(limit)
+    except ValueError:
+        bound = np.nan
+    if not np.isfinite(bound):
+        raise InvalidInput("a gate is written FIGURE=LIMIT or FIGURE:COLUMN=LIMIT", where=f"--gate {text}")
+    return Gate(text, name, column or None, bound)
+
+
+def _verdict(gate: Gate, evaluation: Evaluation) -> Verdict:
+    columns = [gate.column] if gate.column else list(evaluation.figures)
+    value = next((evaluation.figures.get(column, {})[gate.name] for column in columns
+                  if gate.name in evaluation.figures.get(column, {})), None)  # fmt: skip
+    if value is None:
+        there = [column for column, figures in evaluation.figures.items() if gate.name in figures]
+        advice = f"it stands in {', '.join(there)}" if there else "it is not known here (no geometry, no sigma)"
+        raise InvalidInput(f"no {gate.name} in {gate.column or 'any column'}; {advice}", where=f"--gate {gate.text}")
+    passed = value >= gate.limit if gate.name in AT_LEAST else value <= gate.limit
+    return Verdict(gate.text, value, passed)
+
+
+def document(report: EvalReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    return {
+        "pairs": [_pair_document(pair) for pair in report.pairs],
+        "mean": _figures(report.mean),
+        "gates": [asdict(verdict) for verdict in report.verdicts],
+        "failed": [
+            {"disparity": outcome.item.disparity.as_posix(), "message": str(outcome.error)}
+            for outcome in report.outcomes
+            if outcome.error
+        ],
+    }
+
+
+def _pair_document(pair: PairReport) -> dict[str, Any]:
+    curve = pair.evaluation.sparsification
+    return {
+        **{name: path.as_posix() for name, path in pair.files.files.items()},
+        "scale": pair.scale,
+        "truth_scale": pair.truth_scale,
+        "occlusion": pair.occlusion,
+        "geometry": asdict(pair.geometry) if pair.geometry else None,
+        "picture": pair.picture.as_posix() if pair.picture else None,
+        **_figures(pair.evaluation),
+        "sparsification": {"by_sigma": curve.by_sigma, "by_error": curve.by_error} if curve else None,
+    }
+
+
+def _figures(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "pixels": dict(evaluation.pixels),
+        "figures": {column: dict(figures) for column, figures in evaluation.figures.items()},
+        "classes": [asdict(kind) for kind in evaluation.classes],
+    }

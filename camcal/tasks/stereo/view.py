@@ -1,0 +1,256 @@
+"""`camcal view`: a point cloud, or the disparity map of a pair, as a page, a picture, a film or a recording.
+
+What draws with matplotlib is imported where it is used: a page is written before that would be loaded.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi, radians
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats import disparity
+from camcal.formats.disparity import DisparityMap
+from camcal.formats.disparity_sidecar import path_beside as sidecar_of
+from camcal.images.save import save
+from camcal.progress import SILENT, Progress
+from camcal.report import cloud_recording, cloud_view
+from camcal.report.cloud_paint import Paint, paint_of
+from camcal.report.cloud_scene import CloudScene, gather
+from camcal.report.cloud_view import Start
+from camcal.report.cloud_views import turn, view_of
+from camcal.run.inputs import require_there
+from camcal.run.outputs import refuse_overwriting
+from camcal.stereo.points.vertices import VertexStream
+from camcal.tasks.stereo.view_source import cloud_in, cloud_of, is_cloud
+
+PAGE, PICTURE, FILM, RECORDING, WINDOW = "page", "picture", "film", "recording", "window"
+KINDS: Mapping[str, str] = MappingProxyType(
+    {".html": PAGE, ".png": PICTURE, ".gif": FILM, ".mp4": FILM, cloud_recording.SUFFIX: RECORDING}
+)
+# A page is to open at once; pictures gain nothing from more points than there are pixels in a few.
+MOST_POINTS: Mapping[str, int] = MappingProxyType(
+    {PAGE: 400_000, PICTURE: 4_000_000, FILM: 1_000_000, RECORDING: 4_000_000, WINDOW: 4_000_000}
+)
+
+_WIDTH = {PICTURE: 1280, FILM: 640}
+_SWING = 50.0  # degrees; farther aside, what a camera has not seen is most of the picture
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """A point cloud or a disparity map, and how it is shown.
+
+    output: its suffix is one of KINDS; None for the window of the Rerun viewer. image: the left image of a disparity
+    map. frame: where the axes of a cloud point, by name or in words; None for what its file says. colour: one of
+    `cloud_paint.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
+    montage: four views in its place. size: (width, height) of a picture or film. max_points: None for MOST_POINTS.
+    turn: degrees of a film, None for once round, or to and fro before what a camera saw.
+    """
+
+    source: Path
+    output: Path | None = None
+    image: Path | None = None
+    frame: str | None = None
+    colour: str | None = None
+    view: str = "camera"
+    montage: bool = False
+    size: tuple[int, int] | None = None
+    point_size: float = 1.0
+    max_points: int | None = None
+    turn: float | None = None
+    frames: int = 60
+    rerun: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.point_size <= 10:
+            raise InvalidInput(f"points are 0.1 to 10 times as large as usual, not {self.point_size:g}")
+        if self.max_points is not None and self.max_points < 1:
+            raise InvalidInput(f"at least one point is shown, not {self.max_points}")
+        if self.turn is not None and not 0 < self.turn <= 360:
+            raise InvalidInput(f"a turn is more than 0 and at most 360 degrees, not {self.turn:g}")
+        if self.montage and self.view != ViewOptions.view:
+            raise InvalidInput("--montage has views of its own; leave --view out")
+        if self.frames < 2:
+            raise InvalidInput(f"a film has at least 2 frames, not {self.frames}")
+
+    @property
+    def kind(self) -> str:
+        """What is made, one of KINDS or WINDOW. Raises InvalidInput for a suffix that is none, or without any."""
+        if self.output is None:
+            if self.rerun:
+                return WINDOW
+            raise InvalidInput(f"say where to write: -o with a name that ends in {', '.join(KINDS)}")
+        kind = KINDS.get(self.output.suffix.lower())
+        if kind is None or (self.rerun and kind != RECORDING):
+            fitting = cloud_recording.SUFFIX if self.rerun else ", ".join(KINDS)
+            raise InvalidInput(
+                f"{self.output.suffix or 'no suffix'} is not written; use {fitting}", where=str(self.output)
+            )
+        return kind
+
+
+@dataclass(frozen=True)
+class ViewReport:
+    """What was made: one of KINDS or WINDOW, of so many of the points of the source; colour: what they show.
+
+    outside: points left out because they are far from all others. Of a disparity map shown as it is, without a
+    geometry, there are no points, no unit and no frame.
+    """
+
+    output: Path | None
+    kind: str
+    colour: str
+    points: int = 0
+    shown: int = 0
+    outside: int = 0
+    unit: str | None = None
+    frame: str | None = None
+
+
+def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
+    """Return what was made to look at.
+
+    Raises InvalidInput for what the cloud does not have, a view or an output that is none, Rerun where it is not
+    installed; InsufficientData for a cloud without points or a map without a match; FileError.
+    """
+    kind = options.kind
+    _refuse_what_has_no_effect(options)
+    if kind in (RECORDING, WINDOW):
+        cloud_recording.require_rerun()
+    _refuse_overwriting(options)
+    source = _source(options, progress)
+    if isinstance(source, DisparityMap):
+        return _as_map(options, source)
+    scene = gather(source, options.max_points or MOST_POINTS[kind])
+    paint = paint_of(scene, options.colour)
+    _MAKERS[kind](options, scene, paint)
+    return ViewReport(
+        options.output,
+        kind,
+        paint.name,
+        points=scene.total,
+        shown=len(scene.points),
+        outside=scene.outside,
+        unit=scene.unit,
+        frame=scene.frame,
+    )
+
+
+def _source(options: ViewOptions, progress: Progress) -> VertexStream | DisparityMap:
+    """Return the points to look at, or the disparity map whose pair is not known."""
+    require_there(options.source)
+    if is_cloud(options.source):
+        if options.image is not None:
+            raise InvalidInput("an image gives its colours to a disparity map; a cloud has its own")
+        return cloud_in(options.source, options.frame)
+    if options.frame is not None:
+        raise InvalidInput("a disparity map is in the frame of its camera; --frame is for a cloud")
+    found = disparity.read(options.source)
+    return cloud_of(options.source, found, options.image, progress) or found
+
+
+def _refuse_what_has_no_effect(options: ViewOptions) -> None:
+    fitting = {
+        "--montage": (options.montage, (PICTURE,)),
+        "--size": (options.size is not None, (PICTURE, FILM)),
+        "--turn": (options.turn is not None, (FILM,)),
+    }
+    for name, (given, kinds) in fitting.items():
+        if given and options.kind not in kinds:
+            raise InvalidInput(f"{name} is for a {' or a '.join(kinds)}, not for a {options.kind}")
+
+
+def _refuse_overwriting(options: ViewOptions) -> None:
+    if options.output is not None:
+        inputs = [options.source, sidecar_of(options.source), *([options.image] if options.image else [])]
+        refuse_overwriting([options.output], inputs)
+
+
+def _as_map(options: ViewOptions, found: DisparityMap) -> ViewReport:
+    """Write a disparity map without a geometry as the colours of its disparities."""
+    if options.output is None or options.kind != PICTURE:
+        raise InvalidInput(
+            "has no geometry beside it, hence no points: write .png to see the map itself, or make a cloud with "
+            "'camcal stereo cloud'",
+            where=str(options.source),
+        )
+    matched = found.matched()
+    if not np.isfinite(matched).any():
+        raise InsufficientData("the map has no match to look at", where=str(options.source))
+    from camcal.report.disparity_pictures import disparity_picture
+
+    save(options.output, disparity_picture(matched))
+    return ViewReport(options.output, PICTURE, "disparity")
+
+
+def _write_page(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
+    assert options.output is not None
+    start = Start(paint.name, options.view, options.point_size)
+    files.write_text(options.output, cloud_view.page(scene, options.source.name, start))
+
+
+def _write_picture(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
+    from camcal.report import cloud_pictures
+
+    assert options.output is not None
+    size = _size(options, scene)
+    if options.montage:
+        pixels = cloud_pictures.montage(scene, paint, size, options.point_size)
+    else:
+        pixels = cloud_pictures.picture(scene, paint, options.view, size, options.point_size)
+    save(options.output, pixels[:, :, ::-1])
+
+
+def _size(options: ViewOptions, scene: CloudScene) -> tuple[int, int]:
+    """Return the size of a picture: that of the options, or as high as what is to be seen."""
+    if options.size is not None:
+        return options.size
+    return view_of("side" if options.montage else options.view, scene).size(_WIDTH[options.kind])
+
+
+def _write_film(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
+    from camcal.report import turntable
+
+    assert options.output is not None
+    angle = radians(options.turn) if options.turn else radians(_SWING) if scene.from_camera else 2 * pi
+    views = turn(view_of(options.view, scene), angle, options.frames)
+    pictures = turntable.frames(scene, paint, views, _size(options, scene), options.point_size)
+    turntable.write(options.output, pictures)
+
+
+def _write_recording(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
+    assert options.output is not None
+    cloud_recording.save(options.output, scene, paint)
+
+
+def _open_window(_options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
+    cloud_recording.open_viewer(scene, paint)
+
+
+_MAKERS = {
+    PAGE: _write_page,
+    PICTURE: _write_picture,
+    FILM: _write_film,
+    RECORDING: _write_recording,
+    WINDOW: _open_window,
+}
+
+
+def document(report: ViewReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    return {
+        "output": report.output.as_posix() if report.output else None,
+        "kind": report.kind,
+        "colour": report.colour,
+        "points": report.points,
+        "shown": report.shown,
+        "outside": report.outside,
+        "unit": report.unit,
+        "frame": report.frame,
+    }
