@@ -1,7 +1,7 @@
 """Tracks of objects: every frame with its state, as a wide table (CSV), YAML or JSON.
 
 A frame without a pose has empty cells in a table, and no such keys in YAML and JSON. Trajectories for other programs,
-of one object and of frames with a pose only, are in `trajectories`, which reads these tables back.
+of one object and of frames with a pose only, are in `trajectories`, which reads these files back.
 """
 
 import json

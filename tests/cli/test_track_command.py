@@ -248,9 +248,33 @@ def test_a_table_is_read_back_as_a_trajectory_by_other_commands(run, files, tmp_
     assert (code, err) == (0, "")
 
 
-def test_a_table_of_several_objects_is_not_taken_for_one_trajectory(run, files, tmp_path):
-    run("track", files / "two.json", *GIVEN, "-o", tmp_path / "t.csv")
-    code, _, err = run("smooth", tmp_path / "t.csv", "-o", tmp_path / "smooth.tum")
+@pytest.mark.parametrize("suffix", ["yaml", "json"])
+def test_yaml_and_json_are_read_back_with_all_they_hold(run, files, tmp_path, suffix):
+    run("track", files / "one.json", *GIVEN, "-o", tmp_path / "t.csv")
+    run("track", files / "one.json", *GIVEN, "-o", tmp_path / f"t.{suffix}")
+    table, named = (trajectories.read(tmp_path / name) for name in ("t.csv", f"t.{suffix}"))
+    np.testing.assert_allclose(named.translations, table.translations, atol=1e-11)  # 12 digits in either
+    np.testing.assert_allclose(named.velocities, table.velocities, atol=1e-11)
+    np.testing.assert_array_equal(named.segments, table.segments)
+    assert np.abs(named.covariances - table.covariances).max() > 0  # correlations too
+    code, _, err = run("smooth", tmp_path / f"t.{suffix}", "-o", tmp_path / "smooth.tum")
+    assert (code, err) == (0, "")
+
+
+def test_half_a_pose_in_a_track_is_named(run, files, tmp_path):
+    run("track", files / "one.json", *GIVEN, "-o", tmp_path / "t.json")
+    document = json.loads((tmp_path / "t.json").read_text())
+    del document["tracks"][0]["poses"][4]["velocity"]
+    (tmp_path / "half.json").write_text(json.dumps(document))
+    code, _, err = run("smooth", tmp_path / "half.json", "-o", tmp_path / "smooth.tum")
+    assert code == 2
+    assert "tracks[0].poses[4] has a translation and no velocity" in err
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json"])
+def test_several_objects_are_not_taken_for_one_trajectory(run, files, tmp_path, suffix):
+    run("track", files / "two.json", *GIVEN, "-o", tmp_path / f"t.{suffix}")
+    code, _, err = run("smooth", tmp_path / f"t.{suffix}", "-o", tmp_path / "smooth.tum")
     assert code == 2
     assert "2 objects (tag_3, tag_5)" in err
     assert "--object" in err

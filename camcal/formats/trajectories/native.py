@@ -12,7 +12,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import emit, strict_json, strict_yaml
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import MAX_VALUES, Document, child
-from camcal.formats.trajectories import ros
+from camcal.formats.trajectories import ros, tracked
 from camcal.formats.trajectories.rows import ORDER, QUATERNION, named, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
@@ -38,15 +38,13 @@ _CHECK = mapping(
 
 def read(path: Path) -> Trajectory:
     """Return the trajectory of a YAML or JSON file of camcal, or of ROS transforms as YAML."""
-    if path.suffix.lower() == ".json":
-        document = strict_json.load(path, _CHECK)
-    else:
-        document = strict_yaml.load(path)
-        if ros.KEY in document:
-            return ros.from_document(document)
-        if faults := list(_CHECK(document.data, "")):
-            raise document.error(faults)
-    return _from_document(document)
+    document = strict_json.load(path) if path.suffix.lower() == ".json" else strict_yaml.load(path)
+    if ros.KEY in document:
+        return ros.from_document(document)
+    is_track = document.get("format") == tracked.FORMAT
+    if faults := list((tracked.CHECK if is_track else _CHECK)(document.data, "")):
+        raise document.error(faults)
+    return tracked.from_document(document) if is_track else _from_document(document)
 
 
 def write_json(path: Path, poses: Trajectory) -> None:
