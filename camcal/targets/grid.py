@@ -8,6 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 
 _REACH = 3  # nodes away that take part in a prediction
+_AROUND = 2  # nodes away that say how lines bend
 
 
 def predict(grid: Array) -> Array:
@@ -67,6 +68,34 @@ def _affine_steps(grid: Array) -> tuple[Array, Array]:
     design = np.column_stack([column, row, np.ones(len(row))])
     solution = np.linalg.lstsq(design, grid[row, column], rcond=None)[0]
     return solution[0], solution[1]
+
+
+def curvature(grid: Array, axis: int) -> Array:
+    """Return how the lines of a grid bend at its nodes (rows, columns), 1/px: rows (axis 0) or columns (1).
+
+    Positive towards the left normal (-y, x) of the way to the next node. Lenses bend smoothly and corners are not exact:
+    a plane is fitted to what the nodes around each one say. 0 where there are too few.
+    """
+    along = np.array([0, 1]) if axis == 0 else np.array([1, 0])
+    near = _neighbours(grid)
+    after, before = near(along) - grid, grid - near(-along)
+    second, step = after - before, (after + before) / 2
+    across = step[..., 0] * second[..., 1] - step[..., 1] * second[..., 0]
+    return _smoothed(across / np.maximum(np.linalg.norm(step, axis=-1), 1e-9) ** 3)
+
+
+def _smoothed(values: Array) -> Array:
+    """Return the planes through the values (rows, columns) around every node, where NaN is no value, at that node."""
+    near = _neighbours(values[..., None])
+    offsets = np.array([(row, column) for row in range(-_AROUND, _AROUND + 1) for column in range(-_AROUND, _AROUND + 1)])
+    around = np.stack([near(offset)[..., 0] for offset in offsets], axis=-1)
+    known = ~np.isnan(around)
+    plane = np.column_stack([np.ones(len(offsets)), offsets])
+    nearness = np.exp(-(offsets**2).sum(axis=1) / 2)
+    weighted = (known * nearness)[..., None] * plane
+    normal = weighted.swapaxes(-1, -2) @ plane + np.diag([1e-9, 1e-3, 1e-3])
+    right = weighted.swapaxes(-1, -2) @ np.where(known, around, 0.0)[..., None]
+    return np.asarray(np.linalg.solve(normal, right)[..., 0, 0])
 
 
 def spacing(steps_at_nodes: Array) -> Array:

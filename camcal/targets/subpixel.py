@@ -1,27 +1,23 @@
-"""Corners of a checker pattern to a hundredth of a pixel: the picture of two crossing edges fitted to the image.
+"""Corners of a checker pattern to some hundredths of a pixel, from starts that may be far away.
 
-Around a corner the image is modelled as  level + slope · (x, y) + contrast · erf(t₁ / √2 σ) · erf(t₂ / √2 σ)  with
-t₁, t₂ the distances from two straight edges through the corner and σ the blur. All corners are fitted at once, each by
-its own Levenberg-Marquardt iteration. On real sets this leaves a smaller reprojection error than cv2.cornerSubPix or
-findChessboardCornersSB (benchmarks/detection.py): nothing but edges counts, so that print within the squares does not
-draw a corner, nor does the place where its window was centred.
+Around a corner the image is modelled as  level + slope · (x, y) + contrast · f,  f the crossing of two straight edges
+through the corner (crossing.py). All corners are fitted at once, each by its own Levenberg-Marquardt iteration. What is
+left over tells a corner from what is none; refine.py then measures those that are.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from camcal.arrays import Array
+from camcal.targets.crossing import PIXEL_VARIANCE, crossing
 from camcal.targets.windows import FINE, Samples, Window, sample
 
-_LEAST_BLUR_PX = 0.3  # of a pixel's own square, √(1/12)
 _LARGEST_BLUR_PX = 4.0  # or a third of the window
 _ROUNDING = 1 / 12  # gray levels squared
 _ROUNDS = 15
 _SETTLED_PX = 1e-3  # the step after such a step is of the order of 1e-5 px
 _SETTLED_COARSE_PX = 0.02
-_ROOT_HALF = np.sqrt(0.5)
 _SHARP = -4.0  # a logarithm of blur that adds nothing to the least
 _X, _Y, _ANGLE_1, _ANGLE_2, _LOG_BLUR, _LEVEL, _CONTRAST, _SLOPE_X, _SLOPE_Y = range(9)
 _COUNT = 9
@@ -32,7 +28,8 @@ class CornerFits:
     """What was fitted at N corners.
 
     pixels: (N, 2). contrast: (N,) gray levels, half of bright minus dark; positive where the square before both steps
-    is dark. agreement: (N,) share of the window's variance about a plane that the model explains, 1 is perfect.
+    is dark. agreement: (N,) share of the window's variance about a plane that the model explains, 1 is perfect, 0 where
+    the corner has left its window.
     """
 
     pixels: Array
@@ -57,7 +54,9 @@ def fit_corners(
     samples = sample(gray, pixels, steps, window, clearance, sites)
     settled = _SETTLED_PX if window.across == np.inf else _SETTLED_COARSE_PX
     parameters, cost = _minimise(samples, _start(samples, steps), settled)
-    return CornerFits(pixels + parameters[:, [_X, _Y]], parameters[:, _CONTRAST], _agreement(samples, cost))
+    moved = parameters[:, [_X, _Y]]
+    inside = np.hypot(*moved.T) < samples.reach
+    return CornerFits(pixels + moved, parameters[:, _CONTRAST], np.where(inside, _agreement(samples, cost), 0.0))
 
 
 def _agreement(samples: Samples, cost: Array) -> Array:
@@ -141,26 +140,21 @@ def _evaluate(parameters: Array, samples: Samples) -> tuple[Array, Array]:
     cos_2, sin_2 = np.cos(parameters[:, [_ANGLE_2]]), np.sin(parameters[:, [_ANGLE_2]])
     distance_1, distance_2 = cos_1 * dy - sin_1 * dx, cos_2 * dy - sin_2 * dx
     own_blur = np.exp(2 * parameters[:, [_LOG_BLUR]])
-    scale = _ROOT_HALF / np.sqrt(_LEAST_BLUR_PX**2 + own_blur)
-    side_1, side_2 = erf(scale * distance_1), erf(scale * distance_2)
-    fall_1, fall_2 = np.exp(-((scale * distance_1) ** 2)), np.exp(-((scale * distance_2) ** 2))
-    # Blur mixes edges that are not at right angles: first term of the tetrachoric series (Pearson 1900).
-    mixed = (2 / np.pi) * (cos_1 * cos_2 + sin_1 * sin_2) * fall_1 * fall_2
-    crossing = side_1 * side_2 + mixed
+    scale = 1 / np.sqrt(PIXEL_VARIANCE + own_blur)
+    seen = crossing(scale * distance_1, scale * distance_2, cos_1 * cos_2 + sin_1 * sin_2)
     contrast, slope_x, slope_y = (parameters[:, [k]] for k in (_CONTRAST, _SLOPE_X, _SLOPE_Y))
-    model = parameters[:, [_LEVEL]] + contrast * crossing + slope_x * samples.x + slope_y * samples.y
-    gain = 2 * contrast * weights * scale
-    by_1 = gain * (fall_1 * side_2 / np.sqrt(np.pi) - scale * distance_1 * mixed)
-    by_2 = gain * (fall_2 * side_1 / np.sqrt(np.pi) - scale * distance_2 * mixed)
+    model = parameters[:, [_LEVEL]] + contrast * seen.value + slope_x * samples.x + slope_y * samples.y
+    gain = contrast * weights * scale
+    by_1, by_2 = gain * seen.by_first, gain * seen.by_second
     jacobian = np.stack(
         [
             by_1 * sin_1 + by_2 * sin_2,
             -by_1 * cos_1 - by_2 * cos_2,
             -by_1 * (cos_1 * dx + sin_1 * dy),
             -by_2 * (cos_2 * dx + sin_2 * dy),
-            -(by_1 * distance_1 + by_2 * distance_2) * (own_blur / (_LEAST_BLUR_PX**2 + own_blur)),
+            -(by_1 * distance_1 + by_2 * distance_2) * (own_blur * scale**2),
             weights,
-            crossing * weights,
+            seen.value * weights,
             samples.x * weights,
             samples.y * weights,
         ],

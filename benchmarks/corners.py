@@ -1,0 +1,152 @@
+"""Errors of chessboard corners beside the least that the image allows, ours and OpenCV's, over rendered conditions.
+
+Every cell of the grid is one set of conditions (blur, noise, spacing, tilt, lens, gamma, depth, JPEG), each with some
+photographs. Ratios are RMS errors over the root of the mean Cramér-Rao bound (corner_scenes.bound): made from the
+renderer's own picture and noise, not from residuals. NEES is eᵀ Σ⁻¹ e / 2 with the covariances that camcal claims, 1 if
+they are honest. cornerSubPix gets, in every cell, the window of 2 … 11 px that does best there.
+
+    python benchmarks/corners.py [--scenes 3] [--every 1] [--jobs 2]
+"""
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from corner_scenes import BOARD, Cell, Scene, bound, grid, scenes
+
+from camcal import opencv
+from camcal.arrays import Array
+from camcal.images.load import gray_8bit
+from camcal.run.fanout import fan_out
+from camcal.targets.detect import detect
+
+WINDOWS = (2, 3, 4, 5, 7, 9, 11)
+PEERS = ("SB", "SB accurate", "cornerSubPix")
+SEED = 2026
+
+
+@dataclass(frozen=True)
+class Score:
+    """A cell's figures: RMS error and its bound (px per axis), NEES / 2, share of corners found, RMS errors of peers."""
+
+    cell: Cell
+    rms: float
+    bound: float
+    nees: float
+    found: float
+    peers: dict[str, float]
+
+    @property
+    def ratio(self) -> float:
+        return self.rms / self.bound
+
+
+def main() -> None:
+    """Print a line for every cell, and what they come to."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument("--scenes", type=int, default=3)
+    parser.add_argument("--every", type=int, default=1, help="take one cell of so many")
+    parser.add_argument("--jobs", type=int, default=None)
+    parser.add_argument("--no-peers", action="store_true")
+    options = parser.parse_args()
+    cells = [cell for cell in grid()[:: options.every] if not cell.apart]
+    work = partial(score, count=options.scenes, peers=not options.no_peers)
+    print(" blur noise space tilt  lens gamma bit jpeg |  RMS mpx bound ratio  NEES found |" + " ".join(f"{p:>12}" for p in PEERS))
+    scores = []
+    for outcome in fan_out(work, cells, jobs=options.jobs, processes=True):
+        if outcome.value is None:
+            raise RuntimeError(f"{outcome.item}: {outcome.error}")
+        scores.append(outcome.value)
+        print(line(outcome.value), flush=True)
+    summary(scores)
+
+
+def line(item: Score) -> str:
+    """Return a cell's line of the table."""
+    c = item.cell
+    given = f"{c.blur_px:5.1f} {c.noise_dn:5.1f} {c.spacing_px:5.0f} {c.tilt_deg:4.0f} {c.distortion:5.2f} {c.gamma:5.1f} {c.depth:3d} {c.jpeg:4d}"
+    ours = f"{1e3 * item.rms:8.2f} {1e3 * item.bound:5.2f} {item.ratio:5.2f} {item.nees:5.2f} {item.found:5.2f}"
+    return f"{given} | {ours} |" + " ".join(f"{1e3 * item.peers.get(name, np.nan):12.1f}" for name in PEERS)
+
+
+def summary(scores: Sequence[Score]) -> None:
+    """Print medians and extremes."""
+    ratios, nees = np.array([s.ratio for s in scores]), np.array([s.nees for s in scores])
+    print(f"{len(scores)} cells: ratio to the bound, median {np.median(ratios):.2f}, worst {ratios.max():.2f}")
+    print(f"NEES / 2: median {np.median(nees):.2f}, {nees.min():.2f} to {nees.max():.2f}")
+    gains = [min(s.peers.values()) / s.rms for s in scores if s.peers and np.isfinite(list(s.peers.values())).any()]
+    if gains:
+        print(f"the best of OpenCV over ours: median {np.median(gains):.1f}, least {min(gains):.1f}")
+
+
+def score(cell: Cell, count: int, peers: bool) -> Score:
+    """Return the figures of a cell."""
+    squares, least, nees, seen = [], [], [], 0
+    errors: dict[str, list[Array]] = {name: [] for name in PEERS}
+    windows: dict[int, list[Array]] = {window: [] for window in WINDOWS}
+    for view in scenes(cell, count, SEED):
+        sighting = detect(gray_8bit(view.image), BOARD, values=view.image)
+        seen += len(sighting.ids)
+        limits = bound(view)
+        if sighting.found:
+            off = sighting.pixels - view.corners[sighting.ids]
+            squares.append((off**2).sum(axis=1) / 2)
+            least.append(np.trace(limits[sighting.ids], axis1=1, axis2=2) / 2)
+            nees.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(sighting.covariance), off) / 2)
+        if peers:
+            _peers(view, errors, windows)
+    rms = {name: _rms(parts) for name, parts in errors.items() if parts}
+    if any(windows.values()):
+        rms["cornerSubPix"] = min(_rms(parts) for parts in windows.values() if parts)
+    found = seen / (count * BOARD.count)
+    if not squares:
+        return Score(cell, np.nan, np.nan, np.nan, found, rms)
+    return Score(cell, _root(squares), _root(least), float(np.mean(np.concatenate(nees))), found, rms)
+
+
+def _peers(view: Scene, errors: dict[str, list[Array]], windows: dict[int, list[Array]]) -> None:
+    gray = gray_8bit(view.image)
+    size = (BOARD.columns, BOARD.rows)
+    finders: dict[str, Callable[..., Array | None]] = {
+        "SB": opencv.find_chessboard_sb,
+        "SB accurate": partial(opencv.find_chessboard_sb, thorough=True),
+    }
+    starts = []
+    with opencv.repeatable(0):
+        for name, find in finders.items():
+            corners = find(gray, *size)
+            if corners is not None:
+                starts.append(corners.reshape(-1, 2))
+                errors[name].append(_errors(starts[-1], view.corners))
+        if not starts:
+            return
+        for window in WINDOWS:
+            start = np.ascontiguousarray(starts[0][:, None], np.float32)
+            stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+            better = opencv.corner_array(cv2.cornerSubPix(gray, start, (window, window), (-1, -1), stop))
+            windows[window].append(_errors(better, view.corners))
+
+
+def _errors(pixels: Array, corners: Array) -> Array:
+    """Return half the squared distance (N,) from every true corner to the nearest one found."""
+    squared = ((pixels[None] - corners[:, None]) ** 2).sum(axis=-1)
+    return np.asarray(squared.min(axis=1) / 2)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return _root(parts)
+
+
+def _root(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.concatenate(parts).mean()))
+
+
+if __name__ == "__main__":
+    main()
