@@ -62,8 +62,10 @@ class Scene:
 def grid(quick: bool) -> list[Cell]:
     """Return the cells of the benchmark: all of blur, noise, spacing and tilt, the rest in turn."""
     blurs, noises, spacings, tilts = (0.5, 0.7, 1.0, 1.6, 2.5), (1.0, 2.0, 4.0, 8.0), (12, 20, 40, 80), (0, 30, 50, 65)
-    rest = [(0.0, 1.0, 8, 0), (0.1, 2.2, 8, 0), (0.25, 1.0, 16, 0), (0.1, 1.0, 8, 90), (0.25, 2.2, 8, 0), (0.0, 2.2, 16, 0),
-            (0.0, 2.2, 8, 90)]  # fmt: skip
+    rest = [
+        (0.0, 1.0, 8, 0), (0.1, 2.2, 8, 0), (0.25, 1.0, 16, 0), (0.1, 1.0, 8, 90), (0.25, 2.2, 8, 0), (0.0, 2.2, 16, 0),
+        (0.0, 2.2, 8, 90),
+    ]  # fmt: skip
     every = [(b, n, s, t) for b in blurs for n in noises for s in spacings for t in tilts]
     cells = [Cell(*main, *rest[(7 * index + index // 7) % len(rest)]) for index, main in enumerate(every)]
     return cells[:: 7 if quick else 1]
@@ -96,7 +98,9 @@ def lens(size: tuple[int, int], distortion: float) -> Camera:
     middle = (np.array(size) - 1) / 2
     corner = float(np.linalg.norm(middle)) / focal  # as imaged, (1 - distortion) of where it would be
     straight = corner / (1 - distortion)
-    return Camera(model_named("opencv5"), size, np.array([focal, focal, *middle, -distortion / straight**2, 0, 0, 0, 0]))
+    return Camera(
+        model_named("opencv5"), size, np.array([focal, focal, *middle, -distortion / straight**2, 0, 0, 0, 0])
+    )
 
 
 def bound(view: Scene) -> Array:
@@ -109,7 +113,9 @@ def bound(view: Scene) -> Array:
     full = 255.0
 
     def encoded(camera: Camera, exposure: Exposure) -> Array:
-        shown = evenly_lit(camera, BOARD, view.camera_T_board, exposure) * light(camera.image_size, exposure, view.direction)
+        shown = evenly_lit(camera, BOARD, view.camera_T_board, exposure) * light(
+            camera.image_size, exposure, view.direction
+        )
         return np.asarray(full * np.clip(shown, 0, 1) ** (1 / exposure.gamma))
 
     def difference(which: int) -> Array:
@@ -127,7 +133,9 @@ def bound(view: Scene) -> Array:
     maps = np.stack([difference(0), difference(1), (wider - narrower) / (2 * SHIFT_PX), image])
     places = board_places(view)
     step = 1e-3 * BOARD.pitch
-    ahead = [view.camera.project(view.camera_T_board.apply(BOARD.points() + step * axis)).pixels for axis in np.eye(3)[:2]]
+    ahead = [
+        view.camera.project(view.camera_T_board.apply(BOARD.points() + step * axis)).pixels for axis in np.eye(3)[:2]
+    ]
     variance = cell.noise_dn**2 + (ROUNDING if cell.depth == 8 else 0.0)
     result = np.empty((BOARD.count, 2, 2))
     for index, (corner, point) in enumerate(zip(view.corners, BOARD.points(), strict=True)):

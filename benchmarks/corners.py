@@ -34,7 +34,7 @@ SEED = 2026
 
 @dataclass(frozen=True)
 class Score:
-    """A cell's figures: RMS error and its bound (px per axis), NEES / 2, share of corners found, RMS errors of peers."""
+    """A cell's figures: RMS error and bound (px per axis), NEES / 2, share of corners found, RMS errors of peers."""
 
     cell: Cell
     rms: float
@@ -58,7 +58,10 @@ def main() -> None:
     options = parser.parse_args()
     cells = [cell for cell in grid()[:: options.every] if not cell.apart]
     work = partial(score, count=options.scenes, peers=not options.no_peers)
-    print(" blur noise space tilt  lens gamma bit jpeg |  RMS mpx bound ratio  NEES found |" + " ".join(f"{p:>12}" for p in PEERS))
+    print(
+        " blur noise space tilt  lens gamma bit jpeg |  RMS mpx bound ratio  NEES found |"
+        + " ".join(f"{p:>12}" for p in PEERS)
+    )
     scores = []
     for outcome in fan_out(work, cells, jobs=options.jobs, processes=True):
         if outcome.value is None:
@@ -71,7 +74,8 @@ def main() -> None:
 def line(item: Score) -> str:
     """Return a cell's line of the table."""
     c = item.cell
-    given = f"{c.blur_px:5.1f} {c.noise_dn:5.1f} {c.spacing_px:5.0f} {c.tilt_deg:4.0f} {c.distortion:5.2f} {c.gamma:5.1f} {c.depth:3d} {c.jpeg:4d}"
+    given = f"{c.blur_px:5.1f} {c.noise_dn:5.1f} {c.spacing_px:5.0f} {c.tilt_deg:4.0f}"
+    given += f" {c.distortion:5.2f} {c.gamma:5.1f} {c.depth:3d} {c.jpeg:4d}"
     ours = f"{1e3 * item.rms:8.2f} {1e3 * item.bound:5.2f} {item.ratio:5.2f} {item.nees:5.2f} {item.found:5.2f}"
     return f"{given} | {ours} |" + " ".join(f"{1e3 * item.peers.get(name, np.nan):12.1f}" for name in PEERS)
 

@@ -80,6 +80,17 @@ def fit(
     return _oriented(result, observations.weights > 0, shape)
 
 
+def reweighted(result: Fit, covariances: Array, present: Array, shape: ShapeOptions) -> Fit:
+    """Return the solution with points that count by their covariances (V, P, 2, 2) px², from the one where all count
+    the same. present: (V, P) the points that there are, whether they were kept or not.
+    """
+    observations = result.problem.observations.weighted(covariances)
+    problem = replace(result.problem, observations=observations, offsets=False)
+    state = replace(result.state, offsets=0 * result.state.offsets)
+    again = _refine(problem, state, present, shape)
+    return replace(again, turns=result.turns, iterations=result.iterations + again.iterations)
+
+
 def _start(problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None) -> State:
     """Return a first state: from the guess, or from the focal length that explains the views best."""
     fixed = guess if guess is not None else held

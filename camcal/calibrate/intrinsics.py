@@ -8,16 +8,19 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
-from camcal.calibrate.fit import Fit, ShapeOptions, fit
+from camcal.calibrate.fit import Fit, ShapeOptions, fit, reweighted
 from camcal.calibrate.outliers import truncation
-from camcal.calibrate.problem import Observations
+from camcal.calibrate.problem import Observations, covariances_of
 from camcal.calibrate.shape import surface_of
+from camcal.calibrate.weights import floor_of
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
 from camcal.solve.steps import Factors, SingularError
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
+
+_WEIGHT_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,7 @@ class Calibration:
     sigma_px: the noise of one pixel coordinate, freed from the fit's own parameters. freedom: degrees of freedom.
     rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px.
     correlations: between the board's in-plane terms and fx, fy, where the former are in use.
+    floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given.
     """
 
     camera: Camera
@@ -91,6 +95,7 @@ class Calibration:
     pixels: Array
     iterations: int
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    floor_px: float | None = None
 
     @property
     def used(self) -> tuple[View, ...]:
@@ -109,11 +114,26 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     held, guess = _held(options, size)
     observations = Observations.of(usable)
     result = fit(options.model, board, observations, size, held, guess, options.shape)
+    floor = None
+    if (covariances := covariances_of(usable)) is not None and result.solution.converged:
+        for _ in range(_WEIGHT_ROUNDS):  # noisy points that count in full leave their mark on the others at first
+            floor = _floor(result, covariances)
+            total = covariances + floor**2 * np.eye(2)
+            result = reweighted(result, total, observations.weights > 0, options.shape)
     if not result.solution.converged:
         require_tilts(result.state.rotations)  # the likeliest cause, and a better thing to say
         reason = result.solution.reason
         raise NotConverged(f"the calibration did not settle ({reason} after {result.iterations} iterations)")
-    return _record(result, detections, reasons, size, options)
+    return replace(_record(result, detections, reasons, size, options), floor_px=floor)
+
+
+def _floor(result: Fit, covariances: Array) -> float:
+    """Return what the errors of all points have in common beyond their covariances (V, P, 2, 2), px."""
+    residuals = result.problem.residuals(result.state)
+    kept = (result.problem.observations.weights > 0) & np.isfinite(residuals).all(axis=0)
+    count = 2 * int(kept.sum())
+    freedom = max(1 - (result.problem.shared + 6 * len(kept)) / max(count, 1), 0.05)
+    return floor_of(residuals[:, kept].T, covariances[kept], freedom)
 
 
 def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, int], list[str | None]]:

@@ -24,7 +24,7 @@ class Observations:
     """Pixels of board points in V views, padded to P rows a view.
 
     ids: (V, P). pixels: (2, V, P). weights: (V, P), 0 for padding and for what is rejected, else 1.
-    whitening: (2, 2, V, P) with Wᵀ W the inverse covariance of a pixel up to the common scale σ², or None.
+    whitening: (2, 2, V, P) with Wᵀ W the inverse covariance of a pixel over a typical one's, or None: all alike.
     """
 
     ids: Array
@@ -34,7 +34,7 @@ class Observations:
 
     @classmethod
     def of(cls, views: Sequence[Detection]) -> "Observations":
-        """Return the table of the points found in `views`, one row of the table each."""
+        """Return the table of the points found in `views`, one row of the table each, all points counting the same."""
         length = max(len(view.ids) for view in views)
         ids = np.zeros((len(views), length), np.intp)
         pixels, weights = np.zeros((2, len(views), length)), np.zeros((len(views), length))
@@ -42,7 +42,16 @@ class Observations:
             count = len(view.ids)
             ids[index, :count], weights[index, :count] = view.ids, 1.0
             pixels[:, index, :count] = view.pixels.T
-        return cls(ids, pixels, weights, _whitening(views, length))
+        return cls(ids, pixels, weights)
+
+    def weighted(self, covariances: Array) -> "Observations":
+        """Return the table with points that count by their covariances (V, P, 2, 2) px², relative to the typical one.
+
+        Residuals stay in pixels, those of a typical point: one with the geometric mean of all variances.
+        """
+        typical = np.exp(np.log(np.linalg.det(covariances[self.weights > 0])).mean() / 2)
+        roots = np.linalg.cholesky(np.linalg.inv(covariances / typical))
+        return replace(self, whitening=np.ascontiguousarray(roots.transpose(3, 2, 0, 1)))
 
     def take(self, views: Array) -> "Observations":
         """Return the table of some of the views."""
@@ -55,16 +64,18 @@ class Observations:
         return int(np.count_nonzero(self.weights))
 
 
-def _whitening(views: Sequence[Detection], length: int) -> Array | None:
-    """Return the roots of the inverse covariances; views without any stand for 1 px²."""
-    if all(view.covariance is None for view in views):
+def covariances_of(views: Sequence[Detection]) -> Array | None:
+    """Return the covariances (V, P, 2, 2) px² of the points of views, in the order of Observations, None if no view
+    has any; a view without counts as the typical one of the others.
+    """
+    known = [view.covariance for view in views if view.covariance is not None]
+    if not known:
         return None
-    result = np.zeros((2, 2, len(views), length))
-    result[0, 0], result[1, 1] = 1.0, 1.0
+    typical = np.median(np.concatenate(known), axis=0)
+    result = np.tile(typical, (len(views), max(len(view.ids) for view in views), 1, 1))
     for index, view in enumerate(views):
         if view.covariance is not None:
-            root = np.linalg.cholesky(np.linalg.inv(view.covariance))
-            result[:, :, index, : len(view.ids)] = root.transpose(2, 1, 0)
+            result[index, : len(view.ids)] = view.covariance
     return result
 
 

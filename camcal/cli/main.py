@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 
 from camcal import __version__
 from camcal.cli import (
+    board,
     calibrate,
     demo,
     demosaic,
@@ -168,6 +169,7 @@ transform_app.command("points", cls=NumbersCommand)(transform_poses.points)
 
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
+app.command("board")(board.board)
 app.command("detect")(targets.detect)
 app.command("calibrate")(calibrate.calibrate)
 app.command("undistort")(undistort.undistort)

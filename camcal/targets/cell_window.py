@@ -8,7 +8,8 @@ from camcal.arrays import Array
 from camcal.targets.cells import Cells
 
 _OWN = 0.5  # of a step: from here on an edge belongs to the next corner
-_LONGEST_PX = 40.0  # along an edge; a longer one is known well enough
+_SHARED = 0.75  # of the way to a next edge that is part of the model
+LONGEST_PX = 40.0  # along an edge; a longer one is known well enough
 _BAND = 3.2  # standard deviations of the blur beside an edge
 _LEAST_BAND_PX = 2.2
 _CLEAR = 2.5  # standard deviations of the blur that whatever else is printed must be away
@@ -40,13 +41,21 @@ class CellWindow:
         return self.x + x, self.y + y
 
 
-def look(gray: Array, pixels: Array, cells: Cells, blur_px: float, sites: Array | None = None) -> CellWindow:
+def look(
+    gray: Array,
+    pixels: Array,
+    cells: Cells,
+    blur_px: float,
+    sites: Array | None = None,
+    longest_px: float = LONGEST_PX,
+) -> CellWindow:
     """Return the pixels of `gray` (H, W) by the edges of corners at about pixels (N, 2).
 
     blur_px: of the edges, the pixel's own square included. sites: (H, W) mask of the pixels that count, None for all.
+    longest_px: how far along an edge at most.
     """
     middle = np.rint(pixels)
-    frames = _Frames.of(pixels - middle, cells, blur_px)
+    frames = _Frames.of(pixels - middle, cells, blur_px, longest_px)
     strips = [frames.strip(0), frames.strip(1), frames.lattice()]
     x, y = (np.concatenate([strip[axis] for strip in strips], axis=1) for axis in (0, 1))
     used = frames.own(x, y, np.repeat([0, 1, 2], [strip[0].shape[1] for strip in strips]))
@@ -79,15 +88,18 @@ class _Frames:
     handed: Array
 
     @classmethod
-    def of(cls, corners: Array, cells: Cells, blur_px: float) -> "_Frames":
+    def of(cls, corners: Array, cells: Cells, blur_px: float, longest_px: float) -> "_Frames":
         lengths = np.linalg.norm(cells.steps, axis=1)
         turn = np.linalg.det(cells.steps)
         sine = np.maximum(np.abs(turn) / np.maximum(lengths.prod(axis=1), 1e-9), 0.05)
         height = lengths * sine[:, None]  # of the cell, across the other edge
         clear = _CLEAR * blur_px
-        free = cells.reach * lengths[:, :, None] - clear / sine[:, None, None]
-        limits = np.clip(np.minimum(_OWN * lengths[:, :, None], free), _LEAST_PX, _LONGEST_PX)
-        depth = cells.depth * height.min(axis=1)[:, None, None] - clear
+        # The next edges of a checker pattern are part of the model, other print is not.
+        share, ends = (1.0, clear / sine[:, None, None]) if cells.beside is None else (_SHARED, 0.0)
+        free = share * cells.reach * lengths[:, :, None] - ends
+        prints = clear * ((cells.depth < 1) | (cells.beside is None))
+        limits = np.clip(np.minimum(_OWN * lengths[:, :, None], free), _LEAST_PX, longest_px)
+        depth = cells.depth * height.min(axis=1)[:, None, None] - prints
         band = np.minimum(max(_BAND * blur_px, _LEAST_BAND_PX), _OWN * height[:, ::-1])
         tangents = (cells.steps / np.maximum(lengths, 1e-9)[:, None]).swapaxes(1, 2)
         return cls(corners, tangents, cells.bends, limits, band, np.maximum(depth, _LEAST_PX), np.sign(turn))
@@ -102,8 +114,8 @@ class _Frames:
         beside = int(np.ceil((self.band[:, edge] / np.abs(major)).max(initial=0)))
         run = np.arange(-furthest - 1, furthest + 2)
         along = (run - corner_major[:, None]) / major[:, None]
-        normal_minor = np.where(steep, -tangent[:, 0] * 0 - tangent[:, 1], tangent[:, 0])
-        bend = self.bends[:, [edge]] / 2 * along**2 / normal_minor[:, None]
+        across_minor = np.where(steep, -tangent[:, 1], tangent[:, 0])  # of the left normal
+        bend = self.bends[:, [edge]] / 2 * along**2 / across_minor[:, None]
         line = np.rint(corner_minor[:, None] + along * minor[:, None] + bend)
         across = line[..., None] + np.arange(-beside, beside + 1)
         count = len(tangent)
@@ -112,7 +124,7 @@ class _Frames:
         return x.reshape(count, -1), y.reshape(count, -1)
 
     def lattice(self) -> tuple[Array, Array]:
-        """Return whole offsets x, y (N, K) spread over the cells: what is far from the edges says what light there is."""
+        """Return whole offsets x, y (N, K) spread over the cells: what is far from edges says what light there is."""
         share = (np.arange(_LATTICE) + 0.5) / _LATTICE
         low, high = -self.limits[:, :, 0], self.limits[:, :, 1]
         along_1, along_2 = (low[:, [edge]] + (high - low)[:, [edge]] * share for edge in (0, 1))
@@ -129,17 +141,15 @@ class _Frames:
             cos, sin = self.tangents[:, edge].T[..., None]
             along.append(cos * x + sin * y)
             away.append(cos * y - sin * x - self.bends[:, [edge]] / 2 * along[edge] ** 2)
+        inside = self._within(along[0], 0) & self._within(along[1], 1)
         near_1, near_2 = np.abs(away[0]), np.abs(away[1])
-        within = [
-            (near_1, near_2, self._within(along[0], 0)),
-            (near_2, near_1, self._within(along[1], 1)),
-        ]
-        inside = within[0][2] & within[1][2]
         far_1, far_2 = near_1 > self.band[:, [0]], near_2 > self.band[:, [1]]
-        mine = np.select([strip == 0, strip == 1], [(near_1 <= near_2) & ~far_1, (near_2 < near_1) & ~far_2], far_1 & far_2)
-        after_1 = (away[1] * self.handed[:, None] < 0).astype(np.intp)  # beyond the second edge, along the first
-        after_2 = (away[0] * self.handed[:, None] > 0).astype(np.intp)
-        depth = self.depth[np.arange(len(x))[:, None], after_1, after_2]
+        by_edge = (near_1 <= near_2) & ~far_1, (near_2 < near_1) & ~far_2
+        mine = np.select([strip == 0, strip == 1], by_edge, far_1 & far_2)
+        handed = self.handed[:, None]
+        after_2 = (away[1] * handed < 0).astype(np.intp)  # beyond the second edge, further along the first
+        after_1 = (away[0] * handed > 0).astype(np.intp)
+        depth = self.depth[np.arange(len(x))[:, None], after_2, after_1]
         return np.asarray(mine & inside & (np.minimum(near_1, near_2) <= depth))
 
     def _within(self, along: Array, edge: int) -> Array:

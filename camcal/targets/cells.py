@@ -11,6 +11,8 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.targets import grid as grids
 
+_CROWDED = 6.5  # standard deviations of the blur to the next edge, below which it is part of the picture
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
@@ -21,12 +23,14 @@ class Cells:
     reach: (N, 2, 2) steps from the corner to the end of each edge: [edge, before and after the corner].
     depth: (N, 2, 2) steps from an edge to what else is printed in each quadrant: [before and after along the first
     edge, before and after along the second].
+    beside: the next edges of a checker pattern, None where there is none.
     """
 
     steps: Array
     bends: Array
     reach: Array
     depth: Array
+    beside: "Beside | None" = None
 
     def __post_init__(self) -> None:
         count = len(self.steps)
@@ -36,6 +40,17 @@ class Cells:
     def __len__(self) -> int:
         return len(self.steps)
 
+    def crowded(self, blur_px: float) -> bool:
+        """Return whether a blur (px, the pixel's own included) brings the next edges into the picture of a corner."""
+        if self.beside is None or not len(self):
+            return False
+        return bool(np.abs(self.beside.lines[..., 2]).min() < _CROWDED * blur_px)
+
+    def take(self, rows: Array) -> "Cells":
+        """Return the cells of some of the corners."""
+        beside = None if self.beside is None else self.beside.take(rows)
+        return Cells(self.steps[rows], self.bends[rows], self.reach[rows], self.depth[rows], beside)
+
     @classmethod
     def plain(cls, steps: Array, bends: Array | None = None) -> "Cells":
         """Return cells with nothing in them but two edges that end at the next corners."""
@@ -43,8 +58,85 @@ class Cells:
         return cls(steps, np.zeros((len(steps), 2)) if bends is None else bends, whole, whole)
 
     @classmethod
-    def of_grid(cls, grid: Array) -> "Cells":
-        """Return the plain cells of the corners that a grid (rows, columns, 2) px has, NaN where none, row by row."""
+    def of_grid(cls, grid: Array, depth: Array | None = None) -> "Cells":
+        """Return the cells of the corners that a grid (rows, columns, 2) px has, NaN where none, row by row.
+
+        depth: (rows, columns, 2, 2), None where nothing is printed within the squares.
+        """
         known = ~np.isnan(grid[..., 0])
+        steps = grids.steps(grid)
         bends = np.stack([grids.curvature(grid, axis)[known] for axis in (0, 1)], axis=1)
-        return cls.plain(grids.steps(grid)[known], bends)
+        whole = np.ones((len(bends), 2, 2))
+        return cls(steps[known], bends, whole, whole if depth is None else depth[known], Beside.of_grid(grid, steps))
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """The edges next to those of N corners, on either side: lines a x + b y + c, in px, x and y from the corner.
+
+    lines: (N, 2, 2, 3), [edge, on its right and on its left], a, b along the edge's own left normal. border: (N, 2, 2)
+    whether such an edge is the border of the pattern, where dark squares end and bright ones do not.
+    """
+
+    lines: Array
+    border: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.lines)
+        object.__setattr__(self, "lines", readonly(self.lines, (count, 2, 2, 3), "lines"))
+        object.__setattr__(self, "border", readonly(self.border, (count, 2, 2), "border", np.bool_))
+
+    def take(self, rows: Array) -> "Beside":
+        """Return the edges beside some of the corners."""
+        return Beside(self.lines[rows], self.border[rows])
+
+    @classmethod
+    def of_grid(cls, grid: Array, steps: Array) -> "Beside":
+        """Return the edges beside the corners of a grid (rows, columns, 2) px, NaN where none; steps: see grid.py."""
+        known = ~np.isnan(grid[..., 0])
+        wide = grids.surrounded(grid)
+        lines, border = np.empty((*known.shape, 2, 2, 3)), np.zeros((*known.shape, 2, 2), np.bool_)
+        for edge, along in ((0, (0, 1)), (1, (1, 0))):
+            for index, sign in enumerate((-1, 1)):
+                next_one = np.array(along[::-1]) * sign
+                place, after, before = (_at(wide, next_one + shift) for shift in (0, np.array(along), -np.array(along)))
+                tangent = _first_known(after - before, after - place, place - before, steps[..., edge])
+                place = _first_known(place - grid, sign * steps[..., 1 - edge])
+                lines[:, :, edge, index] = cls.line(place, tangent)
+                border[:, :, edge, index] = _beyond(grid.shape[:2], edge, sign)
+        return cls.sorted(lines[known], border[known])
+
+    @classmethod
+    def sorted(cls, lines: Array, border: Array) -> "Beside":
+        """Return the edges beside N corners, given in any order of right and left."""
+        right_first = np.argsort(-lines[..., 2], axis=-1)
+        lines = np.take_along_axis(lines, right_first[..., None], axis=-2)
+        return cls(lines, np.take_along_axis(border, right_first, axis=-1))
+
+    @staticmethod
+    def line(place: Array, tangent: Array) -> Array:
+        """Return a, b, c (..., 3) of the line through a place (..., 2) along a tangent (..., 2)."""
+        normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+        return np.concatenate([normal, -(normal * place).sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def _at(wide: Array, offset: Array) -> Array:
+    """Return the nodes at an offset (rows, columns) from those within a grid that is one node wider on every side."""
+    row, column = offset + 1
+    return wide[row : row + wide.shape[0] - 2, column : column + wide.shape[1] - 2]
+
+
+def _first_known(*choices: Array) -> Array:
+    """Return the first of arrays (...) that is not NaN, element by element."""
+    result = choices[0]
+    for other in choices[1:]:
+        result = np.where(np.isnan(result), other, result)
+    return result
+
+
+def _beyond(shape: tuple[int, int], edge: int, sign: int) -> Array:
+    """Return at which nodes of a grid (rows, columns) the next line is the border of the pattern."""
+    row, column = np.indices(shape)
+    place, count = (row, shape[0]) if edge == 0 else (column, shape[1])
+    return np.asarray(place == (0 if sign < 0 else count - 1))

@@ -8,6 +8,8 @@ import numpy as np
 from camcal.arrays import Array
 
 _REACH = 3  # nodes away that take part in a prediction
+_UPRIGHT = np.array([np.cos(np.radians(20)), np.sin(np.radians(20))])
+_BENT = 3  # the degree of what a lens adds to a homography
 _AROUND = 2  # nodes away that say how lines bend
 
 
@@ -29,7 +31,7 @@ def stray(grid: Array) -> Array:
     """
     away = np.linalg.norm(np.concatenate(_estimates(grid)) - grid, axis=-1)
     nearest = np.where(np.isnan(away), np.inf, away).min(axis=0)
-    return np.where(np.isfinite(nearest), nearest / spacing(steps(grid)), np.nan)
+    return np.where(np.isfinite(nearest), nearest / np.maximum(spacing(steps(grid)), 1e-9), np.nan)
 
 
 def _estimates(grid: Array) -> tuple[Array, Array]:
@@ -70,6 +72,54 @@ def _affine_steps(grid: Array) -> tuple[Array, Array]:
     return solution[0], solution[1]
 
 
+def surrounded(grid: Array) -> Array:
+    """Return a grid that is one node wider on every side, (rows + 2, columns + 2, 2), its new nodes from all the others:
+    a homography, and a cubic for what the lens bends. Missing nodes within stay missing.
+    """
+    rows, columns = grid.shape[:2]
+    places = np.stack(np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows)), axis=-1)
+    step = 2 / (np.array([columns, rows]) - 1)
+    wide = np.stack(
+        np.meshgrid(
+            *(np.linspace(-1 - size, 1 + size, count + 2) for size, count in zip(step, (columns, rows), strict=True))
+        ),
+        axis=-1,
+    )
+    known = ~np.isnan(grid[..., 0])
+    plane = _homography(places[known], grid[known])
+    degree = min(_BENT, rows - 1, columns - 1)
+    bend = np.linalg.lstsq(_powers(places[known], degree), grid[known] - _mapped(plane, places[known]), rcond=1e-6)[0]
+    result = _mapped(plane, wide.reshape(-1, 2)) + _powers(wide.reshape(-1, 2), degree) @ bend
+    result = result.reshape(rows + 2, columns + 2, 2)
+    result[1:-1, 1:-1] = grid
+    return result
+
+
+def _homography(places: Array, pixels: Array) -> Array:
+    """Return the homography (3, 3) from places to pixels (N, 2) by the direct linear transformation."""
+    middle, spread = pixels.mean(axis=0), pixels.std() + 1e-9
+    x, y = ((pixels - middle) / spread).T
+    points = np.column_stack([places, np.ones(len(places))])
+    zero = np.zeros_like(points)
+    rows = np.concatenate([
+        np.hstack([points, zero, -x[:, None] * points]),
+        np.hstack([zero, points, -y[:, None] * points]),
+    ])  # fmt: skip
+    result = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+    return np.array([[spread, 0, middle[0]], [0, spread, middle[1]], [0, 0, 1]]) @ result
+
+
+def _mapped(homography: Array, places: Array) -> Array:
+    projected = np.column_stack([places, np.ones(len(places))]) @ homography.T
+    return np.asarray(projected[:, :2] / projected[:, 2:])
+
+
+def _powers(places: Array, degree: int) -> Array:
+    """Return the products of powers of x and y (N, M) up to a degree."""
+    x, y = places.T
+    return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
+
+
 def curvature(grid: Array, axis: int) -> Array:
     """Return how the lines of a grid bend at its nodes (rows, columns), 1/px: rows (axis 0) or columns (1).
 
@@ -87,7 +137,9 @@ def curvature(grid: Array, axis: int) -> Array:
 def _smoothed(values: Array) -> Array:
     """Return the planes through the values (rows, columns) around every node, where NaN is no value, at that node."""
     near = _neighbours(values[..., None])
-    offsets = np.array([(row, column) for row in range(-_AROUND, _AROUND + 1) for column in range(-_AROUND, _AROUND + 1)])
+    offsets = np.array(
+        [(row, column) for row in range(-_AROUND, _AROUND + 1) for column in range(-_AROUND, _AROUND + 1)]
+    )
     around = np.stack([near(offset)[..., 0] for offset in offsets], axis=-1)
     known = ~np.isnan(around)
     plane = np.column_stack([np.ones(len(offsets)), offsets])
@@ -103,19 +155,21 @@ def spacing(steps_at_nodes: Array) -> Array:
     return np.asarray(np.linalg.norm(steps_at_nodes, axis=-2).min(axis=-1))
 
 
-def right_handed(grid: Array) -> Array:
-    """Return the grid with its columns exchanged end to end if its rows do not turn clockwise to its columns.
+def area(grid: Array) -> float:
+    """Return the area that the nodes of a grid stand for, pixels: their number times that of the usual cell."""
+    found = ~np.isnan(grid[..., 0])
+    cells = np.abs(np.linalg.det(steps(grid)[found])) if found.any() else np.zeros(1)
+    return float(np.median(cells)) * int(found.sum())
 
-    A board seen from the front has x right and y down; a checker pattern without markers looks the same mirrored.
+
+def uprightness(grid: Array) -> float:
+    """Return how nearly the rows of a grid run to the right: the cosine of the angle to 20° below the image's x axis.
+
+    Boards are held upright or on their side, so that the rows of two views of one stand seldom run just opposite ways
+    on this scale, as they would against the x axis: a board on its side leans a little to the left or to the right.
     """
-    clockwise = np.nanmedian(np.linalg.det(steps(grid))) > 0
-    return grid if clockwise else grid[:, ::-1]
-
-
-def rightness(grid: Array) -> float:
-    """Return the cosine of the angle from the image's x axis to the rows of a grid."""
-    along = np.nansum(grid[:, -1] - grid[:, 0], axis=0)
-    return float(along[0] / max(np.hypot(*along), 1e-9))
+    along = np.nansum(grid[:, 1:] - grid[:, :-1], axis=(0, 1))
+    return float(along @ _UPRIGHT / max(np.hypot(*along), 1e-9))
 
 
 class _neighbours:  # noqa: N801 - used as a function of the offset

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.targets.cell_window import CellWindow, look
-from camcal.targets.cells import Cells
-from camcal.targets.crossing import PIXEL_VARIANCE, crossing
+from camcal.targets.cell_window import LONGEST_PX, CellWindow, look
+from camcal.targets.cells import Beside, Cells
+from camcal.targets.checker_picture import CheckerPicture, alone, crowded
+from camcal.targets.crossing import PIXEL_VARIANCE
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
 _LOG_BLUR = (-3.0, 1.8)  # of 0.05 px and 6 px, besides the pixel's own
@@ -52,17 +53,60 @@ class RefinedCorners:
 
 
 def refine(
-    gray: Array, pixels: Array, cells: Cells, blur_px: float = 1.0, sites: Array | None = None
+    gray: Array,
+    pixels: Array,
+    cells: Cells,
+    blur_px: float,
+    sites: Array | None = None,
+    longest_px: float = LONGEST_PX,
 ) -> RefinedCorners:
     """Return corners fitted from starts pixels (N, 2), good to half a pixel or so.
 
-    gray: (H, W), uint8 or any other kind of number. blur_px: about the blur of the edges, which says how far from them
-    to look. sites: (H, W) mask of the pixels that count, such as those of one colour of a mosaic; None for all.
+    gray: (H, W), uint8 or any other kind of number. blur_px: about the blur of the edges, the pixel's own square
+    included, which says how far from them to look. sites: (H, W) mask of the pixels that count, such as those of one
+    colour of a mosaic; None for all. longest_px: how far along an edge to look at most; the farther, the more it
+    matters how the edge bends.
     """
-    window = look(gray, pixels, cells, float(np.hypot(blur_px, np.sqrt(PIXEL_VARIANCE))), sites)
-    state = _State.start(window, pixels, cells, blur_px)
-    fit = _minimise(window, cells.bends, state)
+    window = look(gray, pixels, cells, blur_px, sites, longest_px)
+    scene = _Scene.of(cells, pixels, blur_px)
+    fit = _minimise(window, scene, _State.start(window, scene, pixels, cells, blur_px))
     return _result(fit, window, pixels, cells, ROUNDING if gray.dtype == np.uint8 else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What is known of N corners: how their edges bend (N, 2), and the edges beside them if the blur brings them in,
+    as lines from `start` (N, 2).
+    """
+
+    bends: Array
+    start: Array
+    beside: Beside | None
+
+    @classmethod
+    def of(cls, cells: Cells, start: Array, blur_px: float) -> "_Scene":
+        """Return what matters of the cells under a blur."""
+        return cls(cells.bends, start, cells.beside if cells.crowded(blur_px) else None)
+
+    def take(self, rows: Array) -> "_Scene":
+        """Return what is known of some of the corners."""
+        return _Scene(self.bends[rows], self.start[rows], None if self.beside is None else self.beside.take(rows))
+
+    def picture(self, window: CellWindow, state: "_State", along: Array, away: Array) -> CheckerPicture:
+        """Return the picture (N, K) of edges; along, away: (2, N, K) px along each edge and from it, to its left."""
+        single = np.float32
+        inverse = (1 / state.blur).astype(single).T[..., None]
+        correlation = np.cos(state.angles[:, [0]] - state.angles[:, [1]]).astype(single)
+        if self.beside is None:
+            return alone(away[0] * inverse[0], away[1] * inverse[1], correlation)
+        x, y = window.offsets(self.start)
+        scaled = []
+        for edge in (0, 1):
+            bend = (self.bends[:, [edge]] / 2).astype(single) * along[edge] ** 2
+            lines = self.beside.lines[:, edge].astype(single)[..., None]
+            right, left = (lines[:, k, 0] * x + lines[:, k, 1] * y + lines[:, k, 2] - bend for k in (0, 1))
+            scaled.append(np.stack([right, away[edge], left]) * inverse[edge])
+        return crowded(scaled[0], scaled[1], correlation, self.beside.border, np.sign(state.light[:, [1]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +121,14 @@ class _State:
     light: Array
 
     @classmethod
-    def start(cls, window: CellWindow, pixels: Array, cells: Cells, blur_px: float) -> "_State":
+    def start(cls, window: CellWindow, scene: _Scene, pixels: Array, cells: Cells, blur_px: float) -> "_State":
         """Return edges along the steps, and the light by linear least squares."""
         angles = np.arctan2(cells.steps[:, 1], cells.steps[:, 0])
-        blur = np.full((len(pixels), 2), np.clip(np.log(max(blur_px, 1e-9)), *_LOG_BLUR))
+        own = np.log(max(blur_px**2 - PIXEL_VARIANCE, 1e-9)) / 2
+        blur = np.full((len(pixels), 2), np.clip(own, *_LOG_BLUR))
         state = cls(pixels.astype(np.float64), angles, blur, np.zeros((len(pixels), 5)))
         state.light[:, 1] = 1.0
-        linear = _evaluate(window, cells.bends, state).jacobian[:, 6:9]
+        linear = _evaluate(window, scene, state).jacobian[:, 6:9]
         normal = (linear @ linear.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(3)
         weighted = (linear @ (window.values * window.used)[..., None]).astype(np.float64)
         state.light[:, :3] = np.linalg.solve(normal, weighted)[..., 0]
@@ -103,6 +148,11 @@ class _State:
         across = np.linalg.solve(self.normals, step[:, _OFFSETS, None])[..., 0]
         blur = np.clip(self.log_blur + step[:, _BLURS], *_LOG_BLUR)
         return _State(self.pixels + across, self.angles + step[:, _ANGLES], blur, self.light + step[:, _LIGHT])
+
+    @property
+    def blur(self) -> Array:
+        """The blur (N, 2) px across both edges, the pixel's own square included."""
+        return np.asarray(np.sqrt(PIXEL_VARIANCE + np.exp(2 * self.log_blur)))
 
     @property
     def normals(self) -> Array:
@@ -143,8 +193,8 @@ class _Fit:
     settled: Array
 
 
-def _minimise(window: CellWindow, bends: Array, state: _State) -> _Fit:
-    linear = _evaluate(window, bends, state)
+def _minimise(window: CellWindow, scene: _Scene, state: _State) -> _Fit:
+    linear = _evaluate(window, scene, state)
     cost, normal, gradient = linear.cost, linear.normal, linear.gradient
     damping, settled = np.full(len(cost), 1e-4), np.zeros(len(cost), np.bool_)
     for _ in range(_ROUNDS):
@@ -154,7 +204,7 @@ def _minimise(window: CellWindow, bends: Array, state: _State) -> _Fit:
         step = _step(normal[rows], gradient[rows], damping[rows])
         trial = state.take(rows).moved(step)
         small = np.abs(step[:, _OFFSETS]).max(axis=1) < _SETTLED_PX
-        linear = _evaluate(window.take(rows), bends[rows], trial)
+        linear = _evaluate(window.take(rows), scene.take(rows), trial)
         better = linear.cost <= cost[rows] * (1 + 1e-6)
         kept = rows[better]
         state.put(kept, trial.take(better))
@@ -173,36 +223,31 @@ def _step(normal: Array, gradient: Array, damping: Array) -> Array:
     return np.asarray(np.linalg.solve(damped, gradient[..., None])[..., 0])
 
 
-def _evaluate(window: CellWindow, bends: Array, state: _State) -> _Linear:
+def _evaluate(window: CellWindow, scene: _Scene, state: _State) -> _Linear:
     """Return values minus model and the model's derivatives, in single precision: sums of a thousand small numbers."""
     single = np.float32
     x, y = window.offsets(state.pixels)
-    cos, sin = (part.astype(single)[..., None] for part in (np.cos(state.angles), np.sin(state.angles)))
-    own = np.exp(2 * state.log_blur)
-    blur = np.sqrt(PIXEL_VARIANCE + own)
-    along = [cos[:, edge] * x + sin[:, edge] * y for edge in (0, 1)]
-    half_bend = (bends / 2).astype(single)[..., None]
-    away = [cos[:, edge] * y - sin[:, edge] * x - half_bend[:, edge] * along[edge] ** 2 for edge in (0, 1)]
-    inverse = (1 / blur).astype(single)[..., None]
-    correlation = np.cos(state.angles[:, [0]] - state.angles[:, [1]]).astype(single)
-    seen = crossing(away[0] * inverse[:, 0], away[1] * inverse[:, 1], correlation)
+    cos, sin = (part.astype(single).T[..., None] for part in (np.cos(state.angles), np.sin(state.angles)))
+    along = cos * x + sin * y
+    away = cos * y - sin * x - (scene.bends / 2).astype(single).T[..., None] * along**2
+    seen = scene.picture(window, state, along, away)
     level, contrast, tone, slope_x, slope_y = state.light.astype(single).T[..., None]
     over_x, over_y = x * window.scale, y * window.scale
     gain = (1 + slope_x * over_x + slope_y * over_y) * window.used
     shape = level + (contrast + tone * seen.value) * seen.value
-    slope = gain * (contrast + 2 * tone * seen.value)
+    slope = -gain * (contrast + 2 * tone * seen.value)
+    inverse, own = ((1 / state.blur).astype(single).T[..., None], np.exp(2 * state.log_blur) / state.blur**2)
     jacobian = np.empty((len(x), _COUNT, x.shape[1]), single)
     for edge, by_distance in enumerate((seen.by_first, seen.by_second)):
-        by_offset = -slope * by_distance * inverse[:, edge]
-        jacobian[:, edge] = by_offset
-        jacobian[:, 2 + edge] = by_offset * along[edge]
-        jacobian[:, 4 + edge] = by_offset * away[edge] * (own / blur**2).astype(single)[:, [edge]]
+        jacobian[:, edge] = slope * by_distance * inverse[edge]
+        jacobian[:, 2 + edge] = jacobian[:, edge] * along[edge]
+    for edge, by_blur in enumerate((seen.by_blur_1, seen.by_blur_2)):
+        jacobian[:, 4 + edge] = slope * by_blur * own[:, [edge]].astype(single)
     jacobian[:, 6], jacobian[:, 7] = gain, gain * seen.value
     jacobian[:, 8] = jacobian[:, 7] * seen.value
-    shape *= window.used
-    jacobian[:, 9], jacobian[:, 10] = over_x * shape, over_y * shape
-    lit = shape + (gain - window.used) * (level + (contrast + tone * seen.value) * seen.value)
-    return _Linear(window.values * window.used - lit, jacobian)
+    lit = window.used * shape
+    jacobian[:, 9], jacobian[:, 10] = over_x * lit, over_y * lit
+    return _Linear(window.values * window.used - gain * shape, jacobian)
 
 
 def _result(fit: _Fit, window: CellWindow, start: Array, cells: Cells, rounding: float) -> RefinedCorners:

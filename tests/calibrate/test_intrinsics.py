@@ -116,7 +116,8 @@ def test_weights_from_covariances_are_better_than_none(scene):
     ]
     weighted = calibrate(seen, scene.board, Options(scene.camera.model))
     assert np.abs(sigmas(weighted, scene.camera)).max() < 4
-    assert weighted.sigma_px == pytest.approx(1.0, rel=0.1)  # in units of what the covariances claim
+    assert weighted.sigma_px == pytest.approx(np.sqrt(0.05 * 0.2), rel=0.1)  # of a typical corner
+    assert weighted.floor_px < 0.01  # the covariances say it all
     alike = [replace(view, covariance=None) for view in seen[1::2]]
     coarse = calibrate(alike, scene.board, Options(scene.camera.model))
     assert weighted.camera.std("fx") < 0.5 * coarse.camera.std("fx")  # four times the noise, half the views

@@ -31,15 +31,12 @@ def cost(problem, state):
 def test_gradient_is_the_derivative_of_the_cost(offsets, covariances):
     rng = np.random.default_rng(4)
     scene = make_scene(count=4)
-    seen = scene.observe(2, noise_px=0.3)
+    observations = Observations.of(scene.observe(2, noise_px=0.3))
     if covariances:
-        shapes = rng.normal(size=(4, scene.board.count, 2, 2))
-        seen = [
-            replace(view, covariance=0.1 * np.eye(2) + (shape @ shape.swapaxes(1, 2))[: len(view.ids)])
-            for view, shape in zip(seen, shapes, strict=True)
-        ]
+        shapes = rng.normal(size=(*observations.ids.shape, 2, 2))
+        observations = observations.weighted(0.1 * np.eye(2) + shapes @ shapes.swapaxes(2, 3))
     problem = BoardProblem(
-        scene.camera.model, scene.board, Observations.of(seen), np.array([0, 2, 4, 5]), ALL_TERMS, offsets, sigma=0.3
+        scene.camera.model, scene.board, observations, np.array([0, 2, 4, 5]), ALL_TERMS, offsets, sigma=0.3
     )
     problem = replace(problem, lens_spread=lens_spread(scene.camera.model, scene.camera.image_size, 1200.0))
     state = state_of(scene, ALL_TERMS, rng)

@@ -1,0 +1,108 @@
+"""The edges that cross at the points of a board, as printed, and as a calibrated camera sees them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InvalidInput
+from camcal.targets.aprilgrid_tags import BORDER
+from camcal.targets.board import APRILGRID, Board
+from camcal.targets.cells import Beside, Cells
+from camcal.targets.marker_families import family_named
+
+_HALF = 0.5  # of a step on either side of a corner, whose edges are seen as far as that
+
+
+@dataclass(frozen=True, eq=False)
+class BoardEdges:
+    """The two edges at each of a board's C points, along x and along y of the board.
+
+    length: in the board's unit, of the steps in which reach (C, 2, 2) and depth (C, 2, 2) count, see Cells.
+    """
+
+    length: float
+    reach: Array
+    depth: Array
+
+    def __post_init__(self) -> None:
+        for name in ("reach", "depth"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (len(self.reach), 2, 2), name))
+
+    @classmethod
+    def of(cls, board: Board) -> "BoardEdges":
+        """Return the edges of a board. Raises InvalidInput for one of circles."""
+        if board.type == APRILGRID:
+            return _of_tags(board)
+        if not board.checker:
+            raise InvalidInput(f"no edges cross at the points of a {board.words}")
+        depth = bright_depths((board.rows, board.columns), first_sign(board), margin(board))
+        return cls(board.pitch, np.ones((board.count, 2, 2)), depth.reshape(-1, 2, 2))
+
+
+def margin(board: Board) -> float:
+    """Return how far from its edges a bright square shows nothing, in squares: 1 unless a ChArUco marker is in it."""
+    return 1.0 if board.marker is None or not board.checker else (1 - board.marker / board.pitch) / 2
+
+
+def first_sign(board: Board) -> int:
+    """Return 1 if the square before a board's first corner is dark, else -1: a legacy ChArUco board of even rows."""
+    return -1 if board.legacy and (board.rows + 1) % 2 == 0 else 1
+
+
+def bright_depths(shape: tuple[int, int], sign: int, margin: float) -> Array:
+    """Return the depths (rows, columns, 2, 2) of a checker pattern with something printed within its bright squares.
+
+    shape: rows and columns of corners. sign: 1 if the square before the first corner is dark, else -1. margin: from the
+    edge of a bright square to the print, in squares.
+    """
+    row, column = np.indices(shape)
+    dark_before = np.where((row + column) % 2, -sign, sign) > 0
+    same = np.eye(2, dtype=bool)  # before both edges, or after both
+    return np.where(same == dark_before[..., None, None], 1.0, margin)
+
+
+def _of_tags(board: Board) -> BoardEdges:
+    side = float(board.marker or 0.0)
+    gap = (board.pitch - side) / side
+    after = np.tile(np.array([(1, 1), (0, 1), (0, 0), (1, 0)]), (board.columns * board.rows, 1))  # where the tag lies
+    reach = np.where(np.arange(2) == after[..., None], 1.0, gap)
+    in_tag = (np.arange(2) == after[:, :1])[:, :, None] & (np.arange(2) == after[:, 1:])[:, None]
+    cells = len(family_named(str(board.dictionary)).drawing(board.first_marker).ink) - 2 + 2 * BORDER  # one of its own
+    return BoardEdges(side, reach, np.where(in_tag, BORDER / cells, gap))
+
+
+def seen_cells(board: Board, points: Array, project: Callable[[Array], Array]) -> tuple[Array, Cells]:
+    """Return the pixels (C, 2) of a board's points and their cells as a camera sees them.
+
+    points: (C, 3) the board as it is, in its unit. project: takes points (N, 3) of the board to pixels (N, 2), NaN
+    where the camera does not see them. Pixels and steps are NaN there.
+    """
+    edges = BoardEdges.of(board)
+    axes = edges.length * np.eye(3)[:2]
+    middle = project(points)
+    steps, bends = np.empty((len(points), 2, 2)), np.empty((len(points), 2))
+    for edge, axis in enumerate(axes):
+        after, before = project(points + _HALF * axis), project(points - _HALF * axis)
+        step, second = after - before, (after - 2 * middle + before) / _HALF**2
+        steps[:, :, edge] = step
+        bends[:, edge] = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1) ** 3
+    beside = _seen_beside(board, points, middle, project) if board.checker else None
+    return middle, Cells(steps, bends, edges.reach, edges.depth, beside)
+
+
+def _seen_beside(board: Board, points: Array, middle: Array, project: Callable[[Array], Array]) -> Beside:
+    """Return the edges beside those of a checker pattern's corners."""
+    axes = board.pitch * np.eye(3)[:2]
+    row, column = np.divmod(np.arange(board.count), board.columns)
+    ends = ((row, board.rows - 1), (column, board.columns - 1))
+    lines, border = np.empty((board.count, 2, 2, 3)), np.empty((board.count, 2, 2), np.bool_)
+    for edge in (0, 1):
+        for index, sign in enumerate((-1, 1)):
+            next_one = points + sign * axes[1 - edge]
+            tangent = project(next_one + _HALF * axes[edge]) - project(next_one - _HALF * axes[edge])
+            place, last = ends[edge]
+            lines[:, edge, index] = Beside.line(project(next_one) - middle, tangent)
+            border[:, edge, index] = place == (0 if sign < 0 else last)
+    return Beside.sorted(lines, border)

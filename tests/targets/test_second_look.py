@@ -1,0 +1,62 @@
+"""A second look: corners nobody found are recovered, corners that are none are not."""
+
+import numpy as np
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.simulate.render import Exposure, render
+from camcal.targets.board import Board
+from camcal.targets.board_edges import seen_cells
+from camcal.targets.second_look import Expected, look_again
+
+BOARD = Board("chessboard", 8, 6, 0.03)
+CAMERA = Camera(model_named("opencv5"), (480, 400), np.array([450.0, 450, 241, 198, -0.3, 0.1, 0, 0, 0]))
+ROTATION = so3.exp(np.array([0.4, -0.3, 0.1]))
+POSE = Pose(ROTATION, np.array([0.0, 0.0, 0.36]) - ROTATION @ np.array([*BOARD.extent, 0.0]) / 2)
+
+
+def expected():
+    pixels, cells = seen_cells(BOARD, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels)
+    row, column = np.divmod(np.arange(BOARD.count), BOARD.columns)
+    return Expected(pixels, cells, np.ones(BOARD.count, bool), np.where((row + column) % 2, -1.0, 1.0))
+
+
+def photograph():
+    return render(CAMERA, BOARD, POSE, rng=np.random.default_rng(0), exposure=Exposure(noise_dn=2))
+
+
+def test_corners_that_were_missed_are_found_where_they_must_be():
+    known, ids = expected(), np.arange(0, BOARD.count, 2)
+    again = look_again(photograph(), ids, known.pixels[ids] + 0.1, known)
+    assert len(again.ids) == BOARD.count
+    assert again.recovered == BOARD.count - len(ids)
+    off = again.pixels - known.pixels[again.ids]
+    honest = np.einsum("ni,nij,nj->n", off, np.linalg.inv(again.covariance), off).mean() / 2
+    assert 0.6 < honest < 1.5  # 48 corners: ± 0.15
+
+
+def test_hidden_corners_are_not_made_up():
+    known, ids = expected(), np.arange(0, BOARD.count, 2)
+    image = photograph().copy()
+    x, y = np.rint(known.pixels[9]).astype(int)
+    image[y - 25 : y + 26, x - 25 : x + 26] = 90
+    again = look_again(image, ids, known.pixels[ids], known)
+    assert 9 not in again.ids
+
+
+def test_a_corner_of_the_wrong_colour_is_none():
+    known, ids = expected(), np.arange(0, BOARD.count, 2)
+    again = look_again(255 - photograph(), ids, known.pixels[ids], known)
+    assert not len(again.ids)
+
+
+def test_points_outside_the_image_are_not_looked_for():
+    known, ids = expected(), np.arange(0, BOARD.count, 2)
+    inside = known.pixels[:, 0] < 240
+    cut = Expected(known.pixels, known.cells, inside, known.sign)
+    ids = ids[inside[ids]]
+    again = look_again(photograph()[:, :260], ids, known.pixels[ids], cut)
+    assert inside[again.ids].all()
+    assert again.recovered > 0
