@@ -13,9 +13,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 
-_SB_THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-_CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SEED_LIMIT = 1 << 31
+_REMAP_LIMIT = 1 << 15  # cv2.remap refuses maps with longer sides
 
 CharucoDetector = cv2.aruco.CharucoDetector
 
@@ -24,7 +23,7 @@ CharucoDetector = cv2.aruco.CharucoDetector
 def repeatable(seed: int) -> Iterator[None]:
     """Give OpenCV one thread and a fixed random state for the block.
 
-    findChessboardCornersSB of OpenCV 5 finds other corners from run to run with several threads.
+    Detectors of OpenCV 5 find other corners from run to run with several threads.
     """
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -46,28 +45,29 @@ def resized(gray: Array, scale: float) -> Array:
     return np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=interpolation))
 
 
-def find_chessboard_sb(gray: Array, columns: int, rows: int, *, thorough: bool = False) -> Array | None:
-    """Return the inner corners (rows, columns, 2) in pixels found by the sector-based detector, None without a board.
-
-    Source: Duda and Frese, Accurate Detection and Localization of Checkerboard Corners for Calibration, BMVC 2018.
-    """
-    found, corners = cv2.findChessboardCornersSB(gray, (columns, rows), flags=_SB_THOROUGH if thorough else 0)
-    return corner_array(corners).reshape(rows, columns, 2) if found else None
-
-
-def find_chessboard_classic(gray: Array, columns: int, rows: int) -> Array | None:
-    """Return the inner corners (rows, columns, 2) in pixels found by linking dark squares, None without a board."""
-    found, corners = cv2.findChessboardCorners(gray, (columns, rows), flags=_CLASSIC)
-    return corner_array(corners).reshape(rows, columns, 2) if found else None
+def second_derivatives(gray: Array, sigma: float) -> tuple[Array, Array, Array, Array]:
+    """Return an image blurred by `sigma` px and its second derivatives by xx, xy and yy per px², (H, W) float32."""
+    side = 2 * int(np.ceil(2.5 * sigma)) + 1
+    smooth = cv2.GaussianBlur(gray.astype(np.float32), (side, side), sigma, borderType=cv2.BORDER_REPLICATE)
+    xx = cv2.Sobel(smooth, -1, 2, 0, scale=1 / 4, borderType=cv2.BORDER_REPLICATE)
+    xy = cv2.Sobel(smooth, -1, 1, 1, scale=1 / 4, borderType=cv2.BORDER_REPLICATE)
+    yy = cv2.Sobel(smooth, -1, 0, 2, scale=1 / 4, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(smooth), np.asarray(xx), np.asarray(xy), np.asarray(yy)
 
 
-def largest_chessboard(gray: Array) -> Array | None:
-    """Return the corners (rows, columns, 2) of the largest checker pattern of any size seen, None without one."""
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(gray, (3, 3), flags=cv2.CALIB_CB_LARGER)
-    if not found:
-        return None
-    rows, columns = meta.shape[:2]
-    return corner_array(corners).reshape(rows, columns, 2)
+def largest_around(values: Array, window: int) -> Array:
+    """Return the largest of the values (H, W) in a square window of an odd number of pixels around each."""
+    return np.asarray(cv2.dilate(values, np.ones((window, window), np.uint8)))
+
+
+def sampled(image: Array, x: Array, y: Array) -> Array:
+    """Return the values (N, K) of an image (H, W) uint8 or float32 at pixels x, y (N, K), linear between pixels."""
+    if not x.size:
+        return np.zeros(x.shape, np.float32)
+    shape = (1, -1) if x.size < _REMAP_LIMIT else x.shape
+    x, y = (np.ascontiguousarray(places, dtype=np.float32) for places in (x, y))
+    values = cv2.remap(image, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values, dtype=np.float32).reshape(x.shape)
 
 
 def marker_dictionary(name: str) -> cv2.aruco.Dictionary:

@@ -6,9 +6,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.simulate.coverage import draw, piece_length
-from camcal.simulate.pattern import Pattern
 from camcal.simulate.render import Exposure, develop, light, outlines
 from camcal.targets.marker_families import family_named
+from camcal.targets.pattern import Pattern
 from camcal.targets.tags import OPENCV, tag_corners
 
 QUIET = 1.5  # cells of white around a marker

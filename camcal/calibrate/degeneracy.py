@@ -21,8 +21,8 @@ def reason_unusable(view: Detection, board: Board) -> str | None:
         return view.reason or "no board found"
     if len(view.ids) < MIN_CORNERS:
         return f"only {len(view.ids)} corners, {MIN_CORNERS} are needed"
-    row, column = np.divmod(view.ids, board.columns)
-    x, y = column - column.mean(), row - row.mean()
+    places = board.points()[view.ids, :2] / board.pitch
+    x, y = (places - places.mean(axis=0)).T
     if (x @ x) * (y @ y) - (x @ y) ** 2 < 1e-6:
         return "all corners are on one line of the board"
     return None

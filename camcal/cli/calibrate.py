@@ -16,7 +16,8 @@ LISTED = 10
 
 def calibrate(
     inputs: Annotated[
-        list[str], typer.Argument(metavar="IMAGES…|DETECTIONS", help="Images, folders, globs; or one detections file.")
+        list[str],
+        typer.Argument(metavar="IMAGES…|DETECTIONS", help="Images, videos, folders, globs; or a detections file."),
     ],
     output: shared.Output,
     board: shared.BoardOption = None,
@@ -39,6 +40,14 @@ def calibrate(
     free_corners: Annotated[
         bool, typer.Option(help="Let every corner of the board move where it was seen at least 10 times.")
     ] = True,
+    refine: Annotated[
+        bool | None,
+        typer.Option(
+            "--refine/--no-refine",
+            help="Measure the corners once more along the edges that the calibrated lens expects, look for those that "
+            "were missed, and calibrate with them; by default where there are images.",
+        ),
+    ] = None,
     max_rejected: Annotated[
         float, typer.Option(metavar="PERCENT", help="Refuse the result when more corners than this do not fit.")
     ] = 10.0,
@@ -65,6 +74,10 @@ def calibrate(
     offset: shared.Offset = 0,
     endian: shared.Endian = "little",
     align: shared.Align = "lsb",
+    max_frames: targets.MaxFrames = 40,
+    every: targets.Every = 1,
+    all_frames: targets.AllFrames = False,
+    parts: targets.Parts = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -72,7 +85,7 @@ def calibrate(
     verbose: shared.Verbose = False,
     config: shared.Config = None,
 ) -> None:
-    """Calibrate one camera from images of a board, raw frames, or a detections file.
+    """Calibrate one camera from images or videos of a board, raw frames, or a detections file.
 
     The board's bend and stretch are estimated along with the lens, outliers are listed, and every value comes with
     its standard deviation.
@@ -82,6 +95,8 @@ def calibrate(
     from camcal.tasks.calibration.calibrate import CalibrateOptions, channel_data
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.photographs import Reading
+    from camcal.tasks.calibration.video_frames import FrameOptions
+    from camcal.tasks.calibration.video_frames import as_data as frame_data
 
     layout = shared.given_layout(format, size, stride, offset, endian, align)
     report = run(
@@ -101,6 +116,9 @@ def calibrate(
             recursive,
             jobs,
             Reading(pattern, algorithm, channels, layout),
+            FrameOptions(max_frames, every, all_frames),
+            parts,
+            refine,
         ),
         show.progress(quiet),
     )
@@ -110,7 +128,8 @@ def calibrate(
             "reasons": report.advice.reasons,
             "remarks": report.advice.remarks,
         }
-        said = {"notes": report.notes, "failed": report.failed}
+        frames = [frame_data(record) for record in report.frames]
+        said = {"frames": frames, "notes": report.notes, "failed": report.failed}
         lenses = {"channels": channel_data(report.channels)} if report.channels else {}
         show.document("calibrate", {"output": output, **as_data(report.calibration), **verdict, **said, **lenses})
     elif not quiet:
@@ -123,6 +142,8 @@ def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
     from camcal.report.calibration import parameter_rows, summary
 
     calibration = report.calibration
+    if report.frames and verbose:
+        targets.show_frames(report.frames, verbose)
     for note in report.notes:
         show.text(note)
     width, height = calibration.camera.image_size

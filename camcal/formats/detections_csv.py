@@ -19,7 +19,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import boards
+from camcal.formats.board_text import short_form
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.targets.board import Board, Detection, Detections, parse_board
 
@@ -56,10 +56,15 @@ def _board(path: str, first: str, given: Board | None) -> Board | None:
         raise InvalidInput(f"detections of version {version!r}; this camcal reads {VERSION}", where=f"{path}:1")
     words = dict(word.partition("=")[::2] for word in rest)
     named = _named_board(path, words) if "board" in words else None
-    if given and named and (given.columns, given.rows) != (named.columns, named.rows):
-        sizes = f"{named.columns} × {named.rows}, the board given has {given.columns} × {given.rows}"
-        raise InvalidInput(f"the corners found are of a grid of {sizes}", where=f"{path}:1")
+    if given and named and _numbering(given) != _numbering(named):
+        message = f"the points are those of another board ({named.words}) than the one given ({given.words})"
+        raise InvalidInput(message, where=f"{path}:1")
     return given or named
+
+
+def _numbering(board: Board) -> tuple[str, int, int]:
+    """Return what tells how points are numbered: a chessboard, a ChArUco board and a grid of circles do it alike."""
+    return "grid" if board.has_grid else board.type, board.columns, board.rows
 
 
 def _named_board(path: str, words: dict[str, str]) -> Board:
@@ -223,7 +228,7 @@ def _first_line(board: Board | None) -> str:
     if board is None:
         return f"{MAGIC} {VERSION}"
     marker = f" first_marker_id={board.first_marker}" if board.first_marker else ""
-    return f"{MAGIC} {VERSION} board={boards.short_form(replace(board, first_marker=0))}{marker}"
+    return f"{MAGIC} {VERSION} board={short_form(replace(board, first_marker=0))}{marker}"
 
 
 def _rows(view: Detection, tail: str, *, measured: bool) -> Iterator[str]:

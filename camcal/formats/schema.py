@@ -43,7 +43,9 @@ def _not_a_number(value: Any) -> str | None:
 def _shown(value: Any) -> str:
     if isinstance(value, (dict, list)):
         return "a mapping" if isinstance(value, dict) else "a list"
-    return {None: "an empty value", True: "true", False: "false"}.get(value, repr(value))
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return "an empty value" if value is None else repr(value)
 
 
 def integer(low: int | None = None) -> Check:

@@ -30,7 +30,7 @@ from camcal.formats.schema import integer, items, mapping, number, one_of, text
 from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
-from camcal.targets.board import METRES
+from camcal.targets.board_types import METRES
 from camcal.targets.marker_families import Family, family_named
 from camcal.targets.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
 

@@ -77,7 +77,7 @@ def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> Detect
         return Detection.nothing(name, size, "listed without corners")
     if len(rows) != board.count:
         found = f"image {name!r} has {len(rows)} rows"
-        raise InvalidInput(f"{found}; the board has {board.columns} × {board.rows} = {board.count}", where=where)
+        raise InvalidInput(f"{found}; the board has {board.count} points ({board.words})", where=where)
     ids = np.flatnonzero(seen)
     rows = rows.rows(ids)
     pixels = np.column_stack([rows.numbers("x"), rows.numbers("y")])

@@ -64,8 +64,19 @@ def load_gray(path: Path) -> Array:
 def gray_8bit(pixels: Array) -> Array:
     """Return an image (H, W[, 3 or 4]) as (H, W) uint8; alpha is left out.
 
+    8 bits stay as they are, what `gray_levels` takes beyond 0 or 255 becomes 0 or 255.
+    """
+    levels = gray_levels(pixels)
+    if levels.dtype == np.uint8:
+        return levels
+    return np.asarray(np.rint(np.clip(np.nan_to_num(levels, nan=0.0), 0, 255)), np.uint8)
+
+
+def gray_levels(pixels: Array) -> Array:
+    """Return an image (H, W[, 3 or 4]) as gray levels (H, W), neither rounded nor cut off; alpha is left out.
+
     8 bits stay as they are. 16 bits and floating point, whose range says little about the light in them, are
-    scaled linearly: what lies below the darkest or above the brightest 0.1 % of the pixels becomes 0 or 255.
+    scaled linearly, as float32: the darkest and the brightest 0.1 % of the pixels lie below 0 and above 255.
     """
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
@@ -74,10 +85,9 @@ def gray_8bit(pixels: Array) -> Array:
     sample = pixels.ravel()[:: max(1, pixels.size // _SAMPLES)]
     known = sample[np.isfinite(sample)]
     if not known.size:
-        return np.zeros(pixels.shape, np.uint8)
+        return np.zeros(pixels.shape, np.float32)
     low, high = np.quantile(known.astype(float), [_TAIL, 1 - _TAIL])
-    scaled = (pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30))
-    return np.asarray(np.rint(np.clip(np.nan_to_num(scaled, nan=0.0), 0, 255)), np.uint8)
+    return np.asarray((pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30)))
 
 
 def _load_npy(path: Path) -> Image:

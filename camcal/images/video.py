@@ -26,6 +26,11 @@ def frames(path: Path) -> Iterator[Image]:
         yield from _read(path, capture)
 
 
+def frame_name(video: Path, number: int) -> str:
+    """Return how a frame of a video is named, as `undistort` names the files it makes of them: clips/movie_000012."""
+    return video.with_name(f"{video.stem}_{number:06d}").as_posix()
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     if not path.is_file() or path.stat().st_size == 0:

@@ -8,6 +8,7 @@ from camcal.calibrate.degeneracy import tilt_spread
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import folds_inside
 from camcal.quality.coverage import coverage, radial_trend
+from camcal.targets.board_types import BOARD_TYPES
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def _noise_remarks(calibration: Calibration) -> list[str]:
 def _board_remarks(calibration: Calibration) -> list[str]:
     result, surface, board = [], calibration.surface, calibration.board
     if board.square is None:
-        result.append("the square's size is unknown: every length is in squares")
+        result.append(f"the {BOARD_TYPES[board.type].element}'s size is unknown: every length is in squares")
     if surface.deflection > 3 * surface.deflection_std and surface.deflection > 0.002 * max(board.extent):
         millimetres = f"{1e3 * surface.deflection:.2f} mm" if board.unit == "m" else f"{surface.deflection:.3f} squares"
         result.append(f"the board is bent by {millimetres}: accounted for, but a stiffer board is better")

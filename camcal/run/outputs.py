@@ -28,6 +28,12 @@ def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str
     return outputs
 
 
+def require_folder(path: Path, option: str) -> None:
+    """Raise InvalidInput, naming the option, if files cannot go to this folder because it is a file."""
+    if path.exists() and not path.is_dir():
+        raise InvalidInput(f"{option} takes a folder, this is a file", where=str(path))
+
+
 def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Raise InvalidInput if an output is one of the inputs."""
     read = {path.resolve() for path in inputs}

@@ -9,9 +9,10 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.simulate.coverage import draw, piece_length
-from camcal.simulate.pattern import Pattern, pattern_of
+from camcal.simulate.discs import SIDES, rims
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board
+from camcal.targets.pattern import Pattern, pattern_of
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def evenly_lit(camera: Camera, board: Board, camera_T_board: Pose, exposure: Exp
     edges, jumps = outlines(pattern_of(board), exposure)
     ends = _project(camera, camera_T_board, shape.apply(board, edges))
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-    drawn, steps = _walk(edges, jumps, 1 + (lengths / piece_length(exposure.blur_px)).astype(np.intp))
+    drawn, steps = _walk(edges, board.inward * jumps, 1 + (lengths / piece_length(exposure.blur_px)).astype(np.intp))
     path = _project(camera, camera_T_board, shape.apply(board, drawn))
     return exposure.background + draw(camera.image_size, path, steps, exposure.blur_px)
 
@@ -82,8 +83,15 @@ def evenly_lit(camera: Camera, board: Board, camera_T_board: Pose, exposure: Exp
 def outlines(pattern: Pattern, exposure: Exposure) -> tuple[Array, Array]:
     """Return the edges (S, 2, 2) of a drawing, start and end as x, y, and the jumps (S,) of brightness across them.
 
-    The jumps are signed as `draw` wants them for a board seen from its printed side.
+    The jumps are signed as `draw` wants them for a board seen from its printed side whose z points into it.
     """
+    edges, jumps = _rectangles(pattern, exposure)
+    contrast = (exposure.white - exposure.black) * (pattern.discs[:, 3] - pattern.ink_at(pattern.discs))
+    return np.concatenate([edges, rims(pattern.discs)]), np.concatenate([jumps, np.repeat(contrast, SIDES)])
+
+
+def _rectangles(pattern: Pattern, exposure: Exposure) -> tuple[Array, Array]:
+    """Return the edges (S, 2, 2) of a drawing's rectangles and the jumps (S,) across them, see `outlines`."""
     ink = exposure.black + (exposure.white - exposure.black) * pattern.ink
     ink = np.pad(ink, 1, constant_values=exposure.background)
     across, down = -np.diff(ink[1:-1]), np.diff(ink[:, 1:-1], axis=0)

@@ -10,8 +10,8 @@ from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.observe import in_camera, in_image, project_all
-from camcal.simulate.pattern import QUIET
 from camcal.targets.board import Board
+from camcal.targets.pattern import QUIET, ink_reach
 
 ROUNDS = 30  # attempts for a view that does not fit, each with a smaller board
 STEPS = 12  # of moving a board back into the image and to its size
@@ -19,7 +19,7 @@ STEEPEST = np.radians(70)  # corners seen more obliquely than that are hard to f
 FILL = (0.35, 0.95)  # share of the image's width or height that a whole board takes
 PARTIAL_FILL = (0.7, 1.5)
 PARTIAL_SHARE = 0.4  # of the corners that a cut board must show at least
-RIM = 1.3  # squares around the corners that must be in the image: the outer squares and some white
+RIM = 0.3  # squares of white around the drawing that must be in the image
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,23 +34,28 @@ class _Attempts:
 
 @dataclass(frozen=True, eq=False)
 class _Outline:
-    """Points (K, 3) around what must be seen and around the sheet, the centre (3,), the corners (C, 3), board frame."""
+    """Points (K, 3) around what must be seen and around the sheet, the centre (3,), the corners (C, 3), board frame.
+
+    upright: (3, 3), turns the board frame to x right, y down, z into the board.
+    """
 
     rim: Array
     sheet: Array
     centre: Array
     corners: Array
+    upright: Array
 
     @classmethod
     def of(cls, board: Board) -> "_Outline":
-        return cls(_loop(board, RIM), _loop(board, 1 + QUIET), np.array([*board.extent, 0.0]) / 2, board.points())
+        centre, upright = np.array([*board.extent, 0.0]) / 2, np.diag([1.0, board.inward, board.inward])
+        return cls(_loop(board, RIM), _loop(board, QUIET), centre, board.points(), upright)
 
 
 def _loop(board: Board, squares: float) -> Array:
-    """Return points (K, 3) on a rectangle that many squares outside the corners."""
+    """Return points (K, 3) on a rectangle that many squares outside the drawing."""
     ramp, low, high = np.linspace(0, 1, 7), np.zeros(7), np.ones(7)
     sides = [np.column_stack(side) for side in ((ramp, low), (ramp, high), (low, ramp), (high, ramp))]
-    reach = squares * board.pitch
+    reach = ink_reach(board) + squares * board.pitch
     flat = np.concatenate(sides) * (np.array(board.extent) + 2 * reach) - reach
     return np.column_stack([flat, np.zeros(len(flat))])
 
@@ -82,7 +87,7 @@ def views(
         for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
             found[int(missing[slot])] = Pose(rotations[slot], translations[slot])
     raise InvalidInput(
-        f"no pose of a board of {board.columns} × {board.rows} corners fits an image of "
+        f"no pose of the board ({board.words}) fits an image of "
         f"{camera.image_size[0]} × {camera.image_size[1]} with this lens; found {len(found)} of {count} views"
     )
 
@@ -119,7 +124,7 @@ def _settle(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Arr
     for _ in range(STEPS):
         sight = camera.unproject(aim)
         rays = np.where(sight.valid[:, None], sight.directions, rays)
-        rotations, translations = _place(rays, distance, attempts.turn, outline.centre)
+        rotations, translations = _place(rays, distance, attempts.turn @ outline.upright, outline.centre)
         pixels, valid = project_all(camera, outline.rim, rotations, translations)
         whole = np.asarray(valid.all(axis=1))
         lowest, highest = pixels.min(axis=1), pixels.max(axis=1)
@@ -148,6 +153,7 @@ def _acceptable(camera: Camera, outline: _Outline, attempts: _Attempts, rotation
     whole = in_image(camera, rim).all(axis=1)
     _, valid = project_all(camera, outline.sheet, rotations, translations)
     sheet = in_camera(outline.sheet, rotations, translations)
-    cosine = np.einsum("vni,vi->vn", sheet, rotations[:, :, 2]) / np.linalg.norm(sheet, axis=-1)
+    into = (rotations @ outline.upright)[:, :, 2]
+    cosine = np.einsum("vni,vi->vn", sheet, into) / np.linalg.norm(sheet, axis=-1)
     facing = (cosine > np.cos(STEEPEST)).all(axis=1)
     return np.asarray(valid.all(axis=1) & facing & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))

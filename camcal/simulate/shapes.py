@@ -1,7 +1,7 @@
 """The true shape of a simulated board: bow, twist, cubic and stretch, by formulas of their own.
 
 They are written apart from the basis that calibration estimates (targets/surface.py), so that a mistake in one
-does not hide in the other. x and y run over [-1, 1] on the grid of points, as drawn; the border follows the formulas.
+does not hide in the other. x and y run over [-1, 1] on the points, as drawn; the border follows the formulas.
 """
 
 from dataclasses import astuple, dataclass
@@ -17,7 +17,8 @@ from camcal.targets.board import Board
 class Shape:
     """How a board differs from its drawing; amplitudes in the board's unit (m, or squares when its size is unknown).
 
-    z = bow_x (1 - x²) + bow_y (1 - y²) + twist x y + cubic (x³ - x), into the board; stretch lengthens x by a ratio.
+    z = bow_x (1 - x²) + bow_y (1 - y²) + twist x y + cubic (x³ - x), in the board's frame; stretch lengthens x by a
+    ratio.
     """
 
     bow_x: float = 0.0

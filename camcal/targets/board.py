@@ -1,33 +1,49 @@
 """Boards and what is seen of them: the Board record, the Detection record, the short form of a board.
 
-The points of a board are the inner corners of its checker pattern, on a grid of `columns` × `rows`;
-id = row · columns + column, x along a row, y down the rows, z into the board, the origin at id 0.
+The points of a chessboard and of a ChArUco board are the inner corners of the checker pattern, those of a circle grid
+the centres: id = row · columns + column, x along a row, y down the rows, z into the board, the origin at id 0.
+An AprilGrid has Kalibr's numbering and frame: the corners of its tags, id = 4 · tag + corner, tag 0 at the lower left,
+tags along a row to the right, rows upwards, corners from the lower left counter-clockwise, y up, z out of the board.
 """
 
-import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
+from camcal.targets import layouts
+from camcal.targets.board_types import APRILGRID, ASYMMETRIC_CIRCLES, BOARD_TYPES, CHARUCO, CHESSBOARD, CIRCLES
+from camcal.targets.short_forms import fields_of
 
-CHESSBOARD = "chessboard"
-CHARUCO = "charuco"
-METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+__all__ = [
+    "APRILGRID",
+    "ASYMMETRIC_CIRCLES",
+    "CHARUCO",
+    "CHESSBOARD",
+    "CIRCLES",
+    "Board",
+    "Detection",
+    "Detections",
+    "parse_board",
+]
 
-_SIZE = re.compile(r"(\d+)x(\d+)$")
-_LENGTH = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(mm|cm|m|in)$")
+LARGEST = 1000  # a side
 
 
 @dataclass(frozen=True)
 class Board:
     """A planar target, as drawn.
 
-    columns, rows: the grid of inner corners (a ChArUco board of 9 × 7 squares has 8 × 6).
-    square: side of a square in metres, None when unknown (lengths are then in squares).
-    marker: side of a ChArUco marker in the same unit (as a fraction of the square when that is unknown).
+    type: one of BOARD_TYPES. columns, rows: the grid of inner corners (a ChArUco board of 9 × 7 squares has 8 × 6), of
+    tags or of circles; asymmetric circles count those of one row, as OpenCV does.
+    square: in metres, None when unknown (lengths are then in squares): the side of a square, the distance of
+    neighbouring tags or circles from centre to centre; of asymmetric circles the distance of rows.
+    marker: side of a ChArUco marker or of a tag's black border in the same unit (as a share of the square when that is
+    unknown). dictionary, first_marker: their family and the id of the first one.
     legacy: True for the ChArUco pattern of OpenCV before 4.6, None when it is to be found out.
+    diameter: of a circle in the same unit as the square (a share of it when that is unknown), None when unknown.
+    dots: whether a chessboard has the three dots in its middle that tell its corners apart.
     """
 
     type: str
@@ -38,27 +54,45 @@ class Board:
     dictionary: str | None = None
     first_marker: int = 0
     legacy: bool | None = None
+    diameter: float | None = None
+    dots: bool = False
 
     def __post_init__(self) -> None:
-        if self.type not in (CHESSBOARD, CHARUCO):
-            raise InvalidInput(f"board type {self.type!r} is unknown; use chessboard or charuco")
-        if min(self.columns, self.rows) < 2:
-            raise InvalidInput(f"a board needs at least 2 × 2 inner corners, found {self.columns} × {self.rows}")
-        if max(self.columns, self.rows) > 1000:
-            raise InvalidInput(f"{self.columns} × {self.rows} inner corners is more than the limit of 1000 a side")
-        lengths = [length for length in (self.square, self.marker) if length is not None]
-        if not all(np.isfinite(length) and length > 0 for length in lengths):
-            raise InvalidInput("lengths of a board must be positive")
-        if self.type == CHARUCO:
-            if self.marker is None or self.dictionary is None:
-                raise InvalidInput("a ChArUco board needs a marker size and a dictionary")
-            if self.marker >= (self.square or 1.0):
-                raise InvalidInput("the marker of a ChArUco board must be smaller than its square")
+        if self.type not in BOARD_TYPES:
+            raise InvalidInput(f"board type {self.type!r} is unknown; use {', '.join(BOARD_TYPES)}")
+        _require_counts(self)
+        _require_own_fields(self)
+        _require_lengths(self)
+
+    @property
+    def has_grid(self) -> bool:
+        """Whether the ids number a grid of columns × rows points, row by row."""
+        return self.type in (CHESSBOARD, CHARUCO, CIRCLES)
+
+    @property
+    def checker(self) -> bool:
+        """Whether the points are inner corners of a checker pattern."""
+        return self.type in (CHESSBOARD, CHARUCO)
+
+    @property
+    def crossed(self) -> bool:
+        """Whether two edges cross at every point."""
+        return self.checker or self.type == APRILGRID
+
+    @property
+    def coded(self) -> bool:
+        """Whether every point of a part of the board can be told from the others."""
+        return self.type in (CHARUCO, APRILGRID) or self.dots
+
+    @property
+    def inward(self) -> int:
+        """1 if z points into the board, away from who looks at its printed side; -1 if out of it (AprilGrid)."""
+        return -1 if self.type == APRILGRID else 1
 
     @property
     def count(self) -> int:
         """The number of points."""
-        return self.columns * self.rows
+        return self.columns * self.rows * (4 if self.type == APRILGRID else 1)
 
     @property
     def unit(self) -> str:
@@ -67,18 +101,31 @@ class Board:
 
     @property
     def pitch(self) -> float:
-        """The distance of neighbouring points in `unit`."""
+        """The distance of neighbouring corners, tags or circles (rows of asymmetric ones) in `unit`."""
         return 1.0 if self.square is None else self.square
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Width and height of the grid of points in `unit`."""
-        return (self.columns - 1) * self.pitch, (self.rows - 1) * self.pitch
+        """Width and height of the points' bounding box, which begins at the origin, in `unit`."""
+        width, height = self._flat().max(axis=0).tolist()
+        return width, height
+
+    @property
+    def words(self) -> str:
+        """What the board is, such as 'chessboard of 9x6 inner corners'."""
+        kind = BOARD_TYPES[self.type]
+        size = f"{self.columns + kind.border}x{self.rows + kind.border}"
+        return kind.words.format(size=size) + (" and three dots" if self.dots else "")
 
     def points(self) -> Array:
-        """Return the points (columns · rows, 3) in `unit`, in the order of their ids, as drawn (z = 0)."""
-        row, column = np.divmod(np.arange(self.count), self.columns)
-        return np.column_stack([column, row, np.zeros(self.count)]) * self.pitch
+        """Return the points (count, 3) in `unit`, in the order of their ids, as drawn (z = 0)."""
+        return np.column_stack([self._flat(), np.zeros(self.count)])
+
+    def _flat(self) -> Array:
+        if self.type == APRILGRID:
+            return layouts.tag_corners(self.columns, self.rows, (self.marker or 0.0) / self.pitch) * self.pitch
+        layout = layouts.staggered if self.type == ASYMMETRIC_CIRCLES else layouts.grid
+        return layout(self.columns, self.rows) * self.pitch
 
     def transposed(self) -> "Board":
         """Return the same board with columns and rows exchanged."""
@@ -88,16 +135,43 @@ class Board:
         """Return the permutations of ids, the identity first, that a detector cannot tell from each other.
 
         permutation[id] is the id that a turned board shows where `id` is expected. A chessboard with columns + rows
-        even looks the same turned by 180°, a square one by 90°; ChArUco markers leave no doubt.
+        even looks the same turned by 180°, a square one by 90°, so does any plain grid of circles; an asymmetric one
+        of an even number of rows turned by 180°. Markers, tags and dots leave no doubt.
         """
-        grid = np.arange(self.count).reshape(self.rows, self.columns)
-        if self.type == CHARUCO or (self.columns + self.rows) % 2:
-            turns = [grid]
-        elif self.columns == self.rows:
-            turns = [np.rot90(grid, k) for k in range(4)]
-        else:
-            turns = [grid, np.rot90(grid, 2)]
-        return tuple(readonly(turn.ravel(), (self.count,), "permutation", np.intp) for turn in turns)
+        if self.coded:
+            return layouts.unchanged(self.count)
+        if self.type == ASYMMETRIC_CIRCLES:
+            return layouts.unchanged(self.count) if self.rows % 2 else layouts.half_turns(self.count)
+        half = self.type == CIRCLES or (self.columns + self.rows) % 2 == 0
+        return layouts.grid_turns(self.columns, self.rows, half=half)
+
+
+def _require_counts(board: Board) -> None:
+    kind, size = BOARD_TYPES[board.type], f"{board.columns} × {board.rows}"
+    if min(board.columns, board.rows) < kind.least:
+        raise InvalidInput(f"a board needs at least {kind.least} × {kind.least} {kind.counted}, found {size}")
+    if max(board.columns, board.rows) > LARGEST:
+        raise InvalidInput(f"{size} {kind.counted} is more than the limit of {LARGEST} a side")
+    if board.dots and not layouts.dotted_squares(board.columns, board.rows):
+        raise InvalidInput(f"a chessboard of {size} inner corners has no room for three dots; it takes 4 × 3 at least")
+
+
+def _require_own_fields(board: Board) -> None:
+    allowed = BOARD_TYPES[board.type].own | {"type", "columns", "rows", "square"}
+    for field in fields(board):
+        if field.name not in allowed and getattr(board, field.name) != field.default:
+            raise InvalidInput(f"a board of type {board.type} has no {field.name}")
+
+
+def _require_lengths(board: Board) -> None:
+    lengths = [length for length in (board.square, board.marker, board.diameter) if length is not None]
+    if not all(np.isfinite(length) and length > 0 for length in lengths):
+        raise InvalidInput("lengths of a board must be positive")
+    kind = BOARD_TYPES[board.type]
+    if kind.needs and (board.marker is None or board.dictionary is None):
+        raise InvalidInput(kind.needs)
+    if max(board.marker or 0.0, board.diameter or 0.0) >= kind.nearest * board.pitch:
+        raise InvalidInput(kind.crowded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,51 +217,10 @@ class Detections:
 def parse_board(text: str) -> Board:
     """Return the board of a short form such as chessboard:9x6:25mm or charuco:9x7:30mm:22mm:DICT_5X5_100[:legacy].
 
-    Chessboard sizes count inner corners, ChArUco sizes count squares. The square may be left out of a chessboard;
-    a ChArUco marker is then given as a fraction of the square: charuco:9x7:0.75:DICT_5X5_100.
+    Chessboard sizes count inner corners, ChArUco sizes squares, the others tags or circles; see short_forms.FORMS.
+    A length in metres may be left out; what is printed is then given as a share: charuco:9x7:0.75:DICT_5X5_100.
     Raises InvalidInput that names the part at fault.
     """
-    kind, _, rest = text.partition(":")
-    parts = rest.split(":") if rest else []
-    if kind not in (CHESSBOARD, CHARUCO) or not parts:
-        raise InvalidInput(
-            f"board {text!r}: expected chessboard:COLUMNSxROWS[:SQUARE] (inner corners), "
-            "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY[:legacy] (squares) or a YAML file"
-        )
-    match = _SIZE.match(parts[0])
-    if not match:
-        raise InvalidInput(f"board {text!r}: {parts[0]!r} is not a size; write 9x6")
-    columns, rows = int(match[1]), int(match[2])
-    if kind == CHESSBOARD:
-        if len(parts) > 2:
-            raise InvalidInput(f"board {text!r}: too many parts; a chessboard is chessboard:9x6[:25mm]")
-        return Board(CHESSBOARD, columns, rows, _length(text, parts[1]) if len(parts) == 2 else None)
-    return _parse_charuco(text, columns, rows, parts[1:])
-
-
-def _parse_charuco(text: str, columns: int, rows: int, parts: list[str]) -> Board:
-    legacy: bool | None = None
-    if parts and parts[-1] in ("legacy", "current"):
-        legacy, parts = parts[-1] == "legacy", parts[:-1]
-    if len(parts) == 3:
-        square: float | None = _length(text, parts[0])
-        marker = _length(text, parts[1])
-    elif len(parts) == 2:
-        square, marker = None, _fraction(text, parts[0])
-    else:
-        raise InvalidInput(f"board {text!r}: a ChArUco board is charuco:9x7:30mm:22mm:DICT_5X5_100[:legacy]")
-    return Board(CHARUCO, columns - 1, rows - 1, square, marker, parts[-1], legacy=legacy)
-
-
-def _length(text: str, part: str) -> float:
-    match = _LENGTH.match(part)
-    if not match:
-        raise InvalidInput(f"board {text!r}: {part!r} is not a length with its unit; write 25mm, 2.5cm, 0.025m or 1in")
-    return float(match[1]) * METRES[match[2]]
-
-
-def _fraction(text: str, part: str) -> float:
-    try:
-        return float(part)
-    except ValueError:
-        raise InvalidInput(f"board {text!r}: {part!r} is not the marker's share of the square, such as 0.75") from None
+    fields = fields_of(text)
+    border = BOARD_TYPES[fields["type"]].border
+    return Board(**{**fields, "columns": fields["columns"] - border, "rows": fields["rows"] - border})

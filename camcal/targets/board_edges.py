@@ -31,13 +31,17 @@ class BoardEdges:
             object.__setattr__(self, name, readonly(getattr(self, name), (len(self.reach), 2, 2), name))
 
     @classmethod
-    def of(cls, board: Board) -> "BoardEdges":
-        """Return the edges of a board. Raises InvalidInput for one of circles."""
+    def of(cls, board: Board, first: int | None = None) -> "BoardEdges":
+        """Return the edges of a board; first: see `first_sign`, None for as drawn.
+
+        Raises InvalidInput for a board of circles.
+        """
         if board.type == APRILGRID:
             return _of_tags(board)
-        if not board.checker:
+        if not board.crossed:
             raise InvalidInput(f"no edges cross at the points of a {board.words}")
-        depth = bright_depths((board.rows, board.columns), first_sign(board), margin(board))
+        sign = first_sign(board) if first is None else first
+        depth = bright_depths((board.rows, board.columns), sign, margin(board))
         return cls(board.pitch, np.ones((board.count, 2, 2)), depth.reshape(-1, 2, 2))
 
 
@@ -47,8 +51,20 @@ def margin(board: Board) -> float:
 
 
 def first_sign(board: Board) -> int:
-    """Return 1 if the square before a board's first corner is dark, else -1: a legacy ChArUco board of even rows."""
+    """Return 1 if the square before a board's first corner is dark, -1 if it is bright as on a legacy ChArUco board of
+    an even number of rows of squares; a board that does not say is of the current kind.
+    """
     return -1 if board.legacy and (board.rows + 1) % 2 == 0 else 1
+
+
+def signs(board: Board) -> Array:
+    """Return 1 or -1 for every point (C,) of a board: where it is the same, the quadrants between the edges have the
+    same colours. What stands before the first point may be either dark or bright.
+    """
+    if board.type == APRILGRID:
+        return np.tile([1.0, -1.0], board.count // 2)
+    row, column = np.divmod(np.arange(board.count), board.columns)
+    return np.where((row + column) % 2, -1.0, 1.0)
 
 
 def bright_depths(shape: tuple[int, int], sign: int, margin: float) -> Array:
@@ -73,13 +89,15 @@ def _of_tags(board: Board) -> BoardEdges:
     return BoardEdges(side, reach, np.where(in_tag, BORDER / cells, gap))
 
 
-def seen_cells(board: Board, points: Array, project: Callable[[Array], Array]) -> tuple[Array, Cells]:
-    """Return the pixels (C, 2) of a board's points and their cells as a camera sees them.
+def seen_cells(
+    board: Board, ids: Array, points: Array, project: Callable[[Array], Array], first: int | None = None
+) -> tuple[Array, Cells]:
+    """Return the pixels (N, 2) of some of a board's points, ids (N,), and their cells as a camera sees them.
 
-    points: (C, 3) the board as it is, in its unit. project: takes points (N, 3) of the board to pixels (N, 2), NaN
-    where the camera does not see them. Pixels and steps are NaN there.
+    points: (N, 3) where they are on the board as it is, in its unit. project: takes points (N, 3) of the board to
+    pixels (N, 2), NaN where the camera does not see them. Pixels and cells are NaN there. first: see BoardEdges.of.
     """
-    edges = BoardEdges.of(board)
+    edges = BoardEdges.of(board, first)
     axes = edges.length * np.eye(3)[:2]
     middle = project(points)
     steps, bends = np.empty((len(points), 2, 2)), np.empty((len(points), 2))
@@ -88,16 +106,18 @@ def seen_cells(board: Board, points: Array, project: Callable[[Array], Array]) -
         step, second = after - before, (after - 2 * middle + before) / _HALF**2
         steps[:, :, edge] = step
         bends[:, edge] = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1) ** 3
-    beside = _seen_beside(board, points, middle, project) if board.checker else None
-    return middle, Cells(steps, bends, edges.reach, edges.depth, beside)
+    beside = _seen_beside(board, ids, points, middle, project) if board.checker else None
+    return middle, Cells(steps, bends, edges.reach[ids], edges.depth[ids], beside)
 
 
-def _seen_beside(board: Board, points: Array, middle: Array, project: Callable[[Array], Array]) -> Beside:
+def _seen_beside(
+    board: Board, ids: Array, points: Array, middle: Array, project: Callable[[Array], Array]
+) -> Beside:
     """Return the edges beside those of a checker pattern's corners."""
     axes = board.pitch * np.eye(3)[:2]
-    row, column = np.divmod(np.arange(board.count), board.columns)
+    row, column = np.divmod(ids, board.columns)
     ends = ((row, board.rows - 1), (column, board.columns - 1))
-    lines, border = np.empty((board.count, 2, 2, 3)), np.empty((board.count, 2, 2), np.bool_)
+    lines, border = np.empty((len(ids), 2, 2, 3)), np.empty((len(ids), 2, 2), np.bool_)
     for edge in (0, 1):
         for index, sign in enumerate((-1, 1)):
             next_one = points + sign * axes[1 - edge]

@@ -1,15 +1,14 @@
 """The cell of every corner of a board: where its two edges lead, how they bend, how far the picture is theirs alone.
 
 Half-way to the next corner an edge begins to be that corner's. Edges are straight on the board but not in the image of
-a lens that distorts; how they bend there is read off the corners themselves.
+a lens that distorts.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.targets import grid as grids
 
 _CROWDED = 6.5  # standard deviations of the blur to the next edge, below which it is part of the picture
 
@@ -57,17 +56,9 @@ class Cells:
         whole = np.ones((len(steps), 2, 2))
         return cls(steps, np.zeros((len(steps), 2)) if bends is None else bends, whole, whole)
 
-    @classmethod
-    def of_grid(cls, grid: Array, depth: Array | None = None) -> "Cells":
-        """Return the cells of the corners that a grid (rows, columns, 2) px has, NaN where none, row by row.
-
-        depth: (rows, columns, 2, 2), None where nothing is printed within the squares.
-        """
-        known = ~np.isnan(grid[..., 0])
-        steps = grids.steps(grid)
-        bends = np.stack([grids.curvature(grid, axis)[known] for axis in (0, 1)], axis=1)
-        whole = np.ones((len(bends), 2, 2))
-        return cls(steps[known], bends, whole, whole if depth is None else depth[known], Beside.of_grid(grid, steps))
+    def narrow(self) -> "Cells":
+        """Return the cells for a first look: with straight edges, and as little depth everywhere as anywhere."""
+        return replace(self, bends=np.zeros_like(self.bends), depth=np.full_like(self.depth, self.depth.min(initial=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +82,6 @@ class Beside:
         return Beside(self.lines[rows], self.border[rows])
 
     @classmethod
-    def of_grid(cls, grid: Array, steps: Array) -> "Beside":
-        """Return the edges beside the corners of a grid (rows, columns, 2) px, NaN where none; steps: see grid.py."""
-        known = ~np.isnan(grid[..., 0])
-        wide = grids.surrounded(grid)
-        lines, border = np.empty((*known.shape, 2, 2, 3)), np.zeros((*known.shape, 2, 2), np.bool_)
-        for edge, along in ((0, (0, 1)), (1, (1, 0))):
-            for index, sign in enumerate((-1, 1)):
-                next_one = np.array(along[::-1]) * sign
-                place, after, before = (_at(wide, next_one + shift) for shift in (0, np.array(along), -np.array(along)))
-                tangent = _first_known(after - before, after - place, place - before, steps[..., edge])
-                place = _first_known(place - grid, sign * steps[..., 1 - edge])
-                lines[:, :, edge, index] = cls.line(place, tangent)
-                border[:, :, edge, index] = _beyond(grid.shape[:2], edge, sign)
-        return cls.sorted(lines[known], border[known])
-
-    @classmethod
     def sorted(cls, lines: Array, border: Array) -> "Beside":
         """Return the edges beside N corners, given in any order of right and left."""
         right_first = np.argsort(-lines[..., 2], axis=-1)
@@ -119,24 +94,3 @@ class Beside:
         normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         return np.concatenate([normal, -(normal * place).sum(axis=-1, keepdims=True)], axis=-1)
-
-
-def _at(wide: Array, offset: Array) -> Array:
-    """Return the nodes at an offset (rows, columns) from those within a grid that is one node wider on every side."""
-    row, column = offset + 1
-    return wide[row : row + wide.shape[0] - 2, column : column + wide.shape[1] - 2]
-
-
-def _first_known(*choices: Array) -> Array:
-    """Return the first of arrays (...) that is not NaN, element by element."""
-    result = choices[0]
-    for other in choices[1:]:
-        result = np.where(np.isnan(result), other, result)
-    return result
-
-
-def _beyond(shape: tuple[int, int], edge: int, sign: int) -> Array:
-    """Return at which nodes of a grid (rows, columns) the next line is the border of the pattern."""
-    row, column = np.indices(shape)
-    place, count = (row, shape[0]) if edge == 0 else (column, shape[1])
-    return np.asarray(place == (0 if sign < 0 else count - 1))

@@ -1,19 +1,24 @@
-"""A ChArUco board in an image: OpenCV reads the markers, the corners between them are verified and located here.
+"""A ChArUco board in an image: its checker pattern is found as a chessboard's is, its markers say which part it is.
 
 Markers are arranged in two ways: as OpenCV draws boards today, and as it did before 4.6, which differs where the board
 has an even number of rows of squares. A board drawn with its sizes exchanged has other markers in other places too.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board import Board
-from camcal.targets.checker import settle
-from camcal.targets.sighting import MIN_CORNERS, Sighting
+from camcal.targets.charuco_markers import LEAST_VOTES, Reading, Seat, read_markers, seat
+from camcal.targets.checker import Checker, revisited, settle, trimmed, undisturbed
+from camcal.targets.proposals import proposals
+from camcal.targets.sighting import Sighting
 
+ENOUGH = 0.5  # of the board's corners, to look no further
+INSIDE = 0.9  # share of a pattern's corners that must be the board's where its markers put it
 MARGIN_USED = 0.8  # of a marker's white margin, so that a blurred marker stays out of the samples
 
 
@@ -21,39 +26,86 @@ def arrangements(board: Board) -> tuple[Board, ...]:
     """Return the boards that `board` may stand for, the one it literally is first, each with `legacy` settled."""
     result = []
     for candidate in (board, board.transposed()):
-        both = candidate.legacy is None and _patterns_differ(candidate)
-        legacies = (False, True) if both else (bool(candidate.legacy),)
+        legacies = _legacies(candidate)
         result += [replace(candidate, legacy=legacy) for legacy in legacies]
     return tuple(dict.fromkeys(result))
 
 
 def require_markers(board: Board) -> None:
     """Raise InvalidInput if the dictionary of a ChArUco board is unknown or has too few markers for it."""
-    _detector(board)
+    squares = (board.columns + 1, board.rows + 1)
+    opencv.charuco_detector(squares, _ratio(board), board.dictionary or "", board.first_marker, legacy=False)
 
 
 def find_charuco(gray: Array, board: Board) -> Sighting:
     """Return the corners of a ChArUco board in `gray`, (H, W) uint8, or the reason why there are none.
 
-    A board whose `legacy` is None is looked for in both patterns, and the one with more corners is taken.
+    A board whose `legacy` is None is looked for in both patterns, and the one that more markers speak for is taken.
     Raises InvalidInput if the dictionary is unknown or too small.
     """
-    if board.legacy is None and _patterns_differ(board):
-        sightings = [find_charuco(gray, replace(board, legacy=legacy)) for legacy in (False, True)]
-        return max(sightings, key=lambda sighting: len(sighting.ids))
-    detector = _detector(board)
-    ids, pixels, markers = opencv.find_charuco(detector, gray)
-    if len(ids) < MIN_CORNERS and _markers_mirrored(detector, gray) > markers:
+    require_markers(board)
+    legacies = _legacies(board)
+    best = Sighting.nothing(f"no marker of {board.dictionary} found")
+    for copy in proposals(gray):
+        parts = [_part(gray, start, board, legacies) for start in copy]
+        grid = _joined(parts, board)
+        if grid is None:
+            best = best if best.found else max((best, *(_reason(part, board) for part in parts)), key=_telling)
+            continue
+        checker = revisited(gray, settle(gray, grid, clearance(board)), clearance(board))
+        seen = Sighting.of(undisturbed(gray, checker, clearance(board)))
+        best = max(best, seen, key=lambda sighting: len(sighting.ids))
+        if len(best.ids) >= ENOUGH * board.count:
+            break
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A checker pattern, the markers read in it, and where it sits on the board as far as they say."""
+
+    checker: Checker
+    reading: Reading
+    seat: Seat | None
+
+
+def _part(gray: Array, start: Array, board: Board, legacies: Sequence[bool]) -> _Part:
+    checker = trimmed(settle(gray, start, clearance(board)))
+    reading = read_markers(gray, checker, board)
+    return _Part(checker, reading, seat(reading, board, legacies))
+
+
+def _joined(parts: list[_Part], board: Board) -> Array | None:
+    """Return the corners (rows, columns, 2) of all parts of a board that belong together, those of most markers first.
+
+    None if no part says where it is.
+    """
+    seated = sorted(((part.seat, part) for part in parts if part.seat), key=lambda pair: -pair[0].votes)
+    grid = None
+    for place, part in seated:
+        corners = place.on_board(part.checker.grid, board)
+        if (~np.isnan(corners[..., 0])).sum() < INSIDE * part.checker.found.sum():
+            continue
+        if grid is None:
+            grid = corners
+        elif place.legacy == seated[0][0].legacy:
+            grid = np.where(np.isnan(grid), corners, grid)
+    return grid
+
+
+def _reason(part: _Part, board: Board) -> Sighting:
+    """Return why a pattern is not the board."""
+    count, mirrored = len(part.reading.marker), part.reading.mirrored
+    if mirrored >= LEAST_VOTES and mirrored > count:
         return Sighting.nothing("the image is mirrored: its markers can be read only from behind")
-    if not len(ids):
-        seen = f"{markers} markers, but no corner between them that fits the board"
-        return Sighting.nothing(seen if markers else f"no marker of {board.dictionary} found")
-    start = np.full((board.rows, board.columns, 2), np.nan)
-    start[np.divmod(ids, board.columns)] = pixels
-    checker = settle(gray, start, clearance(board))
-    if checker.found.any() and checker.sign != _sign(board):
-        return Sighting.nothing("dark and bright squares are exchanged: not this board")
-    return Sighting.of(checker.grid)
+    if count >= LEAST_VOTES:
+        return Sighting.nothing(f"{count} markers, but not where this board has them")
+    return Sighting.nothing(f"no marker of {board.dictionary} found")
+
+
+def _telling(sighting: Sighting) -> bool:
+    """Return whether a reason says more than that there is nothing."""
+    return not (sighting.reason or "").startswith("no marker")
 
 
 def clearance(board: Board) -> float:
@@ -61,25 +113,11 @@ def clearance(board: Board) -> float:
     return MARGIN_USED * (1 - _ratio(board)) / 2
 
 
-def _detector(board: Board) -> opencv.CharucoDetector:
-    squares = (board.columns + 1, board.rows + 1)
-    dictionary = str(board.dictionary)
-    return opencv.charuco_detector(squares, _ratio(board), dictionary, board.first_marker, legacy=bool(board.legacy))
-
-
 def _ratio(board: Board) -> float:
     return float(board.marker or 0) / (board.square or 1.0)
 
 
-def _patterns_differ(board: Board) -> bool:
-    return (board.rows + 1) % 2 == 0
-
-
-def _sign(board: Board) -> int:
-    """Return 1 if the square at the board's first corner is dark, else -1."""
-    return -1 if board.legacy and _patterns_differ(board) else 1
-
-
-def _markers_mirrored(detector: opencv.CharucoDetector, gray: Array) -> int:
-    """Return the number of markers that are read in the mirrored image; a few of them are read by accident."""
-    return opencv.find_charuco(detector, np.ascontiguousarray(gray[:, ::-1]))[2]
+def _legacies(board: Board) -> tuple[bool, ...]:
+    """Return the patterns of markers to look for; both look the same with an odd number of rows of squares."""
+    either = board.legacy is None and (board.rows + 1) % 2 == 0
+    return (False, True) if either else (bool(board.legacy),)

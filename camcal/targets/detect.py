@@ -1,38 +1,67 @@
-"""The corners of a board in one image."""
+"""The points of a board in one image."""
+
+from collections.abc import Callable, Mapping
 
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.targets.board import CHARUCO, Board
+from camcal.targets.aprilgrid import find_aprilgrid
+from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.charuco import find_charuco, require_markers
 from camcal.targets.chessboard import find_chessboard
+from camcal.targets.circles import find_circles
+from camcal.targets.marker_families import family_named
+from camcal.targets.measure import measure
+from camcal.targets.samples import Samples
 from camcal.targets.sighting import Sighting
 
 SEED = 0  # of OpenCV's random numbers, set anew for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them
 MIN_CORNERS = 3  # a side of a chessboard, for the detectors' sake
 
+_FINDERS: Mapping[str, Callable[[Array, Board], Sighting]] = {
+    CHARUCO: find_charuco,
+    CIRCLES: find_circles,
+    ASYMMETRIC_CIRCLES: find_circles,
+}
 
-def detect(gray: Array, board: Board, *, seed: int = SEED) -> Sighting:
-    """Return the corners of a board in an image, or the reason why there are none.
 
-    gray: (H, W) uint8. The result depends on the pixels and the board only: one thread, one seed, and corners fitted
-    to the image whatever a detector proposed.
+def detect(
+    gray: Array, board: Board, *, seed: int = SEED, partial: bool = False, samples: Samples | None = None
+) -> Sighting:
+    """Return the points of a board in an image with their covariances, or the reason why there are none.
+
+    gray: (H, W) uint8, in which the board is found. partial: a part of a chessboard will do that shows which part it
+    is, as any part of a board with markers, tags or dots does in any case. samples: those of the same image that say
+    where its corners are, None for gray itself. The result depends on the pixels and the board only: one thread, one
+    seed, and points fitted to the image whatever a detector proposed.
     Raises InvalidInput for another kind of image and for a board that cannot be found, see `require_findable`.
     """
-    require_findable(board)
+    require_findable(board, partial=partial)
     if gray.ndim != 2 or gray.dtype != "uint8":
-        raise InvalidInput(f"corners are found in gray images of 8 bits, not in {gray.dtype} of shape {gray.shape}")
+        raise InvalidInput(f"boards are found in gray images of 8 bits, not in {gray.dtype} of shape {gray.shape}")
     if min(gray.shape) < MIN_PIXELS:
         return Sighting.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
     with opencv.repeatable(seed):
-        return find_charuco(gray, board) if board.type == CHARUCO else find_chessboard(gray, board)
+        if board.type == APRILGRID:
+            return find_aprilgrid(gray, board, samples)
+        if board.type == CHESSBOARD:
+            found = find_chessboard(gray, board, partial=partial or board.dots)
+        else:
+            found = _FINDERS[board.type](gray, board)
+    return measure(samples or Samples(gray), board, found) if board.crossed else found
 
 
-def require_findable(board: Board) -> None:
-    """Raise InvalidInput for a chessboard that is too small to be found, or a dictionary without its markers."""
+def require_findable(board: Board, *, partial: bool = False) -> None:
+    """Raise InvalidInput for a chessboard that is too small to be found, a dictionary without the board's markers, or
+    a grid of circles of which parts are asked for.
+    """
     if board.type == CHARUCO:
         require_markers(board)
-    elif min(board.columns, board.rows) < MIN_CORNERS:
+    elif board.type == APRILGRID:
+        family_named(board.dictionary or "").require(board.first_marker, board.columns * board.rows)
+    elif board.type == CHESSBOARD and min(board.columns, board.rows) < MIN_CORNERS:
         size = f"{board.columns} x {board.rows}"
         raise InvalidInput(f"a chessboard of {size} inner corners cannot be found; it takes 3 x 3 at least")
+    elif partial and board.type in (CIRCLES, ASYMMETRIC_CIRCLES):
+        raise InvalidInput("parts of a grid of circles cannot be told apart; the whole grid must be in sight")

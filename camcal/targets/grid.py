@@ -9,8 +9,6 @@ from camcal.arrays import Array
 
 _REACH = 3  # nodes away that take part in a prediction
 _UPRIGHT = np.array([np.cos(np.radians(20)), np.sin(np.radians(20))])
-_BENT = 3  # the degree of what a lens adds to a homography
-_AROUND = 2  # nodes away that say how lines bend
 
 
 def predict(grid: Array) -> Array:
@@ -70,84 +68,6 @@ def _affine_steps(grid: Array) -> tuple[Array, Array]:
     design = np.column_stack([column, row, np.ones(len(row))])
     solution = np.linalg.lstsq(design, grid[row, column], rcond=None)[0]
     return solution[0], solution[1]
-
-
-def surrounded(grid: Array) -> Array:
-    """Return a grid that is one node wider on every side, (rows + 2, columns + 2, 2), its new nodes from all the others:
-    a homography, and a cubic for what the lens bends. Missing nodes within stay missing.
-    """
-    rows, columns = grid.shape[:2]
-    places = np.stack(np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows)), axis=-1)
-    step = 2 / (np.array([columns, rows]) - 1)
-    wide = np.stack(
-        np.meshgrid(
-            *(np.linspace(-1 - size, 1 + size, count + 2) for size, count in zip(step, (columns, rows), strict=True))
-        ),
-        axis=-1,
-    )
-    known = ~np.isnan(grid[..., 0])
-    plane = _homography(places[known], grid[known])
-    degree = min(_BENT, rows - 1, columns - 1)
-    bend = np.linalg.lstsq(_powers(places[known], degree), grid[known] - _mapped(plane, places[known]), rcond=1e-6)[0]
-    result = _mapped(plane, wide.reshape(-1, 2)) + _powers(wide.reshape(-1, 2), degree) @ bend
-    result = result.reshape(rows + 2, columns + 2, 2)
-    result[1:-1, 1:-1] = grid
-    return result
-
-
-def _homography(places: Array, pixels: Array) -> Array:
-    """Return the homography (3, 3) from places to pixels (N, 2) by the direct linear transformation."""
-    middle, spread = pixels.mean(axis=0), pixels.std() + 1e-9
-    x, y = ((pixels - middle) / spread).T
-    points = np.column_stack([places, np.ones(len(places))])
-    zero = np.zeros_like(points)
-    rows = np.concatenate([
-        np.hstack([points, zero, -x[:, None] * points]),
-        np.hstack([zero, points, -y[:, None] * points]),
-    ])  # fmt: skip
-    result = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    return np.array([[spread, 0, middle[0]], [0, spread, middle[1]], [0, 0, 1]]) @ result
-
-
-def _mapped(homography: Array, places: Array) -> Array:
-    projected = np.column_stack([places, np.ones(len(places))]) @ homography.T
-    return np.asarray(projected[:, :2] / projected[:, 2:])
-
-
-def _powers(places: Array, degree: int) -> Array:
-    """Return the products of powers of x and y (N, M) up to a degree."""
-    x, y = places.T
-    return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
-
-
-def curvature(grid: Array, axis: int) -> Array:
-    """Return how the lines of a grid bend at its nodes (rows, columns), 1/px: rows (axis 0) or columns (1).
-
-    Positive towards the left normal (-y, x) of the way to the next node. Lenses bend smoothly and corners are not exact:
-    a plane is fitted to what the nodes around each one say. 0 where there are too few.
-    """
-    along = np.array([0, 1]) if axis == 0 else np.array([1, 0])
-    near = _neighbours(grid)
-    after, before = near(along) - grid, grid - near(-along)
-    second, step = after - before, (after + before) / 2
-    across = step[..., 0] * second[..., 1] - step[..., 1] * second[..., 0]
-    return _smoothed(across / np.maximum(np.linalg.norm(step, axis=-1), 1e-9) ** 3)
-
-
-def _smoothed(values: Array) -> Array:
-    """Return the planes through the values (rows, columns) around every node, where NaN is no value, at that node."""
-    near = _neighbours(values[..., None])
-    offsets = np.array(
-        [(row, column) for row in range(-_AROUND, _AROUND + 1) for column in range(-_AROUND, _AROUND + 1)]
-    )
-    around = np.stack([near(offset)[..., 0] for offset in offsets], axis=-1)
-    known = ~np.isnan(around)
-    plane = np.column_stack([np.ones(len(offsets)), offsets])
-    nearness = np.exp(-(offsets**2).sum(axis=1) / 2)
-    weighted = (known * nearness)[..., None] * plane
-    normal = weighted.swapaxes(-1, -2) @ plane + np.diag([1e-9, 1e-3, 1e-3])
-    right = weighted.swapaxes(-1, -2) @ np.where(known, around, 0.0)[..., None]
-    return np.asarray(np.linalg.solve(normal, right)[..., 0, 0])
 
 
 def spacing(steps_at_nodes: Array) -> Array:

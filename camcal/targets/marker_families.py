@@ -42,6 +42,18 @@ class Family:
     turned: bool
     count: int
 
+    def require(self, first: int, count: int) -> None:
+        """Raise InvalidInput unless the family has `count` markers from the id `first` on."""
+        if first + count > self.count:
+            raise InvalidInput(
+                f"the board needs markers {first} to {first + count - 1}, {self.name} ends at {self.count - 1}"
+            )
+
+    @property
+    def bits(self) -> int:
+        """The number of cells across a marker within its black border."""
+        return int(marker_dictionary(self.dictionary).markerSize)
+
     @property
     def corrected(self) -> float:
         """The share of the bits a code could correct that is corrected."""

@@ -3,43 +3,49 @@
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.targets import grid as grids
+from camcal.targets.board import Board
+from camcal.targets.board_edges import seen_cells, signs
+from camcal.targets.board_map import map_of
 from camcal.targets.cells import Cells
 from camcal.targets.edge_blur import edge_blur
 from camcal.targets.refine import RefinedCorners, refine
+from camcal.targets.samples import Samples
+from camcal.targets.sighting import MIN_CORNERS, Sighting
 
 LARGEST_NOISE = 0.4  # of the contrast; what is left over of a corner that is none is more
 _BLUR_PX = 1.0  # where no edge says otherwise
-_NEAR_PX = 8.0  # along the edges for a first look: from starts some tenths of a pixel off one cannot tell how they bend
+_NEAR_PX = 8.0  # along the edges at first: from corners some tenths of a pixel off one cannot tell how they bend
 _ROUNDS = 3  # where corners are so close that each is seen in its neighbours' pictures
 
 
-def measure_grid(
-    values: Array, grid: Array, depth: Array | None = None, sites: Array | None = None
-) -> tuple[Array, Array]:
-    """Return the corners (rows, columns, 2) px of a checker pattern and their covariance (rows, columns, 2, 2) px².
+def measure(samples: Samples, board: Board, sighting: Sighting) -> Sighting:
+    """Return what was seen of a board of crossing edges with its corners measured; those that are none are left out.
 
-    values: (H, W), uint8 or any other kind of number. grid: (rows, columns, 2), good to half a pixel or so, NaN where
-    no corner is known. depth: see Cells, (rows, columns, 2, 2). sites: (H, W) mask of the pixels that count. NaN where
-    the image does not bear a corner out.
+    sighting: its corners are good to half a pixel or so.
     """
-    measured, covariance = np.full_like(grid, np.nan), np.full((*grid.shape, 2), np.nan)
-    known = ~np.isnan(grid[..., 0])
-    if not known.any():
-        return measured, covariance
-    blur = blur_of(values, grid[known])
-    near = refine(values, grid[known], Cells.plain(grids.steps(grid)[known]), blur, sites, _NEAR_PX)
+    if not sighting.found:
+        return sighting
+    ids, pixels, values, sites = sighting.ids, sighting.pixels, samples.values, samples.sites
+    blur = blur_of(values, pixels)
+    corners = refine(values, pixels, _cells(board, ids, pixels, values).narrow(), blur, sites, _NEAR_PX)
+    # What a board that leaves its pattern open, or that is printed inverted, has before its first corner
+    first = 1 if np.nansum(corners.contrast * signs(board)[ids]) >= 0 else -1
     for _ in range(_ROUNDS):
-        grid = np.full_like(grid, np.nan)
-        grid[known] = near.pixels
-        cells = Cells.of_grid(grid, depth)
-        near = refine(values, near.pixels, cells, blur, sites)
+        cells = _cells(board, ids, corners.pixels, values, first)
+        corners = refine(values, corners.pixels, cells, blur, sites)
         if not cells.crowded(blur):
             break
-    good = clear(near)
-    measured[known] = np.where(good[:, None], near.pixels, np.nan)
-    covariance[known] = np.where(good[:, None, None], near.covariance, np.nan)
-    return measured, covariance
+    good = clear(corners)
+    if good.sum() < MIN_CORNERS:
+        return Sighting.nothing(f"only {int(good.sum())} clear corners")
+    return Sighting(ids[good], corners.pixels[good], covariance=corners.covariance[good])
+
+
+def _cells(board: Board, ids: Array, pixels: Array, values: Array, first: int = 1) -> Cells:
+    """Return the cells of corners as a map that is fitted to all of them has them."""
+    points = board.points()[ids]
+    seen = map_of(points[:, :2], pixels, (values.shape[1], values.shape[0]))
+    return seen_cells(board, ids, points, lambda points: seen.pixels(points[:, :2]), first)[1]
 
 
 def clear(corners: RefinedCorners) -> Array:

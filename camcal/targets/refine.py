@@ -19,9 +19,11 @@ from camcal.targets.checker_picture import CheckerPicture, alone, crowded
 from camcal.targets.crossing import PIXEL_VARIANCE
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
-_LOG_BLUR = (-3.0, 1.8)  # of 0.05 px and 6 px, besides the pixel's own
-_ROUNDS = 12
+_BLUR_PX = (0.2, 6.3)  # a pixel's own square makes 0.29
+_ROUNDS = 24  # that few corners need
 _SETTLED_PX = 1e-3  # the step after such a step is of the order of 1e-5 px
+_SETTLED = 0.05  # of a standard deviation
+_RESTING_PX = 0.02  # where pictures are not like the model, steps go to and fro and lessen slowly
 _FURTHEST = 0.35  # steps from the start; a fit that goes further has found something else
 _COUNT = 11
 _OFFSETS, _ANGLES, _BLURS, _LIGHT = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 11)
@@ -95,7 +97,7 @@ class _Scene:
     def picture(self, window: CellWindow, state: "_State", along: Array, away: Array) -> CheckerPicture:
         """Return the picture (N, K) of edges; along, away: (2, N, K) px along each edge and from it, to its left."""
         single = np.float32
-        inverse = (1 / state.blur).astype(single).T[..., None]
+        inverse = np.exp(-state.log_blur).astype(single).T[..., None]
         correlation = np.cos(state.angles[:, [0]] - state.angles[:, [1]]).astype(single)
         if self.beside is None:
             return alone(away[0] * inverse[0], away[1] * inverse[1], correlation)
@@ -124,8 +126,7 @@ class _State:
     def start(cls, window: CellWindow, scene: _Scene, pixels: Array, cells: Cells, blur_px: float) -> "_State":
         """Return edges along the steps, and the light by linear least squares."""
         angles = np.arctan2(cells.steps[:, 1], cells.steps[:, 0])
-        own = np.log(max(blur_px**2 - PIXEL_VARIANCE, 1e-9)) / 2
-        blur = np.full((len(pixels), 2), np.clip(own, *_LOG_BLUR))
+        blur = np.full((len(pixels), 2), np.log(np.clip(blur_px, *_BLUR_PX)))
         state = cls(pixels.astype(np.float64), angles, blur, np.zeros((len(pixels), 5)))
         state.light[:, 1] = 1.0
         linear = _evaluate(window, scene, state).jacobian[:, 6:9]
@@ -146,13 +147,8 @@ class _State:
     def moved(self, step: Array) -> "_State":
         """Return the state after a step (N, 11)."""
         across = np.linalg.solve(self.normals, step[:, _OFFSETS, None])[..., 0]
-        blur = np.clip(self.log_blur + step[:, _BLURS], *_LOG_BLUR)
+        blur = np.clip(self.log_blur + step[:, _BLURS], *np.log(_BLUR_PX))
         return _State(self.pixels + across, self.angles + step[:, _ANGLES], blur, self.light + step[:, _LIGHT])
-
-    @property
-    def blur(self) -> Array:
-        """The blur (N, 2) px across both edges, the pixel's own square included."""
-        return np.asarray(np.sqrt(PIXEL_VARIANCE + np.exp(2 * self.log_blur)))
 
     @property
     def normals(self) -> Array:
@@ -196,22 +192,25 @@ class _Fit:
 def _minimise(window: CellWindow, scene: _Scene, state: _State) -> _Fit:
     linear = _evaluate(window, scene, state)
     cost, normal, gradient = linear.cost, linear.normal, linear.gradient
-    damping, settled = np.full(len(cost), 1e-4), np.zeros(len(cost), np.bool_)
+    damping, (settled, resting) = np.full(len(cost), 1e-4), np.zeros((2, len(cost)), np.bool_)
+    count = window.used.sum(axis=1) + 1e-9
     for _ in range(_ROUNDS):
         rows = np.flatnonzero(~settled)
         if not len(rows):
             break
         step = _step(normal[rows], gradient[rows], damping[rows])
         trial = state.take(rows).moved(step)
-        small = np.abs(step[:, _OFFSETS]).max(axis=1) < _SETTLED_PX
+        spread = np.sqrt(cost[rows] / count[rows] / (normal[rows][:, [0, 1], [0, 1]].min(axis=1) + 1e-9))
+        length = np.abs(step[:, _OFFSETS]).max(axis=1)
+        resting[rows] = length < np.maximum(_RESTING_PX, spread)
         linear = _evaluate(window.take(rows), scene.take(rows), trial)
         better = linear.cost <= cost[rows] * (1 + 1e-6)
         kept = rows[better]
         state.put(kept, trial.take(better))
         cost[kept], normal[kept], gradient[kept] = linear.cost[better], linear.normal[better], linear.gradient[better]
         damping[rows] *= np.where(better, 0.1, 30.0)
-        settled[rows] = small
-    return _Fit(state, cost, normal, settled)
+        settled[rows] = length < np.maximum(_SETTLED_PX, _SETTLED * spread)
+    return _Fit(state, cost, normal, resting)
 
 
 def _step(normal: Array, gradient: Array, damping: Array) -> Array:
@@ -236,13 +235,13 @@ def _evaluate(window: CellWindow, scene: _Scene, state: _State) -> _Linear:
     gain = (1 + slope_x * over_x + slope_y * over_y) * window.used
     shape = level + (contrast + tone * seen.value) * seen.value
     slope = -gain * (contrast + 2 * tone * seen.value)
-    inverse, own = ((1 / state.blur).astype(single).T[..., None], np.exp(2 * state.log_blur) / state.blur**2)
+    inverse = np.exp(-state.log_blur).astype(single).T[..., None]
     jacobian = np.empty((len(x), _COUNT, x.shape[1]), single)
     for edge, by_distance in enumerate((seen.by_first, seen.by_second)):
         jacobian[:, edge] = slope * by_distance * inverse[edge]
         jacobian[:, 2 + edge] = jacobian[:, edge] * along[edge]
     for edge, by_blur in enumerate((seen.by_blur_1, seen.by_blur_2)):
-        jacobian[:, 4 + edge] = slope * by_blur * own[:, [edge]].astype(single)
+        jacobian[:, 4 + edge] = slope * by_blur
     jacobian[:, 6], jacobian[:, 7] = gain, gain * seen.value
     jacobian[:, 8] = jacobian[:, 7] * seen.value
     lit = window.used * shape
@@ -264,7 +263,7 @@ def _result(fit: _Fit, window: CellWindow, start: Array, cells: Cells, rounding:
     return RefinedCorners(
         np.where(settled[:, None], state.pixels, start),
         covariance * kept[:, None, None],
-        np.exp(state.log_blur) * kept[:, None],
+        np.sqrt(np.maximum(np.exp(2 * state.log_blur) - PIXEL_VARIANCE, 0.0)) * kept[:, None],
         state.light[:, 1] * kept,
         np.sqrt(variance) * kept,
         settled,

@@ -10,6 +10,7 @@ from camcal.arrays import Array, readonly
 from camcal.targets.cells import Cells
 from camcal.targets.measure import blur_of, clear
 from camcal.targets.refine import refine
+from camcal.targets.samples import Samples
 
 _SURE = 3.0  # times the median of the noise and of the blur that a corner nobody had found may have
 _FAINT = 0.3  # of the median contrast that it must have
@@ -22,19 +23,19 @@ _DRAWN = 0.5  # px that a corner which was found may move: further, it was anoth
 class Expected:
     """What a calibration expects of an image: the pixels (C, 2) of all points of the board and their cells.
 
-    inside: (C,) which of them are in the image, with room for a window. sign: (C,) of the contrast, see refine.
+    inside: (C,) which of them are in the image, with room for a window. signs: (C,) see board_edges.signs.
     """
 
     pixels: Array
     cells: Cells
     inside: Array
-    sign: Array
+    signs: Array
 
     def __post_init__(self) -> None:
         count = len(self.cells)
         object.__setattr__(self, "pixels", readonly(self.pixels, (count, 2), "pixels"))
         object.__setattr__(self, "inside", readonly(self.inside, (count,), "inside", np.bool_))
-        object.__setattr__(self, "sign", readonly(self.sign, (count,), "sign"))
+        object.__setattr__(self, "signs", readonly(self.signs, (count,), "signs"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +48,10 @@ class SeenAgain:
     recovered: int
 
 
-def look_again(values: Array, ids: Array, pixels: Array, expected: Expected, sites: Array | None = None) -> SeenAgain:
+def look_again(samples: Samples, ids: Array, pixels: Array, expected: Expected) -> SeenAgain:
     """Return the corners of a board that has been found and calibrated with.
 
-    values: (H, W), see refine. ids (N,), pixels (N, 2): the corners that were found. Those that the model does not bear
+    ids (N,), pixels (N, 2): the corners that were found. Those that the model does not bear
     out, along the edges that are expected, are left out.
     """
     start = expected.pixels.copy()
@@ -58,16 +59,18 @@ def look_again(values: Array, ids: Array, pixels: Array, expected: Expected, sit
     known = np.zeros(len(start), np.bool_)
     known[ids] = True
     chosen = np.flatnonzero(known | expected.inside)
-    blur = blur_of(values, pixels)
-    corners = refine(values, start[chosen], expected.cells.take(chosen), blur, sites)
-    good = clear(corners) & (corners.contrast * expected.sign[chosen] > 0)
+    blur = blur_of(samples.values, pixels)
+    corners = refine(samples.values, start[chosen], expected.cells.take(chosen), blur, samples.sites)
+    good = clear(corners)
+    contrast = np.where(good, corners.contrast * expected.signs[chosen], 0.0)
+    good &= contrast * np.sign(contrast[known[chosen]].sum()) > 0
     moved = np.linalg.norm(corners.pixels - start[chosen], axis=1)
     before = good & known[chosen] & (moved < _DRAWN)
     if not before.any():
         return SeenAgain(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), 0)
     step = np.linalg.norm(expected.cells.steps[chosen], axis=1).min(axis=1)
     fresh = good & ~known[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
-    fresh &= np.abs(corners.contrast) > _FAINT * np.median(np.abs(corners.contrast[before]))
+    fresh &= np.abs(contrast) > _FAINT * np.median(np.abs(contrast[before]))
     fresh &= corners.noise < _SURE * np.median(corners.noise[before])
     fresh &= (corners.blur < _SURE * np.median(corners.blur[before])).all(axis=1)
     kept = before | fresh

@@ -1,7 +1,8 @@
 """The shape of a printed board: a deformation basis in tiers, and the record of what was estimated.
 
-x and y are normalised to [-1, 1] over the grid of points. The out-of-plane terms are Legendre products without
-1, x and y, which a pose can take; the in-plane terms are the ones a camera's scale and skew could be mistaken for.
+x and y are normalised to [-1, 1] over the bounding box of the points. The out-of-plane terms are Legendre products
+without 1, x and y, which a pose can take; the in-plane terms are the ones a camera's scale and skew could be mistaken
+for.
 """
 
 from dataclasses import dataclass

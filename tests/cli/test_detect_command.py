@@ -32,7 +32,9 @@ def test_a_table_says_what_every_image_shows(run, folder, tmp_path):
     assert lines[2].split() == [f"{folder}/board.png", "30"]
     assert lines[3].split(maxsplit=2) == [f"{folder}/wall.png", "0", "no chessboard found"]
     assert lines[-1] == f"wrote {output}"
-    assert output.read_text().startswith("# camcal-detections 1 board=chessboard:6x5:25mm\nimage,width,height,id,u,v\n")
+    assert output.read_text().startswith(
+        "# camcal-detections 1 board=chessboard:6x5:25mm\nimage,width,height,id,u,v,suu,suv,svv\n"
+    )
 
 
 def test_json_is_one_document_with_its_schema_first(run, folder, tmp_path):
@@ -40,7 +42,7 @@ def test_json_is_one_document_with_its_schema_first(run, folder, tmp_path):
     code, out, _ = run("detect", folder, "-b", "chessboard:6x5:25mm", "-o", output, "--jobs", 1, "--json")
     told = json.loads(out)
     assert code == 0
-    assert list(told) == ["schema", "output", "board", "images", "notes", "failed"]
+    assert list(told) == ["schema", "output", "board", "images", "frames", "notes", "failed", "pictures"]
     assert told["schema"] == "camcal/detect/1"
     assert told["images"][0] == {
         "image": f"{folder}/board.png", "image_size": [320, 240], "corners": 30, "reason": None, "orientation": 1,
@@ -83,6 +85,71 @@ def test_a_wrong_argument_is_one_line_and_exit_two(run, folder, tmp_path, argume
 def test_a_missing_folder_is_exit_three(run, tmp_path):
     code, _, err = run("detect", tmp_path / "none", "-b", "chessboard:6x5", "-o", tmp_path / "corners.csv")
     assert (code, err.count("\n")) == (3, 1)
+
+
+def test_a_part_of_a_board_is_taken_if_asked_for(run, folder, tmp_path):
+    board = cv2.imread(str(folder / "board.png"))
+    cv2.imwrite(str(folder / "wall.png"), np.ascontiguousarray(np.pad(board[:, 95:], ((0, 0), (0, 95), (0, 0)))))
+    arguments = ("detect", folder, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1, "--json")
+    whole, partial = (json.loads(run(*arguments, *extra)[1])["images"] for extra in ((), ("--partial",)))
+    assert [image["corners"] for image in whole] == [30, 0]
+    assert partial[0]["corners"] == 30
+    assert 15 <= partial[1]["corners"] <= 25
+
+
+@pytest.fixture
+def film(folder, tmp_path):
+    """A film of eight frames in which the board of the folder moves to the right, and a wall in the end."""
+    board, wall = (cv2.imread(str(folder / name)) for name in ("board.png", "wall.png"))
+    path = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, board.shape[1::-1])
+    if not writer.isOpened():
+        pytest.skip("this OpenCV writes no video")
+    for frame in (*(np.roll(board, 4 * step, axis=1) for step in range(7)), wall):
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def test_the_choice_of_frames_is_listed(run, film, tmp_path):
+    arguments = ("detect", film, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1)
+    code, out, err = run(*arguments, "--max-frames", 2)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == "2 of 8 frames that were searched are taken"
+    assert lines[1].split() == ["frame", "corners", "blur", "px", "motion", "px", "order", "reason"]
+    assert [line.split()[-2:] for line in lines[2:4]] == [["adds", "most"]] * 2
+    assert lines[4] == "  (--verbose lists all that were searched)"
+    assert "film.avi: 2 of 8 frames are taken; 8 were searched, 7 show the board" in out
+    verbose = run(*arguments, "--max-frames", 2, "--verbose")[1]
+    assert "no chessboard found" in verbose
+    assert verbose.count(str(film.with_suffix(""))) >= 8
+
+
+def test_json_has_every_frame_with_its_figures(run, film, tmp_path):
+    arguments = ("detect", film, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1, "--json")
+    told = json.loads(run(*arguments, "--every", 7)[1])
+    first, last = told["frames"]
+    assert first["frame"] == f"{film.with_suffix('')}_000000"
+    assert (first["taken"], first["reason"], first["order"], first["motion_px"]) == (True, "adds most", 1, None)
+    assert 0 < first["blur_px"] < 3
+    assert (last["corners"], last["taken"], last["order"]) == (0, False, None)
+    everything = json.loads(run(*arguments, "--all-frames")[1])
+    assert [frame["taken"] for frame in everything["frames"]] == [True] * 7 + [False]
+    assert len(everything["images"]) == 8
+
+
+def test_pictures_are_drawn_and_named(run, folder, tmp_path):
+    drawn = tmp_path / "drawn"
+    output = tmp_path / "corners.csv"
+    arguments = ("detect", folder, "-b", "chessboard:6x5:25mm", "-o", output, "--draw", drawn, "--jobs", 1)
+    code, out, _ = run(*arguments)
+    assert code == 0
+    assert out.splitlines()[-2:] == [f"wrote {output}", f"drew 2 pictures in {drawn}"]
+    assert sorted(path.name for path in drawn.glob("*.png")) == ["board_corners.png", "wall_corners.png"]
+    assert json.loads(run(*arguments, "--json")[1])["pictures"] == [
+        f"{drawn}/board_corners.png", f"{drawn}/wall_corners.png",
+    ]  # fmt: skip
 
 
 def test_quiet_prints_nothing(run, folder, tmp_path):

@@ -96,7 +96,7 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "DO NOT TRUST: the lower left corner was never seen",
         "right: pinhole, 640x480",
         "right_T_left: 0.12 m apart, turned by 0.000°",
-        "board chessboard, 9 x 6 corners, bent by 0.310 ± 0.015 mm peak to peak",
+        "board chessboard of 9x6 inner corners, bent by 0.310 ± 0.015 mm peak to peak",
         "board P2(x): 0.200 ± 0.010 mm",
         "made by camcal 0.1.0",
         "with camcal calibrate images",

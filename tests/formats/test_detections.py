@@ -124,8 +124,37 @@ def test_the_board_given_wins_over_the_one_named_but_must_have_its_grid(tmp_path
     assert read_text(tmp_path, GOOD).board == BOARD
     assert read_text(tmp_path, GOOD, board=without_size).board == without_size
     assert fault(tmp_path, GOOD, board=other) == (
-        "d.csv:1: the corners found are of a grid of 4 × 3, the board given has 5 × 4"
+        "d.csv:1: the points are those of another board (chessboard of 4x3 inner corners) than the one given "
+        "(chessboard of 5x4 inner corners)"
     )
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "chessboard:9x6:25mm:dots",
+        "aprilgrid:6x6:88mm:0.3",
+        "aprilgrid:6x6:0.3:tag25h9",
+        "circles:10x8:25mm:15mm",
+        "asymmetric_circles:4x11",
+    ],
+)
+def test_a_board_of_any_type_is_named_and_all_its_points_are_kept(tmp_path, form):
+    board = parse_board(form)
+    view = Detection("a.png", (640, 480), np.arange(board.count), np.full((board.count, 2), 7.5))
+    detections.write(tmp_path / "d.csv", Detections(board, (view,)))
+    found = detections.read(tmp_path / "d.csv")
+    assert found.board == board
+    assert found.views[0].ids.tolist() == view.ids.tolist()
+
+
+def test_a_board_that_numbers_its_points_otherwise_is_refused(tmp_path):
+    detections.write(tmp_path / "d.csv", Detections(parse_board("circles:6x4:25mm"), ()))
+    alike = parse_board("charuco:7x5:30mm:22mm:DICT_4X4_50")  # 6 x 4 points, row by row
+    assert detections.read(tmp_path / "d.csv", alike).board == alike
+    for form in ("aprilgrid:6x4:0.3", "asymmetric_circles:6x4"):
+        with pytest.raises(InvalidInput, match=r"those of another board \(grid of 6x4 circles\) than the one given"):
+            detections.read(tmp_path / "d.csv", parse_board(form))
 
 
 def test_a_board_with_another_first_marker_is_kept(tmp_path):

@@ -91,7 +91,7 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
         ("# filename x y level\na.jpg 1 2\n", "corners.vnl:2: 3 cells under 4 columns"),
         (
             "# filename x y level\na.jpg 1 2 0\na.jpg 1 2 0\n",
-            "corners.vnl:2: image 'a.jpg' has 2 rows; the board has 3 × 2 = 6",
+            "corners.vnl:2: image 'a.jpg' has 2 rows; the board has 6 points (chessboard of 3x2 inner corners)",
         ),
         (GOOD.replace("10.25", "left"), "corners.vnl:3: x: 'left' is not a number"),
         (GOOD.replace("10.25", "nan"), "corners.vnl:3: x: nan is not finite"),

@@ -16,16 +16,19 @@ from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.opencv import charuco_detector, find_charuco, find_chessboard_sb
+from camcal.opencv import charuco_detector, find_charuco
 from camcal.simulate.lens import make_camera
-from camcal.simulate.pattern import pattern_of
 from camcal.simulate.render import Exposure, develop, evenly_lit, light, render
 from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import parse_board
+from camcal.targets.pattern import pattern_of
 
 CHESSBOARD = parse_board("chessboard:5x4:30mm")
 CHARUCO = parse_board("charuco:5x4:30mm:22mm:DICT_4X4_50")
+DOTTED = parse_board("chessboard:5x4:30mm:dots")
+APRILGRID = parse_board("aprilgrid:3x2:34mm:0.3")
+CIRCLES = parse_board("circles:5x4:30mm:20mm")
 SMALL = Camera(model_named("opencv5"), (32, 24), [27, 26.5, 15.3, 11.8, -0.2, 0.05, 0.001, -0.002, 0.0])
 TILTED = Pose.from_vector(np.array([0.3, -0.4, 0.2]), [-0.06, -0.045, 0.14])
 BENT = Shape(bow_x=2e-3, bow_y=1e-3, twist=1e-3, cubic=1e-3, stretch=0.003)
@@ -60,7 +63,11 @@ def supersampled(camera, board, pose, exposure, shape):
     pattern = pattern_of(board)
     ink = exposure.black + (exposure.white - exposure.black) * pattern.ink
     ink = np.pad(ink, 1, constant_values=exposure.background)
-    image = ink[np.searchsorted(pattern.y, y), np.searchsorted(pattern.x, x)].reshape(u.shape)
+    image = ink[np.searchsorted(pattern.y, y), np.searchsorted(pattern.x, x)]
+    for left, top, radius, shade in pattern.discs:
+        brightness = exposure.black + (exposure.white - exposure.black) * shade
+        image = np.where(np.hypot(x - left, y - top) < radius, brightness, image)
+    image = image.reshape(u.shape)
     for axis, places in enumerate((axes[1], axes[0])):
         image = np.moveaxis(np.tensordot(spread(places, camera.image_size[1 - axis], blur), image, (1, axis)), 0, axis)
     return image
@@ -78,12 +85,21 @@ def spread(places, count, blur):
 
 @pytest.mark.parametrize(
     ("board", "shape", "blur"),
-    [(CHESSBOARD, FLAT, 0.0), (CHESSBOARD, BENT, 0.7), (CHARUCO, BENT, 0.0)],
+    [
+        (CHESSBOARD, FLAT, 0.0),
+        (CHESSBOARD, BENT, 0.7),
+        (CHARUCO, BENT, 0.0),
+        (DOTTED, BENT, 0.0),
+        (APRILGRID, BENT, 0.0),
+        (CIRCLES, BENT, 0.0),
+    ],
 )
 def test_brightness_agrees_with_many_rays_per_pixel(board, shape, blur):
-    exposure = Exposure(blur_px=blur)
-    ours = evenly_lit(SMALL, board, TILTED, exposure, shape)
-    error = (ours - supersampled(SMALL, board, TILTED, exposure, shape)) / (exposure.white - exposure.black)
+    exposure, pose = Exposure(blur_px=blur), TILTED
+    if board is APRILGRID:  # its z points towards the camera, its y upwards
+        pose = TILTED @ Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, board.extent[1], 0.0]))
+    ours = evenly_lit(SMALL, board, pose, exposure, shape)
+    error = (ours - supersampled(SMALL, board, pose, exposure, shape)) / (exposure.white - exposure.black)
     assert np.abs(error).max() < 2e-2  # 24 rays across an edge that runs along a row leave 1/48
     assert np.std(error) < 2e-3
     assert abs(np.mean(error)) < 1e-4
@@ -123,11 +139,11 @@ def test_corners_of_every_lens_are_found_where_they_are(model):
     camera = make_camera(model, (640, 480), np.radians(70))
     pose = views(camera, board, 1, rng=rng(2))[0]
     image = render(camera, board, pose, rng=rng(), exposure=Exposure(noise_dn=1.0))
-    found = find_chessboard_sb(image, 7, 5)
-    assert found is not None
+    found, corners = cv2.findChessboardCornersSB(image, (7, 5))
+    assert found
     truth = camera.project(pose.apply(board.points())).pixels
-    error = np.linalg.norm(found.reshape(-1, 2) - truth, axis=1)
-    turned = np.linalg.norm(found.reshape(-1, 2)[::-1] - truth, axis=1)
+    error = np.linalg.norm(corners.reshape(-1, 2) - truth, axis=1)
+    turned = np.linalg.norm(corners.reshape(-1, 2)[::-1] - truth, axis=1)
     assert min(error.max(), turned.max()) < 0.3  # what the detector is good for
 
 

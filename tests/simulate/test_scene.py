@@ -9,7 +9,7 @@ from camcal.errors import InvalidInput
 from camcal.simulate.lens import make_camera
 from camcal.simulate.observe import observe
 from camcal.simulate.scene import views
-from camcal.targets.board import Board
+from camcal.targets.board import Board, parse_board
 
 BOARD = Board("chessboard", 9, 6, 0.025)
 CAMERAS = {
@@ -45,6 +45,19 @@ def test_twenty_views_reach_every_part_of_the_image(camera):
     pixels = np.concatenate(pixels_of(camera, views(camera, BOARD, 20, rng=rng())))
     cells = np.histogram2d(*(pixels / np.array(camera.image_size)).T, bins=3, range=((0, 1), (0, 1)))[0]
     assert cells.min() > 0.02 * len(pixels)
+
+
+def test_an_aprilgrid_is_held_upright_and_seen_from_its_printed_side():
+    board = parse_board("aprilgrid:6x4:88mm:0.3")
+    camera = CAMERAS["normal"]
+    detections, truth = observe(camera, board, views(camera, board, 20, rng=rng()), rng=rng())
+    assert all(len(view.ids) == board.count for view in detections.views)
+    normals = np.array([pose.rotation[:, 2] for pose in truth.poses])
+    up = np.array([pose.rotation[:, 1] for pose in truth.poses])
+    sights = np.array([pose.apply(np.array([*board.extent, 0.0]) / 2) for pose in truth.poses])
+    cosines = np.sum(sights * normals, axis=1) / np.linalg.norm(sights, axis=1)
+    assert cosines.max() <= -np.cos(np.radians(45)) + 1e-9  # z of the board towards the camera
+    assert np.mean(up[:, 1] < -0.7) > 0.6  # y of the board upwards in the image, but for those in portrait format
 
 
 def test_boards_are_tilted_both_ways_up_to_the_limit():

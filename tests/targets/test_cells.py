@@ -11,7 +11,6 @@ from camcal.geometry.pose import Pose
 from camcal.targets.board import Board
 from camcal.targets.board_edges import BoardEdges, bright_depths, seen_cells
 from camcal.targets.cells import Cells
-from camcal.targets.grid import curvature, surrounded
 
 BOARD = Board("chessboard", 7, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (640, 480), np.array([500.0, 505, 322, 238, -0.25, 0.06, 1e-3, -5e-4, 0]))
@@ -23,48 +22,50 @@ def project(points):
     return CAMERA.project(POSE.apply(points)).pixels
 
 
-def seen_grid():
-    return project(BOARD.points()).reshape(BOARD.rows, BOARD.columns, 2)
+def cells_seen(ids=None):
+    ids = np.arange(BOARD.count) if ids is None else ids
+    return seen_cells(BOARD, ids, BOARD.points()[ids], project)
 
 
-def test_a_circle_of_nodes_bends_by_one_over_its_radius():
-    angle, radius = np.linspace(0, 1, 6), np.array([80.0, 100, 120, 140])
-    grid = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1)
-    bend = curvature(grid, 0)  # along the circles, counter-clockwise by the axes: towards the left normal
-    np.testing.assert_allclose(
-        bend, np.repeat(1 / radius[:, None], 6, axis=1), rtol=0.05
-    )  # smoothed by a plane over radii
-    np.testing.assert_allclose(curvature(grid, 1), 0, atol=1e-12)
+def test_edges_are_where_the_lens_bends_them():
+    pixels, cells = cells_seen()
+    for edge, axis in enumerate(np.eye(3)[:2] * BOARD.pitch):
+        tangent = cells.steps[:, :, edge] / np.linalg.norm(cells.steps[:, :, edge], axis=1)[:, None]
+        normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+        for share in (-0.4, -0.2, 0.3, 0.5):
+            off = project(BOARD.points() + share * axis) - pixels
+            along, away = (off * tangent).sum(axis=1), (off * normal).sum(axis=1)
+            np.testing.assert_allclose(away, cells.bends[:, edge] / 2 * along**2, atol=0.01)  # px, of 20 along
 
 
-def test_cells_of_a_grid_are_those_that_its_camera_sees():
-    _, expected = seen_cells(BOARD, BOARD.points(), project)
-    cells = Cells.of_grid(seen_grid())
-    np.testing.assert_allclose(cells.steps, expected.steps, atol=2.5)  # outer nodes know one side only, half a step off
-    np.testing.assert_allclose(cells.bends * 20**2 / 2, expected.bends * 20**2 / 2, atol=0.02)  # px, 20 px away
-    np.testing.assert_array_equal(cells.beside.border, expected.beside.border)
-    within = ~cells.beside.border
-    # px: a chord instead of the tangent of the next line
-    np.testing.assert_allclose(cells.beside.lines[within][:, 2], expected.beside.lines[within][:, 2], atol=0.1)
-    np.testing.assert_allclose(cells.beside.lines[..., 2], expected.beside.lines[..., 2], atol=0.03 * 40)  # of a step
-    np.testing.assert_allclose(cells.beside.lines[..., :2], expected.beside.lines[..., :2], atol=0.03)
+def test_the_edges_beside_a_corner_go_through_its_neighbours():
+    ids = np.arange(BOARD.count)
+    pixels, cells = cells_seen()
+    a, b, c = np.moveaxis(cells.beside.lines, -1, 0)
+    for edge, stride in ((0, BOARD.columns), (1, 1)):
+        inner = ~cells.beside.border[:, edge].any(axis=1)
+        for neighbour in (ids[inner] - stride, ids[inner] + stride):
+            x, y = (pixels[neighbour] - pixels[inner]).T[..., None]
+            distance = np.abs(a[inner, edge] * x + b[inner, edge] * y + c[inner, edge]).min(axis=1)
+            np.testing.assert_allclose(distance, 0, atol=1e-9)
+    assert (c[:, :, 0] > 0).all()  # the first line lies on the right
+    assert (c[:, :, 1] < 0).all()
 
 
-def test_nodes_around_a_grid_are_where_the_lens_puts_them():
-    row, column = np.mgrid[-1 : BOARD.rows + 1, -1 : BOARD.columns + 1]
-    points = np.stack([column, row, 0 * row], axis=-1).reshape(-1, 3) * BOARD.pitch
-    expected = project(points).reshape(*row.shape, 2)
-    # a twentieth of a step: a cubic cannot follow a lens of 25 % beyond what it has seen
-    np.testing.assert_allclose(surrounded(seen_grid()), expected, atol=0.05 * 40)
+def test_cells_of_some_points_are_those_among_all():
+    ids = np.array([3, 11, 40])
+    some, every = cells_seen(ids)[1], cells_seen()[1].take(ids)
+    for name in ("steps", "bends", "reach", "depth"):
+        np.testing.assert_allclose(getattr(some, name), getattr(every, name), atol=1e-12)
+    np.testing.assert_allclose(some.beside.lines, every.beside.lines, atol=1e-9)
 
 
-def test_missing_nodes_are_left_out_and_their_neighbours_manage():
-    grid = seen_grid()
-    grid[2, 3] = np.nan
-    cells = Cells.of_grid(grid)
-    assert len(cells) == BOARD.count - 1
-    assert np.isfinite(cells.steps).all()
-    assert np.isfinite(cells.beside.lines).all()
+def test_blur_brings_the_next_edges_in():
+    cells = cells_seen()[1]
+    assert not cells.crowded(1.0)
+    assert cells.crowded(6.0)
+    assert not cells.take(np.zeros(0, np.intp)).crowded(6.0)
+    assert not Cells.plain(cells.steps).crowded(6.0)
 
 
 def test_bright_squares_hold_the_print():

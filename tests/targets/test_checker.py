@@ -1,27 +1,29 @@
 """Corners a detector proposes, verified against drawn boards."""
 
 import numpy as np
+import pytest
 from drawn import picture, pose, truth, upright
 
 from camcal.targets.board import Board
-from camcal.targets.checker import extended, settle
+from camcal.targets.checker import extended, settle, trimmed, undisturbed
 
 BOARD = Board("chessboard", 7, 5)
 SIZE = (400, 300)
+SETTLED = 0.1  # px: samples lie a pixel or two apart
 TILTED = pose([(81.3, 60.2), (317.1, 41.8), (300.9, 235.4), (95.2, 251.7)])
 IMAGE = picture(BOARD, TILTED, SIZE)
 GRID = truth(BOARD, TILTED).reshape(BOARD.rows, BOARD.columns, 2)
 
 
-def worst(checker):
-    return np.nanmax(np.linalg.norm(checker.grid - GRID, axis=-1))
+def worst(grid):
+    return np.nanmax(np.linalg.norm(grid - GRID, axis=-1))
 
 
 def test_proposals_some_pixels_off_become_the_corners():
     checker = settle(IMAGE, GRID + np.random.default_rng(0).uniform(-5, 5, GRID.shape))
     assert checker.found.all()
     assert checker.sign == 1
-    assert worst(checker) < 0.012  # as fit_corners: five rays a pixel
+    assert worst(checker.grid) < SETTLED
 
 
 def test_a_corner_proposed_in_the_wrong_place_is_put_right():
@@ -31,7 +33,13 @@ def test_a_corner_proposed_in_the_wrong_place_is_put_right():
     start[4, 6] = np.nan
     checker = settle(IMAGE, start)
     assert checker.found.all()
-    assert worst(checker) < 0.012
+    assert worst(checker.grid) < SETTLED
+
+
+def test_the_contrast_is_half_of_bright_minus_dark():
+    assert settle(IMAGE, GRID).contrast == pytest.approx(
+        95, rel=0.2
+    )  # 30 and 220; the picture of the look has a blur of its own
 
 
 def test_hidden_corners_are_left_out():
@@ -41,7 +49,17 @@ def test_hidden_corners_are_left_out():
     checker = settle(hidden, GRID)
     assert not checker.found[1, 2]
     assert checker.found.sum() >= BOARD.count - 4
-    assert worst(checker) < 0.05  # the patch cuts into windows beside it
+    assert worst(undisturbed(hidden, checker)) < SETTLED
+
+
+def test_a_corner_that_a_finger_touches_is_left_out():
+    touched = IMAGE.copy()
+    u, v = GRID[2, 3].astype(int)
+    touched[v + 1 : v + 30, u + 1 : u + 30] = 20
+    grid = undisturbed(touched, settle(touched, GRID))
+    assert np.isnan(grid[2, 3]).all()
+    assert worst(grid) < SETTLED
+    np.testing.assert_array_equal(np.isnan(undisturbed(IMAGE, settle(IMAGE, GRID))), False)
 
 
 def test_a_grid_in_the_wrong_place_finds_nothing_of_a_checker_pattern():
@@ -54,7 +72,16 @@ def test_a_pattern_is_followed_to_its_end_on_every_side():
     checker = extended(IMAGE, settle(IMAGE, GRID[1:4, 2:5]))
     assert checker.grid.shape == GRID.shape
     assert checker.sign == 1
-    assert worst(checker) < 0.5  # corners that are added are fitted with a part of the samples
+    assert worst(checker.grid) < SETTLED
+
+
+def test_outer_rows_that_are_not_seen_are_cut_off():
+    start = np.pad(GRID, ((1, 0), (2, 0), (0, 0)), mode="reflect", reflect_type="odd")
+    checker = settle(IMAGE, start)
+    assert checker.grid.shape == (6, 9, 2)
+    cut = trimmed(checker)
+    np.testing.assert_allclose(cut.grid, GRID, atol=SETTLED)
+    assert cut.sign == 1
 
 
 def test_a_whole_board_is_not_extended_whatever_lies_behind_it():

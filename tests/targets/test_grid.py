@@ -1,6 +1,7 @@
 """What a grid of corners says of its nodes."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -65,16 +66,23 @@ def test_a_lone_corner_takes_the_steps_of_the_whole():
     np.testing.assert_allclose(grids.steps(grid), grids.steps(regular()), atol=1e-9)
 
 
-def test_a_mirrored_grid_is_made_right_handed_and_a_right_handed_one_left_alone():
+def test_a_grid_is_most_upright_with_rows_to_the_right_or_down_and_upside_down_the_other_way():
     grid = regular()
-    np.testing.assert_array_equal(grids.right_handed(grid), grid)
-    np.testing.assert_array_equal(grids.right_handed(np.rot90(grid)), np.rot90(grid))
-    for mirrored in (grid[:, ::-1], grid[::-1], grid.swapaxes(0, 1)):
-        turned = grids.right_handed(mirrored)
-        assert np.linalg.det(grids.steps(turned)).min() > 0
+    assert grids.uprightness(grid) == pytest.approx(np.cos(np.radians(20)))
+    assert grids.uprightness(np.rot90(grid, 1)) > 0  # its rows run down
+    assert grids.uprightness(np.rot90(grid, 2)) < 0
+    assert grids.uprightness(np.rot90(grid, 3)) < 0
 
 
-def test_rightness_is_the_cosine_of_the_rows_direction():
-    assert grids.rightness(regular()) == 1
-    assert grids.rightness(regular()[::-1, ::-1]) == -1
-    assert abs(grids.rightness(np.rot90(regular()))) < 1e-12
+def test_a_board_on_its_side_stays_upright_when_it_leans_to_either_side():
+    for lean in np.radians([-15, 15]):
+        turn = np.array([[np.cos(lean), -np.sin(lean)], [np.sin(lean), np.cos(lean)]])
+        assert grids.uprightness(np.rot90(regular(), 1) @ turn.T) > 0
+
+
+def test_the_area_of_a_grid_is_that_of_its_cells_missing_corners_left_out():
+    grid = regular(20.0)
+    assert grids.area(grid) == pytest.approx(ROWS * COLUMNS * 400)
+    grid[0, 0] = np.nan
+    assert grids.area(grid) == pytest.approx((ROWS * COLUMNS - 1) * 400)
+    assert grids.area(np.full((2, 3, 2), np.nan)) == 0

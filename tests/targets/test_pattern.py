@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.simulate.pattern import pattern_of
 from camcal.targets.board import Board, parse_board
+from camcal.targets.layouts import dotted_squares
+from camcal.targets.pattern import pattern_of
 
 MM = 1e-3
 
@@ -61,9 +62,85 @@ def test_a_chessboard_begins_with_a_black_square_outside_its_first_corner():
     assert pattern.y == pytest.approx([-0.0175, -0.01, 0, 0.01, 0.02, 0.0275])
 
 
+CELLS = 8  # pixels of a tag's cell
+
+
+def picture(board, pixels):
+    """Return the drawing (H, W) uint8 at so many pixels a metre, upright, and where the board's points are in it."""
+    pattern = pattern_of(board)
+    lines = np.array([pattern.x[0], pattern.y[0]])
+    width, height = ((axis[-1] - axis[0]) * pixels for axis in (pattern.x, pattern.y))
+    x, y = np.meshgrid(np.arange(int(width)) + 0.5, np.arange(int(height)) + 0.5)
+    places = np.column_stack([x.ravel(), y.ravel()]) / pixels + lines
+    ink = pattern.ink_at(places)
+    for u, v, radius, shade in pattern.discs:
+        ink = np.where(np.hypot(places[:, 0] - u, places[:, 1] - v) < radius, shade, ink)
+    image = (255 * ink.reshape(x.shape)).astype(np.uint8)
+    corners = (board.points()[:, :2] - lines) * pixels - 0.5
+    if board.inward > 0:
+        return image, corners
+    return np.ascontiguousarray(image[::-1]), corners * [1, -1] + [0, len(image) - 1]
+
+
+@pytest.mark.parametrize("family", ["tag36h11", "tag25h9"])
+def test_the_tags_of_an_aprilgrid_are_read_by_opencv_where_kalibr_has_them(family):
+    """OpenCV draws AprilTags upside down, so its first corner is Kalibr's second and they run the other way round."""
+    board = parse_board(f"aprilgrid:4x3:100mm:0.3:{family}")
+    board = replace(board, first_marker=5)
+    image, corners = picture(board, 10 * CELLS / 0.1)
+    words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family.removeprefix('tag')}"))
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = 2
+    found, ids, _ = cv2.aruco.ArucoDetector(words, parameters).detectMarkers(image)
+    assert sorted(ids.ravel()) == list(range(5, 17))
+    order = np.argsort(ids.ravel())
+    seen = np.array([tag.reshape(4, 2) for tag in found])[order][:, [1, 0, 3, 2]]
+    assert np.abs(seen.reshape(-1, 2) - corners).max() < 2  # pixels: OpenCV's outlines lie beside the edge
+
+
+def test_black_squares_fill_the_corners_between_and_around_tags():
+    board = parse_board("aprilgrid:3x2:100mm:0.3")
+    pattern = pattern_of(board)
+    beside = 0.015  # half of the gap of 30 mm
+    crossings = np.array([[0.13 * x - beside, 0.13 * y - beside] for x in range(4) for y in range(3)])
+    assert pattern.ink_at(crossings).tolist() == [0] * 12
+    gaps = np.array([[0.13 * x - beside, 0.13 * y + 0.05] for x in range(4) for y in range(2)])
+    assert pattern.ink_at(gaps).tolist() == [1] * 8
+    gaps = np.array([[0.13 * x + 0.05, 0.13 * y - beside] for x in range(3) for y in range(3)])
+    assert pattern.ink_at(gaps).tolist() == [1] * 9
+    border = np.array([[x, y] for x in (0.005, 0.015, 0.085, 0.095) for y in (0.005, 0.055, 0.095)])
+    assert pattern.ink_at(border).tolist() == [0] * 12
+
+
+@pytest.mark.parametrize("form", ["9x6", "8x6", "7x7", "14x9"])
+def test_the_dots_of_a_chessboard_are_found_by_opencv(form):
+    board = parse_board(f"chessboard:{form}:25mm:dots")
+    image, corners = picture(board, 40 / 0.025)
+    image = cv2.GaussianBlur(image, (0, 0), 1.0)
+    flags = cv2.CALIB_CB_MARKER | cv2.CALIB_CB_LARGER
+    found, places, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    assert found
+    near = np.linalg.norm(np.reshape(places, (-1, 1, 2)) - corners, axis=2)
+    squares = np.array(np.divmod(near.argmin(axis=1), board.columns)).T[:, ::-1]  # column, row of the corner
+    black = [tuple(place) for place in squares[meta.ravel() == 4].tolist()]
+    white = {tuple(place) for place in squares[meta.ravel() == 3].tolist()}
+    # OpenCV names a square by the corner at its top left in the order it found them in, which may be any of the four
+    dots = [(column - 0.5, row - 0.5) for row, column in dotted_squares(board.columns, board.rows)]
+    assert (len(black), len(white)) == (1, 2)
+    for (column, row), of in [(black[0], dots[:1]), *((place, dots[1:]) for place in white)]:
+        assert min(max(abs(column - x), abs(row - y)) for x, y in of) == 0.5
+
+
+def test_circles_of_unknown_diameter_cannot_be_drawn():
+    with pytest.raises(InvalidInput, match="grid of 10x8 circles cannot be drawn without their diameter"):
+        pattern_of(parse_board("circles:10x8:25mm"))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("aprilgrid:30x30:20mm:0.3", "the board needs markers 0 to 899, tag36h11 ends at 586"),
+        ("aprilgrid:3x3:20mm:0.3:tag36h12", "did you mean tag36h1[01]?"),
         ("charuco:30x30:20mm:14mm:DICT_4X4_50", "ends at 49"),
         ("charuco:4x3:20mm:14mm:DICT_4X4_51", "DICT_4X4_50"),
     ],

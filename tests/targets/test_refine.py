@@ -10,11 +10,13 @@ from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
+from camcal.targets import grid as grids
 from camcal.targets.board import Board
-from camcal.targets.board_edges import seen_cells
 from camcal.targets.cells import Cells
-from camcal.targets.measure import measure_grid
+from camcal.targets.measure import measure
 from camcal.targets.refine import refine
+from camcal.targets.samples import Samples
+from camcal.targets.sighting import Sighting
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 SIZE = (480, 400)
@@ -38,6 +40,14 @@ def photograph(exposure, *, k1=0.0, seed=0, where=None, board=BOARD):
     start = truth + np.random.default_rng(seed + 100).uniform(-0.4, 0.4, truth.shape)
     shape = (board.rows, board.columns, 2)
     return image, truth.reshape(shape), start.reshape(shape)
+
+
+def measure_grid(image, start, sites=None, board=BOARD):
+    """Return the measured corners and their covariances as grids, NaN where none."""
+    seen = measure(Samples(image, sites), board, Sighting(np.arange(board.count), start.reshape(-1, 2)))
+    pixels, covariance = np.full((board.count, 2), np.nan), np.full((board.count, 2, 2), np.nan)
+    pixels[seen.ids], covariance[seen.ids] = seen.pixels, seen.covariance
+    return pixels.reshape(start.shape), covariance.reshape(*start.shape, 2)
 
 
 def normalised(measured, covariance, truth):
@@ -70,15 +80,15 @@ def test_edges_that_a_lens_bends_do_not_draw_corners():
     exposure = Exposure(blur_px=0.7, noise_dn=0, depth=16)
     image, truth, start = photograph(exposure, k1=-0.35)
     measured, _ = measure_grid(image, start)
-    straight = refine(image, start.reshape(-1, 2), Cells.plain(Cells.of_grid(truth).steps), 0.75)
+    steps = grids.steps(truth).reshape(-1, 2, 2)
+    straight = refine(image, start.reshape(-1, 2), Cells.plain(steps), 0.75)
     assert np.abs(measured - truth).max() < 0.006
     assert np.abs(straight.pixels.reshape(truth.shape) - truth).max() > 0.02  # what a model of straight edges makes
 
 
 def test_corners_closer_than_four_times_the_blur_are_told_from_their_neighbours():
     image, truth, start = photograph(Exposure(blur_px=1.8, noise_dn=0.5), where=pose(35, distance=1.6))
-    steps = Cells.of_grid(truth).steps
-    assert np.linalg.norm(steps, axis=1).min() < 4 * 1.8
+    assert grids.spacing(grids.steps(truth)).min() < 4 * 1.8
     measured, covariance = measure_grid(image, start)
     assert np.isfinite(measured).all()
     # neighbours are modelled to a part in a hundred, whose trace is of the size of this little noise
@@ -89,10 +99,8 @@ def test_print_within_the_bright_squares_does_not_draw_corners():
     board = Board("charuco", 6, 5, 0.036, 0.028, "DICT_4X4_50")
     where = Pose(pose().rotation, np.array([-0.09, -0.07, 0.4]))
     image, truth, start = photograph(Exposure(blur_px=0.8, noise_dn=0, depth=16), where=where, board=board)
-    _, cells = seen_cells(board, board.points(), lambda points: camera().project(where.apply(points)).pixels)
-    fitted = refine(image, start.reshape(-1, 2), cells, 0.85)
-    assert fitted.settled.all()
-    assert np.abs(fitted.pixels - truth.reshape(-1, 2)).max() < 0.01
+    measured, _ = measure_grid(image, start, board=board)
+    assert np.abs(measured - truth).max() < 0.01
 
 
 def test_light_that_changes_across_a_square_does_not_draw_corners():
@@ -133,7 +141,13 @@ def test_only_the_sites_of_a_mosaic_are_looked_at():
     assert not np.isfinite(everything).all() or np.abs(everything - truth).max() > 0.03
 
 
-def test_a_set_without_corners_is_measured_to_nothing():
-    measured, covariance = measure_grid(np.zeros((50, 60), np.uint8), np.full((3, 4, 2), np.nan))
-    assert np.isnan(measured).all()
-    assert covariance.shape == (3, 4, 2, 2)
+def test_where_nothing_was_found_nothing_is_measured():
+    nothing = Sighting.nothing("no chessboard found")
+    assert measure(Samples(np.zeros((50, 60), np.uint8)), BOARD, nothing) is nothing
+
+
+def test_a_blank_wall_has_no_corners():
+    _, _, start = photograph(Exposure())
+    wall = Samples(np.full((400, 480), 100, np.uint8))
+    seen = measure(wall, BOARD, Sighting(np.arange(BOARD.count), start.reshape(-1, 2)))
+    assert seen.reason == "only 0 clear corners"

@@ -1,5 +1,7 @@
 """A second look: corners nobody found are recovered, corners that are none are not."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from camcal.cameras.catalogue import model_named
@@ -8,7 +10,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
-from camcal.targets.board_edges import seen_cells
+from camcal.targets.board_edges import seen_cells, signs
+from camcal.targets.samples import Samples
 from camcal.targets.second_look import Expected, look_again
 
 BOARD = Board("chessboard", 8, 6, 0.03)
@@ -18,9 +21,9 @@ POSE = Pose(ROTATION, np.array([0.0, 0.0, 0.36]) - ROTATION @ np.array([*BOARD.e
 
 
 def expected():
-    pixels, cells = seen_cells(BOARD, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels)
-    row, column = np.divmod(np.arange(BOARD.count), BOARD.columns)
-    return Expected(pixels, cells, np.ones(BOARD.count, bool), np.where((row + column) % 2, -1.0, 1.0))
+    ids = np.arange(BOARD.count)
+    pixels, cells = seen_cells(BOARD, ids, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels)
+    return Expected(pixels, cells, np.ones(BOARD.count, bool), signs(BOARD))
 
 
 def photograph():
@@ -29,7 +32,7 @@ def photograph():
 
 def test_corners_that_were_missed_are_found_where_they_must_be():
     known, ids = expected(), np.arange(0, BOARD.count, 2)
-    again = look_again(photograph(), ids, known.pixels[ids] + 0.1, known)
+    again = look_again(Samples(photograph()), ids, known.pixels[ids] + 0.1, known)
     assert len(again.ids) == BOARD.count
     assert again.recovered == BOARD.count - len(ids)
     off = again.pixels - known.pixels[again.ids]
@@ -42,21 +45,29 @@ def test_hidden_corners_are_not_made_up():
     image = photograph().copy()
     x, y = np.rint(known.pixels[9]).astype(int)
     image[y - 25 : y + 26, x - 25 : x + 26] = 90
-    again = look_again(image, ids, known.pixels[ids], known)
+    again = look_again(Samples(image), ids, known.pixels[ids], known)
     assert 9 not in again.ids
 
 
-def test_a_corner_of_the_wrong_colour_is_none():
+def test_a_board_printed_the_other_way_round_is_as_good():
     known, ids = expected(), np.arange(0, BOARD.count, 2)
-    again = look_again(255 - photograph(), ids, known.pixels[ids], known)
-    assert not len(again.ids)
+    again = look_again(Samples(255 - photograph()), ids, known.pixels[ids], known)
+    assert len(again.ids) == BOARD.count
+
+
+def test_a_corner_of_the_wrong_colour_is_none():
+    known, ids = expected(), np.arange(BOARD.count)
+    wrong = known.signs.copy()
+    wrong[20] *= -1
+    again = look_again(Samples(photograph()), ids, known.pixels, replace(known, signs=wrong))
+    assert set(ids) - set(again.ids) == {20}
 
 
 def test_points_outside_the_image_are_not_looked_for():
     known, ids = expected(), np.arange(0, BOARD.count, 2)
     inside = known.pixels[:, 0] < 240
-    cut = Expected(known.pixels, known.cells, inside, known.sign)
+    cut = replace(known, inside=inside)
     ids = ids[inside[ids]]
-    again = look_again(photograph()[:, :260], ids, known.pixels[ids], cut)
+    again = look_again(Samples(photograph()[:, :260]), ids, known.pixels[ids], cut)
     assert inside[again.ids].all()
     assert again.recovered > 0

@@ -9,9 +9,9 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.images import video
 from camcal.images.containers import insert_exif
+from camcal.images.video import frame_name
 from camcal.progress import Silent
 from camcal.tasks.poses.frame_times import Timing, frame_times
-from camcal.tasks.poses.tag_views import frame_name
 
 FRAMES = ["a/img_0010.png", "a/img_0011.png", "a/img_0013.png"]
 

@@ -23,7 +23,7 @@ from camcal.simulate.render import Exposure, evenly_lit
 from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board, parse_board
 from camcal.tasks.calibration.detect import MIXED, DetectOptions, detect_images
-from camcal.tasks.calibration.photographs import Reading, agreeing_gains, measured, photograph_of, read_photograph
+from camcal.tasks.calibration.photographs import Reading, agreeing_gains, photograph_of, read_photograph
 
 SIZE = (480, 360)
 BOARD = Board("chessboard", 8, 5, 0.03)
@@ -82,7 +82,8 @@ def test_gray_corners_are_as_good_as_those_of_a_monochrome_sensor_without_aberra
     for noisy, limit in ((False, 1.2), (True, 1.5)):  # the noise of one frame decides by a quarter
         mono = found(write(tmp_path / "mono.png", frame(MONO, noisy=noisy)))
         gray = found(write(tmp_path / "gray.png", frame(noisy=noisy)), pattern="RGGB", algorithm="gray")
-        assert error_px(gray.detections.views[0]) < limit * error_px(mono.detections.views[0])
+        # without noise what is left is how well the model fits, a thousandth of a pixel
+        assert error_px(gray.detections.views[0]) < max(limit * error_px(mono.detections.views[0]), 0.001)
 
 
 def test_a_sharp_lens_does_not_bias_green_corners(tmp_path):
@@ -94,7 +95,6 @@ def test_a_sharp_lens_does_not_bias_green_corners(tmp_path):
     filled = found(save_as(tmp_path / "filled.png", photograph.gray)).detections.views[0]
     assert error_px(exact) < 0.006
     assert error_px(filled) > 1.5 * error_px(exact)
-    np.testing.assert_allclose(measured(photograph, filled, BOARD).pixels, exact.pixels, atol=2e-3)  # where a fit stops
 
 
 def save_as(path, pixels):

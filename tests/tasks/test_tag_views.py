@@ -8,8 +8,9 @@ from tagged import facing, photograph, pinhole, true_corners
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.tags import load_tags
 from camcal.geometry.pose import Pose
+from camcal.images.video import frame_name
 from camcal.targets.tags import TagObjects, tag_corners
-from camcal.tasks.poses.tag_views import frame_name, tag_views
+from camcal.tasks.poses.tag_views import tag_views
 
 CAMERA = pinhole((320, 240), 400.0)
 TWO = [(1, facing(-0.05, 0.0, 0.5, (0.3, 0.2, 0.1))), (2, facing(0.06, 0.01, 0.5, (-0.2, 0.3, 0.0)))]

@@ -4,9 +4,32 @@ from collections import Counter
 from collections.abc import Sequence
 
 from camcal.errors import InsufficientData
-from camcal.targets.board import CHARUCO, Board, Detection
+from camcal.targets.board import (
+    APRILGRID,
+    ASYMMETRIC_CIRCLES,
+    CHARUCO,
+    CHESSBOARD,
+    CIRCLES,
+    Board,
+    Detection,
+)
 
 Size = tuple[int, int]
+
+_UNKNOWN_SIZE = {
+    CHESSBOARD: "the size of a square is not given: lengths are in squares",
+    CHARUCO: "the size of a square is not given: lengths are in squares",
+    APRILGRID: "the size of a tag is not given: lengths are in squares, 1 from tag to tag",
+    CIRCLES: "the distance of the circles is not given: lengths are in squares, 1 from circle to circle",
+    ASYMMETRIC_CIRCLES: "the distance of the circles is not given: lengths are in squares, 1 from row to row",
+}
+_TO_CHECK = {
+    CHESSBOARD: "the size (inner corners, one less than squares each way)",
+    CHARUCO: "squares, dictionary, marker size and first marker",
+    APRILGRID: "the number of tags, their family and the first one's id",
+    CIRCLES: "the number of circles each way",
+    ASYMMETRIC_CIRCLES: "the number of circles (those in one row, then the rows)",
+}
 
 
 def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[str, ...]:
@@ -18,9 +41,9 @@ def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[st
         name = "legacy pattern (OpenCV before 4.6)" if board.legacy else "current pattern (OpenCV since 4.6)"
         notes.append(f"the board has the {name}")
     if board.square is None:
-        notes.append("the size of a square is not given: lengths are in squares")
-    if len(board.symmetries()) > 1:
-        turn = "a quarter turn" if board.columns == board.rows else "half a turn"
+        notes.append(_UNKNOWN_SIZE[board.type])
+    if (looks := len(board.symmetries())) > 1:
+        turn = "half a turn" if looks == 2 else "a quarter turn"
         notes.append(f"a {board.columns}x{board.rows} board looks the same after {turn}: numbering may differ by views")
     turned = sum(view.orientation != 1 for view in views)
     if turned:
@@ -39,14 +62,16 @@ def nothing_found(views: Sequence[Detection], patterns: Sequence[Size | None], b
     common = max(sizes, key=lambda size: sizes[size], default=None)
     if found and (common is None or sizes[common] <= found):
         return None
-    if board.type == CHARUCO or common is None:
-        return InsufficientData(f"{_missing(board)} in any of {len(views)} images{_reasons(views)}; {_advice(board)}")
+    if board.type != CHESSBOARD or common is None:
+        advice = f"check {_TO_CHECK[board.type]}, or look at the images"
+        return InsufficientData(f"no {board.words} in any of {len(views)} images{_reasons(views)}; {advice}")
     columns, rows = common if board.columns >= board.rows else common[::-1]
     squares = (columns + 1, rows + 1) == (board.columns, board.rows)
     why = "sizes count inner corners, not squares: " if squares else ""
+    dots = ":dots" if board.dots else ""
     return InsufficientData(
-        f"{_missing(board)} in {len(views) - found} of {len(views)} images, but a checker pattern of {columns}x{rows} "
-        f"in {sizes[common]}; {why}use --board chessboard:{columns}x{rows}"
+        f"no {board.words} in {len(views) - found} of {len(views)} images, but a checker pattern of {columns}x{rows} "
+        f"in {sizes[common]}; {why}use --board chessboard:{columns}x{rows}{dots}"
     )
 
 
@@ -54,21 +79,9 @@ def _larger(size: Size, board: Board) -> bool:
     return size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows)
 
 
-def _missing(board: Board) -> str:
-    if board.type == CHARUCO:
-        return f"no ChArUco board of {_squares(board)} squares"
-    return f"no chessboard of {board.columns}x{board.rows} inner corners"
-
-
 def _reasons(views: Sequence[Detection]) -> str:
     reason, count = Counter(view.reason for view in views).most_common(1)[0]
     return f" ({count} times: {reason})"
-
-
-def _advice(board: Board) -> str:
-    if board.type == CHARUCO:
-        return "check squares, dictionary, marker size and first marker, or look at the images"
-    return "check the size (inner corners, one less than squares each way), or look at the images"
 
 
 def _squares(board: Board) -> str:

@@ -10,6 +10,7 @@ from camcal.progress import Progress
 from camcal.targets.board import Board, Detection, Detections
 from camcal.tasks.calibration.detect import DetectOptions, detect_images
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, read_photograph
+from camcal.tasks.calibration.video_frames import BEST_FRAMES, Film, FrameOptions, FrameRecord
 
 DETECTION_SUFFIXES = (".csv", ".vnl")
 
@@ -18,7 +19,8 @@ DETECTION_SUFFIXES = (".csv", ".vnl")
 class BoardViews:
     """The board, its detections, remarks on them, and the images that could not be read.
 
-    colours: the same views by the samples of red and of blue, where they were asked for.
+    colours: the same views by the samples of red and of blue, where they were asked for. frames: what became of the
+    frames of videos. films: these videos. table: whether all comes from a detections file.
     """
 
     board: Board
@@ -26,6 +28,9 @@ class BoardViews:
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     colours: Mapping[str, tuple[Detection, ...]] = field(default_factory=dict)
+    frames: tuple[FrameRecord, ...] = ()
+    films: tuple[Film, ...] = ()
+    table: bool = False
 
 
 def board_views(
@@ -36,12 +41,15 @@ def board_views(
     progress: Progress,
     image_size: tuple[int, int] | None = None,
     reading: Reading = AS_IMAGES,
+    frames: FrameOptions = BEST_FRAMES,
+    parts: bool = False,
 ) -> BoardViews:
-    """Return what images, folders and globs show of a board, or what one detections file holds.
+    """Return what images, videos, folders and globs show of a board, or what one detections file holds.
 
     board: a board, its file or its short form; it may be None where a detections file names the board.
     image_size: (width, height) of the images of a .vnl file, which has none; None: the images beside it tell.
-    reading: what is made of raw frames, and which colours are looked at.
+    reading: what is made of raw frames, and which colours are looked at. frames: which ones of videos are taken.
+    parts: whether parts of a chessboard will do that show which part they are.
     Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.
     """
     known = boards.load_board(board) if isinstance(board, str) else board
@@ -56,12 +64,15 @@ def board_views(
         found = detections.read(path, known, image_size or (lambda name: _size_beside(path, name)))
         if found.board is None:
             raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm", where=tables[0])
-        return BoardViews(found.board, found)
+        return BoardViews(found.board, found, table=True)
     if known is None:
         raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
-    options = DetectOptions(inputs, known, recursive=recursive, jobs=jobs, reading=reading)
+    options = DetectOptions(inputs, known, recursive=recursive, jobs=jobs, reading=reading, frames=frames, parts=parts)
     report = detect_images(options, progress)
-    return BoardViews(report.detections.board or known, report.detections, report.notes, report.failed, report.colours)
+    found = report.detections
+    return BoardViews(
+        found.board or known, found, report.notes, report.failed, report.colours, report.frames, report.films
+    )
 
 
 def _size_beside(table: Path, image: str) -> tuple[int, int]:

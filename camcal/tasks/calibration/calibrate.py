@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,6 +24,8 @@ from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
+from camcal.tasks.calibration.second_look import renumbered, second_look
+from camcal.tasks.calibration.video_frames import BEST_FRAMES, FrameOptions, FrameRecord
 
 DEFAULT_MODEL = "opencv5"
 WIDE_MODELS = ("kannala_brandt4", "opencv8")
@@ -37,6 +40,9 @@ class CalibrateOptions:
     hold the lens, the best of WIDE_MODELS. board: a board file or short form, None when the
     detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height)
     of the images of a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own.
+    frames: which ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are.
+    refine: measure the corners once more along the edges that the calibrated lens expects, and calibrate with these;
+    None: where there are images.
     """
 
     inputs: tuple[str, ...]
@@ -54,6 +60,9 @@ class CalibrateOptions:
     recursive: bool = False
     jobs: int | None = None
     reading: Reading = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    parts: bool = False
+    refine: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +77,7 @@ class Channel:
 class CalibrateReport:
     """The calibration, what is to be said of it, the file that was written, remarks of the detection, failed inputs.
 
-    channels: by the names of colours, empty unless asked for.
+    channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos.
     """
 
     calibration: Calibration
@@ -77,6 +86,7 @@ class CalibrateReport:
     notes: tuple[str, ...]
     failed: tuple[str, ...]
     channels: Mapping[str, Channel] = field(default_factory=dict)
+    frames: tuple[FrameRecord, ...] = ()
 
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
@@ -88,18 +98,66 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     refuse_overwriting(outputs, map(Path, options.inputs))
     how = _solver_options(options)
     seen = board_views(
-        options.inputs, options.board, options.recursive, options.jobs, progress, options.image_size, options.reading
+        options.inputs,
+        options.board,
+        options.recursive,
+        options.jobs,
+        progress,
+        options.image_size,
+        options.reading,
+        options.frames,
+        options.parts,
     )
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
     calibration, remarks = _solve(seen, how, options.model is None)
-    channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
     progress.finish()
+    if _looks_again(options, seen):
+        seen, calibration, remark = _refined(seen, calibration, how, options, progress)
+        remarks += (remark,)
+        if options.save_detections:
+            detections.write(options.save_detections, seen.detections)
+    channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
     advice = advise(calibration)
     file = camera_file(calibration, advice, options, channels)
     native.write(options.output, file)
-    return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed, channels)
+    return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed, channels, seen.frames)
+
+
+def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
+    """Return whether the images are to be looked at once more. Raises InvalidInput if they should and cannot be."""
+    if options.refine is None:
+        return seen.board.crossed and not seen.table
+    if options.refine and not seen.board.crossed:
+        raise InvalidInput(f"--refine measures corners along their edges, which no {seen.board.words} has")
+    if options.refine and seen.table:
+        raise InvalidInput("--refine measures corners in images once more: name the images, not a detections file")
+    return options.refine
+
+
+def _refined(
+    seen: BoardViews, calibration: Calibration, how: intrinsics.Options, options: CalibrateOptions, progress: Progress
+) -> tuple[BoardViews, Calibration, str]:
+    """Return what a second look shows, the calibration it leads to, and a line about it.
+
+    A second look that a calibration cannot be made from leaves the first one as it is.
+    """
+    views = seen.detections.views
+    look = second_look(calibration, views, seen.films, options.reading, options.jobs, progress)
+    colours = {
+        colour: tuple(map(renumbered, same, calibration.views, repeat(seen.board)))
+        for colour, same in seen.colours.items()
+    }
+    better = replace(seen, detections=replace(seen.detections, views=look.views), colours=colours)
+    progress.start("solving again", None)
+    again = _attempt(better, replace(how, model=calibration.camera.model, guess=calibration.camera))
+    progress.finish()
+    if again is None:
+        return seen, calibration, "a second look at the corners led to no calibration; the first one stands"
+    found = f"{look.recovered} corners more, {look.lost} fewer"
+    noise = f"noise {calibration.sigma_px:.3f} px, then {again.sigma_px:.3f} px"
+    return better, again, f"a second look with the calibrated lens: {found}; {noise}"
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) -> Channel:
@@ -235,7 +293,8 @@ def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str
     arguments += [*(["--fix", ",".join(options.fix)] if options.fix else [])]
     arguments += ["--guess", options.guess] if options.guess else []
     arguments += ["--flat-board"] if options.flat_board else []
-    arguments += options.reading.arguments()
+    arguments += [] if options.refine is None else ["--refine" if options.refine else "--no-refine"]
+    arguments += [*options.reading.arguments(), *options.frames.arguments(), *(["--partial"] if options.parts else [])]
     return provenance.build(arguments, calibration.board, [_image(view) for view in calibration.views])
 
 

@@ -1,40 +1,63 @@
-"""`camcal detect`: the corners of a board in a set of images, as many at a time as there are cores."""
+"""`camcal detect`: the points of a board in images and frames of videos, as many at a time as there are cores."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import find_images
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.inputs import Media, find_images, find_media
+from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
 from camcal.targets.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks
-from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, in_colours, measured, read_photograph
+from camcal.tasks.calibration.corner_drawing import draw, pictures
+from camcal.tasks.calibration.photographs import (
+    AS_IMAGES,
+    Reading,
+    in_colours,
+    read_photograph,
+    require_colours,
+)
+from camcal.tasks.calibration.video_frames import (
+    BEST_FRAMES,
+    Film,
+    FrameLook,
+    FrameOptions,
+    FrameRecord,
+    as_data,
+    look_at,
+    require_names,
+    settled,
+    summary,
+    survey,
+)
 
 SUFFIXES = (".csv", ".vnl")
 SAMPLE = 6  # images on which the arrangement of a ChArUco board is found out
+TRYING = "trying patterns"
 TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
 MIXED = (
     "red and blue come from demosaiced images, which mix them with green: the aberration may be wrong by tenths of a "
     "pixel; use raw frames"
 )
 
-Task = tuple[Path, Board]
+Source = TypeVar("Source")
+Shown = TypeVar("Shown")
 
 
 @dataclass(frozen=True)
 class DetectOptions:
-    """Images (files, folders, globs), the board that is looked for, and the detections file, None to write none.
+    """Images and videos (files, folders, globs), the board that is looked for, and the detections file, None for none.
 
-    reading: what is made of camera raw files and bare mosaics.
+    reading: what is made of camera raw files and bare mosaics. frames: which ones of videos are taken. draw: a folder
+    for pictures of what was found. parts: whether parts of a chessboard will do that show which part they are.
     """
 
     inputs: Sequence[Path | str]
@@ -43,19 +66,27 @@ class DetectOptions:
     recursive: bool = False
     jobs: int | None = None
     reading: Reading = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    draw: Path | None = None
+    parts: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class DetectReport:
     """The detections with the board as it turned out to be, remarks, and the images that could not be read.
 
-    colours: the same views by the samples of red and of blue, if the reading asked for them.
+    colours: the same views by the samples of red and of blue, if the reading asked for them. frames: what became of the
+    frames of videos that were searched; those that are taken are among the detections. films: where they come from.
+    pictures: those drawn.
     """
 
     detections: Detections
     notes: tuple[str, ...]
     failed: tuple[str, ...]
     colours: Mapping[str, tuple[Detection, ...]] = field(default_factory=dict)
+    frames: tuple[FrameRecord, ...] = ()
+    films: tuple[Film, ...] = ()
+    pictures: tuple[Path, ...] = ()
 
     @property
     def used(self) -> int:
@@ -77,90 +108,173 @@ class Seen:
 
 
 def detect_images(options: DetectOptions, progress: Progress = SILENT) -> DetectReport:
-    """Return what a set of images shows of a board, in the order of the images, written to options.output if given.
+    """Return what images and chosen frames of videos show of a board, written to options.output if that is given.
 
-    A ChArUco board is taken in the arrangement that fits the images. Images of another size than most are left out.
-    Raises InvalidInput, FileError if no image can be read, InsufficientData if the board is in none of them.
+    Images come in their order, then frames in theirs. A ChArUco board is taken in the arrangement that fits. Images of
+    another size than most are left out.
+    Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere.
     """
-    require_findable(options.board)
-    images = find_images(options.inputs, recursive=options.recursive, also=options.reading.suffixes)
-    _require_output(options.output, images)
-    board = _arranged(options, images, progress) if options.board.type == CHARUCO else options.board
-    outcomes = _search([(path, board) for path in images], options, "detecting", progress)
-    seen = [outcome.value for outcome in outcomes if outcome.value is not None]
-    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
-    if not seen:
-        raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
-    if error := nothing_found([item.view for item in seen], [item.pattern for item in seen], board):
-        raise error
-    views = _of_one_size([item.view for item in seen])
-    report = DetectReport(
-        Detections(board, tuple(views)),
-        remarks(views, board, options.board) + ((MIXED,) if any(item.demosaiced for item in seen) else ()),
-        tuple(map(str, errors)),
-        {colour: tuple(item.colours[colour] for item in seen) for colour in seen[0].colours},
-    )
+    require_findable(options.board, partial=options.parts)
+    require_colours(options.board, options.reading)
+    media = _media(options)
+    _require_outputs(options, media)
+    films = [survey(video, options.frames, progress) for video in media.videos]
+    board = _arranged(options, media.images, films, progress) if options.board.type == CHARUCO else options.board
+    seen, errors = _seen(media.images, board, options, progress)
+    looks, lost = _looks(films, board, options, progress)
+    errors += [*(film.error for film in films if film.error is not None), *lost]
+    found = [item.view for item in seen] + [look.view for look in looks]
+    patterns = [item.pattern for item in seen] + [look.pattern for look in looks]
+    _require_board(found, patterns, errors, board)
+    size = _usual_size(found)
+    records = settled(looks, board, size, options.frames)
+    kept = [record.look.view for record in records if record.taken or options.frames.whole]
+    views = [_of_size(view, size) for view in (*(item.view for item in seen), *kept)]
+    mixed = (MIXED,) if any(item.demosaiced for item in seen) else ()
     if options.output is not None:
-        detections.write(options.output, report.detections)
-    return report
+        detections.write(options.output, Detections(board, tuple(views)))
+    return DetectReport(
+        Detections(board, tuple(views)),
+        remarks(views, board, options.board) + mixed + tuple(summary(film, records) for film in films),
+        tuple(map(str, errors)),
+        {colour: tuple(item.colours[colour] for item in seen) for colour in (seen[0].colours if seen else ())},
+        records,
+        tuple(films),
+        _drawn(views, films, options, progress),
+    )
 
 
-def _require_output(output: Path | None, images: Sequence[Path]) -> None:
-    if output is None:
-        return
-    if output.suffix.lower() not in SUFFIXES:
-        raise InvalidInput(f"detections are written as {' or '.join(SUFFIXES)}", where=str(output))
-    refuse_overwriting([output], images)
+def _drawn(
+    views: Sequence[Detection], films: Sequence[Film], options: DetectOptions, progress: Progress
+) -> tuple[Path, ...]:
+    if options.draw is None:
+        return ()
+    outputs = pictures([view.image for view in views], [film.path for film in films], options.draw)
+    return draw(views, outputs, films, options.reading, options.jobs, progress)
 
 
-def _search(tasks: Sequence[Task], options: DetectOptions, what: str, progress: Progress) -> list[Outcome[Task, Seen]]:
+def _media(options: DetectOptions) -> Media:
+    """Return what there is to look at; videos are no raw frames and are left out where these are asked for."""
+    if options.reading != AS_IMAGES:
+        return Media(tuple(find_images(options.inputs, options.recursive, options.reading.suffixes)), ())
+    media = find_media(options.inputs, options.recursive)
+    require_names(media.videos)
+    return media
+
+
+def _require_outputs(options: DetectOptions, media: Media) -> None:
+    """Raise InvalidInput if results have no place, or that of an input."""
+    inputs = (*media.images, *media.videos)
+    if options.output is not None:
+        if options.output.suffix.lower() not in SUFFIXES:
+            raise InvalidInput(f"detections are written as {' or '.join(SUFFIXES)}", where=str(options.output))
+        refuse_overwriting([options.output], inputs)
+    if options.draw is not None:
+        require_folder(options.draw, "--draw")
+        pictures([path.as_posix() for path in media.images], inputs, options.draw)
+
+
+def _require_board(
+    views: Sequence[Detection],
+    patterns: Sequence[tuple[int, int] | None],
+    errors: Sequence[CamcalError],
+    board: Board,
+) -> None:
+    """Raise what kept everything from being read, or InsufficientData if the board is nowhere."""
+    if not views:
+        raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
+    if error := nothing_found(views, patterns, board):
+        raise error
+
+
+def _seen(
+    images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress
+) -> tuple[list[Seen], list[CamcalError]]:
+    """Return what images show, and why others could not be read."""
+    work = partial(_detect_file, reading=options.reading, parts=options.parts)
+    tasks = [(path, board) for path in images]
+    outcomes = list(_search(work, tasks, options, "detecting", progress)) if images else []
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    return [outcome.value for outcome in outcomes if outcome.value is not None], errors
+
+
+def _looks(
+    films: Sequence[Film], board: Board, options: DetectOptions, progress: Progress
+) -> tuple[list[FrameLook], list[CamcalError]]:
+    """Return what the frames of films show that are searched, and why others could not be."""
+    looks: list[FrameLook] = []
+    errors: list[CamcalError] = []
+    for film in films:
+        # one outcome after another: each holds its frame
+        work = partial(look_at, parts=options.parts)
+        for outcome in _search(work, film.tasks([board]), options, f"detecting in {film.path.name}", progress):
+            looks += [outcome.value] if outcome.value else []
+            errors += [outcome.error] if outcome.error else []
+    return looks, errors
+
+
+def _search(
+    work: Callable[[Source], Shown], tasks: Iterable[Source], options: DetectOptions, what: str, progress: Progress
+) -> Iterator[Outcome[Source, Shown]]:
     timeout = None if options.jobs == 1 else TIMEOUT_S
-    work = partial(_detect_file, reading=options.reading)
-    return list(fan_out(work, tasks, jobs=options.jobs, processes=True, what=what, progress=progress, timeout=timeout))
+    return fan_out(work, tasks, jobs=options.jobs, processes=True, what=what, progress=progress, timeout=timeout)
 
 
-def _detect_file(task: Task, reading: Reading) -> Seen:
+def _detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Seen:
     path, board = task
     photograph = read_photograph(path, reading)
-    sighting = detect(photograph.gray, board)
+    sighting = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
     height, width = photograph.gray.shape
     found = Detection(
         path.as_posix(),
         (width, height),
         sighting.ids,
         sighting.pixels,
+        sighting.covariance,
         reason=sighting.reason,
         orientation=photograph.orientation,
     )
-    view = measured(photograph, found, board)
-    return Seen(view, sighting.pattern, in_colours(photograph, view, board), photograph.demosaiced)
+    return Seen(found, sighting.pattern, in_colours(photograph, found, board), photograph.demosaiced)
 
 
-def _arranged(options: DetectOptions, images: Sequence[Path], progress: Progress) -> Board:
-    """Return the arrangement of a ChArUco board with which most corners are found on a sample, else on all images."""
+def _arranged(options: DetectOptions, images: Sequence[Path], films: Sequence[Film], progress: Progress) -> Board:
+    """Return the arrangement of a ChArUco board with which most corners are found on a sample, else on everything."""
     candidates = arrangements(options.board)
     if len(candidates) == 1:
         return candidates[0]
     options = replace(options, reading=replace(options.reading, colours=False))
-    stride = -(-len(images) // SAMPLE)
-    for part in dict.fromkeys((tuple(images[::stride]), tuple(images))):
+    samples = images[:: -(-len(images) // SAMPLE) or 1], [film.sample() for film in films]
+    corners: Counter[Board] = Counter()
+    for part, parts in (samples, (images, films)):
         tasks = [(path, candidate) for candidate in candidates for path in part]
-        corners: Counter[Board] = Counter()
-        for outcome in _search(tasks, options, "trying patterns", progress):
-            corners[outcome.item[1]] += len(outcome.value.view.ids) if outcome.value else 0
+        shown = _search(partial(_detect_file, reading=options.reading), tasks, options, TRYING, progress)
+        corners.update(_counts((outcome.item[1], outcome.value.view) for outcome in shown if outcome.value))
+        for film in parts:
+            looks = _search(look_at, film.tasks(candidates), options, TRYING, progress)
+            corners.update(_counts((outcome.item[2], outcome.value.view) for outcome in looks if outcome.value))
         if corners.total():
             break
     return max(candidates, key=lambda candidate: corners[candidate])
 
 
-def _of_one_size(views: Sequence[Detection]) -> list[Detection]:
-    """Return the views, those without their points that are of another size than most with points."""
+def _counts(views: Iterable[tuple[Board, Detection]]) -> Counter[Board]:
+    """Return how many corners were found with each board."""
+    counts: Counter[Board] = Counter()
+    for board, view in views:
+        counts[board] += len(view.ids)
+    return counts
+
+
+def _usual_size(views: Sequence[Detection]) -> tuple[int, int]:
+    """Return the size of most views with points, (width, height)."""
     sizes = Counter(view.size for view in views if view.found)
-    usual = max(sizes, key=lambda size: sizes[size])
-    return [view if view.size == usual or not view.found else _left_out(view, usual) for view in views]
+    return max(sizes, key=lambda size: sizes[size])
 
 
-def _left_out(view: Detection, usual: tuple[int, int]) -> Detection:
+def _of_size(view: Detection, usual: tuple[int, int]) -> Detection:
+    """Return the view, without its points if it is of another size than most with points."""
+    if view.size == usual or not view.found:
+        return view
     reason = f"image {view.size[0]}x{view.size[1]} differs from the majority {usual[0]}x{usual[1]}"
     return replace(Detection.nothing(view.image, view.size, reason), orientation=view.orientation)
 
@@ -180,6 +294,8 @@ def document(report: DetectReport, output: Path | None) -> dict[str, Any]:
             }
             for view in report.detections.views
         ],
+        "frames": [as_data(record) for record in report.frames],
         "notes": list(report.notes),
         "failed": list(report.failed),
+        "pictures": [path.as_posix() for path in report.pictures],
     }

@@ -153,15 +153,14 @@ def _transform_words(transform: Transform) -> str:
 
 def _board_lines(surface: Surface) -> Iterator[str]:
     factor, unit = (1e3, "mm") if surface.board.unit == "m" else (1.0, "squares")
-    size = f"{surface.board.columns} x {surface.board.rows}"
     bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
-    yield f"board {surface.board.type}, {size} corners, bent by {bend} ± {std} {unit} peak to peak"
+    yield f"board {surface.board.words}, bent by {bend} ± {std} {unit} peak to peak"
     for term, value, spread in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
         scale, what = (100.0, "%") if term in TIERS["stretch"] else (factor, unit)
         shown, sigma = value_and_std(scale * float(value), scale * float(spread))
         yield f"board {term}: {shown} ± {sigma} {what}"
     if surface.offsets is not None:
-        yield f"board corners moved by up to {factor * np.abs(surface.offsets).max():.3g} {unit}"
+        yield f"board points moved by up to {factor * np.abs(surface.offsets).max():.3g} {unit}"
 
 
 def image_rows(file: CameraFile) -> list[list[str]]:

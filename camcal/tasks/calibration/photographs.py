@@ -5,7 +5,7 @@ where green was sampled, or in all samples alike, and measured by the samples of
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +13,17 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.images.image import RAW_SUFFIXES, Image
-from camcal.images.load import gray_8bit, load
+from camcal.images.load import gray_8bit, gray_levels, load
 from camcal.raw.balance import Gains, balance_in_place
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, sites
 from camcal.raw.phase import check_phase
 from camcal.raw.reading import HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
-from camcal.targets import grid as grids
-from camcal.targets.board import CHARUCO, Board, Detection
-from camcal.targets.charuco import clearance
-from camcal.targets.checker import AGREEMENT, START
-from camcal.targets.subpixel import CornerFits, fit_corners
+from camcal.targets.board import Board, Detection
+from camcal.targets.measure import measure
+from camcal.targets.samples import Samples
+from camcal.targets.sighting import Sighting
 
 GREEN, GRAY = "green", "gray"
 ALGORITHMS = (GREEN, GRAY)
@@ -35,7 +34,6 @@ _GRAY_LEVELS, _ROUNDING = 255.0, 1e-6
 _BRIGHTEST = 0.999  # of the samples; what is above may be a lamp
 _USED_CELLS = 1 << 17
 _CLIPPED = 0.98
-_FILLED_BY = 1.0  # px; filling in the missing greens moves a corner by hundredths
 
 
 @dataclass(frozen=True)
@@ -80,14 +78,6 @@ AS_IMAGES = Reading()
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """The samples of one colour: values (H, W) in gray levels, and the mask (H, W) of where they are, None: all."""
-
-    values: Array
-    sites: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class Photograph:
     """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
 
@@ -100,6 +90,11 @@ class Photograph:
     measured: Samples | None = None
     colours: Mapping[str, Samples] = field(default_factory=dict)
     demosaiced: bool = False
+
+    @property
+    def samples(self) -> Samples:
+        """The samples that say where corners are."""
+        return self.measured or Samples(self.gray)
 
 
 def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
@@ -120,12 +115,14 @@ def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
 
 def _of_image(image: Image, reading: Reading) -> Photograph:
     if not reading.colours:
-        return Photograph(gray_8bit(image.pixels), image.orientation)
+        deep = None if image.pixels.dtype == np.uint8 else Samples(gray_levels(image.pixels))
+        return Photograph(gray_8bit(image.pixels), image.orientation, deep)
     if image.channels == 1:
         raise InvalidInput("is gray and has no channels; if it is a raw frame, give its --pattern")
-    planes = {colour: gray_8bit(image.pixels[:, :, channel]) for colour, channel in _CHANNELS.items()}
-    colours = {colour: Samples(planes[colour]) for colour in COLOURS}
-    return Photograph(planes["green"], image.orientation, colours=colours, demosaiced=True)
+    planes = {colour: image.pixels[:, :, channel] for colour, channel in _CHANNELS.items()}
+    colours = {colour: Samples(gray_levels(planes[colour])) for colour in COLOURS}
+    green = Samples(gray_levels(planes[GREEN]))
+    return Photograph(gray_8bit(planes[GREEN]), image.orientation, green, colours, demosaiced=True)
 
 
 def photograph_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> Photograph:
@@ -183,41 +180,16 @@ def _weighted_median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(heaped, heaped[-1] / 2)])
 
 
-def measured(photograph: Photograph, view: Detection, board: Board) -> Detection:
-    """Return the view with its corners where the photograph's own samples put them.
-
-    A corner that these do not show clearly stays where it was found.
-    """
-    if photograph.measured is None or not view.found:
-        return view
-    fits, _ = _fitted(photograph.measured, view, board)
-    moved = np.linalg.norm(fits.pixels - view.pixels, axis=1)
-    sure = (fits.agreement > AGREEMENT) & (moved < _FILLED_BY)
-    return _with_pixels(view, view.ids, np.where(sure[:, None], fits.pixels, view.pixels))
+def require_colours(board: Board, reading: Reading) -> None:
+    """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
+    if reading.colours and not board.checker:
+        raise InvalidInput(f"colours are measured at the corners of checker patterns, which no {board.words} has")
 
 
 def in_colours(photograph: Photograph, view: Detection, board: Board) -> dict[str, Detection]:
     """Return the corners of a view as red and blue show them, each where it is clear; empty if not asked for."""
     result = {}
     for colour, samples in photograph.colours.items():
-        if not view.found:
-            result[colour] = view
-            continue
-        fits, spacing = _fitted(samples, view, board)
-        moved = np.linalg.norm(fits.pixels - view.pixels, axis=1)
-        sure = (fits.agreement > AGREEMENT) & (moved < START * spacing)
-        result[colour] = _with_pixels(view, view.ids[sure], fits.pixels[sure])
+        seen = measure(samples, board, Sighting(view.ids, view.pixels, view.reason))
+        result[colour] = replace(view, ids=seen.ids, pixels=seen.pixels, covariance=seen.covariance, reason=seen.reason)
     return result
-
-
-def _fitted(samples: Samples, view: Detection, board: Board) -> tuple[CornerFits, Array]:
-    """Return the corners (N,) of a view fitted to samples, and the distance (N,) to their neighbours in pixels."""
-    grid = np.full((board.rows, board.columns, 2), np.nan)
-    grid[np.divmod(view.ids, board.columns)] = view.pixels
-    steps = grids.steps(grid)[np.divmod(view.ids, board.columns)]
-    free = clearance(board) if board.type == CHARUCO else np.inf
-    return fit_corners(samples.values, view.pixels, steps, clearance=free, sites=samples.sites), grids.spacing(steps)
-
-
-def _with_pixels(view: Detection, ids: Array, pixels: Array) -> Detection:
-    return Detection(view.image, view.size, ids, pixels, reason=view.reason, orientation=view.orientation)

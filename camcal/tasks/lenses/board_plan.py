@@ -14,12 +14,13 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.boards import load_board
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.opencv import marker_dictionary
 from camcal.optics import light, precision
 from camcal.quality.forecast import calibration_std, forecast_pose
 from camcal.simulate.observe import observe
 from camcal.simulate.scene import views as scene_views
-from camcal.targets.board import Board
+from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, Board
+from camcal.targets.board_types import TAG_BORDER
+from camcal.targets.marker_families import family_named
 from camcal.tasks.lenses.optics_figures import AtDistance, at_distance
 from camcal.tasks.lenses.optics_setup import Setup
 
@@ -61,10 +62,11 @@ class BoardOptions:
 class BoardAt:
     """The board at one distance (m), its centre in the middle of the image.
 
-    smallest_px, largest_px: sides of squares. share: of the image's width or height, above 1 where it does not fit.
-    square_for_share: of the same grid that takes the wanted share, m, None if none does. noise_px: of a corner, with
-    blur. sigma: standard deviations of the pose of the board's centre, tx ty tz (m) rx ry rz (rad), p_wrong: how often
-    another pose will fit better; None where the board does not fit the image.
+    smallest_px, largest_px: sides of squares or tags, steps between circles. share: of the image's width or height,
+    above 1 where it does not fit. square_for_share: side of a square or tag (or a step) of the same grid that takes the
+    wanted share, m, None if none does. noise_px: of a corner, with blur. sigma: standard deviations of the pose of the
+    board's centre, tx ty tz (m) rx ry rz (rad), p_wrong: how often another pose will fit better; None where the board
+    does not fit the image.
     """
 
     distance: float
@@ -131,18 +133,40 @@ def _camera(setup: Setup) -> Camera:
 def _least_square(board: Board) -> float:
     """Return the pixels that a side of a square must have for the board to be found.
 
-    On simulated photographs squares of a chessboard are found down to 5 px, and markers down to 1.7 px a cell.
+    On simulated photographs squares of a chessboard are found down to 6 px, circles from 7 px of distance on, markers
+    and tags down to 1.7 px a cell.
     """
     if board.marker is None or board.dictionary is None:
         return _SQUARE_PX
-    cells = marker_dictionary(board.dictionary).markerSize + 2  # and its black border
-    return _CELL_PX * cells * board.pitch / board.marker
+    bits = family_named(board.dictionary).bits
+    if board.type == APRILGRID:
+        return _CELL_PX * (bits + 2 * TAG_BORDER)
+    return _CELL_PX * (bits + 2) * board.pitch / board.marker
 
 
 def _upright(board: Board, setup: Setup) -> Board:
-    """Return the board with its long side along that of the image."""
+    """Return the board with its long side along that of the image; an asymmetric grid would be another one turned."""
+    if board.type == ASYMMETRIC_CIRCLES:
+        return board
     width, height = setup.size or (1, 1)
     return board.transposed() if (board.columns > board.rows) != (width >= height) else board
+
+
+def _element(board: Board) -> float:
+    """Return the side of a square or tag, or the step from circle to circle, m."""
+    return board.marker or board.pitch if board.type == APRILGRID else board.pitch
+
+
+def _sides(board: Board, pixels: Array) -> Array:
+    """Return the lengths (K,) in pixels of the sides of squares or tags, or of the pitch of circles, as projected."""
+    if board.type == APRILGRID:
+        tags = pixels.reshape(-1, 4, 2)
+        return np.asarray(np.linalg.norm(tags - np.roll(tags, 1, axis=1), axis=2).ravel())
+    grid = pixels.reshape(board.rows, board.columns, 2)
+    along, down = grid[:, 1:] - grid[:, :-1], grid[1:] - grid[:-1]
+    if board.type == ASYMMETRIC_CIRCLES:  # two pitches apart in a row and from row to next but one
+        along, down = along / 2, (grid[2:] - grid[:-2]) / 2
+    return np.concatenate([np.linalg.norm(steps, axis=2).ravel() for steps in (along, down)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +191,8 @@ class _Held:
 
     def pose(self, distance: float) -> Pose:
         """Return camera_T_board with the board's centre in the middle of the image, at a distance along the axis."""
-        return Pose(so3.about_y(self.tilt), distance * self._middle)
+        upright = np.diag([1.0, self.board.inward, self.board.inward])
+        return Pose(so3.about_y(self.tilt) @ upright, distance * self._middle)
 
     def share(self, distance: float) -> float:
         """Return the share of the image's width or height that the board takes, inf outside the lens's domain."""
@@ -180,14 +205,12 @@ class _Held:
         return float(np.max(2 * np.abs(projection.pixels - middle).max(axis=0) / self.camera.image_size))
 
     def squares(self, distance: float) -> tuple[float, float]:
-        """Return the smallest and the largest side of a square in pixels, inf outside the lens's domain."""
+        """Return the smallest and the largest side of a square or tag in pixels, inf outside the lens's domain."""
         projection = self.camera.project(self.pose(distance).apply(self.points))
         if not projection.valid.all():
             return inf, inf
-        grid = projection.pixels.reshape(self.board.rows, self.board.columns, 2)
-        sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (0, 1)]
-        together = np.concatenate(sides)
-        return float(together.min()), float(together.max())
+        sides = _sides(self.board, projection.pixels)
+        return float(sides.min()), float(sides.max())
 
     def at_share(self, share: float) -> float:
         """Return the distance (m) at which the board takes a share of the image, 0 if it never takes so much."""
@@ -219,7 +242,7 @@ def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, fil
     smallest, largest = held.squares(distance)
     noise = options.noise_px * _blur_factor(setup, known)
     share = held.share(distance)
-    square = held.board.pitch * distance / filling if filling else None
+    square = _element(held.board) * distance / filling if filling else None
     if share > 1:
         return BoardAt(distance, smallest, largest, share, square, noise)
     forecast = forecast_pose(held.camera, held.points, held.pose(distance), noise)

@@ -11,6 +11,7 @@ from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting
+from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
 from camcal.tasks.lenses.board_plan import BoardOptions, BoardPlan, plan_board
 from camcal.tasks.lenses.optics_setup import OpticsOptions, Setup, set_up
@@ -123,17 +124,18 @@ def _board_warnings(report: OpticsReport) -> Iterator[str]:
     plan = report.board
     if plan is None:
         return
+    element = BOARD_TYPES[plan.board.type].element
     low, high = usable_range(report)
     if low >= high:
         yield (
-            f"there is no distance for this board: it fits the image from {plan.nearest:.3g} m, its squares are "
+            f"there is no distance for this board: it fits the image from {plan.nearest:.3g} m, its {element}s are "
             f"large enough up to {plan.farthest:.3g} m{_sharp_words(report)}"
         )
     for at in plan.at:
         if at.share > 1:
             yield f"at {at.distance:g} m the board does not fit the image; its nearest distance is {plan.nearest:.3g} m"
         elif at.smallest_px < plan.least_px:
-            yield f"at {at.distance:g} m squares have {at.smallest_px:.1f} px, fewer than {plan.least_px:.3g}"
+            yield f"at {at.distance:g} m {element}s have {at.smallest_px:.1f} px, fewer than {plan.least_px:.3g}"
         if at.sigma is not None and (turn := max(at.sigma[3:])) > WEAK_TURN:
             yield f"at {at.distance:g} m the board's direction will be known to ±{degrees(turn):.2g}° only"
         if at.p_wrong is not None and at.p_wrong > AMBIGUOUS:

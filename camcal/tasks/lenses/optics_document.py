@@ -6,6 +6,7 @@ from math import hypot, isfinite, isnan, pi
 from typing import Any, TypeVar
 
 from camcal.optics.sensor_format import FORMATS, literal_mm, smallest_format
+from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses.board_plan import BoardAt, BoardPlan
 from camcal.tasks.lenses.optics import OpticsReport, usable_range
 from camcal.tasks.lenses.optics_figures import AtDistance
@@ -71,10 +72,10 @@ _AT: _Shown = {
 }
 _BOARD_AT: _Shown = {
     "distance": ("distance_m", "distance", 1.0, "m"),
-    "smallest_px": ("smallest_square_px", "smallest square", 1.0, "px"),
-    "largest_px": ("largest_square_px", "largest square", 1.0, "px"),
+    "smallest_px": ("smallest_square_px", "smallest {element}", 1.0, "px"),
+    "largest_px": ("largest_square_px", "largest {element}", 1.0, "px"),
     "share": ("share", "share of the image", 1.0, ""),
-    "square_for_share": ("square_for_share_mm", "square for the wanted share", 1e3, "mm"),
+    "square_for_share": ("square_for_share_mm", "{element} for the wanted share", 1e3, "mm"),
     "noise_px": ("noise_px", "noise of a corner", 1.0, "px"),
     "p_wrong": ("p_wrong", "share of wrong poses", 1.0, ""),
 }
@@ -208,6 +209,11 @@ def distance_tables(report: OpticsReport) -> Iterator[tuple[list[str], list[list
 
 def board_tables(plan: BoardPlan) -> Iterator[tuple[list[str], list[list[str]]]]:
     """Yield tables with a column for every distance: squares, share, noise, and the pose's standard deviations."""
+    element = BOARD_TYPES[plan.board.type].element
+    shown = {
+        name: (key, words.format(element=element), factor, unit)
+        for name, (key, words, factor, unit) in _BOARD_AT.items()
+    }
     for records in _batches(plan.at):
         stds = [_pose(at) for at in records]
         spread = [
@@ -215,7 +221,7 @@ def board_tables(plan: BoardPlan) -> Iterator[tuple[list[str], list[list[str]]]]
             for key in _POSE
             if any(std is not None for std in stds)
         ]
-        yield _columns(records), _figure_rows(records, _BOARD_AT) + spread
+        yield _columns(records), _figure_rows(records, shown) + spread
 
 
 def _batches(records: Sequence[At]) -> Iterator[Sequence[At]]:
@@ -244,7 +250,7 @@ def _short(value: float) -> str:
 def board_lines(report: OpticsReport, plan: BoardPlan) -> Iterator[str]:
     """Yield where the board can be used and how well the camera will be calibrated with it."""
     low, high = usable_range(report)
-    ends = f"squares have {plan.least_px:.3g} px or more up to {plan.farthest:.4g} m"
+    ends = f"{BOARD_TYPES[plan.board.type].element}s have {plan.least_px:.3g} px or more up to {plan.farthest:.4g} m"
     fits = f"from {plan.nearest:.4g} m" if plan.nearest else "at any distance"
     yield f"it fits the image {fits}, and {ends}"
     if low < high:

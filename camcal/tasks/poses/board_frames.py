@@ -9,7 +9,7 @@ from typing import NamedTuple
 from camcal.errors import CamcalError, FileError
 from camcal.images.image import Image
 from camcal.images.load import gray_8bit
-from camcal.images.video import frames
+from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Progress
 from camcal.run.fanout import fan_out
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
@@ -17,7 +17,6 @@ from camcal.targets.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.tasks.calibration.board_remarks import remarks
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.poses.tag_views import frame_name
 
 _SAMPLE = 6  # frames of a video on which the arrangement of a ChArUco board is found out
 _STRIDE = 10
@@ -41,12 +40,15 @@ def board_frames(
     require_findable(board)
     known = _arranged(videos[0], board) if board.type == CHARUCO else board
     work = partial(_detect, board=known)
-    outcomes = list(fan_out(work, _frames(videos), jobs=jobs, processes=True, what="detecting", progress=progress))
-    views = tuple(outcome.value for outcome in outcomes if outcome.value is not None)
-    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    views: list[Detection] = []
+    errors: list[CamcalError] = []
+    for outcome in fan_out(work, _frames(videos), jobs=jobs, processes=True, what="detecting", progress=progress):
+        # one outcome after another: each holds its frame
+        views += [outcome.value] if outcome.value else []
+        errors += [outcome.error] if outcome.error else []
     if not views:
         raise errors[0] if errors else FileError("holds no frame", where=str(videos[0]))
-    return BoardViews(known, Detections(known, views), remarks(views, known, board), tuple(map(str, errors)))
+    return BoardViews(known, Detections(known, tuple(views)), remarks(views, known, board), tuple(map(str, errors)))
 
 
 def _frames(videos: Iterable[Path]) -> Iterator[_Frame]:
@@ -62,7 +64,9 @@ def _detect(frame: _Frame, board: Board) -> Detection:
     if isinstance(frame.image, CamcalError):
         raise frame.image
     sighting = detect(frame.image.pixels, board)
-    found = Detection(frame.name, frame.image.size, sighting.ids, sighting.pixels, reason=sighting.reason)
+    found = Detection(
+        frame.name, frame.image.size, sighting.ids, sighting.pixels, sighting.covariance, reason=sighting.reason
+    )
     return replace(found, orientation=frame.image.orientation)
 
 

@@ -15,7 +15,6 @@ from camcal.images import exif, video
 from camcal.images.load import load
 from camcal.progress import Progress
 from camcal.run.inputs import require_there
-from camcal.tasks.poses.tag_views import frame_name
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -100,7 +99,7 @@ def _nothing_tells(videos: Sequence[Path]) -> InvalidInput:
 
 
 def _of_video(source: Path, own: Array, frames: Sequence[str]) -> Array:
-    known = {frame_name(source, number): stamp for number, stamp in enumerate(own)}
+    known = {video.frame_name(source, number): stamp for number, stamp in enumerate(own)}
     unknown = [frame for frame in frames if frame not in known]
     if unknown:
         raise InvalidInput("is no frame of the video; give --fps or --timestamps for all", where=unknown[0])

@@ -15,9 +15,9 @@ from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
 from camcal.run.inputs import split_address
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.tasks.poses import pnp_remarks
-from camcal.tasks.poses.pnp_drawing import draw, require_folder, sheets, videos_in
+from camcal.tasks.poses.pnp_drawing import draw, sheets, videos_in
 from camcal.tasks.poses.pnp_observer import Observer
 from camcal.tasks.poses.pnp_prior import PriorOptions, read_prior
 from camcal.tasks.poses.pnp_records import record_of
@@ -159,7 +159,7 @@ def _check(options: PnpOptions) -> None:
     if options.outliers not in OUTLIERS:
         raise InvalidInput(f"--outliers {options.outliers!r}{did_you_mean(options.outliers, OUTLIERS)}")
     if options.draw is not None:
-        require_folder(options.draw)
+        require_folder(options.draw, "--draw")
     if options.output is None:
         return
     poses.require_suffix(options.output)

@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import CamcalError, InvalidInput
+from camcal.errors import CamcalError
 from camcal.images.load import gray_8bit
 from camcal.images.save import save
-from camcal.images.video import frames
+from camcal.images.video import frame_name, frames
 from camcal.progress import Progress, values_of
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs
 from camcal.run.outputs import refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.photographs import read_photograph
-from camcal.tasks.poses.tag_views import frame_name
 
 _SUFFIX = "_pose.png"
 _BLANK = 110  # gray level where the image itself is not there
@@ -37,12 +36,6 @@ class _Work:
     sheet: Sheet
     source: Path | None
     gray: Array | None = None  # of a frame of a video
-
-
-def require_folder(path: Path) -> None:
-    """Raise InvalidInput if pictures cannot go to this folder because it is a file."""
-    if path.exists() and not path.is_dir():
-        raise InvalidInput("--draw takes a folder, this is a file", where=str(path))
 
 
 def videos_in(paths: Sequence[Path]) -> list[Path]:

@@ -163,11 +163,16 @@ def _points(board: Board, shape: Surface | None) -> tuple[Array, tuple[str, ...]
     """Return the points (C, 3) of a board as it is, as far as its shape is known, and what is to be said of that."""
     if shape is None:
         return board.points(), ()
-    if replace(shape.board, legacy=None) != replace(board, legacy=None):
+    if _numbered(shape.board) != _numbered(board):
         other = "the camera file knows the shape of another board; this one is taken as drawn"
         return board.points(), (other,)
     length = f"{1000 * shape.deflection:.2g} mm" if board.unit == "m" else f"{shape.deflection:.2g} squares"
     return shape.points(), (f"the board is taken in the shape that the camera file has of it, {length} out of plane",)
+
+
+def _numbered(board: Board) -> Board:
+    """Return a board without what changes no point of it."""
+    return replace(board, legacy=None, diameter=None, dots=False)
 
 
 def _usual_size(views: Sequence[Detection], camera: Camera) -> tuple[tuple[int, int], str]:

@@ -12,7 +12,7 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError
 from camcal.estimate.pnp import Correspondences
 from camcal.images.load import gray_8bit
-from camcal.images.video import frames
+from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_media
@@ -85,11 +85,6 @@ def tag_views(
         nothing |= {name: reason} if reason else {}
     notes = tuple(f"{name}: {note}" for name, item in seen.items() for note in item.markers.notes)
     return TagViews(tuple(views), nothing, tuple(map(str, errors)), notes, tuple(seen))
-
-
-def frame_name(video: Path, number: int) -> str:
-    """Return how a frame of a video is named, as `undistort` names the files it makes of them: clips/movie_000012."""
-    return video.with_name(f"{video.stem}_{number:06d}").as_posix()
 
 
 def _frames(video: Path) -> Iterator[_Look]:

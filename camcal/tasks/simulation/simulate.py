@@ -25,11 +25,11 @@ from camcal.run.inputs import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.lens import make_camera
 from camcal.simulate.observe import Truth, observe, view_name
-from camcal.simulate.pattern import pattern_of
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
+from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface
 from camcal.tasks.simulation import simulate_raw, simulation_folder
 from camcal.tasks.simulation.simulate_raw import RawCamera, RawOptions, Sensor

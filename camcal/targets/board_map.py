@@ -1,0 +1,157 @@
+"""How a flat board is seen by a lens that nobody knows yet: a map from its plane to the pixels, fitted to its points.
+
+A homography, then a radial distortion, q = p / (1 + λ₁ r² + λ₂ r⁴ + λ₃ r⁶) with p, r from a middle near the image's
+(the division model, Fitzgibbon 2001), which even few points determine; what these leave is a polynomial in the board's
+plane of as high a degree as the points allow.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+
+_DEGREE = 5  # of the polynomial at most
+_POINTS_PER_TERM = 3
+_LEAST_RADIAL = 12  # points for a radial distortion
+_ROUNDS = 8
+_STEP = 1e-4  # of a radial term or of the middle, for derivatives
+_HELD = 2.5e-5 / np.array(
+    [1.0, 1.0, 1.0, 0.05, 0.05]
+)  # what a pixel's hundredth is in units of the scale, over spreads
+_WORTH = 0.99  # of the sum of squares that a round must fall below to be taken
+_INVERSIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Radial:
+    """A radial distortion about a middle (2,): terms (3,) of even powers of radii in units of `scale`."""
+
+    middle: Array
+    scale: float
+    terms: Array
+
+    def straight(self, pixels: Array) -> Array:
+        """Return where a lens without distortion would show what is at pixels (N, 2)."""
+        away = (pixels - self.middle) / self.scale
+        return np.asarray(away / self._divisor((away * away).sum(axis=1, keepdims=True)))
+
+    def bent(self, places: Array) -> Array:
+        """Return the pixels (N, 2) of what `straight` takes to places (N, 2); by Newton's method on the radii."""
+        wanted = np.linalg.norm(places, axis=1, keepdims=True)
+        radius = wanted.copy()
+        a, b, c = self.terms
+        for _ in range(_INVERSIONS):
+            square = radius * radius
+            slope = 1 - 2 * wanted * radius * ((3 * c * square + 2 * b) * square + a)
+            radius = radius - (radius - wanted * self._divisor(square)) / slope
+        return np.asarray(places * self._divisor(radius * radius) * self.scale + self.middle)
+
+    def _divisor(self, square: Array) -> Array:
+        a, b, c = self.terms
+        return np.asarray(1 + square * (a + square * (b + square * c)))
+
+
+@dataclass(frozen=True, eq=False)
+class BoardMap:
+    """The polynomial with coefficients (T, 2) in the board's plane, then the homography (3, 3), then the lens."""
+
+    coefficients: Array
+    degree: int
+    middle: Array
+    scale: float
+    homography: Array
+    radial: Radial
+
+    def pixels(self, points: Array) -> Array:
+        """Return the pixels (..., 2) of points (..., 2) of the board."""
+        flat = points.reshape(-1, 2)
+        moved = flat + _terms((flat - self.middle) / self.scale, self.degree) @ self.coefficients
+        return self.radial.bent(_through(self.homography, moved)).reshape(points.shape)
+
+
+def map_of(points: Array, pixels: Array, size: tuple[int, int]) -> BoardMap:
+    """Return the map that fits points (N, 2) of a board seen at pixels (N, 2) best, four of them at least.
+
+    size: (width, height) of the image.
+    """
+    radial = _radial(points, pixels, size)
+    straight = radial.straight(pixels)
+    homography = _homography(points, straight)
+    middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
+    degree = _degree(points)
+    moved = _through(np.linalg.inv(homography), straight) - points
+    terms = _terms((points - middle) / scale, degree)
+    return BoardMap(np.linalg.lstsq(terms, moved, rcond=None)[0], degree, middle, scale, homography, radial)
+
+
+def _radial(points: Array, pixels: Array, size: tuple[int, int]) -> Radial:
+    """Return the radial distortion that leaves points and pixels (N, 2) closest to a homography.
+
+    Gauss-Newton over its terms and its middle, which is held near the image's where distortion is too weak to tell it.
+    """
+    best = Radial((np.array(size) - 1) / 2, float(np.hypot(*size)) / 2, np.zeros(3))
+    if len(points) < _LEAST_RADIAL:
+        return best
+    place, off = np.zeros(5), _residuals(points, pixels, best)
+    for _ in range(_ROUNDS):
+        nearby = [_moved(best, step) for step in _STEP * np.eye(5)]
+        slopes = np.stack([(_residuals(points, pixels, other) - off) / _STEP for other in nearby], axis=1)
+        design, wanted = np.concatenate([slopes, np.diag(_HELD)]), np.concatenate([off, _HELD * place])
+        step = -np.linalg.lstsq(design, wanted, rcond=None)[0]
+        trial = _moved(best, step)
+        trial_off = _residuals(points, pixels, trial)
+        if not (trial_off**2).sum() < _WORTH * (off**2).sum():
+            break
+        best, place, off = trial, place + step, trial_off
+    return best
+
+
+def _moved(radial: Radial, step: Array) -> Radial:
+    """Return a distortion with other terms and another middle; step: (5,), of the middle in units of the scale."""
+    return replace(radial, terms=radial.terms + step[:3], middle=radial.middle + radial.scale * step[3:])
+
+
+def _residuals(points: Array, pixels: Array, radial: Radial) -> Array:
+    straight = radial.straight(pixels)
+    return np.asarray((straight - _through(_homography(points, straight), points)).ravel())
+
+
+def _homography(points: Array, pixels: Array) -> Array:
+    """Return the homography (3, 3) from points to pixels (N, 2) of least algebraic error (Hartley 1997)."""
+    onto, back = _normalising(points), _normalising(pixels)
+    (x, y), (u, v) = _through(onto, points).T, _through(back, pixels).T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    upper = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
+    lower = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
+    design = np.concatenate([upper, lower])
+    entries = np.linalg.eigh(design.T @ design)[1][:, 0]
+    result = np.linalg.inv(back) @ entries.reshape(3, 3) @ onto
+    return np.asarray(result / result[2, 2])
+
+
+def _normalising(points: Array) -> Array:
+    """Return the similarity (3, 3) that brings points (N, 2) around the origin and to unit size."""
+    middle = points.mean(axis=0)
+    scale = 1 / max(float(np.abs(points - middle).mean()), 1e-12)
+    return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
+
+
+def _through(homography: Array, points: Array) -> Array:
+    moved = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+def _degree(points: Array) -> int:
+    """Return the degree of the polynomial that points (N, 2) on lines of a grid determine well."""
+    lines = min(len(np.unique(np.rint(1e6 * axis / np.ptp(axis)))) for axis in points.T)
+    degree = 0
+    while degree < min(_DEGREE, lines - 2) and _POINTS_PER_TERM * (degree + 2) * (degree + 3) // 2 <= len(points):
+        degree += 1
+    return degree
+
+
+def _terms(points: Array, degree: int) -> Array:
+    """Return the products (N, T) of powers of x and y up to a degree."""
+    x, y = points.T
+    return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)

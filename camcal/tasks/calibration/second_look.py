@@ -1,0 +1,113 @@
+"""A second look at the images of a calibration, with its lens, its poses and the shape of its board in hand."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.intrinsics import Calibration, View
+from camcal.progress import Progress
+from camcal.run.fanout import fan_out
+from camcal.targets.board import Board, Detection
+from camcal.targets.board_edges import seen_cells, signs
+from camcal.targets.samples import Samples
+from camcal.targets.second_look import Expected, look_again
+from camcal.tasks.calibration.photographs import Reading, read_photograph
+from camcal.tasks.calibration.video_frames import Film
+
+_RIM_PX = 3.0  # corners nearer to the border of the image are not looked for
+
+
+@dataclass(frozen=True, eq=False)
+class SecondLook:
+    """The views as they are seen again, in the order of a calibration's, numbered as it has numbered them.
+
+    recovered: corners that had not been found before. lost: corners that the calibrated edges do not bear out.
+    """
+
+    views: tuple[Detection, ...]
+    recovered: int
+    lost: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """A view to be looked at again, and what is expected of it; gray: of a frame of a video, None for an image file."""
+
+    view: Detection
+    expected: Expected
+    gray: Array | None = None
+
+
+def second_look(
+    calibration: Calibration,
+    detections: Sequence[Detection],
+    films: Sequence[Film],
+    reading: Reading,
+    jobs: int | None,
+    progress: Progress,
+) -> SecondLook:
+    """Return the views of a calibration with their corners measured along the edges that it expects.
+
+    detections: of calibration.views, in their order. A view that the calibration does not use stays as it is, and so
+    does one whose image can no longer be read.
+    """
+    pairs = zip(detections, calibration.views, strict=True)
+    expected = {
+        view.image: _Sight(renumbered(view, record, calibration.board), _expected(calibration, record))
+        for view, record in pairs
+        if record.used
+    }
+    work = partial(_look_again, reading=reading)
+    outcomes = fan_out(
+        work, _sights(expected, films), jobs=jobs, processes=True, what="measuring corners", progress=progress
+    )
+    again = {outcome.item.view.image: outcome.value for outcome in outcomes if outcome.value is not None}
+    views = tuple(again[view.image][0] if view.image in again else view for view in detections)
+    recovered = sum(new for _, new in again.values())
+    before = sum(len(view.ids) for view in detections if view.image in again)
+    after = sum(len(view.ids) for view, _ in again.values())
+    return SecondLook(views, recovered, before + recovered - after)
+
+
+def _sights(expected: Mapping[str, _Sight], films: Sequence[Film]) -> Iterator[_Sight]:
+    """Yield what is to be looked at: image files first, then the frames of one film after another."""
+    filmed = frozenset(name for film in films for name in film.names)
+    yield from (sight for image, sight in expected.items() if image not in filmed)
+    for film in films:
+        for frame in film.only(expected).frames():
+            sight = expected[frame.name]
+            yield _Sight(sight.view, sight.expected, frame.image.pixels)
+
+
+def _look_again(sight: _Sight, reading: Reading) -> tuple[Detection, int]:
+    """Return a view with its corners measured again, and how many were recovered."""
+    view = sight.view
+    samples = Samples(sight.gray) if sight.gray is not None else read_photograph(Path(view.image), reading).samples
+    seen = look_again(samples, view.ids, view.pixels, sight.expected)
+    if not len(seen.ids):
+        return view, 0
+    return replace(view, ids=seen.ids, pixels=seen.pixels, covariance=seen.covariance), seen.recovered
+
+
+def renumbered(view: Detection, record: View, board: Board) -> Detection:
+    """Return a view of a board that looks the same turned with the ids that the calibration gave its corners."""
+    return replace(view, ids=board.symmetries()[record.turned][view.ids])
+
+
+def _expected(calibration: Calibration, record: View) -> Expected:
+    camera, board, pose = calibration.camera, calibration.board, record.camera_T_board
+    ids = np.arange(board.count)
+    if pose is None:
+        raise ValueError(f"{record.image} has no pose")
+    pixels, cells = seen_cells(
+        board, ids, calibration.surface.points(), lambda points: camera.project(pose.apply(points)).pixels
+    )
+    size = np.array(camera.image_size)
+    known = np.isfinite(pixels).all(axis=1) & np.isfinite(cells.steps).all(axis=(1, 2))
+    known &= np.isfinite(cells.bends).all(axis=1)
+    inside = known & ((pixels > _RIM_PX) & (pixels < size - 1 - _RIM_PX)).all(axis=1)
+    return Expected(pixels, cells, inside, signs(board))

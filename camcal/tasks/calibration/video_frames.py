@@ -1,0 +1,268 @@
+"""Frames of videos to find a board in: sharp ones first, of those with the board the ones that tell most of the lens.
+
+A film is read twice. The first time every frame is reduced and its sharpness noted; the sharpest frame of each stretch
+is then searched for the board at its full size, and `calibrate.frames` chooses among those that show it. No frame is
+kept in memory.
+"""
+
+from collections import Counter
+from collections.abc import Container, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from camcal import opencv
+from camcal.arrays import Array
+from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, FrameLooks, choose_frames
+from camcal.errors import CamcalError, InvalidInput
+from camcal.images import video
+from camcal.images.image import Image
+from camcal.images.load import gray_8bit
+from camcal.images.motion import focus, motion, reduced
+from camcal.progress import Progress
+from camcal.targets.board import Board, Detection
+from camcal.targets.detect import SEED, detect
+from camcal.targets.edge_blur import edge_blur
+
+COLUMNS = ("frame", "corners", "blur px", "motion px", "order", "reason")
+MOST = 40
+LOOKS = 8  # frames that are searched for every one that may be chosen
+_SAMPLE = 6  # frames of a video on which the arrangement of a ChArUco board is found out
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """Which frames of videos are taken: at most `most`, chosen among every `every`-th one; whole: all of these."""
+
+    most: int = MOST
+    every: int = 1
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value in (("--max-frames", self.most), ("--every", self.every)):
+            if value < 1:
+                raise InvalidInput(f"{name} {value}: use 1 or more")
+        if self.whole and self.most != MOST:
+            raise InvalidInput("--all-frames takes all there are; leave --max-frames out")
+
+    def arguments(self) -> list[str]:
+        """Return the options of a command line that choose so."""
+        most = ["--max-frames", str(self.most)] if self.most != MOST else []
+        every = ["--every", str(self.every)] if self.every != 1 else []
+        return [*most, *every, *(["--all-frames"] if self.whole else [])]
+
+
+BEST_FRAMES = FrameOptions()
+
+
+class Frame(NamedTuple):
+    """A gray frame of a video under its name; before: a reduced copy of the frame before it, None of the first one."""
+
+    name: str
+    image: Image
+    before: Array | None
+
+
+@dataclass(frozen=True)
+class Film:
+    """A video, how many frames it has, the numbers of those to be searched, in order, and what ended it too early."""
+
+    path: Path
+    count: int
+    numbers: tuple[int, ...]
+    error: CamcalError | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the frames that are to be searched."""
+        return tuple(video.frame_name(self.path, number) for number in self.numbers)
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames that are to be searched, as far as the video can be read; `survey` said what ended it."""
+        wanted = frozenset(self.numbers)
+        before: Array | None = None
+        with suppress(CamcalError):
+            for number, image in enumerate(video.frames(self.path)):
+                gray = gray_8bit(image.pixels) if number in wanted or number + 1 in wanted else image.pixels
+                if number in wanted:
+                    yield Frame(video.frame_name(self.path, number), Image(gray, image.orientation), before)
+                before = reduced(gray) if number + 1 in wanted else None
+
+    def tasks(self, boards: Sequence[Board]) -> Iterator[tuple[str, Frame, Board]]:
+        """Yield the frames that are to be searched under their names, each with every board."""
+        for frame in self.frames():
+            yield from ((frame.name, frame, board) for board in boards)
+
+    def sample(self) -> "Film":
+        """Return the film with a few of its frames to be searched."""
+        return replace(self, numbers=self.numbers[:: -(-len(self.numbers) // _SAMPLE) or 1])
+
+    def only(self, names: Container[str]) -> "Film":
+        """Return the film with those of its frames that have these names."""
+        numbers = zip(self.numbers, self.names, strict=True)
+        return replace(self, numbers=tuple(number for number, name in numbers if name in names))
+
+
+@dataclass(frozen=True)
+class FrameLook:
+    """What a frame shows: blur of the board's edges, px, and how far it has moved since the frame before, px.
+
+    pattern: the size of a checker pattern that is not the board.
+    """
+
+    view: Detection
+    pattern: tuple[int, int] | None = None
+    blur_px: float = float("nan")
+    motion_px: float = float("nan")
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """What became of a frame that was searched, why, and the figures behind it: see `calibrate.frames.FrameChoice`."""
+
+    look: FrameLook
+    taken: bool
+    reason: str
+    choice: FrameChoice | None = None
+
+
+def require_names(videos: Sequence[Path]) -> None:
+    """Raise InvalidInput if frames of two videos would have one name."""
+    named: dict[str, Path] = {}
+    for path in videos:
+        other = named.setdefault(video.frame_name(path, 0), path)
+        if other != path:
+            raise InvalidInput(f"its frames would have the names of those of {other.name}; rename one", where=str(path))
+
+
+def survey(path: Path, options: FrameOptions, progress: Progress) -> Film:
+    """Return a video with the frames to be searched: the sharpest one of each of LOOKS · most stretches, or all."""
+    progress.start(f"surveying {path.name}", None)
+    sharpness: list[float] = []
+    numbers: list[int] = []
+    count, error = 0, None
+    try:
+        with opencv.repeatable(SEED):
+            for count, image in enumerate(video.frames(path), start=1):
+                if (count - 1) % options.every == 0:
+                    numbers.append(count - 1)
+                    sharpness.append(0.0 if options.whole else focus(reduced(gray_8bit(image.pixels))))
+                progress.advance()
+    except CamcalError as failure:
+        error = failure
+    finally:
+        progress.finish()
+    kept = numbers if options.whole else _sharpest(numbers, sharpness, LOOKS * options.most)
+    return Film(path, count, tuple(kept), error)
+
+
+def _sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int) -> list[int]:
+    """Return the number of the sharpest frame of each of so many stretches, or all if there are no more frames."""
+    if len(numbers) <= stretches:
+        return list(numbers)
+    parts = np.array_split(np.arange(len(numbers)), stretches)
+    return [numbers[part[0] + int(np.argmax(np.take(sharpness, part)))] for part in parts]
+
+
+def look_at(task: tuple[str, Frame, Board], parts: bool = False) -> FrameLook:
+    """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial."""
+    _, frame, board = task
+    gray = frame.image.pixels
+    sighting = detect(gray, board, partial=parts)
+    found = Detection(
+        frame.name,
+        frame.image.size,
+        sighting.ids,
+        sighting.pixels,
+        sighting.covariance,
+        reason=sighting.reason,
+        orientation=frame.image.orientation,
+    )
+    if not sighting.found:
+        return FrameLook(found, sighting.pattern)
+    copy = reduced(gray)
+    moved = np.nan
+    if frame.before is not None and frame.before.shape == copy.shape:
+        moved = motion(frame.before, copy, sighting.pixels, gray.shape[1] // copy.shape[1])
+    return FrameLook(found, sighting.pattern, edge_blur(gray, sighting.pixels), moved)
+
+
+def settled(
+    looks: Sequence[FrameLook], board: Board, size: tuple[int, int], options: FrameOptions
+) -> tuple[FrameRecord, ...]:
+    """Return what becomes of every frame that was searched; only those of a size with the board can be taken."""
+    usable = [index for index, look in enumerate(looks) if look.view.found and look.view.size == size]
+    if options.whole or not usable:
+        return tuple(FrameRecord(look, index in usable, _refusal(look, size)) for index, look in enumerate(looks))
+    some = [looks[index] for index in usable]
+    blur, moved = np.array([look.blur_px for look in some]), np.array([look.motion_px for look in some])
+    choices = choose_frames(FrameLooks(tuple(look.view for look in some), blur, moved), board, options.most)
+    by_look = dict(zip(usable, choices, strict=True))
+    names = [look.view.image for look in some]
+    records = []
+    for index, look in enumerate(looks):
+        choice = by_look.get(index)
+        reason = _refusal(look, size) if choice is None else _reason(choice, look, names)
+        records.append(FrameRecord(look, choice is not None and choice.chosen, reason, choice))
+    return tuple(records)
+
+
+def _refusal(look: FrameLook, size: tuple[int, int]) -> str:
+    if not look.view.found:
+        return look.view.reason or "nothing found"
+    if look.view.size != size:
+        return "is {}x{}, most images are {}x{}".format(*look.view.size, *size)
+    return ""
+
+
+def _reason(choice: FrameChoice, look: FrameLook, names: Sequence[str]) -> str:
+    """Return why a frame that shows the board is taken or not."""
+    if choice.why == SAME and choice.like is not None:
+        return f"like {Path(names[choice.like]).name}"
+    return {
+        CHOSEN: "adds most",
+        SURPLUS: "adds less",
+        BLURRED: f"blurred by {look.blur_px:.1f} px",
+        MOVING: f"moves {look.motion_px:.0f} px a frame" if np.isfinite(look.motion_px) else "moves too fast to follow",
+    }[choice.why]
+
+
+def summary(film: Film, records: Sequence[FrameRecord]) -> str:
+    """Return in a line what became of the frames of a video; records: its own and those of others."""
+    names = frozenset(film.names)
+    own = [record for record in records if record.look.view.image in names]
+    whys = Counter(record.choice.why for record in own if record.choice is not None)
+    words = {SAME: "like these", BLURRED: "blurred", MOVING: "moving fast", SURPLUS: "adding less"}
+    others = "".join(f", {whys[why]} {text}" for why, text in words.items() if whys[why])
+    taken, found = sum(record.taken for record in own), sum(record.look.view.found for record in own)
+    return (
+        f"{film.path.name}: {taken} of {film.count} frames are taken; {len(own)} were searched, "
+        f"{found} show the board{others}"
+    )
+
+
+def cells(record: FrameRecord) -> list[object]:
+    """Return what is listed of a frame under COLUMNS, None where a figure is not known."""
+    look, choice = record.look, record.choice
+    figures = [round(value, 2) if np.isfinite(value) else None for value in (look.blur_px, look.motion_px)]
+    order = None if choice is None or choice.rank is None else choice.rank + 1
+    return [look.view.image, len(look.view.ids), *figures, order, record.reason]
+
+
+def as_data(record: FrameRecord) -> dict[str, Any]:
+    """Return what became of a frame as plain data for --json; NaN where a figure is not known."""
+    look, choice = record.look, record.choice
+    return {
+        "frame": look.view.image,
+        "corners": len(look.view.ids),
+        "taken": record.taken,
+        "reason": record.reason,
+        "order": None if choice is None or choice.rank is None else choice.rank + 1,
+        "blur_px": look.blur_px,
+        "motion_px": look.motion_px,
+        "error_px": None if choice is None else choice.error_px,
+        "gain": None if choice is None else choice.gain,
+    }
