@@ -59,7 +59,7 @@ class Scene:
     corners: Array
 
 
-def grid(quick: bool) -> list[Cell]:
+def grid() -> list[Cell]:
     """Return the cells of the benchmark: all of blur, noise, spacing and tilt, the rest in turn."""
     blurs, noises, spacings, tilts = (0.5, 0.7, 1.0, 1.6, 2.5), (1.0, 2.0, 4.0, 8.0), (12, 20, 40, 80), (0, 30, 50, 65)
     rest = [
@@ -67,8 +67,7 @@ def grid(quick: bool) -> list[Cell]:
         (0.0, 2.2, 8, 90),
     ]  # fmt: skip
     every = [(b, n, s, t) for b in blurs for n in noises for s in spacings for t in tilts]
-    cells = [Cell(*main, *rest[(7 * index + index // 7) % len(rest)]) for index, main in enumerate(every)]
-    return cells[:: 7 if quick else 1]
+    return [Cell(*main, *rest[(7 * index + index // 7) % len(rest)]) for index, main in enumerate(every)]
 
 
 def scene(cell: Cell, rng: np.random.Generator) -> Scene:

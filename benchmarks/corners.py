@@ -13,7 +13,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -23,12 +23,14 @@ from corner_scenes import BOARD, Cell, Scene, bound, grid, scenes
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.images.load import gray_8bit
+from camcal.images.load import gray_8bit, gray_levels
 from camcal.run.fanout import fan_out
 from camcal.targets.detect import detect
+from camcal.targets.samples import Samples
 
 WINDOWS = (2, 3, 4, 5, 7, 9, 11)
 PEERS = ("SB", "SB accurate", "cornerSubPix")
+ACCURATE = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 SEED = 2026
 
 
@@ -96,7 +98,7 @@ def score(cell: Cell, count: int, peers: bool) -> Score:
     errors: dict[str, list[Array]] = {name: [] for name in PEERS}
     windows: dict[int, list[Array]] = {window: [] for window in WINDOWS}
     for view in scenes(cell, count, SEED):
-        sighting = detect(gray_8bit(view.image), BOARD, values=view.image)
+        sighting = detect(gray_8bit(view.image), BOARD, samples=Samples(gray_levels(view.image)))
         seen += len(sighting.ids)
         limits = bound(view)
         if sighting.found:
@@ -106,9 +108,9 @@ def score(cell: Cell, count: int, peers: bool) -> Score:
             nees.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(sighting.covariance), off) / 2)
         if peers:
             _peers(view, errors, windows)
-    rms = {name: _rms(parts) for name, parts in errors.items() if parts}
+    rms = {name: _root(parts) for name, parts in errors.items() if parts}
     if any(windows.values()):
-        rms["cornerSubPix"] = min(_rms(parts) for parts in windows.values() if parts)
+        rms["cornerSubPix"] = min(_root(parts) for parts in windows.values() if parts)
     found = seen / (count * BOARD.count)
     if not squares:
         return Score(cell, np.nan, np.nan, np.nan, found, rms)
@@ -118,16 +120,12 @@ def score(cell: Cell, count: int, peers: bool) -> Score:
 def _peers(view: Scene, errors: dict[str, list[Array]], windows: dict[int, list[Array]]) -> None:
     gray = gray_8bit(view.image)
     size = (BOARD.columns, BOARD.rows)
-    finders: dict[str, Callable[..., Array | None]] = {
-        "SB": opencv.find_chessboard_sb,
-        "SB accurate": partial(opencv.find_chessboard_sb, thorough=True),
-    }
     starts = []
     with opencv.repeatable(0):
-        for name, find in finders.items():
-            corners = find(gray, *size)
-            if corners is not None:
-                starts.append(corners.reshape(-1, 2))
+        for name, flags in (("SB", 0), ("SB accurate", ACCURATE)):
+            found, corners = cv2.findChessboardCornersSB(gray, size, flags=flags)
+            if found:
+                starts.append(opencv.corner_array(corners))
                 errors[name].append(_errors(starts[-1], view.corners))
         if not starts:
             return
@@ -142,10 +140,6 @@ def _errors(pixels: Array, corners: Array) -> Array:
     """Return half the squared distance (N,) from every true corner to the nearest one found."""
     squared = ((pixels[None] - corners[:, None]) ** 2).sum(axis=-1)
     return np.asarray(squared.min(axis=1) / 2)
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    return _root(parts)
 
 
 def _root(parts: Sequence[Array]) -> float:

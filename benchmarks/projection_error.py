@@ -11,7 +11,8 @@ _GRID = (41, 31)
 def projection_errors(truth: Camera, estimate: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return pixels (N, 2) over the whole image and the distances (N,) by which the estimate misplaces their rays.
 
-    A camera's own axes are a choice of its calibration: the rotation that suits the estimate best is taken out.
+    A camera's own axes are a choice of its calibration: the rotation that suits the estimate best is taken out. NaN
+    where one of them does not hold.
     """
     width, height = truth.image_size
     u, v = np.meshgrid(np.linspace(0, width - 1, _GRID[0]), np.linspace(0, height - 1, _GRID[1]))
@@ -21,8 +22,10 @@ def projection_errors(truth: Camera, estimate: Camera) -> tuple[np.ndarray, np.n
     for _ in range(10):
         turned = rays @ rotation.T
         projected = estimate.model.project_with_jacobians(estimate.parameters, turned, within_domain=False)
-        by_turn = np.einsum("nij,njk->nik", projected.d_point, -so3.hat(turned)).reshape(-1, 3)
-        step = np.linalg.lstsq(by_turn, (pixels - projected.pixels).ravel(), rcond=None)[0]
+        by_turn = np.einsum("nij,njk->nik", projected.d_point, -so3.hat(turned))
+        off = pixels - projected.pixels
+        held = np.isfinite(off).all(axis=1) & np.isfinite(by_turn).all(axis=(1, 2)) & projected.valid
+        step = np.linalg.lstsq(by_turn[held].reshape(-1, 3), off[held].ravel(), rcond=None)[0]
         rotation = so3.exp(step) @ rotation
     return pixels, np.linalg.norm(projected.pixels - pixels, axis=1)
 

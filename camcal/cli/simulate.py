@@ -19,8 +19,8 @@ def simulate(
         str | None,
         typer.Argument(
             metavar="BOARD",
-            help="A board file, or a short form such as chessboard:9x6:25mm (inner corners) "
-            "or charuco:9x7:30mm:22mm:DICT_5X5_100 (squares).",
+            help="A board file, or a short form such as chessboard:9x6:25mm (inner corners), "
+            "charuco:9x7:30mm:22mm:DICT_5X5_100 (squares), aprilgrid:6x6:88mm:0.3 (tags) or circles:10x8:25mm:15mm.",
         ),
     ] = None,
     camera_file: Annotated[

@@ -23,7 +23,18 @@ def summary(calibration: Calibration) -> list[str]:
         f"{len(calibration.used)} views ({unused} not used, {len(calibration.rejected)} corners rejected); "
         f"noise {calibration.sigma_px:.3f} px"
     )
-    return [residuals, *_board_lines(calibration)]
+    return [residuals, *_floor_lines(calibration), *_board_lines(calibration)]
+
+
+def _floor_lines(calibration: Calibration) -> list[str]:
+    """Return what is left of the corners' errors when the images have had their say."""
+    floor = calibration.floor_px
+    if floor is None:
+        return []
+    if not floor:
+        return ["corners: as good as their images say, no error besides"]
+    images = max(calibration.sigma_px**2 - floor**2, 0.0) ** 0.5
+    return [f"corners: their images account for {images:.3f} px, board and lens model leave {floor:.3f} px besides"]
 
 
 def _board_lines(calibration: Calibration) -> list[str]:
@@ -63,6 +74,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "std": {name: camera.std(name) for name in camera.model.parameter_names},
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
+        "floor_px": calibration.floor_px,
         "degrees_of_freedom": calibration.freedom,
         "board": boards.block(calibration.board),
         "board_shape": {

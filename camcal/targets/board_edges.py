@@ -1,7 +1,7 @@
 """The edges that cross at the points of a board, as printed, and as a calibrated camera sees them."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.aprilgrid_tags import BORDER
 from camcal.targets.board import APRILGRID, Board
-from camcal.targets.cells import Beside, Cells
+from camcal.targets.cells import CROWDED, Beside, Cells
 from camcal.targets.marker_families import family_named
 
 _HALF = 0.5  # of a step on either side of a corner, whose edges are seen as far as that
@@ -90,39 +90,58 @@ def _of_tags(board: Board) -> BoardEdges:
 
 
 def seen_cells(
-    board: Board, ids: Array, points: Array, project: Callable[[Array], Array], first: int | None = None
+    board: Board,
+    ids: Array,
+    points: Array,
+    project: Callable[[Array], Array],
+    blur_px: float,
+    first: int | None = None,
 ) -> tuple[Array, Cells]:
     """Return the pixels (N, 2) of some of a board's points, ids (N,), and their cells as a camera sees them.
 
     points: (N, 3) where they are on the board as it is, in its unit. project: takes points (N, 3) of the board to
-    pixels (N, 2), NaN where the camera does not see them. Pixels and cells are NaN there. first: see BoardEdges.of.
+    pixels (N, 2), NaN where the camera does not see them. Pixels and cells are NaN there. blur_px: of the edges; the
+    next ones are looked for only where it may bring them into the picture. first: see BoardEdges.of.
     """
     edges = BoardEdges.of(board, first)
-    axes = edges.length * np.eye(3)[:2]
-    middle = project(points)
+    look = _Look(points, edges.length, project)
+    middle, *ends = look.at([(0, 0), (-_HALF, 0), (_HALF, 0), (0, -_HALF), (0, _HALF)])
     steps, bends = np.empty((len(points), 2, 2)), np.empty((len(points), 2))
-    for edge, axis in enumerate(axes):
-        after, before = project(points + _HALF * axis), project(points - _HALF * axis)
+    for edge in (0, 1):
+        before, after = ends[2 * edge : 2 * edge + 2]
         step, second = after - before, (after - 2 * middle + before) / _HALF**2
         steps[:, :, edge] = step
         bends[:, edge] = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1) ** 3
-    beside = _seen_beside(board, ids, points, middle, project) if board.checker else None
-    return middle, Cells(steps, bends, edges.reach[ids], edges.depth[ids], beside)
+    cells = Cells(steps, bends, edges.reach[ids], edges.depth[ids])
+    if board.checker and cells.narrowest() < CROWDED * blur_px:
+        cells = replace(cells, beside=_seen_beside(board, ids, middle, look))
+    return middle, cells
 
 
-def _seen_beside(
-    board: Board, ids: Array, points: Array, middle: Array, project: Callable[[Array], Array]
-) -> Beside:
-    """Return the edges beside those of a checker pattern's corners."""
-    axes = board.pitch * np.eye(3)[:2]
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """Points (N, 3) of a board, the length of steps from them, and what takes points of the board to pixels."""
+
+    points: Array
+    length: float
+    project: Callable[[Array], Array]
+
+    def at(self, steps: Sequence[tuple[float, float]]) -> Array:
+        """Return the pixels (S, N, 2) of what is S steps along x and y from the points."""
+        shifts = self.length * np.column_stack([np.array(steps), np.zeros(len(steps))])
+        places = self.points + shifts[:, None]
+        return self.project(places.reshape(-1, 3)).reshape(len(steps), -1, 2)
+
+
+def _seen_beside(board: Board, ids: Array, middle: Array, look: _Look) -> Beside:
+    """Return the edges beside those of a checker pattern's corners at pixels `middle` (N, 2)."""
     row, column = np.divmod(ids, board.columns)
     ends = ((row, board.rows - 1), (column, board.columns - 1))
     lines, border = np.empty((len(ids), 2, 2, 3)), np.empty((len(ids), 2, 2), np.bool_)
-    for edge in (0, 1):
+    for edge, (place, last) in enumerate(ends):
         for index, sign in enumerate((-1, 1)):
-            next_one = points + sign * axes[1 - edge]
-            tangent = project(next_one + _HALF * axes[edge]) - project(next_one - _HALF * axes[edge])
-            place, last = ends[edge]
-            lines[:, edge, index] = Beside.line(project(next_one) - middle, tangent)
+            shifts = [(share, sign) if edge == 0 else (sign, share) for share in (0, -_HALF, _HALF)]
+            there, before, after = look.at(shifts)
+            lines[:, edge, index] = Beside.line(there - middle, after - before)
             border[:, edge, index] = place == (0 if sign < 0 else last)
     return Beside.sorted(lines, border)

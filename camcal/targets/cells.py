@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 
-_CROWDED = 6.5  # standard deviations of the blur to the next edge, below which it is part of the picture
+CROWDED = 6.5  # standard deviations of the blur to the next edge, below which it is part of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,17 @@ class Cells:
     def __len__(self) -> int:
         return len(self.steps)
 
+    def narrowest(self) -> float:
+        """Return the smallest distance (px) of an edge from the next corner beside it, inf of no cells."""
+        lengths = np.linalg.norm(self.steps, axis=1)
+        heights = np.abs(np.linalg.det(self.steps))[:, None] / np.maximum(lengths, 1e-9)
+        return float(np.nanmin(heights, initial=np.inf))
+
     def crowded(self, blur_px: float) -> bool:
         """Return whether a blur (px, the pixel's own included) brings the next edges into the picture of a corner."""
         if self.beside is None or not len(self):
             return False
-        return bool(np.abs(self.beside.lines[..., 2]).min() < _CROWDED * blur_px)
+        return bool(np.abs(self.beside.lines[..., 2]).min() < CROWDED * blur_px)
 
     def take(self, rows: Array) -> "Cells":
         """Return the cells of some of the corners."""

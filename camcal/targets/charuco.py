@@ -45,12 +45,14 @@ def find_charuco(gray: Array, board: Board) -> Sighting:
     """
     require_markers(board)
     legacies = _legacies(board)
-    best = Sighting.nothing(f"no marker of {board.dictionary} found")
+    best, refused = Sighting.nothing(f"no marker of {board.dictionary} found"), 0
     for copy in proposals(gray):
         parts = [_part(gray, start, board, legacies) for start in copy]
         grid = _joined(parts, board)
         if grid is None:
-            best = best if best.found else max((best, *(_reason(part, board) for part in parts)), key=_telling)
+            closest = max(parts, key=lambda part: part.markers, default=None)
+            if closest and closest.markers > max(refused, LEAST_VOTES - 1) and not best.found:
+                best, refused = _reason(closest), closest.markers
             continue
         checker = revisited(gray, settle(gray, grid, clearance(board)), clearance(board))
         seen = Sighting.of(undisturbed(gray, checker, clearance(board)))
@@ -67,6 +69,11 @@ class _Part:
     checker: Checker
     reading: Reading
     seat: Seat | None
+
+    @property
+    def markers(self) -> int:
+        """How many markers were read, or seen from behind if those are more."""
+        return max(len(self.reading.marker), self.reading.mirrored)
 
 
 def _part(gray: Array, start: Array, board: Board, legacies: Sequence[bool]) -> _Part:
@@ -93,19 +100,12 @@ def _joined(parts: list[_Part], board: Board) -> Array | None:
     return grid
 
 
-def _reason(part: _Part, board: Board) -> Sighting:
-    """Return why a pattern is not the board."""
+def _reason(part: _Part) -> Sighting:
+    """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
-    if mirrored >= LEAST_VOTES and mirrored > count:
+    if mirrored > count:
         return Sighting.nothing("the image is mirrored: its markers can be read only from behind")
-    if count >= LEAST_VOTES:
-        return Sighting.nothing(f"{count} markers, but not where this board has them")
-    return Sighting.nothing(f"no marker of {board.dictionary} found")
-
-
-def _telling(sighting: Sighting) -> bool:
-    """Return whether a reason says more than that there is nothing."""
-    return not (sighting.reason or "").startswith("no marker")
+    return Sighting.nothing(f"{count} markers, but not where this board has them")
 
 
 def clearance(board: Board) -> float:

@@ -22,7 +22,6 @@ MIN_SHARE = 0.75  # of the board's corners
 ENOUGH = 0.25  # of them, to believe that a pattern is the board or a part of it
 SMALLER = 0.25  # of the area of such a part: a picture of a board, on a screen behind it
 LEAST_PART = 3  # corners each way of a part of a board; fewer may be anything
-OUTSIDE = "board partly outside the image"
 
 
 def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Sighting:
@@ -41,19 +40,13 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Sigh
             continue
         checker = extended(gray, checker)
         seen = _judged(gray, checker, board, partial=partial)
-        if _final(seen, checker, board):
+        large = checker.found.sum() > ENOUGH * board.count
+        if len(seen.ids) >= MIN_SHARE * board.count or (large and _leaves(gray, checker.grid)):
             return seen
         if len(seen.ids) > len(best.ids) or (checker.found.sum() > most and not best.found):
             best, most = seen, int(checker.found.sum())
-        if checker.found.sum() > ENOUGH * board.count:
-            area = max(area, checker.area)
+        area = max(area, checker.area * large)
     return best
-
-
-def _final(seen: Sighting, checker: Checker, board: Board) -> bool:
-    """Return whether another look at the image can hardly show more of the board."""
-    leaves = (seen.reason or "").startswith(OUTSIDE) and checker.found.sum() > ENOUGH * board.count
-    return len(seen.ids) >= MIN_SHARE * board.count or leaves
 
 
 def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Sighting:
@@ -85,7 +78,7 @@ def _part_or_another(gray: Array, checker: Checker, board: Board) -> Sighting:
     if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
         return Sighting.nothing(f"a checker pattern of {seen} corners, not {wanted}", size)
     if _leaves(gray, checker.grid):
-        return Sighting.nothing(f"{OUTSIDE} ({seen} corners in sight)")
+        return Sighting.nothing(f"board partly outside the image ({seen} corners in sight)")
     return Sighting.nothing(f"only {seen} of {wanted} corners in sight", size)
 
 

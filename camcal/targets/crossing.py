@@ -16,6 +16,7 @@ from camcal.arrays import Array
 PIXEL_VARIANCE = 1 / 12  # of a pixel's own square, which blurs every picture
 _ROOT_HALF = np.float32(np.sqrt(0.5))
 _DENSITY = np.float32(1 / np.sqrt(2 * np.pi))
+_FAR = np.float32(20.0)
 _STRAIGHT = 0.02  # |ρ| below which edges cross at right angles as far as can be seen
 
 
@@ -40,6 +41,7 @@ def crossing(first: Array, second: Array, correlation: Array) -> Crossing:
     if np.abs(correlation).max() < _STRAIGHT:
         return Crossing(value, by_first, by_second)
     both = density_1 * density_2
+    first, second = np.clip(first, -_FAR, _FAR), np.clip(second, -_FAR, _FAR)  # where `both` is nought
     bow_1, bow_2 = first * first - 1, second * second - 1
     one, two, three = (4 * correlation**k / divisor for k, divisor in ((1, 1), (2, 2), (3, 6)))
     value += both * (one + two * first * second + three * bow_1 * bow_2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import make_scene, turned
+from observed import make_scene, turned
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate

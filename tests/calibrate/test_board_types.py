@@ -5,7 +5,7 @@ The images are left out: points as a detector would hand them on.
 
 import numpy as np
 import pytest
-from conftest import make_scene, turned
+from observed import make_scene, turned
 
 from camcal.calibrate.degeneracy import reason_unusable
 from camcal.calibrate.intrinsics import Options, calibrate

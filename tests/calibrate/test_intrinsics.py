@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import PARAMETERS, make_scene
+from observed import PARAMETERS, make_scene
 from scipy.stats import chi2
 
 from camcal.calibrate.fit import ShapeOptions

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import make_scene
+from observed import make_scene
 
 from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
 from camcal.calibrate.shape import ALL_TERMS

@@ -89,6 +89,14 @@ def test_the_page_has_examples_of_every_kind():
     assert {kind for kind, _ in EXAMPLES} == set(READERS)
 
 
+def keys_of_boards():
+    for keys in board_keys.BOARD_KEYS.values():
+        yield from (keys.size, *board_keys.lengths(keys.scale), *board_keys.lengths(keys.part))
+        yield from (key for key, _ in (*keys.required.values(), *keys.optional.values()))
+        yield from (f"{name}_ratio" for name in (keys.part,) if name)
+    yield board_keys.SPACING
+
+
 def test_every_key_and_column_is_named_on_the_page():
     keys = [
         *covariance.KEYS,
@@ -97,8 +105,7 @@ def test_every_key_and_column_is_named_on_the_page():
         *native_entry.FIGURES,
         *native_entry.COUNTS,
         *native_board_shape.KEY_OF_TERM.values(),
-        *board_keys.lengths("square"),
-        *board_keys.lengths("marker"),
+        *keys_of_boards(),
         *detections_csv.COLUMNS,
         *detections_csv.OPTIONAL,
         *TIERS,

@@ -24,7 +24,7 @@ def project(points):
 
 def cells_seen(ids=None):
     ids = np.arange(BOARD.count) if ids is None else ids
-    return seen_cells(BOARD, ids, BOARD.points()[ids], project)
+    return seen_cells(BOARD, ids, BOARD.points()[ids], project, 20.0)
 
 
 def test_edges_are_where_the_lens_bends_them():

@@ -22,7 +22,7 @@ POSE = Pose(ROTATION, np.array([0.0, 0.0, 0.36]) - ROTATION @ np.array([*BOARD.e
 
 def expected():
     ids = np.arange(BOARD.count)
-    pixels, cells = seen_cells(BOARD, ids, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels)
+    pixels, cells = seen_cells(BOARD, ids, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels, 1.0)
     return Expected(pixels, cells, np.ones(BOARD.count, bool), signs(BOARD))
 
 

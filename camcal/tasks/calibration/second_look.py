@@ -18,6 +18,7 @@ from camcal.targets.second_look import Expected, look_again
 from camcal.tasks.calibration.photographs import Reading, read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
+_BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares
 _RIM_PX = 3.0  # corners nearer to the border of the image are not looked for
 
 
@@ -104,7 +105,7 @@ def _expected(calibration: Calibration, record: View) -> Expected:
     if pose is None:
         raise ValueError(f"{record.image} has no pose")
     pixels, cells = seen_cells(
-        board, ids, calibration.surface.points(), lambda points: camera.project(pose.apply(points)).pixels
+        board, ids, calibration.surface.points(), lambda points: camera.project(pose.apply(points)).pixels, _BLUREST_PX
     )
     size = np.array(camera.image_size)
     known = np.isfinite(pixels).all(axis=1) & np.isfinite(cells.steps).all(axis=(1, 2))
