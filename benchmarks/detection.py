@@ -38,8 +38,8 @@ from camcal import opencv
 from camcal.images.load import load_gray
 from camcal.run.inputs import find_images
 from camcal.targets.board import CHARUCO, Board, parse_board
-from camcal.targets.charuco import find_charuco
-from camcal.targets.chessboard import find_chessboard
+from camcal.targets.checker.charuco import find_charuco
+from camcal.targets.checker.chessboard import find_chessboard
 from camcal.targets.detect import detect
 from camcal.targets.sighting import Sighting
 

@@ -281,6 +281,7 @@ def test_every_python_example_runs(example, workplace, monkeypatch, capsys):
 
 
 RUNS = """\
+board chessboard:5x4:30mm -o sheet.pdf
 simulate chessboard:5x4:30mm -o scene --views 1 --size 320x240 --jobs 1
 detect scene/images --board chessboard:5x4:30mm -o found.csv --jobs 1
 calibrate detections.csv -o again.yaml

@@ -67,11 +67,11 @@ OPENCV_EDGES = {
     "stereo/pair/features.py",
     "stereo/pair/tracking.py",
     "stereo/points/normals.py",
-    "targets/circle_blobs.py",
-    "targets/aprilgrid_tags.py",
+    "targets/circles/blobs.py",
+    "targets/aprilgrid/outlines.py",
     "targets/detect.py",
-    "targets/draw_png.py",
-    "targets/markers.py",
+    "targets/printing/png.py",
+    "targets/markers/markers.py",
     "tasks/doctor.py",
 }
 CONCURRENCY = {"_thread", "asyncio", "concurrent", "multiprocessing", "subprocess", "threading"}

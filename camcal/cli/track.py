@@ -102,7 +102,7 @@ def track(
     from camcal.errors import InvalidInput, ItemsFailed
     from camcal.estimate.tracking.segments import Following
     from camcal.estimate.tracking.track import TrackOptions
-    from camcal.targets.tags import single_name
+    from camcal.targets.markers.tags import single_name
     from camcal.tasks.poses.frame_times import Timing
     from camcal.tasks.poses.pnp_views import Looking
     from camcal.tasks.poses.track import FollowOptions, document, names_camera

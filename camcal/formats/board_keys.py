@@ -11,8 +11,8 @@ from typing import Any
 from camcal.formats.schema import flag, integer, items, mapping, number, text
 from camcal.formats.strict_yaml import Check, Fault
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
-from camcal.targets.board_types import BOARD_TYPES, METRES, TAG_FAMILY
-from camcal.targets.short_forms import aprilgrid_fields, spacing_of
+from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
+from camcal.targets.boards.types import BOARD_TYPES, METRES, TAG_FAMILY
 
 Data = Mapping[str, Any]
 SPACING = "spacing_ratio"  # of an AprilGrid: the gap between two tags as a share of a tag's side

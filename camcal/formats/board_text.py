@@ -5,8 +5,8 @@ import numpy as np
 from camcal.errors import InvalidInput
 from camcal.formats.board_keys import in_unit
 from camcal.targets.board import APRILGRID, Board
-from camcal.targets.board_types import BOARD_TYPES, TAG_FAMILY
-from camcal.targets.short_forms import spacing_of
+from camcal.targets.boards.short_forms import spacing_of
+from camcal.targets.boards.types import BOARD_TYPES, TAG_FAMILY
 
 
 def short_form(board: Board) -> str:

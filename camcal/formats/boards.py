@@ -19,7 +19,7 @@ from camcal.formats import board_keys, emit, kalibr_target, strict_yaml
 from camcal.formats.schema import mapping, one_of
 from camcal.formats.strict_yaml import Fault
 from camcal.targets.board import Board, parse_board
-from camcal.targets.board_types import BOARD_TYPES
+from camcal.targets.boards.types import BOARD_TYPES
 
 SUFFIXES = (".yaml", ".yml")
 

@@ -19,8 +19,8 @@ from camcal.formats import emit
 from camcal.formats.schema import flag, integer, mapping, number, one_of, text
 from camcal.formats.strict_yaml import Fault
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHESSBOARD, CIRCLES, Board
-from camcal.targets.board_types import TAG_FAMILY
-from camcal.targets.short_forms import aprilgrid_fields, spacing_of
+from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
+from camcal.targets.boards.types import TAG_FAMILY
 
 KEY = "target_type"
 

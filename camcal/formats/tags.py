@@ -30,9 +30,9 @@ from camcal.formats.schema import integer, items, mapping, number, one_of, text
 from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
-from camcal.targets.board_types import METRES
-from camcal.targets.marker_families import Family, family_named
-from camcal.targets.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
+from camcal.targets.boards.types import METRES
+from camcal.targets.markers.families import Family, family_named
+from camcal.targets.markers.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
 
 SUFFIXES = (".yaml", ".yml")
 SHORT = "FAMILY:SIZE[:IDS], such as tag36h11:53mm or DICT_4X4_50:40mm:0,1,5"

@@ -8,7 +8,7 @@ from camcal.calibrate.degeneracy import tilt_spread
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import folds_inside
 from camcal.quality.coverage import coverage, radial_trend
-from camcal.targets.board_types import BOARD_TYPES
+from camcal.targets.boards.types import BOARD_TYPES
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.targets import layouts
-from camcal.targets.board_types import APRILGRID, ASYMMETRIC_CIRCLES, BOARD_TYPES, CHARUCO, CHESSBOARD, CIRCLES
-from camcal.targets.short_forms import fields_of
+from camcal.targets.boards import layouts
+from camcal.targets.boards.short_forms import fields_of
+from camcal.targets.boards.types import APRILGRID, ASYMMETRIC_CIRCLES, BOARD_TYPES, CHARUCO, CHESSBOARD, CIRCLES
 
 __all__ = [
     "APRILGRID",

@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.targets.aprilgrid import find_aprilgrid
+from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
-from camcal.targets.charuco import find_charuco, require_markers
-from camcal.targets.chessboard import find_chessboard
-from camcal.targets.circles import find_circles
-from camcal.targets.marker_families import family_named
-from camcal.targets.measure import measure
+from camcal.targets.checker.charuco import find_charuco, require_markers
+from camcal.targets.checker.chessboard import find_chessboard
+from camcal.targets.circles.circles import find_circles
+from camcal.targets.corners.measure import measure
+from camcal.targets.markers.families import family_named
 from camcal.targets.samples import Samples
 from camcal.targets.sighting import Sighting
 

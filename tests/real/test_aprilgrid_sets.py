@@ -11,7 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import Correspondences, estimate_poses
 from camcal.images.load import load_gray
-from camcal.targets.aprilgrid import find_aprilgrid
+from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
 from camcal.targets.board import Detection, parse_board
 
 BOARD = parse_board("aprilgrid:6x6:88mm:0.3")

@@ -12,7 +12,7 @@ import pytest
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.targets.board import Detection, parse_board
-from camcal.targets.circles import find_circles
+from camcal.targets.circles.circles import find_circles
 
 SETS = {
     "boofcv-circle-regular": ("circles:10x8:25mm:15mm", 6, 0.37),  # pixels RMS; 0.35 measured, of bent paper

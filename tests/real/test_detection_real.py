@@ -11,7 +11,7 @@ import pytest
 from camcal.images.load import load_gray
 from camcal.run.inputs import find_images
 from camcal.targets.board import parse_board
-from camcal.targets.chessboard import find_chessboard
+from camcal.targets.checker.chessboard import find_chessboard
 from camcal.targets.detect import detect
 from camcal.tasks.calibration.detect import DetectOptions, detect_images
 

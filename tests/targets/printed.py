@@ -5,9 +5,9 @@ import numpy as np
 import pypdfium2
 
 from camcal.targets.board import parse_board
-from camcal.targets.draw import Sheet, page_of
-from camcal.targets.draw_footer import Footer
-from camcal.targets.draw_ink import ink_of
+from camcal.targets.printing.draw import Sheet, page_of
+from camcal.targets.printing.footer import Footer
+from camcal.targets.printing.ink import ink_of
 
 FOOTER = Footer("A (title) with \\ & < signs", "small print")
 DPI = 127  # 5 pixels a millimetre: a page of whole millimetres has whole pixels

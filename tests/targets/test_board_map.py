@@ -9,7 +9,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.targets.board_map import Radial, map_of
-from camcal.targets.layouts import grid
+from camcal.targets.boards.layouts import grid
 
 SIZE = (640, 480)
 POSE = Pose.from_vector(np.array([0.5, -0.6, 0.3]), [-3.2, -2.1, 6.0])

@@ -11,7 +11,7 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.lens import make_camera
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import parse_board
-from camcal.targets.charuco import find_charuco
+from camcal.targets.checker.charuco import find_charuco
 from camcal.targets.detect import detect
 
 SIZE = (640, 480)

@@ -5,7 +5,7 @@ import pytest
 from drawn import picture, pose, truth, upright
 
 from camcal.targets.board import Board
-from camcal.targets.checker import extended, settle, trimmed, undisturbed
+from camcal.targets.checker.checker import extended, settle, trimmed, undisturbed
 
 BOARD = Board("chessboard", 7, 5)
 SIZE = (400, 300)

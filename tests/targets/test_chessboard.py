@@ -5,7 +5,7 @@ import pytest
 from hard_scenes import SCENES, photographs
 
 from camcal.targets.board import parse_board
-from camcal.targets.chessboard import find_chessboard
+from camcal.targets.checker.chessboard import find_chessboard
 
 BOARD = parse_board("chessboard:9x6:20mm")
 LIMITS = {"covered": 0.75}  # share of the corners that is seen

@@ -10,7 +10,7 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.lens import make_camera
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import parse_board
-from camcal.targets.chessboard import find_chessboard
+from camcal.targets.checker.chessboard import find_chessboard
 
 SIZE = (640, 480)
 ODD = parse_board("chessboard:9x6:20mm")

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.targets.circle_blobs import Ellipses, find_ellipses, square_roots
-from camcal.targets.circle_lattice import lattices, places
-from camcal.targets.layouts import grid
+from camcal.targets.boards.layouts import grid
+from camcal.targets.circles.blobs import Ellipses, find_ellipses, square_roots
+from camcal.targets.circles.lattice import lattices, places
 
 COLUMNS, ROWS = 8, 6
 

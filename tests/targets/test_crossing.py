@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from camcal.targets.checker_picture import alone, crowded
-from camcal.targets.crossing import crossing
+from camcal.targets.corners.checker_picture import alone, crowded
+from camcal.targets.corners.crossing import crossing
 
 PLACES = np.linspace(-3, 3, 9)
 FIRST, SECOND = (part.astype(np.float32) for part in np.meshgrid(PLACES, PLACES))

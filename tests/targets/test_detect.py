@@ -14,7 +14,7 @@ from drawn import picture, pose, truth, upright
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.charuco import arrangements
+from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect
 
 ODD = Board("chessboard", 6, 5)  # colours tell the ends apart

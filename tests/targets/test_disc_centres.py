@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from camcal.targets.circle_blobs import Ellipses, square_roots
-from camcal.targets.disc_centres import projected_centres
-from camcal.targets.layouts import grid
+from camcal.targets.boards.layouts import grid
+from camcal.targets.circles.blobs import Ellipses, square_roots
+from camcal.targets.circles.disc_centres import projected_centres
 
 POINTS = grid(7, 5)
 RADIUS = 0.3

@@ -6,9 +6,9 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.special import ndtr
 
-from camcal.targets.circle_blobs import Ellipses
-from camcal.targets.disc_edge import picture, rim
-from camcal.targets.disc_fit import fit_discs
+from camcal.targets.circles.blobs import Ellipses
+from camcal.targets.circles.disc_edge import picture, rim
+from camcal.targets.circles.disc_fit import fit_discs
 
 RAYS = 8  # per pixel and axis
 

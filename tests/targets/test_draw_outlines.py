@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from camcal.targets.draw_outlines import outlines
+from camcal.targets.printing.outlines import outlines
 
 
 def around(black):

@@ -8,9 +8,9 @@ import pypdfium2
 import pytest
 from printed import BOARDS, DPI, FOOTER, decoded, page_with, rasterised
 
-from camcal.targets.draw_page import Page, rectangle
-from camcal.targets.draw_pdf import pdf
-from camcal.targets.draw_png import png
+from camcal.targets.printing.page import Page, rectangle
+from camcal.targets.printing.pdf import pdf
+from camcal.targets.printing.png import png
 
 PAGE = page_with("chessboard:9x6:25mm")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from drawn import picture, pose, truth
 
-from camcal.targets import grid as grids
 from camcal.targets.board import Board
-from camcal.targets.looks import glance, look
+from camcal.targets.checker import grid as grids
+from camcal.targets.checker.looks import glance, look
 
 BOARD = Board("chessboard", 7, 5)
 SIZE = (400, 300)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tagged import facing, photograph, pinhole, true_corners
 
-from camcal.targets import marker_map
-from camcal.targets.marker_drawing import MarkerDrawing
-from camcal.targets.marker_families import family_named
-from camcal.targets.marker_fit import fit_marker
+from camcal.targets.markers import map as marker_map
+from camcal.targets.markers.drawing import MarkerDrawing
+from camcal.targets.markers.families import family_named
+from camcal.targets.markers.fit import fit_marker
 
 CORNERS = np.array([[-21.0, -18.0], [19.0, -22.0], [24.0, 17.0], [-18.0, 20.0]])
 DRAWING = family_named("tag25h9").drawing(3)

@@ -9,8 +9,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.simulate.render import Exposure
-from camcal.targets.marker_families import APRILTAGS, family_named
-from camcal.targets.markers import FAMILIES, detect_markers
+from camcal.targets.markers.families import APRILTAGS, family_named
+from camcal.targets.markers.markers import FAMILIES, detect_markers
 
 TILTED = [
     (3, facing(-0.10, -0.06, 0.45, (0.5, 0.2, 0.3))),

@@ -10,11 +10,11 @@ from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
-from camcal.targets import grid as grids
 from camcal.targets.board import Board
-from camcal.targets.cells import Cells
-from camcal.targets.measure import measure
-from camcal.targets.refine import refine
+from camcal.targets.checker import grid as grids
+from camcal.targets.corners.cells import Cells
+from camcal.targets.corners.measure import measure
+from camcal.targets.corners.refine import refine
 from camcal.targets.samples import Samples
 from camcal.targets.sighting import Sighting
 

@@ -10,9 +10,9 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
-from camcal.targets.board_edges import seen_cells, signs
+from camcal.targets.corners.board_edges import seen_cells, signs
+from camcal.targets.corners.second_look import Expected, look_again
 from camcal.targets.samples import Samples
-from camcal.targets.second_look import Expected, look_again
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (480, 400), np.array([450.0, 450, 241, 198, -0.3, 0.1, 0, 0, 0]))
@@ -22,7 +22,9 @@ POSE = Pose(ROTATION, np.array([0.0, 0.0, 0.36]) - ROTATION @ np.array([*BOARD.e
 
 def expected():
     ids = np.arange(BOARD.count)
-    pixels, cells = seen_cells(BOARD, ids, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels, 1.0)
+    pixels, cells = seen_cells(
+        BOARD, ids, BOARD.points(), lambda points: CAMERA.project(POSE.apply(points)).pixels, blur_px=1.0
+    )
     return Expected(pixels, cells, np.ones(BOARD.count, bool), signs(BOARD))
 
 

@@ -11,12 +11,12 @@ from camcal.formats.board_text import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
-from camcal.targets.draw import KINDS, Sheet, encoded, page_of, require_fine
-from camcal.targets.draw_footer import RULER_MM, Footer
-from camcal.targets.draw_ink import MM, Ink, ink_of
-from camcal.targets.draw_page import Page
-from camcal.targets.draw_paper import Paper, paper_named
-from camcal.targets.draw_png import size_in_pixels
+from camcal.targets.printing.draw import KINDS, Sheet, encoded, page_of, require_fine
+from camcal.targets.printing.footer import RULER_MM, Footer
+from camcal.targets.printing.ink import MM, Ink, ink_of
+from camcal.targets.printing.page import Page
+from camcal.targets.printing.paper import Paper, paper_named
+from camcal.targets.printing.png import size_in_pixels
 
 BOARD_FILE = ".yaml"
 DPI = 254.0  # ten pixels a millimetre

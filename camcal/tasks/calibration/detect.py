@@ -14,7 +14,7 @@ from camcal.run.fanout import fan_out
 from camcal.run.inputs import Media, find_images, find_media
 from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
-from camcal.targets.charuco import arrangements
+from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks
 from camcal.tasks.calibration.corner_drawing import draw, pictures

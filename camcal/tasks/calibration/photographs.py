@@ -21,7 +21,7 @@ from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, sites
 from camcal.raw.phase import check_phase
 from camcal.raw.reading import HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
 from camcal.targets.board import Board, Detection
-from camcal.targets.measure import measure
+from camcal.targets.corners.measure import measure
 from camcal.targets.samples import Samples
 from camcal.targets.sighting import Sighting
 

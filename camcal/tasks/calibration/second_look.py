@@ -12,9 +12,9 @@ from camcal.calibrate.intrinsics import Calibration, View
 from camcal.progress import Progress
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board, Detection
-from camcal.targets.board_edges import seen_cells, signs
+from camcal.targets.corners.board_edges import seen_cells, signs
+from camcal.targets.corners.second_look import Expected, look_again
 from camcal.targets.samples import Samples
-from camcal.targets.second_look import Expected, look_again
 from camcal.tasks.calibration.photographs import Reading, read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
@@ -110,5 +110,5 @@ def _expected(calibration: Calibration, record: View) -> Expected:
     size = np.array(camera.image_size)
     known = np.isfinite(pixels).all(axis=1) & np.isfinite(cells.steps).all(axis=(1, 2))
     known &= np.isfinite(cells.bends).all(axis=1)
-    inside = known & ((pixels > _RIM_PX) & (pixels < size - 1 - _RIM_PX)).all(axis=1)
-    return Expected(pixels, cells, inside, signs(board))
+    inside = ((pixels > _RIM_PX) & (pixels < size - 1 - _RIM_PX)).all(axis=1)
+    return Expected(pixels, cells, np.asarray(known & inside), signs(board))

@@ -11,7 +11,7 @@ from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting
-from camcal.targets.board_types import BOARD_TYPES
+from camcal.targets.boards.types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
 from camcal.tasks.lenses.board_plan import BoardOptions, BoardPlan, plan_board
 from camcal.tasks.lenses.optics_setup import OpticsOptions, Setup, set_up

@@ -13,7 +13,7 @@ from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Progress
 from camcal.run.fanout import fan_out
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
-from camcal.targets.charuco import arrangements
+from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.tasks.calibration.board_remarks import remarks
 from camcal.tasks.calibration.board_views import BoardViews

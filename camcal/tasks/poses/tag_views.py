@@ -16,8 +16,8 @@ from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_media
-from camcal.targets.markers import Markers, detect_markers
-from camcal.targets.tags import TagObjects
+from camcal.targets.markers.markers import Markers, detect_markers
+from camcal.targets.markers.tags import TagObjects
 from camcal.tasks.calibration.photographs import read_photograph
 
 _TIMEOUT_S = 600.0  # for one image; the slowest take seconds

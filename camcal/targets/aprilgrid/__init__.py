@@ -1,0 +1,1 @@
+"""AprilGrids found in images."""

@@ -1,0 +1,218 @@
+"""An AprilGrid in an image: a few tags are read, the corners of all are found from them, verified and located.
+
+Tags of such a board meet small black squares at their corners, so that every corner is a crossing of two edges, as on a
+chessboard, but with less room: the next edges are a gap away on one side, and on the other the tag's bits begin within
+the width of its border. One tag that is read says where all corners are; what is seen there decides.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.targets.aprilgrid.outlines import BORDER, bit_agreement, codes_of, quadrilaterals, read_tags
+from camcal.targets.aprilgrid.tag_cells import tag_cells, uncrowded
+from camcal.targets.aprilgrid.tag_groups import most_legible, placed, tag_groups
+from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, predict
+from camcal.targets.board import Board
+from camcal.targets.checker.looks import look
+from camcal.targets.corners.measure import blur_of, clear
+from camcal.targets.corners.refine import refine
+from camcal.targets.samples import Samples
+from camcal.targets.sighting import MIN_CORNERS, Sighting
+
+AGREEMENT = 0.75  # of a look with the picture of two crossing edges at least, as in checker.py
+CONTRAST = 0.05  # at least, of the median over the board
+WINDOW = 0.6  # of a tag's side, what looks take for the distance of the next corner
+CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
+NEAR = 0.15  # of that, how far off corners may be for a narrow look
+MOVED = 0.2  # sides of a tag from where a corner was put to where it is seen at most
+STRAY = 0.12  # sides of a tag from where its neighbours put a corner that rule it out
+LEAST_SIDE_PX = 6.0  # of a tag; corners of smaller ones are not told apart
+GROUPS = 3  # of tags in a copy of the image that are tried; more are accidents
+CERTAIN = 5.0  # standard deviations of the bits' agreement by chance: tags that are read
+RIGHT = 0.6  # correlation of a tag's bits with the right ones that one tag in thousands has by chance
+OTHER = 0.1  # less of it shows that it is another tag, or none
+ENOUGH = 2  # tags with the right bits, and none with others, that end the search
+LOUD = 4.0  # times the median of what the model leaves over, or
+ROUGH = 0.02  # of the contrast more: something covers a part of the corner
+COPIES = 3  # of an image in which other tags are looked for, to say what is in sight
+SHOWN = 6  # ids in a message
+PASSES = 2  # of the final fit, where the blur makes corners see their neighbours
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Corners (2 rows, 2 columns, 2) of the board, NaN where none; contrast: their median, gray levels.
+
+    right, wrong: how many tags have the bits they should have, and other ones.
+    """
+
+    grid: Array
+    contrast: float
+    right: int = 0
+    wrong: int = 0
+
+    @classmethod
+    def nothing(cls, lattice: TagLattice) -> "_Seen":
+        """Return the record of no corner."""
+        return cls(np.full_like(lattice.nodes, np.nan), 0.0)
+
+    @property
+    def found(self) -> Array:
+        """Which corners were found, (2 rows, 2 columns)."""
+        return ~np.isnan(self.grid[..., 0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What is seen at the corners of a grid (2 rows, 2 columns), NaN where nobody looked.
+
+    contrast: gray levels, positive where dark and bright are as on the board. moved: from the start, in sides of a tag.
+    """
+
+    grid: Array
+    contrast: Array
+    agreement: Array
+    moved: Array
+
+    @property
+    def crossing(self) -> Array:
+        """Where two edges cross near the start as they do on the board."""
+        return np.asarray((self.agreement > AGREEMENT) & (self.moved < MOVED) & (self.contrast > 0))
+
+
+def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) -> Sighting:
+    """Return the corners of an AprilGrid in `gray`, (H, W) uint8, with covariance, or the reason why there are none.
+
+    samples: those of the same image that say where its corners are, None for gray itself. A corner is left
+    out where no two edges cross: it is hidden, or the board is cut along its outer tags.
+    Raises InvalidInput if the family of the tags is unknown.
+    """
+    lattice = TagLattice.of(board)
+    codes = codes_of(str(board.dictionary))[board.first_marker :][: lattice.count]
+    best = _Seen.nothing(lattice)
+    for seen in _candidates(gray, lattice, codes):
+        best = max(best, seen, key=lambda one: one.right)
+        if seen.right >= ENOUGH and not seen.wrong:
+            break
+    if not best.right:
+        return Sighting.nothing(_reason(gray, board, lattice))
+    return _measured(samples or Samples(gray), lattice, best, codes.shape[-1] + 2 * BORDER)
+
+
+def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_Seen]:
+    """Yield what is seen of the board from each group of tags whose bits are certain."""
+    for outlines in quadrilaterals(gray):
+        groups = most_legible(gray, codes, tag_groups(outlines.corners, 1 + lattice.gap))
+        for group in groups[:GROUPS]:
+            start = placed(gray, lattice, codes, group)
+            if start.score >= CERTAIN:
+                yield _verified(gray, lattice, codes, _settled(gray, lattice, start.grid, outlines.off_px))
+
+
+def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _Seen:
+    """Return the corners that are seen near those of some tags, and from them on as far as the board goes.
+
+    off_px: how far those of the tags may be off.
+    """
+    looks = _look(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
+    crossing = looks.crossing
+    if not crossing.any():
+        return _Seen.nothing(lattice)
+    seen = _Seen(np.where(crossing[..., None], looks.grid, np.nan), float(np.median(looks.contrast[crossing])))
+    for _ in range(sum(seen.grid.shape[:2])):
+        grown = _grown(gray, lattice, seen)
+        if (grown.found == seen.found).all():
+            break
+        seen = grown
+    return seen
+
+
+def _grown(gray: Array, lattice: TagLattice, seen: _Seen) -> _Seen:
+    """Return the corners without those that stray, with missing ones that are seen where their neighbours put them."""
+    predicted = predict(lattice, seen.grid)
+    side = _side(predicted.steps)
+    off = np.linalg.norm(predicted.places - seen.grid, axis=-1) / side
+    grid = np.where((off > STRAY + 2 * predicted.spread)[..., None], np.nan, seen.grid)
+    missing = np.where(seen.found[..., None], np.nan, predicted.places)
+    looks = _look(gray, lattice, missing, predicted, predicted.spread * side)
+    new = looks.crossing & (looks.contrast > CONTRAST * seen.contrast)
+    return _Seen(np.where(new[..., None], looks.grid, grid), seen.contrast)
+
+
+def _look(gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array) -> _Look:
+    """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
+
+    off_px: (2 rows, 2 columns) how far the corners may be from them.
+    """
+    side = _side(predicted.steps)
+    where = ((places > -0.5) & (places < np.array(gray.shape[::-1]) - 0.5)).all(axis=-1) & (side > LEAST_SIDE_PX)
+    result = _Look(places.copy(), *np.full((3, *side.shape), np.nan))
+    if where.any():
+        far = bool((off_px[where] > NEAR * WINDOW * side[where]).any())
+        seen = look(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
+        result.grid[where], result.agreement[where] = seen.pixels, seen.agreement
+        result.contrast[where] = seen.contrast * lattice.signs[where]
+        result.moved[where] = np.linalg.norm(seen.pixels - places[where], axis=1) / side[where]
+    return result
+
+
+def _side(steps: Array) -> Array:
+    """Return the shorter side (...) of tags with sides (..., 2, 2), px."""
+    return np.asarray(np.linalg.norm(steps, axis=-2).min(axis=-1))
+
+
+def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _Seen) -> _Seen:
+    """Return the corners without those of tags whose bits are others, and the numbers of right and of wrong tags.
+
+    The bits of a tag are read where its four corners are, or where their neighbours put them.
+    """
+    if not seen.found.any():
+        return seen
+    grid = np.where(seen.found[..., None], seen.grid, predict(lattice, seen.grid).places)
+    clockwise = lattice.tags(grid)[:, ::-1]  # from the upper left
+    agreement = np.diagonal(bit_agreement(gray, clockwise, codes))
+    other = (agreement < OTHER) & (agreement != 0)
+    hidden = lattice.grid(np.repeat(other, 4).reshape(-1, 4))
+    grid = np.where(hidden[..., None], np.nan, seen.grid)
+    return _Seen(grid, seen.contrast, int((agreement > RIGHT).sum()), int(other.sum()))
+
+
+def _measured(samples: Samples, lattice: TagLattice, seen: _Seen, side: int) -> Sighting:
+    """Return the corners as exactly as the image allows, with their covariance, in the order of their ids.
+
+    side: cells across a tag, its border included.
+    """
+    known, grid = seen.found, seen.grid.copy()
+    blur = blur_of(samples.values, grid[known])
+    for _ in range(PASSES):
+        cells = tag_cells(lattice, grid, predict(lattice, grid, own=True), side)
+        crowded = cells.crowded(blur)
+        own = cells if crowded else uncrowded(cells)
+        corners = refine(samples.values, grid[known], own, blur, samples.sites)
+        grid[known] = corners.pixels
+        if not crowded:
+            break
+    good = clear(corners) & (corners.noise < LOUD * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast))
+    if good.sum() < MIN_CORNERS:
+        return Sighting.nothing(f"only {int(good.sum())} corners of tags are clear")
+    ids = lattice.ids[known][good]
+    order = np.argsort(ids)
+    return Sighting(ids[order], corners.pixels[good][order], covariance=corners.covariance[good][order])
+
+
+def _reason(gray: Array, board: Board, lattice: TagLattice) -> str:
+    """Return why the tags of a board are not found: there are none, others, or only their mirror images."""
+    codes = codes_of(str(board.dictionary))
+    own = np.arange(len(codes))[board.first_marker :][: lattice.count]
+    for outlines in islice(quadrilaterals(gray), COPIES):
+        for corners, what in ((outlines.corners, "tags"), (outlines.corners[:, ::-1], "mirror images of tags")):
+            ids = read_tags(gray, corners, codes)
+            if len(ids):
+                seen = f"{what} {', '.join(map(str, ids[:SHOWN]))} in sight"
+                ours = np.isin(ids, own).any()
+                return f"{seen}, not as on this board" if ours else f"{seen}; this board has {own[0]} to {own[-1]}"
+    return f"no tag of {board.dictionary} with a black border of {BORDER} cells found"

@@ -1,0 +1,1 @@
+"""Chessboards and ChArUco boards found in images."""

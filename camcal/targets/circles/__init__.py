@@ -1,0 +1,1 @@
+"""Grids of circles found and measured in images."""

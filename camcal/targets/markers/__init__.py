@@ -1,0 +1,1 @@
+"""Square markers found, read and measured in images, and what they are on."""

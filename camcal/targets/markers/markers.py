@@ -1,0 +1,91 @@
+"""Square markers in an image: OpenCV finds and reads them, their drawings fitted to the image say where they are."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.errors import InvalidInput
+from camcal.targets.markers.families import FAMILIES, Family, family_named
+from camcal.targets.markers.fit import MarkerFit, fit_marker
+
+__all__ = ["FAMILIES", "Markers", "detect_markers"]
+
+_CONTOUR_PX = 0.5  # OpenCV's corners are pixels inside the marker: its edge is so much further out
+_LEAST_SIDE_PX = 10  # of a marker that can be read
+_APART = 0.05  # of a perimeter: OpenCV's 0.125 takes a marker and its sheet's outline for one, and reads the outline
+_AGREEMENT = 0.7  # share of the image's variation that is explained by a marker, not by what looks a little like one
+_LARGEST_MOVE = 0.5  # cells; a fit that goes further has found another edge
+_UNFITTED_PX = 0.6  # root mean square error of OpenCV's own corners
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Markers ids (M,), ascending, at corners (M, 4, 2) px: clockwise from a marker's top-left as printed.
+
+    As printed: as OpenCV draws the families with names in DICT_, and as the AprilTag project draws tag36h11 and the
+    like, which OpenCV draws upside down. covariance: (M, 4, 2, 2) px². notes: what was left out, and why.
+    """
+
+    ids: Array
+    corners: Array
+    covariance: Array
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        object.__setattr__(self, "ids", readonly(self.ids, (None,), "ids", np.intp))
+        object.__setattr__(self, "corners", readonly(self.corners, (count, 4, 2), "corners"))
+        object.__setattr__(self, "covariance", readonly(self.covariance, (count, 4, 2, 2), "covariance"))
+
+
+def detect_markers(gray: Array, family: str) -> Markers:
+    """Return the markers of a family in an image; of an id that is seen more than once none, since one is not real.
+
+    gray: (H, W) uint8. family: one of FAMILIES, or 36h11 and the like.
+    Raises InvalidInput for another kind of image or an unknown family.
+    """
+    if gray.ndim != 2 or gray.dtype != np.uint8:
+        raise InvalidInput(f"markers are found in gray images of 8 bits, not in {gray.dtype} of shape {gray.shape}")
+    known = family_named(family)
+    found = sorted(_read(gray, known), key=lambda marker: marker[0]) if min(gray.shape) > _LEAST_SIDE_PX else []
+    seen = [(marker, fit) for marker, start in found if (fit := _located(gray, start, known, marker)) is not None]
+    counts = Counter(marker for marker, _ in seen)
+    once = [(marker, fit) for marker, fit in seen if counts[marker] == 1]
+    corners = np.array([known.as_printed(fit.corners) for _, fit in once]).reshape(-1, 4, 2)
+    covariance = np.array([np.roll(fit.covariance, 2 * known.turned, axis=0) for _, fit in once]).reshape(-1, 4, 2, 2)
+    notes = [_left_out(marker, count) for marker, count in counts.items() if count > 1]
+    notes += [f"id {marker} could not be measured; its corners are OpenCV's" for marker, fit in once if not fit.settled]
+    return Markers(np.array([marker for marker, _ in once], np.intp), corners, covariance, tuple(notes))
+
+
+def _read(gray: Array, family: Family) -> list[tuple[int, Array]]:
+    """Return ids and corners (4, 2) px as OpenCV sees them, clockwise from the top-left of its drawing."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.errorCorrectionRate = family.corrected
+    parameters.minMarkerDistanceRate = _APART
+    parameters.minMarkerPerimeterRate = min(parameters.minMarkerPerimeterRate, 4 * _LEAST_SIDE_PX / max(gray.shape))
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, family.dictionary))
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(np.ascontiguousarray(gray))
+    if ids is None:
+        return []
+    places = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
+    return list(zip(map(int, np.asarray(ids).ravel()), places, strict=True))
+
+
+def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFit | None:
+    """Return where a marker is, None for what was taken for one; where the fit fails, OpenCV's corners."""
+    drawing = family.drawing(marker)
+    middle = start.mean(axis=0)
+    outward = start + _CONTOUR_PX * np.sqrt(2) * (start - middle) / np.linalg.norm(start - middle, axis=1)[:, None]
+    fit = fit_marker(gray, outward, drawing)
+    cell = np.linalg.norm(start - np.roll(start, 1, axis=0), axis=1).max() / len(drawing.ink)
+    if fit is not None and fit.settled and np.abs(fit.corners - outward).max() < max(_LARGEST_MOVE * cell, 2.0):
+        return fit if fit.agreement > _AGREEMENT else None
+    return MarkerFit(outward, np.tile(_UNFITTED_PX**2 * np.eye(2), (4, 1, 1)), 0.0, settled=False)
+
+
+def _left_out(marker: int, count: int) -> str:
+    return f"id {marker} is seen {count} times; none of them is used, since only one can be real"
