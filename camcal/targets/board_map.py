@@ -16,9 +16,8 @@ _POINTS_PER_TERM = 3
 _LEAST_RADIAL = 12  # points for a radial distortion
 _ROUNDS = 8
 _STEP = 1e-4  # of a radial term or of the middle, for derivatives
-_HELD = 2.5e-5 / np.array(
-    [1.0, 1.0, 1.0, 0.05, 0.05]
-)  # what a pixel's hundredth is in units of the scale, over spreads
+# What a hundredth of a pixel is in units of the scale, over the spreads of the terms and of the middle
+_HELD = 2.5e-5 / np.array([1.0, 1.0, 1.0, 0.05, 0.05])
 _WORTH = 0.99  # of the sum of squares that a round must fall below to be taken
 _INVERSIONS = 12
 
@@ -70,12 +69,13 @@ class BoardMap:
         return self.radial.bent(_through(self.homography, moved)).reshape(points.shape)
 
 
-def map_of(points: Array, pixels: Array, size: tuple[int, int]) -> BoardMap:
+def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool = False) -> BoardMap:
     """Return the map that fits points (N, 2) of a board seen at pixels (N, 2) best, four of them at least.
 
-    size: (width, height) of the image.
+    size: (width, height) of the image. rough: leave the radial distortion to the polynomial, which takes a tenth of the
+    time.
     """
-    radial = _radial(points, pixels, size)
+    radial = _undistorted(size) if rough else _radial(points, pixels, size)
     straight = radial.straight(pixels)
     homography = _homography(points, straight)
     middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
@@ -90,7 +90,7 @@ def _radial(points: Array, pixels: Array, size: tuple[int, int]) -> Radial:
 
     Gauss-Newton over its terms and its middle, which is held near the image's where distortion is too weak to tell it.
     """
-    best = Radial((np.array(size) - 1) / 2, float(np.hypot(*size)) / 2, np.zeros(3))
+    best = _undistorted(size)
     if len(points) < _LEAST_RADIAL:
         return best
     place, off = np.zeros(5), _residuals(points, pixels, best)
@@ -105,6 +105,11 @@ def _radial(points: Array, pixels: Array, size: tuple[int, int]) -> Radial:
             break
         best, place, off = trial, place + step, trial_off
     return best
+
+
+def _undistorted(size: tuple[int, int]) -> Radial:
+    """Return no distortion of an image of a size (width, height)."""
+    return Radial((np.array(size) - 1) / 2, float(np.hypot(*size)) / 2, np.zeros(3))
 
 
 def _moved(radial: Radial, step: Array) -> Radial:

@@ -93,7 +93,8 @@ def keys_of_boards():
     for keys in board_keys.BOARD_KEYS.values():
         yield from (keys.size, *board_keys.lengths(keys.scale), *board_keys.lengths(keys.part))
         yield from (key for key, _ in (*keys.required.values(), *keys.optional.values()))
-        yield from (f"{name}_ratio" for name in (keys.part,) if name)
+        if keys.part:
+            yield f"{keys.part}_ratio"
     yield board_keys.SPACING
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.special import erf
 from scipy.stats import multivariate_normal, norm
 
 from camcal.targets.corners.checker_picture import alone, crowded
-from camcal.targets.corners.crossing import crossing
+from camcal.targets.corners.crossing import crossing, edge
 
 PLACES = np.linspace(-3, 3, 9)
 FIRST, SECOND = (part.astype(np.float32) for part in np.meshgrid(PLACES, PLACES))
@@ -19,6 +20,13 @@ def quadrants(first, second, correlation):
     return 4 * joint - 2 * norm.cdf(first) - 2 * norm.cdf(second) + 1
 
 
+def test_an_edge_is_an_error_function_to_less_than_a_gray_level_shows():
+    places = np.linspace(-60, 60, 5001)
+    side, density = edge(places)
+    assert np.abs(side - erf(places / np.sqrt(2))).max() < 6e-7
+    np.testing.assert_allclose(density, norm.pdf(places), atol=1e-7)
+
+
 @pytest.mark.parametrize("correlation", WORST)
 def test_the_picture_is_that_of_the_bivariate_normal_distribution(correlation):
     skew = np.full((len(FIRST), 1), correlation, np.float32)
@@ -29,12 +37,12 @@ def test_the_picture_is_that_of_the_bivariate_normal_distribution(correlation):
 @pytest.mark.parametrize("correlation", [0.0, -0.4, 0.6])
 def test_derivatives_are_those_of_the_picture(correlation):
     first, second = FIRST.astype(np.float64), SECOND.astype(np.float64)
-    skew, step = np.full((len(first), 1), correlation), 1e-4
+    skew, step = np.full((len(first), 1), correlation), 1e-2  # the error function has an error of 5e-7
     seen = crossing(first, second, skew)
     by_first = (crossing(first + step, second, skew).value - crossing(first - step, second, skew).value) / (2 * step)
     by_second = (crossing(first, second + step, skew).value - crossing(first, second - step, skew).value) / (2 * step)
-    np.testing.assert_allclose(seen.by_first, by_first, atol=1e-6)
-    np.testing.assert_allclose(seen.by_second, by_second, atol=1e-6)
+    np.testing.assert_allclose(seen.by_first, by_first, atol=2e-4)
+    np.testing.assert_allclose(seen.by_second, by_second, atol=2e-4)
 
 
 def test_the_picture_looks_the_same_after_half_a_turn():

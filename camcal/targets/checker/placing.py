@@ -99,9 +99,8 @@ def _is_rim(gray: Array, beyond: Array, along: Array, outward: Array, contrast: 
     aside = ASIDE * width
     rim = beyond - (1 - width) * outward
     outer = rim + outward / 2
-    seen = np.asarray(
-        ((outer > 0) & (outer < np.array(gray.shape[::-1]) - 1)).all(axis=1)
-    )  # not so where the rim is unknown
+    # not so where the rim is unknown
+    seen = np.asarray(((outer > 0) & (outer < np.array(gray.shape[::-1]) - 1)).all(axis=1))
     if seen.sum() < max(LEAST_RIM, len(seen) / 2):
         return False
     rim, along, outward = rim[seen], along[seen], outward[seen]

@@ -13,7 +13,8 @@ LONGEST_PX = 40.0  # along an edge; a longer one is known well enough
 _BAND = 3.2  # standard deviations of the blur beside an edge
 _LEAST_BAND_PX = 2.2
 _CLEAR = 2.5  # standard deviations of the blur that whatever else is printed must be away
-_LATTICE = 14  # pixels a side, spread over a cell
+_LATTICE = (4, 14)  # pixels a side, spread over a cell, or
+_LATTICE_PX = 3.0  # one in so many
 _LEAST_PX = 1.0  # of an edge, and beside it
 
 
@@ -125,7 +126,8 @@ class _Frames:
 
     def lattice(self) -> tuple[Array, Array]:
         """Return whole offsets x, y (N, K) spread over the cells: what is far from edges says what light there is."""
-        share = (np.arange(_LATTICE) + 0.5) / _LATTICE
+        side = int(np.clip(2 * self.limits.max() / _LATTICE_PX, *_LATTICE))
+        share = (np.arange(side) + 0.5) / side
         low, high = -self.limits[:, :, 0], self.limits[:, :, 1]
         along_1, along_2 = (low[:, [edge]] + (high - low)[:, [edge]] * share for edge in (0, 1))
         steps_1, steps_2 = (self.tangents[:, edge, :, None, None] for edge in (0, 1))

@@ -8,14 +8,11 @@ the squares that would be dark beyond it are added as bright ones.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from camcal.arrays import Array
-from camcal.targets.corners.crossing import crossing
+from camcal.targets.corners.crossing import crossing, edge
 
 _SIGNS = np.array([-1.0, 1.0, -1.0], np.float32)  # of the edge before, the edge itself, the edge after
-_ROOT_HALF = np.float32(np.sqrt(0.5))
-_SLOPE = np.float32(np.sqrt(2 / np.pi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +63,8 @@ def crowded(first: Array, second: Array, correlation: Array, border: Array, brig
 
 def _side(distance: Array) -> tuple[Array, Array]:
     """Return the picture of one edge at scaled distances (N, K), and its slope."""
-    return erf(_ROOT_HALF * distance), _SLOPE * np.exp(-np.float32(0.5) * distance * distance)
+    side, density = edge(distance)
+    return side, 2 * density
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,10 +54,11 @@ def _cells(
 ) -> tuple[Cells, float]:
     """Return the cells of corners as a map that is fitted to all of them has them, and how far (px) its edges hold.
 
-    covariance: (N, 2, 2) px² of the corners. What the map leaves beyond it, r over a step h, is r (l / h)² at l.
+    covariance: (N, 2, 2) px² of the corners, None where they are good to some tenths of a pixel only. What the map
+    leaves beyond it, r over a step h, is r (l / h)² at l.
     """
     points = board.points()[ids]
-    seen = map_of(points[:, :2], pixels, (values.shape[1], values.shape[0]))
+    seen = map_of(points[:, :2], pixels, (values.shape[1], values.shape[0]), rough=covariance is None)
     middle, cells = seen_cells(board, ids, points, lambda points: seen.pixels(points[:, :2]), blur_px, first)
     if covariance is None:
         return cells, LONGEST_PX
