@@ -49,7 +49,7 @@ _HOMES = {
     "average_poses": "estimate.pose_average:average_poses",
     "calibrate_camera": "calibrate.intrinsics:calibrate",
     "demosaic": "raw.demosaic:demosaic",
-    "detect_markers": "targets.markers:detect_markers",
+    "detect_markers": "targets.markers.markers:detect_markers",
     "develop": "raw.develop:develop",
     "estimate_poses": "estimate.pnp:estimate_poses",
     "estimate_rig_poses": "estimate.pnp:estimate_rig_poses",
