@@ -32,6 +32,8 @@ def measure(samples: Samples, board: Board, sighting: Sighting) -> Sighting:
     ids, pixels, values, sites = sighting.ids, sighting.pixels, samples.values, samples.sites
     blur = blur_of(values, pixels)
     near = refine(values, pixels, _cells(board, ids, pixels, values, blur)[0].narrow(), blur, sites, _NEAR_PX)
+    if not near.settled.any():
+        return Sighting.nothing("no clear corners")
     # What a board that leaves its pattern open, or that is printed inverted, has before its first corner
     first = 1 if np.nansum(near.contrast * signs(board)[ids]) >= 0 else -1
     corners = near

@@ -51,14 +51,14 @@ class SeenAgain:
 def look_again(samples: Samples, ids: Array, pixels: Array, expected: Expected) -> SeenAgain:
     """Return the corners of a board that has been found and calibrated with.
 
-    ids (N,), pixels (N, 2): the corners that were found. Those that the model does not bear
-    out, along the edges that are expected, are left out.
+    ids (N,), pixels (N, 2): the corners that were found. Those that the model does not bear out, along the edges that
+    are expected, are left out.
     """
     start = expected.pixels.copy()
     start[ids] = pixels
     known = np.zeros(len(start), np.bool_)
     known[ids] = True
-    chosen = np.flatnonzero(known | expected.inside)
+    chosen = np.flatnonzero((known | expected.inside) & np.isfinite(expected.cells.bends).all(axis=1))
     blur = blur_of(samples.values, pixels)
     corners = refine(samples.values, start[chosen], expected.cells.take(chosen), blur, samples.sites)
     good = clear(corners)
