@@ -20,6 +20,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from peers.opencv_corners import SECTOR_BASED, refined, sector_based
 from projection_error import projection_errors
 
 from camcal import opencv
@@ -38,8 +39,6 @@ from camcal.tasks.calibration.second_look import second_look
 
 SIZE, BOARD = (1280, 960), Board("chessboard", 9, 6, 0.04)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([960.0, 964, 645, 472, -0.12, 0.06, 5e-4, -3e-4, 0.01]))
-ACCURATE = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
 HOW = Options(LENS.model, shape=ShapeOptions(smooth=False, offsets=False))
 ROWS = (
     "camcal, first look", "camcal, second look", "SB, camcal's solver", "SB accurate, camcal's solver",
@@ -99,13 +98,12 @@ def opencv_corners(image: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray
     """Return OpenCV's corners (N, 2) in the order of the true ones, by way."""
     result = {}
     with opencv.repeatable(0):
-        for way, flags in (("SB", 0), ("SB accurate", ACCURATE)):
-            found, corners = cv2.findChessboardCornersSB(image, (BOARD.columns, BOARD.rows), flags=flags)
-            if found:
-                result[way] = _ordered(opencv.corner_array(corners), truth)
+        for way, flags in SECTOR_BASED.items():
+            corners = sector_based(image, BOARD, flags)
+            if corners is not None:
+                result[way] = _ordered(corners, truth)
         if "SB" in result:
-            start = np.ascontiguousarray(result["SB"][:, None], np.float32)
-            result["cornerSubPix"] = opencv.corner_array(cv2.cornerSubPix(image, start, (5, 5), (-1, -1), STOP))
+            result["cornerSubPix"] = refined(image, result["SB"])
     return result
 
 

@@ -15,7 +15,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -74,13 +74,10 @@ class Score:
     """What one finder did on one kind of scene, added up."""
 
     found: int = 0
-    errors: list[np.ndarray] = None
-    offsets: list[np.ndarray] = None
-    squared: list[np.ndarray] = None
-    seconds: list[float] = None
-
-    def __post_init__(self):
-        self.errors, self.offsets, self.squared, self.seconds = [], [], [], []
+    errors: list[np.ndarray] = field(default_factory=list)
+    offsets: list[np.ndarray] = field(default_factory=list)
+    squared: list[np.ndarray] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
 
     def add(self, pixels, covariance, truth, offset):
         """Count pixels (N, 2); each belongs to the nearest true centre, whatever the order."""

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 from corner_scenes import BOARD, Cell, Scene, bound, grid, scenes
+from peers.opencv_corners import SECTOR_BASED, refined, sector_based
 
 from camcal import opencv
 from camcal.arrays import Array
@@ -29,8 +29,7 @@ from camcal.targets.detect import detect
 from camcal.targets.samples import Samples
 
 WINDOWS = (2, 3, 4, 5, 7, 9, 11)
-PEERS = ("SB", "SB accurate", "cornerSubPix")
-ACCURATE = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+PEERS = (*SECTOR_BASED, "cornerSubPix")
 SEED = 2026
 
 
@@ -119,21 +118,15 @@ def score(cell: Cell, count: int, peers: bool) -> Score:
 
 def _peers(view: Scene, errors: dict[str, list[Array]], windows: dict[int, list[Array]]) -> None:
     gray = gray_8bit(view.image)
-    size = (BOARD.columns, BOARD.rows)
     starts = []
     with opencv.repeatable(0):
-        for name, flags in (("SB", 0), ("SB accurate", ACCURATE)):
-            found, corners = cv2.findChessboardCornersSB(gray, size, flags=flags)
-            if found:
-                starts.append(opencv.corner_array(corners))
-                errors[name].append(_errors(starts[-1], view.corners))
-        if not starts:
-            return
-        for window in WINDOWS:
-            start = np.ascontiguousarray(starts[0][:, None], np.float32)
-            stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-            better = opencv.corner_array(cv2.cornerSubPix(gray, start, (window, window), (-1, -1), stop))
-            windows[window].append(_errors(better, view.corners))
+        for name, flags in SECTOR_BASED.items():
+            corners = sector_based(gray, BOARD, flags)
+            if corners is not None:
+                starts.append(corners)
+                errors[name].append(_errors(corners, view.corners))
+        for window in WINDOWS if starts else ():
+            windows[window].append(_errors(refined(gray, starts[0], window), view.corners))
 
 
 def _errors(pixels: Array, corners: Array) -> Array:

@@ -29,12 +29,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from peers.opencv_corners import ACCURATE, classic, refined, sector_based
 from real_sets import DATA, SETS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from hard_scenes import SCENES, photographs
+from opencv_charuco import found_by_opencv
 
-from camcal import opencv
 from camcal.images.load import load_gray
 from camcal.run.inputs import find_images
 from camcal.targets.board import CHARUCO, Board, parse_board
@@ -48,9 +49,6 @@ CHARUCO_BOARDS = tuple(parse_board(f"charuco:10x8:20mm:15mm:DICT_4X4_100:{kind}"
 CHARUCO_SCENES = ("plain", "blur 3 px", "dark, 10 DN", "noise 12 DN", "tilted 60-72 deg", "covered", "gamma 2.2, small")
 WRONG_PX = 1.0
 LEAST = 0.75  # of the corners of a covered board
-SUBPIX = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
-SB_BEST = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 Finder = Callable[[np.ndarray, Board], np.ndarray | None]
 
@@ -147,11 +145,11 @@ def ways(board: Board, *, quick: bool) -> dict[str, Finder]:
     methods: dict[str, Finder] = {
         "found": partial(camcal, find=find_chessboard),
         "camcal": camcal,
-        "SB": partial(sector_based, flags=0),
+        "SB": sector_based,
     }
     if not quick:
-        methods["SB best"] = partial(sector_based, flags=SB_BEST)
-    methods["classic"] = classic
+        methods["SB best"] = partial(sector_based, flags=ACCURATE)
+    methods["classic"] = classic_refined
     if shutil.which("mrgingham"):
         methods["mrgingham"] = mrgingham
     return methods
@@ -159,24 +157,13 @@ def ways(board: Board, *, quick: bool) -> dict[str, Finder]:
 
 def camcal(gray: np.ndarray, board: Board, find: Callable[[np.ndarray, Board], Sighting] = detect) -> np.ndarray | None:
     sighting = find(gray, board)
-    return (
-        sighting.pixels
-        if len(sighting.ids) >= LEAST * board.count * (board.type != CHARUCO) and sighting.found
-        else None
-    )
+    enough = 1 if board.type == CHARUCO else LEAST * board.count
+    return sighting.pixels if len(sighting.ids) >= enough else None
 
 
-def sector_based(gray: np.ndarray, board: Board, flags: int) -> np.ndarray | None:
-    found, corners = cv2.findChessboardCornersSB(gray, (board.columns, board.rows), flags=flags)
-    return opencv.corner_array(corners) if found else None
-
-
-def classic(gray: np.ndarray, board: Board) -> np.ndarray | None:
-    found, corners = cv2.findChessboardCorners(gray, (board.columns, board.rows), flags=CLASSIC)
-    if not found:
-        return None
-    start = np.asarray(corners, np.float32).reshape(-1, 1, 2)
-    return opencv.corner_array(cv2.cornerSubPix(gray, start, (5, 5), (-1, -1), SUBPIX))
+def classic_refined(gray: np.ndarray, board: Board) -> np.ndarray | None:
+    corners = classic(gray, board)
+    return None if corners is None else refined(gray, corners)
 
 
 def mrgingham(gray: np.ndarray, board: Board) -> np.ndarray | None:
@@ -191,13 +178,7 @@ def mrgingham(gray: np.ndarray, board: Board) -> np.ndarray | None:
 
 
 def charuco(gray: np.ndarray, board: Board) -> np.ndarray | None:
-    squares = (board.columns + 1, board.rows + 1)
-    ratio = board.marker / board.pitch
-    detector = opencv.charuco_detector(squares, ratio, board.dictionary, board.first_marker, legacy=bool(board.legacy))
-    parameters = detector.getCharucoParameters()
-    parameters.minMarkers = 2  # OpenCV's own default
-    detector.setCharucoParameters(parameters)
-    ids, pixels, _ = opencv.find_charuco(detector, gray)
+    ids, pixels = found_by_opencv(gray, board)
     return pixels if len(ids) >= 4 else None
 
 

@@ -37,4 +37,4 @@ def rms_inside_and_outside(truth: Camera, estimate: Camera, seen: np.ndarray) ->
     pixels, errors = projection_errors(truth, estimate)
     inside = np.linalg.norm(pixels - centre, axis=1) <= reach
     parts = (errors, errors[inside], errors[~inside] if (~inside).any() else np.array([np.nan]))
-    return tuple(float(np.sqrt(np.mean(part**2))) for part in parts)  # type: ignore[return-value]
+    return tuple(float(np.sqrt(np.nanmean(part**2))) for part in parts)  # type: ignore[return-value]

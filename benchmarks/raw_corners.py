@@ -32,9 +32,10 @@ from camcal.run.fanout import fan_out
 from camcal.simulate.render import Exposure, evenly_lit, light
 from camcal.simulate.scene import views
 from camcal.simulate.sensor import filtered, lenses
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.photographs import Reading, agreeing_gains, measured, photograph_of
+from camcal.targets.samples import Samples
+from camcal.tasks.calibration.photographs import Reading, agreeing_gains, photograph_of
 
 SIZE, PATTERN, BLACK, WHITE = (1280, 960), "RGGB", 64.0, 4095.0
 BOARD = Board("chessboard", 9, 6, 0.04)
@@ -106,9 +107,9 @@ def counts(brightness: np.ndarray, noisy: bool, rng: np.random.Generator) -> np.
     return np.clip(np.rint(BLACK + electrons * (WHITE - BLACK) / WELL_E), 0, WHITE).astype(np.uint16)
 
 
-def corners(gray: np.ndarray) -> np.ndarray:
+def corners(gray: np.ndarray, samples: Samples | None = None) -> np.ndarray:
     """Return all corners (N, 2) of the board in an image."""
-    sighting = detect(gray, BOARD)
+    sighting = detect(gray, BOARD, samples=samples)
     if len(sighting.ids) != BOARD.count:
         raise SystemExit(f"{len(sighting.ids)} of {BOARD.count} corners found")
     return sighting.pixels
@@ -119,8 +120,7 @@ def read_as(algorithm: str) -> Callable[[Mosaic, Mosaic], np.ndarray]:
 
     def find(mosaic: Mosaic, _mono: Mosaic) -> np.ndarray:
         photograph = photograph_of(mosaic, Reading(algorithm=algorithm))
-        found = Detection("", SIZE, np.arange(BOARD.count), corners(photograph.gray))
-        return measured(photograph, found, BOARD).pixels
+        return corners(photograph.gray, photograph.samples)
 
     return find
 

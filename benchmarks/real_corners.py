@@ -2,9 +2,9 @@
 
 Every row: images found by camcal, by findChessboardCornersSB and by its EXHAUSTIVE | ACCURACY form, of how many; RMS
 of camcal's own calibration (one lens model, smooth board shape, corners alike) from camcal's corners, SB's, SB
-accurate's, and those of cornerSubPix (half-window 5 px, from SB's); for the same four, the RMS over the image by which
-calibrations from odd and from even images differ (a rotation of the camera taken out). px; - where a half does not hold
-a calibration.
+accurate's, and those of cornerSubPix (half-window 5 px, from SB's); for the same four, the RMS by which calibrations from
+odd and from even images differ within the radius that corners reach (a rotation of the camera taken out). px; - where a
+half does not hold a calibration.
 
     CAMCAL_TEST_DATA=FOLDER python benchmarks/real_corners.py [--sets NAME …] [--jobs 2]
 """
@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
-from projection_error import projection_errors
+from peers.opencv_corners import SECTOR_BASED, refined, sector_based
+from projection_error import rms_inside_and_outside
 from real_sets import DATA, SETS
 
 from camcal import opencv
@@ -36,9 +36,7 @@ from camcal.run.inputs import find_images
 from camcal.targets.board import Board, Detection, parse_board
 from camcal.targets.detect import detect
 
-WAYS = ("camcal", "SB", "SB accurate", "cornerSubPix")
-ACCURATE = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+WAYS = ("camcal", *SECTOR_BASED, "cornerSubPix")
 HALF_WINDOW = 5
 WIDE = ("fisheye",)
 NEAREST = 0.5  # of a step, by which the same corner may differ between two ways
@@ -85,18 +83,15 @@ def row(name: str, jobs: int | None) -> str:
 def look(path: Path, board: Board) -> Seen:
     """Return what an image shows in every way."""
     gray = gray_8bit(load(path).pixels)
-    size = (board.columns, board.rows)
     sighting = detect(gray, board)
     starts: dict[str, Array] = {}
     with opencv.repeatable(0):
-        for way, flags in (("SB", 0), ("SB accurate", ACCURATE)):
-            found, corners = cv2.findChessboardCornersSB(gray, size, flags=flags)
-            if found:
-                starts[way] = opencv.corner_array(corners)
+        for way, flags in SECTOR_BASED.items():
+            corners = sector_based(gray, board, flags)
+            if corners is not None:
+                starts[way] = corners
         if "SB" in starts:
-            corners = np.ascontiguousarray(starts["SB"][:, None], np.float32)
-            window = (HALF_WINDOW, HALF_WINDOW)
-            starts["cornerSubPix"] = opencv.corner_array(cv2.cornerSubPix(gray, corners, window, (-1, -1), STOP))
+            starts["cornerSubPix"] = refined(gray, starts["SB"], HALF_WINDOW)
     found = frozenset(starts) | ({"camcal"} if sighting.found else frozenset())
     if not sighting.found:
         return Seen({}, found)
@@ -134,11 +129,11 @@ def solved(views: Sequence[Detection], board: Board, model: str) -> Calibration 
 
 
 def difference(one: Calibration | None, other: Calibration | None) -> str:
-    """Return the RMS distance of two calibrations over the image."""
+    """Return the RMS distance of two calibrations over the part of the image that holds corners."""
     if one is None or other is None:
         return "-"
-    errors = projection_errors(one.camera, other.camera)[1]
-    return f"{np.sqrt(np.nanmean(errors**2)):.2f}"
+    seen = np.concatenate([one.pixels, other.pixels])
+    return f"{rms_inside_and_outside(one.camera, other.camera, seen)[1]:.2f}"
 
 
 if __name__ == "__main__":

@@ -1,7 +1,4 @@
-"""The one edge to what differs between OpenCV 4.14 and 5.x, and to what makes its detectors repeatable.
-
-Corner arrays are (N, 1, 2) in 4 and (N, 2) in 5, ids likewise; everything leaves here as (N, 2) and (N,).
-"""
+"""What finding targets takes of OpenCV, the same with 4.14 and 5.x, and what makes its results repeatable."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,8 +12,6 @@ from camcal.errors import InvalidInput
 
 _SEED_LIMIT = 1 << 31
 _REMAP_LIMIT = 1 << 15  # cv2.remap refuses maps with longer sides
-
-CharucoDetector = cv2.aruco.CharucoDetector
 
 
 @contextmanager
@@ -32,11 +27,6 @@ def repeatable(seed: int) -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(threads)
-
-
-def corner_array(corners: Array) -> Array:
-    """Return the corners of any OpenCV function as (N, 2) pixels."""
-    return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
 def resized(gray: Array, scale: float) -> Array:
@@ -81,31 +71,3 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
         advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}"
         raise InvalidInput(f"marker dictionary {name!r} is unknown; {advice}")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def charuco_detector(
-    squares: tuple[int, int], marker_ratio: float, dictionary: str, first_marker: int, *, legacy: bool
-) -> CharucoDetector:
-    """Return a detector for a ChArUco board of (columns, rows) squares.
-
-    marker_ratio: side of a marker as a share of its square. legacy: the pattern of OpenCV before 4.6.
-    Raises InvalidInput if the dictionary is unknown or has too few markers.
-    """
-    words = marker_dictionary(dictionary)
-    last, available = first_marker + squares[0] * squares[1] // 2 - 1, len(words.bytesList)
-    if last >= available:
-        raise InvalidInput(f"the board needs markers {first_marker} to {last}, {dictionary} ends at {available - 1}")
-    board = cv2.aruco.CharucoBoard(squares, 1.0, marker_ratio, words, np.arange(first_marker, last + 1))
-    board.setLegacyPattern(legacy)
-    parameters = cv2.aruco.CharucoParameters()
-    parameters.minMarkers = 1  # corners beside an occluded marker too; what is wrong is found out by its look
-    return cv2.aruco.CharucoDetector(board, parameters)
-
-
-def find_charuco(detector: CharucoDetector, gray: Array) -> tuple[Array, Array, int]:
-    """Return the ids (N,) and pixels (N, 2) of the corners found, and the number of markers seen."""
-    corners, ids, _, markers = detector.detectBoard(gray)
-    seen = 0 if markers is None else len(markers)
-    if ids is None or corners is None:
-        return np.zeros(0, np.intp), np.zeros((0, 2)), seen
-    return np.asarray(ids, dtype=np.intp).ravel(), corner_array(corners), seen

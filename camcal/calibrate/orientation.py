@@ -62,7 +62,7 @@ def best_turns(problem: BoardProblem, state: State, present: Array) -> tuple[Arr
             costs.append(costs[0])
             continue
         trial, start = turned(poses, bare, np.full(len(present), index))
-        states.append(minimise(trial, start, _POSES).state)
+        states.append(minimise(trial.within_domain(start), start, _POSES).state)
         costs.append(_view_costs(trial, states[-1]))
     gains = costs[0] - np.stack(costs)
     views, best = np.arange(len(present)), np.argmax(gains, axis=0)

@@ -221,6 +221,6 @@ def parse_board(text: str) -> Board:
     A length in metres may be left out; what is printed is then given as a share: charuco:9x7:0.75:DICT_5X5_100.
     Raises InvalidInput that names the part at fault.
     """
-    fields = fields_of(text)
-    border = BOARD_TYPES[fields["type"]].border
-    return Board(**{**fields, "columns": fields["columns"] - border, "rows": fields["rows"] - border})
+    stated = fields_of(text)
+    border = BOARD_TYPES[stated["type"]].border
+    return Board(**{**stated, "columns": stated["columns"] - border, "rows": stated["rows"] - border})

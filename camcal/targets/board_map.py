@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.geometry.homography import homography_of, through
 
 _DEGREE = 5  # of the polynomial at most
 _POINTS_PER_TERM = 3
@@ -66,7 +67,7 @@ class BoardMap:
         """Return the pixels (..., 2) of points (..., 2) of the board."""
         flat = points.reshape(-1, 2)
         moved = flat + _terms((flat - self.middle) / self.scale, self.degree) @ self.coefficients
-        return self.radial.bent(_through(self.homography, moved)).reshape(points.shape)
+        return self.radial.bent(through(self.homography, moved)).reshape(points.shape)
 
 
 def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool = False) -> BoardMap:
@@ -77,10 +78,10 @@ def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool =
     """
     radial = _undistorted(size) if rough else _radial(points, pixels, size)
     straight = radial.straight(pixels)
-    homography = _homography(points, straight)
+    homography = homography_of(points, straight)
     middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
     degree = _degree(points)
-    moved = _through(np.linalg.inv(homography), straight) - points
+    moved = through(np.linalg.inv(homography), straight) - points
     terms = _terms((points - middle) / scale, degree)
     return BoardMap(np.linalg.lstsq(terms, moved, rcond=None)[0], degree, middle, scale, homography, radial)
 
@@ -119,32 +120,7 @@ def _moved(radial: Radial, step: Array) -> Radial:
 
 def _residuals(points: Array, pixels: Array, radial: Radial) -> Array:
     straight = radial.straight(pixels)
-    return np.asarray((straight - _through(_homography(points, straight), points)).ravel())
-
-
-def _homography(points: Array, pixels: Array) -> Array:
-    """Return the homography (3, 3) from points to pixels (N, 2) of least algebraic error (Hartley 1997)."""
-    onto, back = _normalising(points), _normalising(pixels)
-    (x, y), (u, v) = _through(onto, points).T, _through(back, pixels).T
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    upper = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
-    lower = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
-    design = np.concatenate([upper, lower])
-    entries = np.linalg.eigh(design.T @ design)[1][:, 0]
-    result = np.linalg.inv(back) @ entries.reshape(3, 3) @ onto
-    return np.asarray(result / result[2, 2])
-
-
-def _normalising(points: Array) -> Array:
-    """Return the similarity (3, 3) that brings points (N, 2) around the origin and to unit size."""
-    middle = points.mean(axis=0)
-    scale = 1 / max(float(np.abs(points - middle).mean()), 1e-12)
-    return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
-
-
-def _through(homography: Array, points: Array) -> Array:
-    moved = points @ homography[:, :2].T + homography[:, 2]
-    return np.asarray(moved[:, :2] / moved[:, 2:])
+    return np.asarray((straight - through(homography_of(points, straight), points)).ravel())
 
 
 def _degree(points: Array) -> int:

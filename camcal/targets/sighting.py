@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.targets.board import Detection
 
 MIN_CORNERS = 4  # as many as a homography needs
 
@@ -51,3 +52,9 @@ class Sighting:
     def found(self) -> bool:
         """Whether there are corners."""
         return len(self.ids) > 0
+
+    def in_image(self, image: str, size: tuple[int, int], orientation: int = 1) -> Detection:
+        """Return the record of what was seen in an image of a name, size (width, height) and EXIF orientation."""
+        return Detection(
+            image, size, self.ids, self.pixels, self.covariance, reason=self.reason, orientation=orientation
+        )

@@ -63,8 +63,8 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
     assert code == 0
     assert list(document) == [
         "schema", "output", "model", "image_size", "parameters", "std", "rms_px", "sigma_px", "floor_px",
-        "degrees_of_freedom", "board", "board_shape", "views", "rejected", "trustworthy", "reasons", "remarks", "frames",
-        "notes", "failed",
+        "degrees_of_freedom", "board", "board_shape", "views", "rejected", "trustworthy", "reasons", "remarks",
+        "frames", "notes", "failed",
     ]  # fmt: skip
     assert document["schema"] == "camcal/calibrate/1"
     assert len(document["views"]) == 15

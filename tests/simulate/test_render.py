@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from opencv_charuco import found_by_opencv
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import least_squares
 from scipy.stats import norm
@@ -16,7 +17,6 @@ from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.opencv import charuco_detector, find_charuco
 from camcal.simulate.lens import make_camera
 from camcal.simulate.render import Exposure, develop, evenly_lit, light, render
 from camcal.simulate.scene import views
@@ -153,8 +153,7 @@ def test_charuco_corners_are_found_where_they_are(legacy):
     camera = make_camera(model_named("kannala_brandt4"), (640, 480), np.radians(120))
     pose = views(camera, board, 1, rng=rng(3))[0]
     image = render(camera, board, pose, rng=rng(), exposure=Exposure(noise_dn=1.0), shape=Shape(bow_x=1e-3))
-    detector = charuco_detector((7, 6), 22 / 30, "DICT_5X5_100", 0, legacy=legacy)
-    ids, pixels, _ = find_charuco(detector, image)
+    ids, pixels = found_by_opencv(image, board, markers=1)
     truth = camera.project(pose.apply(Shape(bow_x=1e-3).points(board))).pixels
     assert len(ids) > 0.9 * board.count
     assert np.median(np.linalg.norm(pixels - truth[ids], axis=1)) < 0.15  # what the detector is good for

@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
+from opencv_charuco import drawn_by_opencv
 
-from camcal import opencv
 from camcal.targets.board import CHARUCO, Board
 
 RAYS = 6  # per pixel and axis
@@ -55,21 +55,13 @@ def _shade(board: Board, x, y):
     sheet = (x > -1 - MARGIN) & (x < board.columns + MARGIN) & (y > -1 - MARGIN) & (y < board.rows + MARGIN)
     squares = (x > -1) & (x < board.columns) & (y > -1) & (y < board.rows)
     if board.type == CHARUCO:
-        dark = _charuco(board)[_places(board, x, y)] < 128
+        dark = drawn_by_opencv(board, _CELLS)[_places(board, x, y)] < 128
     else:
         dark = (np.floor(x) + np.floor(y)) % 2 == 0  # the square before corner 0 is dark
     return np.where(squares & dark, DARK, np.where(sheet, BRIGHT, BEHIND))
 
 
 _CELLS = 64  # samples of a square's side
-
-
-def _charuco(board):
-    detector = opencv.charuco_detector(
-        (board.columns + 1, board.rows + 1), board.marker / board.pitch, board.dictionary, board.first_marker,
-        legacy=bool(board.legacy),
-    )  # fmt: skip
-    return detector.getBoard().generateImage(((board.columns + 1) * _CELLS, (board.rows + 1) * _CELLS))
 
 
 def _places(board, x, y):

@@ -8,8 +8,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from opencv_charuco import drawn_by_opencv
 
-from camcal import opencv
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
 from camcal.targets.board import Board, Detection, parse_board
@@ -25,10 +25,7 @@ CELL = 24
 def drawing(board):
     """Return a board of CELL pixels a square with a white margin of one square."""
     if board.type == "charuco":
-        detector = opencv.charuco_detector(
-            (board.columns + 1, board.rows + 1), 0.75, board.dictionary, 0, legacy=bool(board.legacy)
-        )
-        squares = detector.getBoard().generateImage(((board.columns + 1) * CELL, (board.rows + 1) * CELL))
+        squares = drawn_by_opencv(board, CELL)
     else:
         row, column = np.mgrid[0 : board.rows + 1, 0 : board.columns + 1]
         squares = np.kron(np.where((row + column) % 2, 220, 30), np.ones((CELL, CELL))).astype(np.uint8)

@@ -17,14 +17,13 @@ from camcal.targets.aprilgrid.tag_cells import tag_cells, uncrowded
 from camcal.targets.aprilgrid.tag_groups import most_legible, placed, tag_groups
 from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, predict
 from camcal.targets.board import Board
+from camcal.targets.checker.checker import AGREEMENT, CONTRAST
 from camcal.targets.checker.looks import look
 from camcal.targets.corners.measure import blur_of, clear
 from camcal.targets.corners.refine import refine
 from camcal.targets.samples import Samples
 from camcal.targets.sighting import MIN_CORNERS, Sighting
 
-AGREEMENT = 0.75  # of a look with the picture of two crossing edges at least, as in checker.py
-CONTRAST = 0.05  # at least, of the median over the board
 WINDOW = 0.6  # of a tag's side, what looks take for the distance of the next corner
 CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
 NEAR = 0.15  # of that, how far off corners may be for a narrow look

@@ -14,9 +14,10 @@ import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array, readonly
+from camcal.targets.boards.types import TAG_BORDER
 from camcal.targets.markers.families import family_named
 
-BORDER = 2  # cells of black around the bits, as Kalibr prints them
+BORDER = TAG_BORDER
 
 _SMALL, _MEDIUM, _LARGE, _TINY = 0.5e6, 1.5e6, 6e6, 0.12e6  # pixels of the copies
 _ENLARGEMENTS = ((1.5e6, 1.6), (0.8e6, 2.5))  # of images with fewer pixels
@@ -109,10 +110,7 @@ def _mended(corners: Array) -> Array:
 def codes_of(dictionary: str) -> Array:
     """Return the bits (ids, n, n) of a family's tags, upright as printed: 1 is white."""
     family = family_named(dictionary)
-    words = opencv.marker_dictionary(family.dictionary)
-    side = words.markerSize + 2
-    bits = np.array([words.generateImageMarker(marker, side)[1:-1, 1:-1] > 0 for marker in range(family.count)])
-    return readonly(bits[:, ::-1, ::-1] if family.turned else bits, (None, None, None), "bits")
+    return readonly(family.printed(range(family.count))[:, 1:-1, 1:-1], (None, None, None), "bits")
 
 
 def bit_agreement(gray: Array, corners: Array, codes: Array) -> Array:

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.targets.aprilgrid.outlines import BORDER
 from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice
+from camcal.targets.boards.types import TAG_BORDER
 from camcal.targets.corners.cells import Beside, Cells
 
 _AROUND = 20  # corners that say how lines bend at one of them
@@ -28,7 +28,7 @@ def tag_cells(lattice: TagLattice, grid: Array, predicted: Predicted, side: int)
     reach = np.where(np.arange(2) == after[..., None], 1.0, lattice.gap)
     in_tag = (np.arange(2) == after[:, :1])[:, :, None] & (np.arange(2) == after[:, 1:])[:, None]
     beside = _beside(lattice, np.where(known[..., None], grid, predicted.places), predicted.steps)
-    depth = np.where(in_tag, BORDER / side, 1.0)
+    depth = np.where(in_tag, TAG_BORDER / side, 1.0)
     return Cells(predicted.steps[known], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(known)))
 
 
@@ -81,17 +81,8 @@ def _beside(lattice: TagLattice, places: Array, steps: Array) -> Beside:
             width = np.where(line % 2 == (sign + 1) // 2, lattice.gap, 1.0)[..., None]
             unknown = np.isnan(wide[part][..., :1])
             toward = np.where(unknown, sign * width * steps[..., 1 - edge], wide[part] - places)
-            lines[:, :, edge, index] = _line(toward, np.where(unknown[..., None], steps, tangents[part])[..., edge])
+            lines[:, :, edge, index] = Beside.line(
+                toward, np.where(unknown[..., None], steps, tangents[part])[..., edge]
+            )
             border[:, :, edge, index] = line == (0 if sign < 0 else count - 1)
-    order = np.argsort(-lines[..., 2], axis=-1)  # the one on the right first
-    return Beside(
-        np.take_along_axis(lines, order[..., None], axis=-2).reshape(-1, 2, 2, 3),
-        np.take_along_axis(border, order, axis=-1).reshape(-1, 2, 2),
-    )
-
-
-def _line(place: Array, tangent: Array) -> Array:
-    """Return a, b, c (..., 3) of the line through a place (..., 2) along a tangent (..., 2), a, b its left normal."""
-    normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    return np.concatenate([normal, -(normal * place).sum(axis=-1, keepdims=True)], axis=-1)
+    return Beside.sorted(lines.reshape(-1, 2, 2, 3), border.reshape(-1, 2, 2))

@@ -6,7 +6,6 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.opencv import marker_dictionary
 from camcal.targets.board import APRILGRID, CHARUCO, Board
 from camcal.targets.boards.layouts import dotted_squares
 from camcal.targets.boards.types import TAG_BORDER
@@ -95,13 +94,9 @@ def _checker(board: Board) -> Array:
 def _markers(board: Board, count: int) -> Array:
     """Return the cells (count, n, n) of the board's markers, black border included, as they are printed."""
     family = family_named(board.dictionary or "")
-    dictionary = marker_dictionary(family.dictionary)
     family.require(board.first_marker, count)
-    ids = range(board.first_marker, board.first_marker + count)
-    border = TAG_BORDER if board.type == APRILGRID else 1
-    side = family.bits + 2 * border
-    cells = np.stack([dictionary.generateImageMarker(marker, side, borderBits=border) for marker in ids]) / 255.0
-    return np.rot90(cells, 2, axes=(1, 2)) if family.turned else cells
+    markers = range(board.first_marker, board.first_marker + count)
+    return family.printed(markers, TAG_BORDER if board.type == APRILGRID else 1)
 
 
 def _bordered(board: Board, ink: Array, steps: Array) -> Pattern:

@@ -15,6 +15,7 @@ from camcal.targets.board import Board
 from camcal.targets.checker.charuco_markers import LEAST_VOTES, Reading, Seat, read_markers, seat
 from camcal.targets.checker.checker import Checker, revisited, settle, trimmed, undisturbed
 from camcal.targets.checker.proposals import proposals
+from camcal.targets.markers.families import family_named
 from camcal.targets.sighting import Sighting
 
 ENOUGH = 0.5  # of the board's corners, to look no further
@@ -33,8 +34,9 @@ def arrangements(board: Board) -> tuple[Board, ...]:
 
 def require_markers(board: Board) -> None:
     """Raise InvalidInput if the dictionary of a ChArUco board is unknown or has too few markers for it."""
-    squares = (board.columns + 1, board.rows + 1)
-    opencv.charuco_detector(squares, _ratio(board), board.dictionary or "", board.first_marker, legacy=False)
+    name = board.dictionary or ""
+    opencv.marker_dictionary(name)  # of OpenCV's own names alone
+    family_named(name).require(board.first_marker, (board.columns + 1) * (board.rows + 1) // 2)
 
 
 def find_charuco(gray: Array, board: Board) -> Sighting:

@@ -3,6 +3,8 @@
 A grid is an array (rows, columns, 2) of pixels, NaN where a corner is missing.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from camcal.arrays import Array
@@ -92,16 +94,16 @@ def uprightness(grid: Array) -> float:
     return float(along @ _UPRIGHT / max(np.hypot(*along), 1e-9))
 
 
-class _neighbours:  # noqa: N801 - used as a function of the offset
-    """The grid moved by (rows, columns), NaN from outside."""
+def _neighbours(grid: Array) -> Callable[[Array], Array]:
+    """Return what gives the grid moved by an offset (rows, columns), NaN from outside."""
+    rows, columns = grid.shape[:2]
+    padded = np.pad(grid, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), constant_values=np.nan)
 
-    def __init__(self, grid: Array) -> None:
-        self.shape = grid.shape[:2]
-        self.padded = np.pad(grid, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), constant_values=np.nan)
-
-    def __call__(self, offset: Array) -> Array:
+    def moved(offset: Array) -> Array:
         row, column = offset + _REACH
-        return self.padded[row : row + self.shape[0], column : column + self.shape[1]]
+        return np.asarray(padded[row : row + rows, column : column + columns])
+
+    return moved
 
 
 def _median(values: Array) -> Array:

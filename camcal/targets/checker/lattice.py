@@ -8,7 +8,7 @@ lie beside the whole way between them as the sectors of both say. No size, no an
 from collections import deque
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
@@ -47,7 +47,7 @@ def patterns(saddles: Saddles) -> list[Array]:
 def _links(saddles: Saddles) -> Array:
     """Return the next corner (N, 4) along the edge in each quadrant from the dark sector on, clockwise, -1 if none."""
     count = len(saddles.pixels)
-    nearest = cKDTree(saddles.pixels).query(saddles.pixels, k=min(NEAREST + 1, count))
+    nearest = KDTree(saddles.pixels).query(saddles.pixels, k=min(NEAREST + 1, count))
     distance, other = (np.asarray(column)[:, 1:] for column in nearest)
     way = saddles.pixels[other] - saddles.pixels[:, None]
     angle = np.arctan2(way[..., 1], way[..., 0])

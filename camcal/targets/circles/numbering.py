@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.targets.board import ASYMMETRIC_CIRCLES, Board
+from camcal.targets.boards import layouts
 from camcal.targets.circles.blobs import Ellipses
 
 _SIDE = 0.5  # of an outer row's nodes that must be seen for it to belong to the board
@@ -57,8 +58,8 @@ def numbered(lattice: Array, ellipses: Ellipses, board: Board) -> Array | None:
 
 def nodes(board: Board) -> Array:
     """Return row and column (count, 2) of every point of the board in its grid of ellipses, in the order of ids."""
-    row, column = np.divmod(np.arange(board.count), board.columns)
-    return np.stack([row, 2 * column + row % 2 if board.type == ASYMMETRIC_CIRCLES else column], axis=1)
+    layout = layouts.staggered if board.type == ASYMMETRIC_CIRCLES else layouts.grid
+    return layout(board.columns, board.rows)[:, ::-1].astype(np.intp)
 
 
 def _staggered(lattice: Array, board: Board) -> bool:

@@ -39,8 +39,10 @@ def measure(samples: Samples, board: Board, sighting: Sighting) -> Sighting:
     corners = near
     for _ in range(_ROUNDS):
         cells, reach = _cells(board, ids, corners.pixels, values, blur, first, corners.covariance)
+        if not np.isfinite(cells.bends).all():
+            break  # no map holds these corners
         corners = refine(values, corners.pixels, cells, blur, sites, reach)
-        if not cells.crowded(blur):
+        if not (cells.crowded(blur) and corners.settled.any()):
             break
     return _sighting(ids, corners, near)
 
@@ -64,8 +66,8 @@ def _cells(
     middle, cells = seen_cells(board, ids, points, lambda points: seen.pixels(points[:, :2]), blur_px, first)
     if covariance is None:
         return cells, LONGEST_PX
-    known = np.trace(covariance, axis1=1, axis2=2)
-    left = np.sqrt(max(float(np.nanmedian(((middle - pixels) ** 2).sum(axis=1) - known)), 0.0))
+    left = ((middle - pixels) ** 2).sum(axis=1) - np.trace(covariance, axis1=1, axis2=2)
+    left = np.sqrt(max(float(np.median(left[np.isfinite(left)])), 0.0)) if np.isfinite(left).any() else 0.0
     step = float(np.median(np.linalg.norm(cells.steps, axis=1)))
     return cells, float(np.clip(step * np.sqrt(_BENT_PX / max(left, 1e-9)), _NEAR_PX, LONGEST_PX))
 

@@ -19,7 +19,7 @@ from camcal.targets.corners.checker_picture import CheckerPicture, alone, crowde
 from camcal.targets.corners.crossing import PIXEL_VARIANCE
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
-_BLUR_PX = (0.2, 6.3)  # a pixel's own square makes 0.29
+_BLUR_PX = (0.29, 6.3)  # a pixel's own square is the least; without it an edge between two rows could be anywhere there
 _ROUNDS = 24  # that few corners need
 _SETTLED_PX = 1e-3  # the step after such a step is of the order of 1e-5 px
 _SETTLED = 0.05  # of a standard deviation
@@ -259,6 +259,8 @@ def _result(fit: _Fit, window: CellWindow, start: Array, cells: Cells, rounding:
     inverse = np.linalg.inv(fit.normal + 1e-9 * np.eye(_COUNT))[:, _OFFSETS, _OFFSETS]
     to_pixels = np.linalg.inv(state.normals)
     covariance = to_pixels @ inverse @ to_pixels.swapaxes(1, 2) * variance[:, None, None]
+    covariance = (covariance + covariance.swapaxes(1, 2)) / 2  # symmetric to the last digit, as files have it
+    settled &= (np.linalg.det(covariance) > 0) & (np.trace(covariance, axis1=1, axis2=2) > 0)  # else ill-conditioned
     kept = np.where(settled, 1.0, np.nan)
     return RefinedCorners(
         np.where(settled[:, None], state.pixels, start),

@@ -61,9 +61,17 @@ class Family:
 
     def drawing(self, marker: int) -> MarkerDrawing:
         """Return what OpenCV draws of a marker."""
-        dictionary = marker_dictionary(self.dictionary)
-        cells = dictionary.markerSize + 2
-        return MarkerDrawing(dictionary.generateImageMarker(marker, cells) / 255.0)
+        return MarkerDrawing(self._cells(range(marker, marker + 1), 1)[0])
+
+    def printed(self, markers: range, border: int = 1) -> Array:
+        """Return the cells (M, n, n) of markers as they are printed, 1 is white; border: of black, around the bits."""
+        cells = self._cells(markers, border)
+        return np.rot90(cells, 2, axes=(1, 2)) if self.turned else cells
+
+    def _cells(self, markers: range, border: int) -> Array:
+        dictionary, side = marker_dictionary(self.dictionary), self.bits + 2 * border
+        drawings = [dictionary.generateImageMarker(marker, side, borderBits=border) for marker in markers]
+        return np.array(drawings) / 255.0
 
     def as_printed(self, corners: Array) -> Array:
         """Return corners (..., 4, k) from the top-left of OpenCV's drawing on, from the top-left as printed on."""

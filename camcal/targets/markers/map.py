@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.geometry.homography import through
 
 BENDS = 6
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])  # clockwise from the top-left
@@ -57,8 +58,7 @@ def straight(entries: Array, places: Array) -> Straight:
 def places_of(entries: Array, pixels: Array) -> Array:
     """Return the places (K, 2), as u, v, that a homography (8,) puts at pixels (K, 2)."""
     inverse = np.linalg.inv(np.append(entries, 1.0).reshape(3, 3))
-    scaled = pixels @ inverse[:, :2].T + inverse[:, 2]
-    return np.asarray(scaled[:, :2] / scaled[:, 2:])
+    return through(inverse, pixels)
 
 
 def bends(entries: Array, places: Array, middle: Array, radius: float) -> Array:

@@ -10,7 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.targets.printing.footer import RULER_MM, Footer
 from camcal.targets.printing.ink import Ink
 from camcal.targets.printing.page import Page
-from camcal.targets.printing.paper import MAX_SIDE_MM, SERIES, Paper, ways
+from camcal.targets.printing.paper import MAX_SIDE_MM, MM_PER_INCH, SERIES, Paper, ways
 from camcal.targets.printing.pdf import pdf
 from camcal.targets.printing.png import dots_per_mm, png
 from camcal.targets.printing.svg import svg
@@ -65,7 +65,7 @@ def require_fine(ink: Ink, dpi: float) -> None:
     """Raise InvalidInput for a resolution in which the details of a board would be lost."""
     pixels = ink.finest * dots_per_mm(dpi)
     if pixels < MIN_PIXELS:
-        enough = math.ceil(MIN_PIXELS / ink.finest * 25.4)
+        enough = math.ceil(MIN_PIXELS / ink.finest * MM_PER_INCH)
         raise InvalidInput(
             f"at {dpi:g} dpi the smallest part of the board, {ink.finest:.3g} mm, has {pixels:.1f} pixels; "
             f"it takes {MIN_PIXELS}: use {enough} dpi or more"

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 from camcal.errors import InvalidInput
 
-MAX_SIDE_MM = 14_400 / 72 * 25.4  # the largest page that every reader of PDF opens
+MM_PER_INCH = 25.4
+POINTS_PER_MM = 72 / MM_PER_INCH
+MAX_SIDE_MM = 14_400 / 72 * MM_PER_INCH  # the largest page that every reader of PDF opens
 
 _CUSTOM = re.compile(r"(\d+(?:\.\d*)?)x(\d+(?:\.\d*)?)(?:mm)?", re.IGNORECASE)
 

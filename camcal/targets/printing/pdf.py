@@ -6,8 +6,7 @@ from itertools import pairwise
 
 from camcal.arrays import Array
 from camcal.targets.printing.page import Page, Text
-
-POINTS_PER_MM = 72 / 25.4
+from camcal.targets.printing.paper import POINTS_PER_MM
 
 _EIGHTH = math.pi / 8  # half of an arc
 _REACH = 4 / 3 * math.tan(_EIGHTH / 2)  # of a Bézier curve's handles; eight arcs are round to 5e-6 of the radius

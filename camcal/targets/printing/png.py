@@ -11,8 +11,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.targets.printing.page import Page, Text
+from camcal.targets.printing.paper import MM_PER_INCH
 
-MM_PER_INCH = 25.4
 MAX_PIXELS = 400_000_000
 
 _BAND = 256  # rows of pixels drawn at a time

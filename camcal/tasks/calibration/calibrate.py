@@ -151,7 +151,7 @@ def _refined(
     }
     better = replace(seen, detections=replace(seen.detections, views=look.views), colours=colours)
     progress.start("solving again", None)
-    again = _attempt(better, replace(how, model=calibration.camera.model, guess=calibration.camera))
+    again = _attempt(better, replace(how, model=calibration.camera.model))
     progress.finish()
     if again is None:
         return seen, calibration, "a second look at the corners led to no calibration; the first one stands"

@@ -225,15 +225,7 @@ def _detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False
     photograph = read_photograph(path, reading)
     sighting = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
     height, width = photograph.gray.shape
-    found = Detection(
-        path.as_posix(),
-        (width, height),
-        sighting.ids,
-        sighting.pixels,
-        sighting.covariance,
-        reason=sighting.reason,
-        orientation=photograph.orientation,
-    )
+    found = sighting.in_image(path.as_posix(), (width, height), photograph.orientation)
     return Seen(found, sighting.pattern, in_colours(photograph, found, board), photograph.demosaiced)
 
 

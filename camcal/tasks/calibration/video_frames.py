@@ -172,15 +172,7 @@ def look_at(task: tuple[str, Frame, Board], parts: bool = False) -> FrameLook:
     _, frame, board = task
     gray = frame.image.pixels
     sighting = detect(gray, board, partial=parts)
-    found = Detection(
-        frame.name,
-        frame.image.size,
-        sighting.ids,
-        sighting.pixels,
-        sighting.covariance,
-        reason=sighting.reason,
-        orientation=frame.image.orientation,
-    )
+    found = sighting.in_image(frame.name, frame.image.size, frame.image.orientation)
     if not sighting.found:
         return FrameLook(found, sighting.pattern)
     copy = reduced(gray)

@@ -1,7 +1,6 @@
 """What the frames of videos show of a board."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -63,11 +62,7 @@ def _frames(videos: Iterable[Path]) -> Iterator[_Frame]:
 def _detect(frame: _Frame, board: Board) -> Detection:
     if isinstance(frame.image, CamcalError):
         raise frame.image
-    sighting = detect(frame.image.pixels, board)
-    found = Detection(
-        frame.name, frame.image.size, sighting.ids, sighting.pixels, sighting.covariance, reason=sighting.reason
-    )
-    return replace(found, orientation=frame.image.orientation)
+    return detect(frame.image.pixels, board).in_image(frame.name, frame.image.size, frame.image.orientation)
 
 
 def _arranged(video: Path, board: Board) -> Board:
