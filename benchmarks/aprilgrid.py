@@ -86,8 +86,10 @@ def rendered(views: int) -> None:
         + "|"
     )
     for pitch, blur, tilt in product(PITCHES, BLURS, TILTS):
-        tags, corners = (np.concatenate([errors(board, pitch, blur, tilt, view) for view in range(views)]) for board in
-                         (APRILGRID, CHESSBOARD))  # fmt: skip
+        tags, corners = (
+            np.concatenate([errors(board, pitch, blur, tilt, view) for view in range(views)])
+            for board in (APRILGRID, CHESSBOARD)
+        )
         ours, theirs = (np.sqrt(np.mean(part[:, :2] ** 2)) for part in (tags, corners))
         gap = pitch * GAP * np.cos(tilt) / np.hypot(blur, np.sqrt(1 / 12))
         print(

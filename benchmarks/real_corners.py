@@ -2,9 +2,9 @@
 
 Every row: images found by camcal, by findChessboardCornersSB and by its EXHAUSTIVE | ACCURACY form, of how many; RMS
 of camcal's own calibration (one lens model, smooth board shape, corners alike) from camcal's corners, SB's, SB
-accurate's, and those of cornerSubPix (half-window 5 px, from SB's); for the same four, the RMS by which calibrations from
-odd and from even images differ within the radius that corners reach (a rotation of the camera taken out). px; - where a
-half does not hold a calibration.
+accurate's, and those of cornerSubPix (half-window 5 px, from SB's); for the same four, the RMS by which calibrations
+from odd and from even images differ within the radius that corners reach (a rotation of the camera taken out). px; -
+where a half does not hold a calibration.
 
     CAMCAL_TEST_DATA=FOLDER python benchmarks/real_corners.py [--sets NAME …] [--jobs 2]
 """

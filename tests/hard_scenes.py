@@ -21,7 +21,6 @@ FOV = np.radians(60)
 RIM = 1.4  # squares around the corners that are in the image
 SHEET = 1.75  # squares around the corners to the edge of the sheet
 
-
 _CRISP = Exposure(blur_px=0.8, noise_dn=2.0, black=0.1, white=0.8)
 
 
@@ -29,8 +28,7 @@ _CRISP = Exposure(blur_px=0.8, noise_dn=2.0, black=0.1, white=0.8)
 class Scene:
     """How a picture is taken: squares of so many pixels, tilted by up to so many degrees, and what spoils it.
 
-    cover: share of the board's extent that a hand hides. bend: the k1 of a
-    lens. size: of the image.
+    cover: share of the board's extent that a hand hides. bend: the k1 of a lens. size: of the image.
     """
 
     square_px: tuple[float, float] = (25, 60)

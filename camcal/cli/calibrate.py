@@ -1,5 +1,6 @@
 """`camcal calibrate`."""
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,7 @@ from camcal.cli import options as shared
 from camcal.cli import show, targets
 
 if TYPE_CHECKING:
+    from camcal.calibrate.intrinsics import RejectedCorner
     from camcal.tasks.calibration.calibrate import CalibrateReport
 
 LISTED = 10
@@ -156,9 +158,7 @@ def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
         show.text(line)
     _show_channels(report)
     _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
-    corners = [
-        f"  {corner.image}: corner {corner.id}, off by {corner.distance:.2f} px" for corner in calibration.rejected
-    ]
+    corners = [f"  {corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
     _list("Rejected corners:", corners, verbose)
     for remark in report.advice.remarks:
         show.text(f"note: {remark}")
@@ -180,6 +180,11 @@ def _show_channels(report: "CalibrateReport") -> None:
         rows.append([colour, *corner, *largest, lens.points, lens.rejected, f"{lens.sigma_px:.3f}"])
     header = ["colour", "outwards at the corner", "± std", "largest", "± std", "corners", "rejected", "noise"]
     show.table("lateral chromatic aberration against green, px", header, rows)
+
+
+def _how_far(corner: "RejectedCorner") -> str:
+    """Return how far a rejected corner is off in words; one that the lens does not see at all is nowhere near."""
+    return f"off by {corner.distance:.2f} px" if isfinite(corner.distance) else "beyond what the lens model covers"
 
 
 def _list(title: str, lines: list[str], verbose: bool) -> None:

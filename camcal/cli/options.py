@@ -35,7 +35,20 @@ def _apply_settings(context: typer.Context, path: Path | None) -> Path | None:
     return path
 
 
-Output = Annotated[Path, typer.Option("--output", "-o", metavar="PATH", help="Where to write the result.")]
+def _not_the_settings(context: typer.Context, path: Path | None) -> Path | None:
+    """Refuse to write the result over the settings file that was just read."""
+    settings = context.params.get("config")
+    if path is not None and settings is not None:
+        from camcal.run.outputs import refuse_overwriting
+
+        refuse_overwriting([path], [settings])
+    return path
+
+
+Output = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="PATH", callback=_not_the_settings, help="Where to write the result."),
+]
 Jobs = Annotated[
     int | None,
     typer.Option("--jobs", "-j", metavar="N", min=1, help="Cores to work on; by default all this process may use."),

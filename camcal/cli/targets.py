@@ -98,7 +98,8 @@ def detect(
         _show(report, verbose)
         show.text(f"wrote {output}")
         if report.pictures:
-            show.text(f"drew {len(report.pictures)} pictures in {draw}")
+            count = len(report.pictures)
+            show.text(f"drew {count} picture{'s' if count > 1 else ''} in {draw}")
     if report.failed:
         raise ItemsFailed(f"{len(report.failed)} of the images could not be read, the rest is written")
 

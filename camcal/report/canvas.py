@@ -94,7 +94,7 @@ class Canvas:
 
 def _caption(lines: Sequence[str], width: int) -> Array:
     """Return a strip (H, width, 3) with lines of text."""
-    size = width / 900 * 0.5
+    size = width / LEAST_WIDTH * 0.5
     step, thickness = round(40 * size), max(1, round(size))
     strip = np.full((step * len(lines) + step // 2, width, 3), PAPER, np.uint8)
     for row, line in enumerate(lines, start=1):

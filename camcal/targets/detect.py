@@ -17,7 +17,7 @@ from camcal.targets.sighting import Sighting
 
 SEED = 0  # of OpenCV's random numbers, set anew for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them
-MIN_CORNERS = 3  # a side of a chessboard, for the detectors' sake
+LEAST_SIDE = 3  # corners along a side of a chessboard; fewer may be anything
 
 _FINDERS: Mapping[str, Callable[[Array, Board], Sighting]] = {
     CHARUCO: find_charuco,
@@ -60,7 +60,7 @@ def require_findable(board: Board, *, partial: bool = False) -> None:
         require_markers(board)
     elif board.type == APRILGRID:
         family_named(board.dictionary or "").require(board.first_marker, board.columns * board.rows)
-    elif board.type == CHESSBOARD and min(board.columns, board.rows) < MIN_CORNERS:
+    elif board.type == CHESSBOARD and min(board.columns, board.rows) < LEAST_SIDE:
         size = f"{board.columns} x {board.rows}"
         raise InvalidInput(f"a chessboard of {size} inner corners cannot be found; it takes 3 x 3 at least")
     elif partial and board.type in (CIRCLES, ASYMMETRIC_CIRCLES):

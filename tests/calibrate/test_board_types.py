@@ -25,7 +25,7 @@ TERMS = tuple(term for tier in TIERS.values() for term in tier)
 
 @pytest.mark.parametrize("form", BOARDS.values(), ids=BOARDS)
 def test_the_terms_of_a_shape_are_those_of_the_formulas(form):
-    """1 - x² and x³ - x over [-1, 1] on the points, written here from their definition."""
+    """Legendre polynomials over [-1, 1] on the points, written here from their definition; equal but for rounding."""
     board = parse_board(form)
     x, y = (2 * board.points()[:, :2] / np.array(board.extent) - 1).T
     columns = dict(zip(TERMS, np.moveaxis(basis(board, TERMS), 2, 0), strict=True))

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from filmed import between
 
 from camcal.calibrate.frames import (
     BLURRED,
@@ -22,8 +23,6 @@ from camcal.calibrate.frames import (
 )
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
 from camcal.quality.forecast import calibration_std
 from camcal.simulate.observe import observe
 from camcal.simulate.scene import views
@@ -33,11 +32,6 @@ BOARD = Board("chessboard", 9, 6, 0.025)
 SIZE = (1280, 1024)
 CAMERA = Camera(model_named("opencv5"), SIZE, np.array([1000.0, 1000, 640, 512, -0.1, 0.03, 0, 0, 0]))
 NOISE = 0.1
-
-
-def between(first, last, share):
-    turn = so3.log(last.rotation @ first.rotation.T)
-    return Pose(so3.exp(share * turn) @ first.rotation, (1 - share) * first.translation + share * last.translation)
 
 
 def film(stops, seed=0, lingering=1):
@@ -78,9 +72,8 @@ def test_the_first_frames_chosen_are_worth_more_than_the_next_ones():
     poses = film(12)
     choices = choose_frames(looks_of(poses), BOARD, 30)
     ranked = sorted(chosen(choices), key=lambda index: choices[index].rank)
-    assert (
-        forecast(poses, ranked[:15]) < forecast(poses, ranked[15:])
-    ).mean() > 0.8  # one of nine may go the other way
+    better = forecast(poses, ranked[:15]) < forecast(poses, ranked[15:])
+    assert better.mean() > 0.8  # one of nine parameters may go the other way
 
 
 def test_the_same_frames_are_chosen_from_the_same_film():
@@ -129,9 +122,8 @@ def test_blurred_and_fast_frames_are_left_out_and_told_apart():
     assert [choices[index].why for index in (3, 5, 7)] == [BLURRED, MOVING, MOVING]
     assert not choices[3].chosen
     assert choices[3].error_px > 5 * choices[0].error_px
-    assert choices[6].error_px == pytest.approx(
-        choices[0].error_px
-    )  # what is not known is taken to be as good as usual
+    # what is not known is taken to be as good as usual
+    assert choices[6].error_px == pytest.approx(choices[0].error_px)
 
 
 def test_pictures_that_were_taken_one_by_one_are_chosen_for_what_they_tell():

@@ -7,7 +7,8 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.formats import detections, native
+from camcal.formats import boards, detections, native
+from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.observe import observe
@@ -106,6 +107,41 @@ def test_an_input_is_never_overwritten(run, table):
     assert code == 2
     assert "not overwritten" in err
     assert table.read_bytes() == before
+
+
+@pytest.mark.parametrize("option", ["--board", "--guess", "--config"])
+def test_a_board_a_guess_or_settings_are_never_overwritten(run, table, tmp_path, option):
+    file = tmp_path / "file.yaml"
+    if option == "--board":
+        boards.write(file, BOARD)
+    elif option == "--guess":
+        native.write(file, CameraFile({"camera": CameraEntry(CAMERA)}))
+    else:
+        file.write_text("flat-board: true\n")
+    before = file.read_bytes()
+    code, _, err = run("calibrate", table, option, file, "-o", file)
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "file.yaml: is an input and is not overwritten" in err
+    assert file.read_bytes() == before
+
+
+def test_an_image_of_a_folder_is_never_overwritten(run, tmp_path):
+    image = tmp_path / "photos" / "1.png"
+    image.parent.mkdir()
+    image.write_bytes(b"a picture")
+    code, _, err = run("calibrate", image.parent, "--board", "chessboard:9x6:25mm", "-o", image)
+    assert code == 2
+    assert "1.png: is an input and is not overwritten" in err
+    assert image.read_bytes() == b"a picture"
+
+
+@pytest.mark.parametrize(("name", "words"), [("camera.yaml", "written as .csv or .vnl"), ("same.csv", "of their own")])
+def test_saved_detections_have_a_suffix_and_a_place_of_their_own(run, table, tmp_path, name, words):
+    output = tmp_path / ("camera.yaml" if name.endswith(".yaml") else name)
+    code, _, err = run("calibrate", table, "-o", output, "--save-detections", tmp_path / name)
+    assert code == 2
+    assert words in err
+    assert not output.exists()
 
 
 def test_fronto_parallel_views_end_with_exit_4_and_the_reason(run, tmp_path):

@@ -105,7 +105,7 @@ def test_rows_of_a_board_that_looks_the_same_turned_run_alike_in_all_views(real_
         grid = find_chessboard(load_gray(path), wanted).pixels.reshape(wanted.rows, wanted.columns, 2)
         along = grid[:, -1] - grid[:, 0]
         angle = np.degrees(np.arctan2(*along.sum(axis=0)[::-1]))
-        assert -70 < angle < 110
+        assert -70 < angle < 110  # half a turn around 20°, see grid.uprightness
 
 
 def test_a_board_that_leaves_the_image_is_numbered_by_the_sides_in_sight(real_data):
@@ -119,7 +119,7 @@ def test_a_board_that_leaves_the_image_is_numbered_by_the_sides_in_sight(real_da
 def test_a_picture_of_the_board_on_a_screen_is_not_the_board(real_data):
     gray = load_gray(real_data / "chessboard" / "opencv-left-right" / "left12.jpg")
     grid = find_chessboard(gray, parse_board("chessboard:9x6")).pixels
-    assert np.ptp(grid, axis=0).min() > 200
+    assert np.ptp(grid, axis=0).min() > 200  # px; the picture on the screen is smaller than 100
 
 
 @pytest.mark.parametrize("folder", ["demosaic_gt/kodak24", "stereo_gt/middlebury2014-motorcycleQ"])

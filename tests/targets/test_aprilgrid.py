@@ -15,6 +15,7 @@ from camcal.targets.board import parse_board
 
 BOARD = parse_board("aprilgrid:4x3:60mm:0.3")
 SIZE = (480, 360)
+MEASURED = 0.03  # px: four standard deviations; the next corner is 14 px away
 CAMERA = make_camera(model_named("opencv4"), SIZE, np.radians(70))
 FISHEYE = make_camera(model_named("kannala_brandt4"), SIZE, np.radians(150))
 
@@ -46,7 +47,7 @@ def test_all_corners_are_found_in_the_order_of_their_ids(plain):
     image, truth = plain
     sighting = find_aprilgrid(image, BOARD)
     assert sighting.ids.tolist() == list(range(48))
-    assert np.abs(errors(sighting, truth)).max() < 0.03  # four standard deviations; the next corner is 14 px away
+    assert np.abs(errors(sighting, truth)).max() < MEASURED
 
 
 def test_the_covariance_is_that_of_the_errors():
@@ -63,7 +64,7 @@ def test_a_board_turned_upside_down_keeps_its_ids():
     image, truth = picture(pose=placed(BOARD, CAMERA, 60, turn=(0.2, 0.1, 3.0)))
     sighting = find_aprilgrid(image, BOARD)
     assert len(sighting.ids) == 48
-    assert np.abs(errors(sighting, truth)).max() < 0.03
+    assert np.abs(errors(sighting, truth)).max() < MEASURED
 
 
 def test_tags_on_the_rim_of_a_fisheye_image_are_found():
@@ -78,7 +79,7 @@ def test_small_blurred_tags_that_cannot_be_read_one_by_one_are_read_together():
     image, truth = picture(pose=placed(BOARD, CAMERA, 22, turn=(0.1, 0.1, 0.2)), blur_px=1.0)
     sighting = find_aprilgrid(image, BOARD)
     assert len(sighting.ids) == 48
-    assert np.abs(errors(sighting, truth)).max() < 0.1
+    assert np.abs(errors(sighting, truth)).max() < 0.1  # tags of 17 px have a third of the edges
 
 
 def test_a_blur_that_brings_the_next_edges_in_moves_no_corner():
@@ -106,7 +107,7 @@ def test_a_board_that_is_partly_outside_the_image_is_found():
     assert 8 < inside.sum() < 40
     sighting = find_aprilgrid(image, BOARD)
     assert set(np.flatnonzero(inside)) <= set(sighting.ids)
-    assert np.abs(errors(sighting, truth)).max() < 0.1
+    assert np.abs(errors(sighting, truth)).max() < 0.1  # the image's rim cuts into some windows
 
 
 def test_corners_of_a_board_cut_along_its_tags_are_no_crossings(plain):
@@ -143,7 +144,7 @@ def test_one_tag_is_a_board():
     image, truth = picture(board, pose=placed(board, CAMERA, 120))
     sighting = find_aprilgrid(image, board)
     assert sighting.ids.tolist() == [0, 1, 2, 3]
-    assert np.abs(errors(sighting, truth)).max() < 0.03
+    assert np.abs(errors(sighting, truth)).max() < MEASURED
 
 
 def test_the_same_image_gives_the_same_corners(plain):

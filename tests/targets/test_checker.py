@@ -37,9 +37,8 @@ def test_a_corner_proposed_in_the_wrong_place_is_put_right():
 
 
 def test_the_contrast_is_half_of_bright_minus_dark():
-    assert settle(IMAGE, GRID).contrast == pytest.approx(
-        95, rel=0.2
-    )  # 30 and 220; the picture of the look has a blur of its own
+    # (220 - 30) / 2; the picture of the look has a blur of its own
+    assert settle(IMAGE, GRID).contrast == pytest.approx(95, rel=0.2)
 
 
 def test_hidden_corners_are_left_out():

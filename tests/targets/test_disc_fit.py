@@ -58,7 +58,7 @@ def test_the_pictures_derivatives_are_its_slopes():
     along = picture(distance + h, curvature, blur).value - picture(distance - h, curvature, blur).value
     np.testing.assert_allclose(seen.by_distance, along / 2 / h, atol=1e-6)  # the constants are of single precision
     wider = picture(distance, curvature, blur + h).value - picture(distance, curvature, blur - h).value
-    np.testing.assert_allclose(seen.by_blur, wider / 2 / h, atol=1e-6)
+    np.testing.assert_allclose(seen.by_blur, wider / 2 / h, atol=1e-6)  # likewise
 
 
 @pytest.mark.parametrize("short", [9.0, 5.0, 2.5])
@@ -83,8 +83,8 @@ def test_ellipses_are_found_to_a_hundredth_of_a_pixel(blur):
     # an edge drawn by eight rays is placed to 1/16 px where it runs along a row, and far better on the whole
     np.testing.assert_allclose(fits.ellipses.centres, truth.centres, atol=0.01)
     np.testing.assert_allclose(fits.ellipses.axes, truth.axes, atol=0.05)  # the rule of three points, and the rays
-    np.testing.assert_allclose(fits.blur, blur, rtol=0.05)
-    assert fits.agreement.min() > 0.999
+    np.testing.assert_allclose(fits.blur, blur, rtol=0.05)  # likewise
+    assert fits.agreement.min() > 0.999  # whole gray levels and the rays, of a contrast of 160
 
 
 def test_covariances_are_those_of_many_trials():
@@ -95,7 +95,7 @@ def test_covariances_are_those_of_many_trials():
     away = fits.ellipses.centres - truth.centres
     squared = np.einsum("ni,nij,nj->n", away, np.linalg.inv(fits.covariance), away)
     assert 0.7 < squared.mean() / 2 < 1.4  # chi² of 120 values over their number, to 3 σ
-    assert np.median(fits.noise) == pytest.approx(4, rel=0.05)
+    assert np.median(fits.noise) == pytest.approx(4, rel=0.05)  # of some hundred samples a dot, over 60 dots
 
 
 def test_a_dot_that_is_not_there_is_not_found():

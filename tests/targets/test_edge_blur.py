@@ -58,7 +58,7 @@ def test_motion_counts_though_it_leaves_the_edges_along_it_sharp(roll, upright):
 def test_a_sharper_frame_is_told_from_a_blurred_one_of_a_small_board():
     board = Board("chessboard", 14, 12)
     sharp, soft = (edge_blur(*photo(board, blur)) for blur in (0.7, 1.4))
-    assert soft > 1.4 * sharp
+    assert soft > 1.4 * sharp  # the pixel's own included, they are 1.43 and 0.76 px
 
 
 def test_points_on_the_rim_of_the_image_have_no_blur():

@@ -24,7 +24,7 @@ def curved(coefficients):
 @given(st.lists(number, min_size=12, max_size=12))
 def test_a_quadratic_grid_predicts_itself(coefficients):
     grid = curved(coefficients)
-    np.testing.assert_allclose(grids.predict(grid), grid, atol=1e-9)
+    np.testing.assert_allclose(grids.predict(grid), grid, atol=1e-9)  # rounding
     assert np.nanmax(grids.stray(grid)) < 1e-9
 
 
@@ -33,7 +33,7 @@ def test_a_missing_corner_is_put_where_it_belongs():
     holes = grid.copy()
     holes[2, 3] = holes[0, 0] = holes[4, 6] = np.nan
     missing = np.isnan(holes)
-    np.testing.assert_allclose(grids.predict(holes)[missing], grid[missing], atol=1e-9)
+    np.testing.assert_allclose(grids.predict(holes)[missing], grid[missing], atol=1e-9)  # rounding
 
 
 def test_a_wrong_neighbour_is_outvoted():

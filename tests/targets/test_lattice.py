@@ -70,7 +70,7 @@ def test_what_is_printed_in_the_squares_does_not_tie_corners_to_the_wrong_neighb
     found = patterns(find_saddles(picture(CHARUCO, TILTED, SIZE, noise=3.0)))
     ids, away = ids_of(found[0], CHARUCO, TILTED)
     corners = away < 1
-    assert corners.sum() > 0.7 * CHARUCO.count
+    assert corners.sum() > 0.7 * CHARUCO.count  # 34 of 35 measured; any may be linked to a marker
     assert is_block(np.where(corners, ids, -1), CHARUCO)
 
 

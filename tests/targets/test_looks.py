@@ -42,7 +42,7 @@ def test_an_edge_and_the_outer_corner_of_a_square_do_not_look_like_corners():
     image = picture(BOARD, TILTED, SIZE)
     edge = glance(image, PIXELS + STEPS[..., 0] / 2, STEPS, 0.15)
     assert edge.agreement.max() < 0.2
-    wide = grids.predict(np.pad(GRID, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan))
+    wide = grids.predict(grids.padded(GRID))
     rim = np.concatenate([wide[0, 1:-1], wide[-1, 1:-1]])
     steps = np.concatenate([grids.steps(wide)[0, 1:-1], grids.steps(wide)[-1, 1:-1]])
     assert glance(image, rim, steps, 0.15).agreement.max() < 0.75  # as checker.AGREEMENT asks

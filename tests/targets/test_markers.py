@@ -84,10 +84,11 @@ def test_markers_of_every_family_begin_at_the_top_left_as_printed(family):
 def test_apriltags_are_upright_as_the_apriltag_project_prints_them():
     # Code 0 of tag36h11 in AprilTag 2, whose bits go row by row from the top-left
     bits = np.array([int(bit) for bit in f"{0xD5D628584:036b}"]).reshape(6, 6)
-    drawn = family_named("tag36h11").drawing(0).ink[1:-1, 1:-1]
-    assert np.array_equal(drawn[::-1, ::-1], bits)
-    assert family_named("tag36h11").turned
-    assert not family_named("DICT_APRILTAG_36h11").turned
+    family = family_named("tag36h11")
+    assert np.array_equal(family.printed(range(1))[0, 1:-1, 1:-1], bits)
+    assert np.array_equal(family.printed(range(1), border=2)[0], np.pad(bits, 2))
+    assert np.array_equal(family.drawing(0).ink[1:-1, 1:-1], bits[::-1, ::-1])
+    assert np.array_equal(family_named("DICT_APRILTAG_36h11").printed(range(1))[0, 1:-1, 1:-1], bits[::-1, ::-1])
 
 
 @pytest.mark.parametrize("name", ["36h11", "tag36h11", "TAG36H11"])

@@ -49,3 +49,13 @@ def test_points_in_one_row_are_none():
 def test_covariances_of_another_number_of_points_are_refused():
     with pytest.raises(InvalidInput, match="covariance has shape"):
         Sighting(np.arange(4), np.zeros((4, 2)), covariance=np.zeros((3, 2, 2)))
+
+
+def test_what_was_seen_in_an_image_is_recorded_under_its_name():
+    covariance = np.tile(0.01 * np.eye(2), (12, 1, 1))
+    sighting = Sighting(np.arange(12), grid(3, 4).reshape(-1, 2), covariance=covariance)
+    view = sighting.in_image("a.png", (640, 480), orientation=6)
+    assert (view.image, view.size, view.orientation, view.reason) == ("a.png", (640, 480), 6, None)
+    assert np.array_equal(view.pixels, sighting.pixels)
+    assert np.array_equal(view.covariance, covariance)
+    assert Sighting.nothing("no board").in_image("b.png", (640, 480)).reason == "no board"

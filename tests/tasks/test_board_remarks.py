@@ -62,6 +62,12 @@ def test_another_size_that_is_proposed_keeps_the_dots():
     assert str(error).endswith("sizes count inner corners, not squares: use --board chessboard:9x6:dots")
 
 
+@pytest.mark.parametrize(("pattern", "parts"), [((6, 4), False), ((6, 4), True), ((11, 4), False)])
+def test_a_smaller_pattern_may_be_a_part_unless_parts_count_already(pattern, parts):
+    error = nothing_found([NOTHING], [pattern], parse_board("chessboard:9x6:25mm"), parts=parts)
+    assert ("or --partial" in str(error)) == (pattern == (6, 4) and not parts)
+
+
 @pytest.mark.parametrize("form", ["aprilgrid:2x2:88mm:0.3", "circles:3x3", "asymmetric_circles:3x3"])
 def test_a_board_that_was_found_is_no_error(form):
     board = parse_board(form)

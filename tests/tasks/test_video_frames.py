@@ -12,14 +12,13 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
+from filmed import between
 
 from camcal.calibrate.frames import BLURRED, MOVING
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
-from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
 from camcal.images.video import frame_name
 from camcal.progress import SILENT
 from camcal.simulate.render import Exposure, render
@@ -53,11 +52,6 @@ class Shot:
 
     def name(self, number):
         return frame_name(self.path, number)
-
-
-def between(first, last, share):
-    turn = so3.log(last.rotation @ first.rotation.T)
-    return Pose(so3.exp(share * turn) @ first.rotation, (1 - share) * first.translation + share * last.translation)
 
 
 def shoot(path, board=BOARD, count=STOPS, seed=1):

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 from typing import Any
 
 from camcal.errors import InvalidInput
@@ -27,6 +28,7 @@ Fields = dict[str, Any]
 
 _SIZE = re.compile(r"(\d{1,9})x(\d{1,9})$")
 _NAME = re.compile(r"(?!nan|inf)[A-Za-z]", re.IGNORECASE)
+_LIKENESS = 0.7  # of a misspelt type
 _DIGITS = 17  # that tell any number of 64 bits from the next
 _LENGTH = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(mm|cm|m|in)$")
 
@@ -35,6 +37,8 @@ def fields_of(text: str) -> Fields:
     """Return the fields of the Board a short form stands for. Raises InvalidInput that names the part at fault."""
     kind, *parts = text.split(":")
     if kind not in FORMS:
+        if near := get_close_matches(kind, FORMS, n=1, cutoff=_LIKENESS):
+            raise _unlike(text, "did you mean", near[0])
         raise InvalidInput(f"board {text!r}: expected {'; '.join(FORMS.values())}; or a YAML file")
     if not parts:
         raise _unlike(text, "expected", kind)
@@ -57,10 +61,14 @@ def _charuco(text: str, parts: list[str]) -> Fields:
     legacy: bool | None = None
     if parts and parts[-1] in ("legacy", "current"):
         legacy, parts = parts[-1] == "legacy", parts[:-1]
-    if len(parts) not in (2, 3):
+    if len(parts) not in (2, 3) or (len(parts) == 2 and _LENGTH.match(parts[0])):
         raise _unlike(text, "a ChArUco board is", CHARUCO)
     square = _length(text, parts[0]) if len(parts) == 3 else None
-    marker = _length(text, parts[1]) if len(parts) == 3 else _share(text, parts[0], "the marker's share of the square")
+    marker = (
+        _length(text, parts[1])
+        if len(parts) == 3
+        else _share(text, parts[0], "the marker's share of the square, such as 0.75")
+    )
     return {"square": square, "marker": marker, "dictionary": parts[-1], "legacy": legacy}
 
 
@@ -70,7 +78,7 @@ def _aprilgrid(text: str, parts: list[str]) -> Fields:
         family, parts = parts[-1], parts[:-1]
     if len(parts) not in (1, 2):
         raise _unlike(text, "an AprilGrid is", APRILGRID)
-    spacing = _share(text, parts[-1], "the spacing as a share of the tag")
+    spacing = _share(text, parts[-1], "the spacing as a share of the tag, such as 0.3")
     return aprilgrid_fields(_length(text, parts[0]) if len(parts) == 2 else None, spacing) | {"dictionary": family}
 
 
@@ -97,7 +105,8 @@ def _circles(text: str, parts: list[str]) -> Fields:
     if len(parts) > 2:
         raise _unlike(text, "too many parts; a grid of circles is", text.partition(":")[0])
     if len(parts) == 1 and not _LENGTH.match(parts[0]):
-        return {"diameter": _share(text, parts[0], "a length with its unit or the diameter's share of the distance")}
+        what = "a length with its unit, such as 25mm, or the diameter's share of the distance, such as 0.6"
+        return {"diameter": _share(text, parts[0], what)}
     lengths = [_length(text, part) for part in parts]
     return dict(zip(("square", "diameter"), lengths, strict=False))
 
@@ -128,5 +137,5 @@ def _share(text: str, part: str, what: str) -> float:
     except ValueError:
         share = math.nan
     if not 0 < share < math.inf:
-        raise InvalidInput(f"board {text!r}: {part!r} is not {what}, such as 0.75")
+        raise InvalidInput(f"board {text!r}: {part!r} is not {what}")
     return share

@@ -101,7 +101,7 @@ def _bits(gray: Array, checker: Checker, share: float, side: int) -> tuple[Array
 
     side: cells across a marker, border included. Squares beyond the outer corners are among them.
     """
-    wide = grids.predict(np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan))
+    wide = grids.predict(grids.padded(checker.grid))
     wide[1:-1, 1:-1] = np.where(checker.found[..., None], checker.grid, wide[1:-1, 1:-1])
     row, column = np.indices((wide.shape[0] - 1, wide.shape[1] - 1)).reshape(2, -1)
     corners = np.stack([wide[row, column], wide[row, column + 1], wide[row + 1, column], wide[row + 1, column + 1]])

@@ -117,7 +117,7 @@ def extended(gray: Array, checker: Checker) -> Checker:
     A board of the stated size comes back as it is.
     """
     for _ in range(MAX_EXTENSION):
-        wide = np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+        wide = grids.padded(checker.grid)
         beyond = np.pad(np.zeros_like(checker.found), 1, constant_values=True)
         places = np.where(beyond[..., None], grids.predict(wide), wide)
         if not any(_sides(_hinted(gray, places, beyond, checker))):
@@ -147,8 +147,7 @@ def _hinted(gray: Array, places: Array, where: Array, checker: Checker) -> Array
 
 def _sides(there: Array) -> tuple[bool, bool, bool, bool]:
     """Return for the top, bottom, left and right side of a grid (rows, columns) whether most of it is there."""
-    sides = (there[0, 1:-1], there[-1, 1:-1], there[1:-1, 0], there[1:-1, -1])
-    top, bottom, left, right = (bool(side.mean() > SIDE) for side in sides)
+    top, bottom, left, right = (bool(side.mean() > SIDE) for side in grids.outer(there))
     return top, bottom, left, right
 
 

@@ -84,7 +84,6 @@ def _part_or_another(gray: Array, checker: Checker, board: Board) -> Sighting:
 
 def _leaves(gray: Array, pattern: Array) -> bool:
     """Return whether the next row or column of a pattern would lie outside the image."""
-    wide = grids.predict(np.pad(pattern, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan))
+    wide = grids.predict(grids.padded(pattern))
     outside = np.asarray(((wide < 0) | (wide > np.array(gray.shape[::-1]) - 1)).any(axis=-1))
-    sides = (outside[0, 1:-1], outside[-1, 1:-1], outside[1:-1, 0], outside[1:-1, -1])
-    return any(side.mean() > SIDE for side in sides)
+    return any(side.mean() > SIDE for side in grids.outer(outside))

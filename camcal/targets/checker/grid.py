@@ -24,6 +24,19 @@ def predict(grid: Array) -> Array:
     return np.where(np.isnan(best), _median(linear), best)
 
 
+def padded(grid: Array) -> Array:
+    """Return the grid with a row or a column more on each of its sides, NaN there."""
+    return np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+
+
+def outer(values: Array) -> tuple[Array, Array, Array, Array]:
+    """Return what stands along the top, bottom, left and right of a padded grid's values (rows, columns, ...).
+
+    The corners, of which nobody knows to which side they belong, are left out.
+    """
+    return values[0, 1:-1], values[-1, 1:-1], values[1:-1, 0], values[1:-1, -1]
+
+
 def stray(grid: Array) -> Array:
     """Return how far every node (rows, columns) is from the nearest estimate of its neighbours, in steps.
 
@@ -97,11 +110,11 @@ def uprightness(grid: Array) -> float:
 def _neighbours(grid: Array) -> Callable[[Array], Array]:
     """Return what gives the grid moved by an offset (rows, columns), NaN from outside."""
     rows, columns = grid.shape[:2]
-    padded = np.pad(grid, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), constant_values=np.nan)
+    wide = np.pad(grid, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), constant_values=np.nan)
 
     def moved(offset: Array) -> Array:
         row, column = offset + _REACH
-        return np.asarray(padded[row : row + rows, column : column + columns])
+        return np.asarray(wide[row : row + rows, column : column + columns])
 
     return moved
 

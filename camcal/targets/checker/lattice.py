@@ -22,7 +22,7 @@ EDGE = 0.3  # smallest difference across an edge, of what the contrast of its co
 QUARTER = np.pi / 2
 OFF_PERPENDICULAR = np.radians(35)  # of the dark sectors of neighbours
 SKEW = 0.5  # of its shorter sides, by which the fourth corner of a cell is off a parallelogram at most
-MIN_CORNERS = 6
+LEAST = 6  # corners of a pattern, two squares side by side; fewer may be anything
 
 
 def patterns(saddles: Saddles) -> list[Array]:
@@ -30,7 +30,7 @@ def patterns(saddles: Saddles) -> list[Array]:
 
     Each is a grid (rows, columns, 2) of pixels, NaN where no corner was seen, its rows turn clockwise to its columns.
     """
-    if len(saddles.pixels) < MIN_CORNERS:
+    if len(saddles.pixels) < LEAST:
         return []
     links = _around_squares(saddles, _links(saddles))
     found, taken = [], np.zeros(len(links), dtype=bool)
@@ -39,7 +39,7 @@ def patterns(saddles: Saddles) -> list[Array]:
             continue
         places = _counted_off(links, int(seed), taken)
         taken[list(places)] = True
-        if len(places) >= MIN_CORNERS:
+        if len(places) >= LEAST:
             found.append(_grid(saddles, places))
     return sorted(found, key=grids.area, reverse=True)
 

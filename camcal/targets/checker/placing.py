@@ -80,14 +80,12 @@ def _ending_on(board: Board, ids: Array) -> Array:
 
 def _ends(gray: Array, checker: Checker) -> Array:
     """Return on which sides (4,) of a pattern, top, bottom, left, right, the image shows the end of the board."""
-    wide = grids.predict(np.pad(checker.grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan))
+    wide = grids.predict(grids.padded(checker.grid))
     along, down = np.moveaxis(grids.steps(wide), -1, 0)
-    sides = (
-        (wide[0, 1:-1], along[0, 1:-1], -down[0, 1:-1]),
-        (wide[-1, 1:-1], along[-1, 1:-1], down[-1, 1:-1]),
-        (wide[1:-1, 0], down[1:-1, 0], -along[1:-1, 0]),
-        (wide[1:-1, -1], down[1:-1, -1], along[1:-1, -1]),
-    )
+    places, across, downwards = (grids.outer(values) for values in (wide, along, down))
+    beside = (*across[:2], *downwards[2:])
+    outward = (-downwards[0], downwards[1], -across[2], across[3])
+    sides = zip(places, beside, outward, strict=True)
     return np.array([any(_is_rim(gray, *side, checker.contrast, width) for width in RIMS) for side in sides])
 
 

@@ -35,6 +35,10 @@ class Saddles:
     contrast: Array
     smooth: Array
 
+    def take(self, rows: Array) -> "Saddles":
+        """Return some of the saddles."""
+        return Saddles(self.pixels[rows], self.dark[rows], self.contrast[rows], self.smooth)
+
 
 def find_saddles(gray: Array, sigma: float = SIGMA) -> Saddles:
     """Return the saddles of an image (H, W) uint8 that may be corners of a checker pattern."""
@@ -54,7 +58,7 @@ def find_saddles(gray: Array, sigma: float = SIGMA) -> Saddles:
         np.sqrt(depth) * (_TO_CONTRAST * (sigma**2 + _OWN_VARIANCE)),
         smooth,
     )
-    return _take(saddles, (np.abs(shift).max(axis=1, initial=0.0) < 1) & (_symmetry(saddles) > SYMMETRY))
+    return saddles.take((np.abs(shift).max(axis=1, initial=0.0) < 1) & (_symmetry(saddles) > SYMMETRY))
 
 
 def _peaks(strength: Array, floor: float) -> tuple[Array, Array]:
@@ -76,7 +80,3 @@ def _symmetry(saddles: Saddles) -> Array:
     values = values - values.mean(axis=1, keepdims=True)
     odd = (values[:, : RING // 2] - values[:, RING // 2 :]) / 2
     return np.asarray(1 - 2 * (odd**2).sum(axis=1) / np.maximum((values**2).sum(axis=1), 1e-9))
-
-
-def _take(saddles: Saddles, kept: Array) -> Saddles:
-    return Saddles(saddles.pixels[kept], saddles.dark[kept], saddles.contrast[kept], saddles.smooth)

@@ -1,7 +1,7 @@
 """Corners as exactly as an image allows: a picture of two crossing edges fitted to every corner's own cell.
 
 Around a corner the image is modelled as
-    (1 + g · (x, y)) · (level + contrast · f + tone · f²),   f the crossing of crossing.py,
+    (1 + g · (x, y)) · (level + contrast · T(f)),   f the crossing of crossing.py, T the curve of tone.py,
 with both edges' places, directions and blurs, and the gradient g of the light: eleven unknowns a corner. The edges may
 bend as a lens bends them, by a curvature that is given. Only pixels by the edges are looked at, each counted with the
 nearer one, and none that the next edges reach. All corners are fitted at once by Levenberg-Marquardt steps in offsets
@@ -17,12 +17,15 @@ from camcal.targets.corners.cell_window import LONGEST_PX, CellWindow, look
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.checker_picture import CheckerPicture, alone, crowded
 from camcal.targets.corners.crossing import PIXEL_VARIANCE
+from camcal.targets.corners.tone import STRONGEST, toned
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
 _BLUR_PX = (0.29, 6.3)  # a pixel's own square is the least; without it an edge between two rows could be anywhere there
 _ROUNDS = 24  # that few corners need
 _SETTLED_PX = 1e-3  # the step after such a step is of the order of 1e-5 px
 _SETTLED = 0.05  # of a standard deviation
+_STUCK = 1e3  # a damping under which no step leads down
+_LEVEL = 0.01  # of the sum of squares: what falls by more is on its way, even where the corner does not move
 _RESTING_PX = 0.02  # where pictures are not like the model, steps go to and fro and lessen slowly
 _FURTHEST = 0.35  # steps from the start; a fit that goes further has found something else
 _COUNT = 11
@@ -129,10 +132,10 @@ class _State:
         blur = np.full((len(pixels), 2), np.log(np.clip(blur_px, *_BLUR_PX)))
         state = cls(pixels.astype(np.float64), angles, blur, np.zeros((len(pixels), 5)))
         state.light[:, 1] = 1.0
-        linear = _evaluate(window, scene, state).jacobian[:, 6:9]
-        normal = (linear @ linear.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(3)
+        linear = _evaluate(window, scene, state).jacobian[:, 6:8]
+        normal = (linear @ linear.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(2)
         weighted = (linear @ (window.values * window.used)[..., None]).astype(np.float64)
-        state.light[:, :3] = np.linalg.solve(normal, weighted)[..., 0]
+        state.light[:, :2] = np.linalg.solve(normal, weighted)[..., 0]
         return state
 
     def take(self, rows: Array) -> "_State":
@@ -148,7 +151,9 @@ class _State:
         """Return the state after a step (N, 11)."""
         across = np.linalg.solve(self.normals, step[:, _OFFSETS, None])[..., 0]
         blur = np.clip(self.log_blur + step[:, _BLURS], *np.log(_BLUR_PX))
-        return _State(self.pixels + across, self.angles + step[:, _ANGLES], blur, self.light + step[:, _LIGHT])
+        light = self.light + step[:, _LIGHT]
+        light[:, 2] = np.clip(light[:, 2], -STRONGEST, STRONGEST)
+        return _State(self.pixels + across, self.angles + step[:, _ANGLES], blur, light)
 
     @property
     def normals(self) -> Array:
@@ -205,11 +210,13 @@ def _minimise(window: CellWindow, scene: _Scene, state: _State) -> _Fit:
         resting[rows] = length < np.maximum(_RESTING_PX, spread)
         linear = _evaluate(window.take(rows), scene.take(rows), trial)
         better = linear.cost <= cost[rows] * (1 + 1e-6)
+        falling = linear.cost < (1 - _LEVEL) * cost[rows]
         kept = rows[better]
         state.put(kept, trial.take(better))
         cost[kept], normal[kept], gradient[kept] = linear.cost[better], linear.normal[better], linear.gradient[better]
         damping[rows] *= np.where(better, 0.1, 30.0)
-        settled[rows] = length < np.maximum(_SETTLED_PX, _SETTLED * spread)
+        arrived = (better & ~falling) | (damping[rows] > _STUCK)
+        settled[rows] = (length < np.maximum(_SETTLED_PX, _SETTLED * spread)) & arrived
     return _Fit(state, cost, normal, resting)
 
 
@@ -233,8 +240,9 @@ def _evaluate(window: CellWindow, scene: _Scene, state: _State) -> _Linear:
     level, contrast, tone, slope_x, slope_y = state.light.astype(single).T[..., None]
     over_x, over_y = x * window.scale, y * window.scale
     gain = (1 + slope_x * over_x + slope_y * over_y) * window.used
-    shape = level + (contrast + tone * seen.value) * seen.value
-    slope = -gain * (contrast + 2 * tone * seen.value)
+    curve = toned(seen.value, tone)
+    shape = level + contrast * curve.value
+    slope = -gain * contrast * curve.by_picture
     inverse = np.exp(-state.log_blur).astype(single).T[..., None]
     jacobian = np.empty((len(x), _COUNT, x.shape[1]), single)
     for edge, by_distance in enumerate((seen.by_first, seen.by_second)):
@@ -242,8 +250,7 @@ def _evaluate(window: CellWindow, scene: _Scene, state: _State) -> _Linear:
         jacobian[:, 2 + edge] = jacobian[:, edge] * along[edge]
     for edge, by_blur in enumerate((seen.by_blur_1, seen.by_blur_2)):
         jacobian[:, 4 + edge] = slope * by_blur
-    jacobian[:, 6], jacobian[:, 7] = gain, gain * seen.value
-    jacobian[:, 8] = jacobian[:, 7] * seen.value
+    jacobian[:, 6], jacobian[:, 7], jacobian[:, 8] = gain, gain * curve.value, gain * contrast * curve.by_tone
     lit = window.used * shape
     jacobian[:, 9], jacobian[:, 10] = over_x * lit, over_y * lit
     return _Linear(window.values * window.used - gain * shape, jacobian)

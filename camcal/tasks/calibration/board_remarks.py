@@ -51,11 +51,14 @@ def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[st
     return tuple(notes)
 
 
-def nothing_found(views: Sequence[Detection], patterns: Sequence[Size | None], board: Board) -> InsufficientData | None:
+def nothing_found(
+    views: Sequence[Detection], patterns: Sequence[Size | None], board: Board, *, parts: bool = False
+) -> InsufficientData | None:
     """Return the error that says why the board is in no image, None where it is in some.
 
     patterns: the checker patterns of another size that images show. One that is larger than the board and in more
-    images than the board means that a part of another board was taken for it.
+    images than the board means that a part of another board was taken for it; a smaller one may be a part of the board,
+    which counts only if parts do.
     """
     found = sum(view.found for view in views)
     sizes = Counter(size for size in patterns if size is not None and (not found or _larger(size, board)))
@@ -69,9 +72,10 @@ def nothing_found(views: Sequence[Detection], patterns: Sequence[Size | None], b
     squares = (columns + 1, rows + 1) == (board.columns, board.rows)
     why = "sizes count inner corners, not squares: " if squares else ""
     dots = ":dots" if board.dots else ""
+    hidden = "" if parts or squares or _larger(common, board) else ", or --partial if the rest is out of sight"
     return InsufficientData(
         f"no {board.words} in {len(views) - found} of {len(views)} images, but a checker pattern of {columns}x{rows} "
-        f"in {sizes[common]}; {why}use --board chessboard:{columns}x{rows}{dots}"
+        f"in {sizes[common]}; {why}use --board chessboard:{columns}x{rows}{dots}{hidden}"
     )
 
 

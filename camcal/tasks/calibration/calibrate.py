@@ -19,10 +19,10 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ValidRegi
 from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise, misfits
 from camcal.report.calibration import view_record
-from camcal.run.inputs import split_address
+from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
-from camcal.tasks.calibration.board_views import BoardViews, board_views
+from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
 from camcal.tasks.calibration.second_look import renumbered, second_look
 from camcal.tasks.calibration.video_frames import BEST_FRAMES, FrameOptions, FrameRecord
@@ -94,8 +94,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
-    outputs = [path for path in (options.output, options.save_detections) if path is not None]
-    refuse_overwriting(outputs, map(Path, options.inputs))
+    _require_outputs(options)
     how = _solver_options(options)
     seen = board_views(
         options.inputs,
@@ -123,6 +122,20 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     file = camera_file(calibration, advice, options, channels)
     native.write(options.output, file)
     return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed, channels, seen.frames)
+
+
+def _require_outputs(options: CalibrateOptions) -> None:
+    """Raise InvalidInput if a result has no place of its own, or that of an input; FileError for inputs not there."""
+    table = options.save_detections
+    if table is not None and table.suffix.lower() not in DETECTION_SUFFIXES:
+        raise InvalidInput(f"detections are written as {' or '.join(DETECTION_SUFFIXES)}", where=str(table))
+    if table is not None and table.resolve() == options.output.resolve():
+        raise InvalidInput("is where the camera goes; give the detections a file of their own", where=str(table))
+    media = find_media(options.inputs, options.recursive, options.reading.suffixes)
+    others = [] if options.board is None else [Path(options.board)]
+    others += [] if options.guess is None else [split_address(options.guess)[0]]
+    outputs = [options.output] if table is None else [options.output, table]
+    refuse_overwriting(outputs, [*media.images, *media.videos, *others])
 
 
 def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:

@@ -125,7 +125,7 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     errors += [*(film.error for film in films if film.error is not None), *lost]
     found = [item.view for item in seen] + [look.view for look in looks]
     patterns = [item.pattern for item in seen] + [look.pattern for look in looks]
-    _require_board(found, patterns, errors, board)
+    _require_board(found, patterns, errors, board, parts=options.parts)
     size = _usual_size(found)
     records = settled(looks, board, size, options.frames)
     kept = [record.look.view for record in records if record.taken or options.frames.whole]
@@ -179,11 +179,13 @@ def _require_board(
     patterns: Sequence[tuple[int, int] | None],
     errors: Sequence[CamcalError],
     board: Board,
+    *,
+    parts: bool,
 ) -> None:
     """Raise what kept everything from being read, or InsufficientData if the board is nowhere."""
     if not views:
         raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
-    if error := nothing_found(views, patterns, board):
+    if error := nothing_found(views, patterns, board, parts=parts):
         raise error
 
 
