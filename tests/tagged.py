@@ -7,9 +7,9 @@ from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.simulate.coverage import draw, piece_length
 from camcal.simulate.render import Exposure, develop, light, outlines
-from camcal.targets.boards.pattern import Pattern
 from camcal.targets.markers.families import family_named
 from camcal.targets.markers.tags import OPENCV, tag_corners
+from camcal.targets.pattern import Pattern
 
 QUIET = 1.5  # cells of white around a marker
 FACING = np.diag([1.0, -1.0, -1.0])  # an upright tag that looks at the camera: y up and z towards it

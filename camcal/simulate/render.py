@@ -12,7 +12,7 @@ from camcal.simulate.coverage import draw, piece_length
 from camcal.simulate.discs import SIDES, rims
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board
-from camcal.targets.boards.pattern import Pattern, pattern_of
+from camcal.targets.pattern import Pattern, pattern_of
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.observe import in_camera, in_image, project_all
 from camcal.targets.board import Board
-from camcal.targets.boards.pattern import QUIET, ink_reach
+from camcal.targets.pattern import QUIET, ink_reach
 
 ROUNDS = 30  # attempts for a view that does not fit, each with a smaller board
 STEPS = 12  # of moving a board back into the image and to its size

@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from camcal.calibrate.intrinsics import RejectedCorner
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cli import calibrate
 from camcal.formats import boards, detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry import rotation as so3
@@ -142,6 +144,12 @@ def test_saved_detections_have_a_suffix_and_a_place_of_their_own(run, table, tmp
     assert code == 2
     assert words in err
     assert not output.exists()
+
+
+@pytest.mark.parametrize(("residual", "words"), [((0.3, 0.4), "off by 0.50 px"), ((np.nan, 0.4), "beyond what the")])
+def test_a_rejected_corner_is_off_by_pixels_or_out_of_the_model(residual, words):
+    corner = RejectedCorner("a.png", 3, np.zeros(2), np.array(residual))
+    assert words in calibrate._how_far(corner)
 
 
 def test_fronto_parallel_views_end_with_exit_4_and_the_reason(run, tmp_path):

@@ -152,6 +152,14 @@ def test_pictures_are_drawn_and_named(run, folder, tmp_path):
     ]  # fmt: skip
 
 
+def test_pictures_say_why_where_no_image_shows_the_board(run, folder, tmp_path):
+    drawn, output = tmp_path / "drawn", tmp_path / "corners.csv"
+    code, _, err = run("detect", folder, "-b", "circles:6x5", "-o", output, "--draw", drawn, "--jobs", 1)
+    assert (code, len(err.splitlines())) == (4, 1)
+    assert sorted(path.name for path in drawn.glob("*.png")) == ["board_corners.png", "wall_corners.png"]
+    assert not output.exists()
+
+
 def test_quiet_prints_nothing(run, folder, tmp_path):
     output = tmp_path / "corners.csv"
     assert run("detect", folder, "-b", "chessboard:6x5", "-o", output, "--jobs", 1, "--quiet") == (0, "", "")

@@ -12,8 +12,8 @@ from camcal.cameras.model import Camera
 from camcal.formats.boards import load_board
 from camcal.geometry.pose import Pose
 from camcal.images.load import gray_8bit, load
-from camcal.targets.boards.pattern import pattern_of
 from camcal.targets.detect import detect
+from camcal.targets.pattern import pattern_of
 
 TARGET = "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n"
 TUM_VI = [190.97848, 190.97331, 254.93171, 256.89744, 0.0034824, 0.000715, -0.0020532, 0.0002029]

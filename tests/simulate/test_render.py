@@ -22,7 +22,7 @@ from camcal.simulate.render import Exposure, develop, evenly_lit, light, render
 from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import parse_board
-from camcal.targets.boards.pattern import pattern_of
+from camcal.targets.pattern import pattern_of
 
 CHESSBOARD = parse_board("chessboard:5x4:30mm")
 CHARUCO = parse_board("charuco:5x4:30mm:22mm:DICT_4X4_50")

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
 from camcal.targets.boards.layouts import dotted_squares
-from camcal.targets.boards.pattern import pattern_of
 from camcal.targets.boards.types import BOARD_TYPES
+from camcal.targets.pattern import pattern_of
 
 FORMS = [
     "chessboard:9x6:25mm",

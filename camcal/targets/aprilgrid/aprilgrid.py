@@ -12,11 +12,12 @@ from itertools import islice
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.targets.aprilgrid.outlines import BORDER, bit_agreement, codes_of, quadrilaterals, read_tags
+from camcal.targets.aprilgrid.outlines import bit_agreement, codes_of, quadrilaterals, read_tags
 from camcal.targets.aprilgrid.tag_cells import tag_cells, uncrowded
 from camcal.targets.aprilgrid.tag_groups import most_legible, placed, tag_groups
 from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, predict
 from camcal.targets.board import Board
+from camcal.targets.boards.types import TAG_BORDER
 from camcal.targets.checker.checker import AGREEMENT, CONTRAST
 from camcal.targets.checker.looks import look
 from camcal.targets.corners.measure import blur_of, clear
@@ -99,7 +100,7 @@ def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) ->
             break
     if not best.right:
         return Sighting.nothing(_reason(gray, board, lattice))
-    return _measured(samples or Samples(gray), lattice, best, codes.shape[-1] + 2 * BORDER)
+    return _measured(samples or Samples(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
 def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_Seen]:
@@ -214,4 +215,4 @@ def _reason(gray: Array, board: Board, lattice: TagLattice) -> str:
                 seen = f"{what} {', '.join(map(str, ids[:SHOWN]))} in sight"
                 ours = np.isin(ids, own).any()
                 return f"{seen}, not as on this board" if ours else f"{seen}; this board has {own[0]} to {own[-1]}"
-    return f"no tag of {board.dictionary} with a black border of {BORDER} cells found"
+    return f"no tag of {board.dictionary} with a black border of {TAG_BORDER} cells found"

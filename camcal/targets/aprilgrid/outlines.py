@@ -17,8 +17,6 @@ from camcal.arrays import Array, readonly
 from camcal.targets.boards.types import TAG_BORDER
 from camcal.targets.markers.families import family_named
 
-BORDER = TAG_BORDER
-
 _SMALL, _MEDIUM, _LARGE, _TINY = 0.5e6, 1.5e6, 6e6, 0.12e6  # pixels of the copies
 _ENLARGEMENTS = ((1.5e6, 1.6), (0.8e6, 2.5))  # of images with fewer pixels
 _LEAST_SIDE_PX = 8.0
@@ -138,8 +136,8 @@ def read_tags(gray: Array, corners: Array, codes: Array) -> Array:
 
 def _cells(gray: Array, corners: Array, side: int) -> Array:
     """Return the gray values (M, side, side) of the cells within the borders of tags, NaN out of the image."""
-    cells = side + 2 * BORDER
-    steps = (BORDER + 0.5 + np.arange(side)) / cells
+    cells = side + 2 * TAG_BORDER
+    steps = (TAG_BORDER + 0.5 + np.arange(side)) / cells
     x, y = (values[..., None] for values in np.meshgrid(steps, steps))
     shift = np.array([-1, 1]) * _MIDDLES / cells
     shift_x, shift_y = (values.ravel() for values in np.meshgrid(shift, shift))

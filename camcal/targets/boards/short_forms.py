@@ -105,7 +105,7 @@ def _circles(text: str, parts: list[str]) -> Fields:
     if len(parts) > 2:
         raise _unlike(text, "too many parts; a grid of circles is", text.partition(":")[0])
     if len(parts) == 1 and not _LENGTH.match(parts[0]):
-        what = "a length with its unit, such as 25mm, or the diameter's share of the distance, such as 0.6"
+        what = "a length with its unit or the diameter's share of the distance, such as 0.6"
         return {"diameter": _share(text, parts[0], what)}
     lengths = [_length(text, part) for part in parts]
     return dict(zip(("square", "diameter"), lengths, strict=False))

@@ -8,12 +8,12 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.targets.aprilgrid.outlines import BORDER
 from camcal.targets.board import APRILGRID, Board
 from camcal.targets.boards import layouts
-from camcal.targets.boards.pattern import DOT
+from camcal.targets.boards.types import TAG_BORDER
 from camcal.targets.corners.cells import CROWDED, Beside, Cells
 from camcal.targets.markers.families import family_named
+from camcal.targets.pattern import DOT
 
 _HALF = 0.5  # of a step on either side of a corner, whose edges are seen as far as that
 
@@ -91,8 +91,8 @@ def _of_tags(board: Board) -> BoardEdges:
     after = np.tile(np.array([(1, 1), (0, 1), (0, 0), (1, 0)]), (board.columns * board.rows, 1))  # where the tag lies
     reach = np.where(np.arange(2) == after[..., None], 1.0, gap)
     in_tag = (np.arange(2) == after[:, :1])[:, :, None] & (np.arange(2) == after[:, 1:])[:, None]
-    cells = len(family_named(str(board.dictionary)).drawing(board.first_marker).ink) - 2 + 2 * BORDER  # one of its own
-    return BoardEdges(side, reach, np.where(in_tag, BORDER / cells, gap))
+    cells = family_named(str(board.dictionary)).bits + 2 * TAG_BORDER
+    return BoardEdges(side, reach, np.where(in_tag, TAG_BORDER / cells, gap))
 
 
 def seen_cells(

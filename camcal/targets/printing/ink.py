@@ -7,8 +7,8 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board
-from camcal.targets.boards.pattern import BLACK, Pattern, ink_reach, pattern_of
 from camcal.targets.boards.short_forms import FORMS
+from camcal.targets.pattern import BLACK, Pattern, ink_reach, pattern_of
 from camcal.targets.printing.outlines import outlines
 
 MM = 1e3

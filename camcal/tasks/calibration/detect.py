@@ -112,7 +112,8 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
 
     Images come in their order, then frames in theirs. A ChArUco board is taken in the arrangement that fits. Images of
     another size than most are left out.
-    Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere.
+    Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere; only pictures are
+    drawn then.
     """
     require_findable(options.board, partial=options.parts)
     require_colours(options.board, options.reading)
@@ -125,7 +126,10 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     errors += [*(film.error for film in films if film.error is not None), *lost]
     found = [item.view for item in seen] + [look.view for look in looks]
     patterns = [item.pattern for item in seen] + [look.pattern for look in looks]
-    _require_board(found, patterns, errors, board, parts=options.parts)
+    _require_readable(found, errors)
+    if error := nothing_found(found, patterns, board, parts=options.parts):
+        _drawn([item.view for item in seen], films, options, progress)  # here the reasons are wanted most
+        raise error
     size = _usual_size(found)
     records = settled(looks, board, size, options.frames)
     kept = [record.look.view for record in records if record.taken or options.frames.whole]
@@ -174,19 +178,10 @@ def _require_outputs(options: DetectOptions, media: Media) -> None:
         pictures([path.as_posix() for path in media.images], inputs, options.draw)
 
 
-def _require_board(
-    views: Sequence[Detection],
-    patterns: Sequence[tuple[int, int] | None],
-    errors: Sequence[CamcalError],
-    board: Board,
-    *,
-    parts: bool,
-) -> None:
-    """Raise what kept everything from being read, or InsufficientData if the board is nowhere."""
+def _require_readable(views: Sequence[Detection], errors: Sequence[CamcalError]) -> None:
+    """Raise what kept everything from being read, if something did."""
     if not views:
         raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
-    if error := nothing_found(views, patterns, board, parts=parts):
-        raise error
 
 
 def _seen(

@@ -29,7 +29,7 @@ from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
-from camcal.targets.boards.pattern import pattern_of
+from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface
 from camcal.tasks.simulation import simulate_raw, simulation_folder
 from camcal.tasks.simulation.simulate_raw import RawCamera, RawOptions, Sensor
