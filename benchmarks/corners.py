@@ -13,7 +13,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -31,6 +31,14 @@ from camcal.targets.samples import Samples
 WINDOWS = (2, 3, 4, 5, 7, 9, 11)
 PEERS = (*SECTOR_BASED, "cornerSubPix")
 SEED = 2026
+CONDITIONS: dict[str, Callable[[Cell], float | str]] = {
+    "blur px": lambda cell: cell.blur_px,
+    "noise DN": lambda cell: cell.noise_dn,
+    "spacing px": lambda cell: cell.spacing_px,
+    "tilt deg": lambda cell: cell.tilt_deg,
+    "distortion": lambda cell: cell.distortion,
+    "encoding": lambda cell: "JPEG 90" if cell.jpeg else f"{cell.depth} bit, gamma {cell.gamma:g}",
+}
 
 
 @dataclass(frozen=True)
@@ -82,13 +90,24 @@ def line(item: Score) -> str:
 
 
 def summary(scores: Sequence[Score]) -> None:
-    """Print medians and extremes."""
-    ratios, nees = np.array([s.ratio for s in scores]), np.array([s.nees for s in scores])
-    print(f"{len(scores)} cells: ratio to the bound, median {np.median(ratios):.2f}, worst {ratios.max():.2f}")
-    print(f"NEES / 2: median {np.median(nees):.2f}, {nees.min():.2f} to {nees.max():.2f}")
-    gains = [min(s.peers.values()) / s.rms for s in scores if s.peers and np.isfinite(list(s.peers.values())).any()]
-    if gains:
-        print(f"the best of OpenCV over ours: median {np.median(gains):.1f}, least {min(gains):.1f}")
+    """Print medians and extremes of all cells, and of those that share a condition."""
+    print("| cells | number | ratio: median, worst | NEES: median, least, worst | best of OpenCV / camcal: median |")
+    print("|---|---|---|---|---|")
+    print(group("all", scores))
+    for name, condition in CONDITIONS.items():
+        for value in sorted({condition(item.cell) for item in scores}):
+            print(group(f"{name} {value}", [item for item in scores if condition(item.cell) == value]))
+
+
+def group(name: str, scores: Sequence[Score]) -> str:
+    """Return the line of the table for some cells."""
+    ratios, nees = np.array([item.ratio for item in scores]), np.array([item.nees for item in scores])
+    gains = [min(item.peers.values()) / item.rms for item in scores if item.peers]
+    gain = f"{np.median(gains):.1f}" if gains else "-"
+    return (
+        f"| {name} | {len(scores)} | {np.median(ratios):.2f}, {ratios.max():.2f} | "
+        f"{np.median(nees):.2f}, {nees.min():.2f}, {nees.max():.2f} | {gain} |"
+    )
 
 
 def score(cell: Cell, count: int, peers: bool) -> Score:
