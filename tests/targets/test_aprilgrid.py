@@ -127,6 +127,14 @@ def test_a_board_with_other_ids_says_what_is_in_sight(plain):
     assert find_aprilgrid(plain[0], other).reason == "tags 0, 1, 2, 3, 4, 5 in sight; this board has 100 to 111"
 
 
+@pytest.mark.parametrize("size", [(3, 4), (5, 3), (3, 3)])
+def test_a_board_of_another_number_of_tags_in_a_row_is_refused(plain, size):
+    other = replace(BOARD, columns=size[0], rows=size[1])
+    seen = find_aprilgrid(plain[0], other)
+    assert not seen.found
+    assert "tags" in seen.reason
+
+
 def test_a_mirrored_image_is_called_by_its_name(plain):
     assert find_aprilgrid(np.ascontiguousarray(plain[0][:, ::-1]), BOARD).reason.startswith("mirror images of tags 0")
 

@@ -100,6 +100,9 @@ def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) ->
             break
     if not best.right:
         return Sighting.nothing(_reason(gray, board, lattice))
+    if best.wrong > best.right:
+        layout = f"{board.columns} x {board.rows}"
+        return Sighting.nothing(f"most tags are not where a board of {layout} tags has them; is it of another size?")
     return _measured(samples or Samples(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
