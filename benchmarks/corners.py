@@ -5,7 +5,7 @@ photographs. Ratios are RMS errors over the root of the mean Cramér-Rao bound (
 renderer's own picture and noise, not from residuals. NEES is eᵀ Σ⁻¹ e / 2 with the covariances that camcal claims, 1 if
 they are honest. cornerSubPix gets, in every cell, the window of 2 … 11 px that does best there.
 
-    python benchmarks/corners.py [--scenes 3] [--every 1] [--jobs 2]
+    python benchmarks/corners.py [--scenes 3] [--every 1] [--jobs 2] [--renderer]
 """
 
 import argparse
@@ -14,8 +14,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from unittest import mock
 
 import numpy as np
 from corner_scenes import BOARD, Cell, Scene, bound, grid, scenes
@@ -25,12 +26,14 @@ from camcal import opencv
 from camcal.arrays import Array
 from camcal.images.load import gray_8bit, gray_levels
 from camcal.run.fanout import fan_out
+from camcal.simulate.coverage import piece_length
 from camcal.targets.detect import detect
 from camcal.targets.samples import Samples
 
 WINDOWS = (2, 3, 4, 5, 7, 9, 11)
 PEERS = (*SECTOR_BASED, "cornerSubPix")
 SEED = 2026
+FINER = 8  # times, the steps of outlines that show the renderer's own error
 CONDITIONS: dict[str, Callable[[Cell], float | str]] = {
     "blur px": lambda cell: cell.blur_px,
     "noise DN": lambda cell: cell.noise_dn,
@@ -64,7 +67,11 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take one cell of so many")
     parser.add_argument("--jobs", type=int, default=None)
     parser.add_argument("--no-peers", action="store_true")
+    parser.add_argument("--renderer", action="store_true", help="print the renderer's own error alone")
     options = parser.parse_args()
+    if options.renderer:
+        renderer_error()
+        return
     cells = [cell for cell in grid()[:: options.every] if not cell.apart]
     work = partial(score, count=options.scenes, peers=not options.no_peers)
     print(
@@ -78,6 +85,20 @@ def main() -> None:
         scores.append(outcome.value)
         print(line(outcome.value), flush=True)
     summary(scores)
+
+
+def renderer_error() -> None:
+    """Print by how much corners move when outlines are drawn in finer steps, against the least bound of such a blur."""
+    for blur in (0.5, 1.0, 2.5):
+        cell = Cell(blur, 0.0, 80, 30, 0.1, depth=16)
+        view = next(scenes(cell, 1, SEED))
+        least = np.sqrt(np.trace(bound(replace(view, cell=replace(cell, noise_dn=1.0))), axis1=1, axis2=2).min() / 2)
+        usual = detect(gray_8bit(view.image), BOARD, samples=Samples(view.image))
+        with mock.patch("camcal.simulate.render.piece_length", lambda blur_px: piece_length(blur_px) / FINER):
+            finer = next(scenes(cell, 1, SEED)).image
+        moved = detect(gray_8bit(finer), BOARD, samples=Samples(finer)).pixels - usual.pixels
+        rms = np.sqrt((moved**2).mean())
+        print(f"blur {blur}: {1e3 * rms:.3f} of {1e3 * least:.2f} mpx, the bound of noise 1 DN: {rms / least:.3f}")
 
 
 def line(item: Score) -> str:
