@@ -193,11 +193,17 @@ def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool) -> tuple[Cal
         return _or_raise(first, failure), ()
     others = [_attempt(seen, replace(how, model=model_named(name))) for name in WIDE_MODELS]
     best = min((other for other in others if other), key=lambda other: other.sigma_px, default=None)
-    if best is None or (first is not None and best.sigma_px > BETTER * first.sigma_px):
+    if best is None or (first is not None and not _replaces(best, first)):
         return _or_raise(first, failure), ()
     left = f"leaves {first.sigma_px:.2f} px of noise" if first else "finds no solution"
     name = best.camera.model.name
     return best, (f"{DEFAULT_MODEL} {left}, {name} {best.sigma_px:.2f} px: {name} is used (--model decides otherwise)",)
+
+
+def _replaces(other: Calibration, first: Calibration) -> bool:
+    """Return whether another model is taken unasked: it leaves far less noise, or less and can be trusted instead."""
+    trusted = advise(other).trustworthy and not advise(first).trustworthy
+    return other.sigma_px <= (1.0 if trusted else BETTER) * first.sigma_px
 
 
 def _attempt(seen: BoardViews, how: intrinsics.Options) -> Calibration | None:
