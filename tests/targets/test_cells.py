@@ -1,4 +1,6 @@
-"""Cells of corners: read off a grid, or from a camera, they say the same."""
+"""Cells of corners, as a camera sees them: their edges, how these bend, and those beside them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +12,6 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board
 from camcal.targets.corners.board_edges import BoardEdges, bright_depths, seen_cells
-from camcal.targets.corners.cells import Cells
 
 BOARD = Board("chessboard", 7, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (640, 480), np.array([500.0, 505, 322, 238, -0.25, 0.06, 1e-3, -5e-4, 0]))
@@ -65,7 +66,7 @@ def test_blur_brings_the_next_edges_in():
     assert not cells.crowded(1.0)
     assert cells.crowded(6.0)
     assert not cells.take(np.zeros(0, np.intp)).crowded(6.0)
-    assert not Cells.plain(cells.steps).crowded(6.0)
+    assert not replace(cells, beside=None).crowded(6.0)
 
 
 def test_bright_squares_hold_the_print():

@@ -81,7 +81,8 @@ def test_edges_that_a_lens_bends_do_not_draw_corners():
     image, truth, start = photograph(exposure, k1=-0.35)
     measured, _ = measure_grid(image, start)
     steps = grids.steps(truth).reshape(-1, 2, 2)
-    straight = refine(image, start.reshape(-1, 2), Cells.plain(steps), 0.75)
+    whole = np.ones((BOARD.count, 2, 2))
+    straight = refine(image, start.reshape(-1, 2), Cells(steps, np.zeros((BOARD.count, 2)), whole, whole), 0.75)
     assert np.abs(measured - truth).max() < 0.006
     assert np.abs(straight.pixels.reshape(truth.shape) - truth).max() > 0.02  # what a model of straight edges makes
 

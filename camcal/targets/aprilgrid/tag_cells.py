@@ -11,6 +11,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice
 from camcal.targets.boards.types import TAG_BORDER
+from camcal.targets.corners.board_edges import tag_reach
 from camcal.targets.corners.cells import Beside, Cells
 
 _AROUND = 20  # corners that say how lines bend at one of them
@@ -25,8 +26,7 @@ def tag_cells(lattice: TagLattice, grid: Array, predicted: Predicted, side: int)
     known = ~np.isnan(grid[..., 0])
     row, column = np.nonzero(known)
     after = 1 - np.stack([column, row], axis=1) % 2  # 1 where the tag lies behind the corner along an edge
-    reach = np.where(np.arange(2) == after[..., None], 1.0, lattice.gap)
-    in_tag = (np.arange(2) == after[:, :1])[:, :, None] & (np.arange(2) == after[:, 1:])[:, None]
+    reach, in_tag = tag_reach(after, lattice.gap)
     beside = _beside(lattice, np.where(known[..., None], grid, predicted.places), predicted.steps)
     depth = np.where(in_tag, TAG_BORDER / side, 1.0)
     return Cells(predicted.steps[known], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(known)))

@@ -89,10 +89,18 @@ def _of_tags(board: Board) -> BoardEdges:
     side = float(board.marker or 0.0)
     gap = (board.pitch - side) / side
     after = np.tile(np.array([(1, 1), (0, 1), (0, 0), (1, 0)]), (board.columns * board.rows, 1))  # where the tag lies
-    reach = np.where(np.arange(2) == after[..., None], 1.0, gap)
-    in_tag = (np.arange(2) == after[:, :1])[:, :, None] & (np.arange(2) == after[:, 1:])[:, None]
+    reach, in_tag = tag_reach(after, gap)
     cells = family_named(str(board.dictionary)).bits + 2 * TAG_BORDER
     return BoardEdges(side, reach, np.where(in_tag, TAG_BORDER / cells, gap))
+
+
+def tag_reach(after: Array, gap: float) -> tuple[Array, Array]:
+    """Return the reach (N, 2, 2) of the edges at corners of tags, see Cells, and which quadrant (N, 2, 2) a tag is in.
+
+    after: (N, 2) 1 where the tag lies behind the corner along an edge, 0 where before it. gap: between tags, in sides.
+    """
+    toward = np.arange(2) == after[..., None]
+    return np.where(toward, 1.0, gap), toward[:, 0, :, None] & toward[:, 1, None]
 
 
 def seen_cells(

@@ -56,12 +56,6 @@ class Cells:
         beside = None if self.beside is None else self.beside.take(rows)
         return Cells(self.steps[rows], self.bends[rows], self.reach[rows], self.depth[rows], beside)
 
-    @classmethod
-    def plain(cls, steps: Array, bends: Array | None = None) -> "Cells":
-        """Return cells with nothing in them but two edges that end at the next corners."""
-        whole = np.ones((len(steps), 2, 2))
-        return cls(steps, np.zeros((len(steps), 2)) if bends is None else bends, whole, whole)
-
     def narrow(self) -> "Cells":
         """Return the cells for a first look: with straight edges, and as little depth everywhere as anywhere."""
         return replace(self, bends=np.zeros_like(self.bends), depth=np.full_like(self.depth, self.depth.min(initial=1)))

@@ -107,12 +107,13 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         options.frames,
         options.parts,
     )
+    looks_again = _looks_again(options, seen)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
     calibration, remarks = _solve(seen, how, options.model is None)
     progress.finish()
-    if _looks_again(options, seen):
+    if looks_again:
         seen, calibration, remark = _refined(seen, calibration, how, options, progress)
         remarks += (remark,)
         if options.save_detections:
