@@ -250,20 +250,8 @@ class BoardProblem:
 
 
 def lens_spread(model: CameraModel, image_size: tuple[int, int], focal: float) -> Array:
-    """Return the standard deviations (K,) of weak priors that keep the coefficients of a lens finite.
-
-    Coefficients that the data cannot tell apart, as the numerator and denominator of a rational lens, may run off
-    together without a trace in the residuals. Each coefficient's own share of the distortion at the image corner is
-    taken to be 0 ± 1, which is more than a lens that such a model can hold ever has.
-    """
-    corner = min(float(np.hypot(*image_size)) / 2 / focal, 1.0)
-    orders = [_ORDERS.get(name) for name in model.parameter_names]
-    return np.array([np.inf if order is None else corner**-order for order in orders])
-
-
-# by which power of the radius each coefficient scales the distortion relative to the radius itself
-_ORDERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "p1": 1, "p2": 1, "s1": 1, "s2": 3, "s3": 1, "s4": 3}
-_ORDERS |= {"tau_x": 0, "tau_y": 0}
+    """Return the standard deviations (K,) of the model's weak priors on the coefficients of a lens, inf for none."""
+    return model.prior_std(image_size, focal)
 
 
 def _dot(first: Array, second: Array) -> Array:

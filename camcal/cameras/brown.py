@@ -13,7 +13,14 @@ from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.plane_model import Flat, PlaneModel
 
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+# The coefficients in OpenCV's order, each with the power of the radius by which its term grows relative to the radius.
+ORDERS = {
+    "k1": 2, "k2": 4, "p1": 1, "p2": 1, "k3": 6, "k4": 2, "k5": 4, "k6": 6,
+    "s1": 1, "s2": 3, "s3": 1, "s4": 3, "tau_x": 0, "tau_y": 0,
+}  # fmt: skip
+COEFFICIENTS = tuple(ORDERS)
+# Numerator and denominator can grow together without a trace in the residuals: the denominator is held closer to 1.
+DENOMINATOR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,9 @@ class Brown(PlaneModel):
         "prism": ("s1", "s2", "s3", "s4"),
         "tilt": ("tau_x", "tau_y"),
     }
+    orders: ClassVar[dict[str, int]] = ORDERS
+    shares: ClassVar[dict[str, float]] = dict.fromkeys(("k4", "k5", "k6"), DENOMINATOR_SHARE)
+    prior_reach: ClassVar[float] = 1.0
 
     def _flatten(self, points: Array) -> Flat:
         depth = points[:, 2]

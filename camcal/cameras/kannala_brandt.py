@@ -14,6 +14,7 @@ from camcal.cameras.distortion import Distorted
 from camcal.cameras.plane_model import Flat, PlaneModel
 
 SERIES_ANGLE = 1e-4
+ORDERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 8}  # the power of θ by which each coefficient's term grows relative to θ
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,9 @@ class KannalaBrandt(PlaneModel):
     """
 
     reach: ClassVar[float] = math.pi
-    kinds: ClassVar[dict[str, tuple[str, ...]]] = {"numerator": ("k1", "k2", "k3", "k4")}
+    kinds: ClassVar[dict[str, tuple[str, ...]]] = {"numerator": tuple(ORDERS)}
+    orders: ClassVar[dict[str, int]] = ORDERS
+    prior_reach: ClassVar[float] = math.pi / 2
 
     def _flatten(self, points: Array) -> Flat:
         x, y, z = points.T
@@ -62,4 +65,4 @@ class KannalaBrandt(PlaneModel):
         return radius
 
 
-MODELS = (KannalaBrandt("kannala_brandt4", ("k1", "k2", "k3", "k4")),)
+MODELS = (KannalaBrandt("kannala_brandt4", tuple(ORDERS)),)

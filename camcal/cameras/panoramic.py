@@ -23,6 +23,8 @@ class Panorama(PlaneModel):
     coefficients: tuple[str, ...] = ()
     reach: ClassVar[float] = math.inf
     kinds: ClassVar[dict[str, tuple[str, ...]]] = {}
+    orders: ClassVar[dict[str, int]] = {}
+    prior_reach: ClassVar[float] = math.inf
 
     def unproject(self, parameters: Array, pixels: Array) -> Rays:
         """Return the unit rays (N, 3) of pixels (N, 2)."""

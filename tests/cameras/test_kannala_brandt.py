@@ -93,3 +93,11 @@ def test_any_lens_is_inverted_over_its_whole_domain(coefficients, share, azimuth
     parameters = np.array([300.0, 310, 320, 240, *coefficients])
     point = rays(np.array([share * MODEL.domain(parameters).max_theta]), np.array([azimuth]))
     assert round_trip_error(parameters, point) < 1e-9
+
+
+def test_the_prior_of_each_coefficient_follows_its_power_of_theta():
+    theta = 1000 / 3000  # of the image corner: half the diagonal of 1600 x 1200 over the focal length
+    spread = MODEL.prior_std((1600, 1200), 3000.0)
+    np.testing.assert_allclose(spread[4:], theta ** -np.array([2.0, 4.0, 6.0, 8.0]))
+    wide = MODEL.prior_std((1600, 1200), 400.0)  # a corner at 143°, most likely outside the image circle
+    np.testing.assert_allclose(wide[4:], (np.pi / 2) ** -np.array([2.0, 4.0, 6.0, 8.0]))

@@ -203,3 +203,13 @@ def test_wrong_shapes_are_refused(model):
 @every_model
 def test_model_survives_the_way_to_a_worker_process(model):
     assert pickle.loads(pickle.dumps(model)) == model
+
+
+@every_model
+def test_every_coefficient_has_a_prior_and_no_other_parameter_has_one(model):
+    spread = model.prior_std((1600, 1200), 1200.0)
+    assert spread.shape == (len(model.parameter_names),)
+    assert np.isinf(spread[:4]).all()  # fx fy cx cy
+    assert np.isfinite(spread[4:]).all()
+    assert (spread[4:] > 0).all()
+    np.testing.assert_array_equal(spread, model.prior_std((3200, 2400), 2400.0))  # the same lens at another resolution
