@@ -51,7 +51,7 @@ def minimise_dense(
     """Return the state that minimises ½ Σ ρ(‖r‖²), starting at `state`, which must be inside the domain and bounds."""
     loop = gauss_newton if method.full else descend
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far ends in infinity, and is not taken
-        return loop(_DenseSearch(problem, method, stopping.rounding), state, stopping, observe)
+        return loop(_DenseSearch(problem, method, stopping), state, stopping, observe)
 
 
 def linearise_dense(problem: Problem[State], state: State) -> DenseEquations | None:
@@ -71,7 +71,7 @@ class _DenseSearch(Generic[State]):
 
     problem: Problem[State]
     method: DenseMethod[State]
-    rounding: float
+    stopping: Stopping
     scale: Array = field(default_factory=lambda: np.zeros(0))
     factored: tuple[DenseEquations, Array, DenseFactors] | None = None
 
@@ -86,13 +86,13 @@ class _DenseSearch(Generic[State]):
         low, high = self._room(state)
         free = ~((low >= 0) & (equations.gradient > 0) | (high <= 0) & (equations.gradient < 0))
         step, free = self._bounded(equations, damping, free, low, high)
-        promised = float(-step @ equations.gradient - 0.5 * np.sum((equations.jacobian @ step) ** 2))
-        if promised < 0:
+        promised = self._promised(equations, step, free, damping)
+        if promised < -self.stopping.unseen(equations.cost):
             raise SingularError("the bounds leave no way down")
-        visible = promised > _STRAIGHT * equations.cost + _FAINT * self.rounding
+        visible = promised > _STRAIGHT * equations.cost + _FAINT * self.stopping.rounding
         if self.method.geodesic and not self.method.full and visible:
             step = np.clip(step + self._bend(state, equations, step, damping, free), low, high)
-        return Proposal(Step(step, np.zeros((0, 0))), promised)
+        return Proposal(Step(step, np.zeros((0, 0))), max(promised, 0.0))
 
     def _follow(self, equations: DenseEquations) -> None:
         norms = equations.column_norms
@@ -126,6 +126,17 @@ class _DenseSearch(Generic[State]):
             step = np.clip(step, low, high)
             free = free & ~outside
         return step, free
+
+    def _promised(self, equations: DenseEquations, step: Array, free: Array, damping: float) -> float:
+        """Return by how much a damped step lowers the quadratic model: without bounds in its way, a sum of squares.
+
+        -s·g - ½ ‖J s‖² is the same number, but at a minimum the difference of two equal ones, of either sign.
+        """
+        moved = equations.jacobian[:, free] @ step[free]
+        kept = equations.jacobian[:, ~free] @ step[~free]
+        damped = damping * float(np.sum((self.scale[free] * step[free]) ** 2))
+        at_bounds = -float(step[~free] @ equations.gradient[~free]) - 0.5 * float(kept @ kept)
+        return damped + 0.5 * float(moved @ moved) + at_bounds
 
     def _bend(self, state: State, equations: DenseEquations, step: Array, damping: float, free: Array) -> Array:
         """Return half the acceleration (n,) along a step; raises SingularError where it is too large to be believed."""

@@ -202,13 +202,14 @@ class _Search:
         # a step cut short by damping promises little and proves nothing
         little = self.stopping.relative_decrease * np.maximum(cost, LEAST_COST)
         settled = (damping < ALL_BUT_FULL) & (promised <= little)
+        still = (fall <= 0) & (promised <= UNSEEN * cost)
         held = (self.blocked[at] >= BLOCKED) & (fall <= CRAWL * cost)
         gain = np.divide(fall, promised, out=np.ones_like(fall), where=promised > 0)
         eased = damping * np.maximum(self.stopping.least, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
         self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 1.0
         self.states[at] = states
         self.models.put(at, trial, chosen)
-        at_end = np.where(settled, _SETTLED, np.where(held, _HELD, _RUNNING))
+        at_end = np.select([settled, still, held], [_SETTLED, _ROUNDED, _HELD], _RUNNING)
         self.reason[at] = np.where(cost <= self.exact[at], _EXACT, at_end)
 
     def _reject(self, at: Array, promised: Array) -> None:

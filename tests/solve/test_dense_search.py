@@ -1,6 +1,6 @@
 """The dense search on problems of Moré, Garbow and Hillstrom (1981), under bounds, and turn by turn."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -115,6 +115,35 @@ def test_a_linear_problem_takes_one_full_step():
     np.testing.assert_allclose(found.state, expected, atol=1e-12)
     assert found.converged
     assert found.iterations <= 2  # the second sees that nothing is left to gain
+
+
+@pytest.mark.parametrize("method", [*METHODS, DenseMethod(full=True)], ids=["running", "present", "straight", "full"])
+def test_a_minimum_is_recognised_whatever_the_sign_of_the_rounding_error_of_the_decrease(method):
+    rng = np.random.default_rng(5)
+    ends = []
+    for _ in range(150):
+        count = int(rng.integers(3, 5))
+        x = rng.choice(np.arange(-5.0, 11.0), count, replace=False)
+        y = np.polyval(10.0 ** rng.integers(-3, 4) * rng.normal(size=2), x)
+        y += 10.0 ** rng.integers(-16, 1) * np.abs(y).max() * rng.normal(size=count)
+        problem = Problem(lambda p, x=x, y=y: p[0] * x + p[1] - y, 2)
+        rounding = 0.5 * np.sum((np.finfo(float).eps * y) ** 2)
+        stopping = replace(EXACT, rounding=float(rounding))
+        ends.append(minimise_dense(problem, np.polyfit(x, y, 1), method, stopping))
+    assert {end.reason for end in ends if not end.converged} == set()
+
+
+def test_the_decrease_promised_under_bounds_is_that_of_the_quadratic_model():
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        jacobian, data, limit = rng.normal(size=(6, 3)), rng.normal(size=6), rng.uniform(0, 0.5, 3)
+        problem = Problem(lambda p, jacobian=jacobian, data=data: jacobian @ p - data, 3)
+        method = DenseMethod(geodesic=False, room=lambda state, limit=limit: (-limit - state, limit - state))
+        turns = []
+        found = minimise_dense(problem, np.zeros(3), method, EXACT, turns.append)
+        assert found.converged
+        gains = [turn.gain for turn in turns if turn.accepted and turn.cost - turn.trial_cost > 1e-6 * turn.cost]
+        assert gains == pytest.approx(np.ones(len(gains)), rel=1e-8)  # what is left of differences of 1e-6
 
 
 def test_the_dense_step_finds_what_the_normal_equations_find():

@@ -125,6 +125,15 @@ def test_every_search_says_why_it_ended():
     assert REASONS[short.reason[0]] == "too many iterations"
 
 
+@pytest.mark.parametrize("damping", [1e-6, 1e-3, 1.0])
+def test_a_search_that_starts_at_its_minimum_ends_there_whatever_its_damping(damping):
+    _, y = curves(np.random.default_rng(6), 200, 0.1)
+    starts = minimise_each(Decays(y), np.ones((200, 2)), np.arange(200), Stopping(relative_decrease=1e-30)).states
+    found = minimise_each(Decays(y), starts, np.arange(200), Stopping(damping=damping))
+    assert found.converged.all()
+    assert found.iterations.max() < 20
+
+
 def test_a_parameter_that_nothing_depends_on_stays():
     class Half:
         def linearise(self, states, which):
