@@ -10,7 +10,7 @@ from camcal.arrays import Array, readonly
 from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, reweighted
 from camcal.calibrate.outliers import truncation
-from camcal.calibrate.problem import Observations, covariances_of
+from camcal.calibrate.problem import BoardProblem, Observations, covariances_of
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.weights import floor_of
 from camcal.cameras.model import Camera, CameraModel
@@ -21,6 +21,9 @@ from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
 
 _WEIGHT_ROUNDS = 2
+# Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
+# that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
+_HELD_BY_PRIOR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,7 @@ class Calibration:
     rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px.
     correlations: between the board's in-plane terms and fx, fy, where the former are in use.
     floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given.
+    held_by_prior: lens parameters that the data hardly determine: their prior does.
     """
 
     camera: Camera
@@ -96,6 +100,7 @@ class Calibration:
     iterations: int
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     floor_px: float | None = None
+    held_by_prior: tuple[str, ...] = ()
 
     @property
     def used(self) -> tuple[View, ...]:
@@ -210,6 +215,7 @@ def _record(
         readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
         result.iterations,
         _correlations(problem.shared_names, covariance),
+        held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(covariance / scale))),
     )
 
 
@@ -221,6 +227,16 @@ def _factors(result: Fit) -> Factors:
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"
         ) from error
+
+
+def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
+    """Return the names of the lens parameters that their priors hold; stds: (S,) of the shared parameters, as solved
+    for.
+    """
+    if problem.lens_spread is None:
+        return ()
+    held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]
+    return tuple(np.array(problem.shared_names[: len(problem.free)])[held].tolist())
 
 
 def _require_kept(total: int, kept: int, options: Options) -> None:

@@ -141,7 +141,7 @@ class PlaneModel(ABC):
         """Return the standard deviations (K,) of weak priors about zero, inf for parameters that have none.
 
         The change of the radius by a coefficient's term alone, at the image corner, is taken to be 0 ± 100 % (or as
-        `shares` has it), which is more than lenses have: coefficients that the data cannot tell apart stay finite.
+        `shares` has it), which is more than most lenses have: coefficients that the data cannot tell apart stay finite.
         focal: px.
         """
         corner = min(math.hypot(*image_size) / 2 / focal, self.prior_reach)

@@ -64,7 +64,8 @@ class CameraEntry:
     """A camera and what is known of it.
 
     quality: figures such as rms_px, images_used. sensor: pixel_pitch_um, gain_e_per_dn, read_noise_e, full_well_e.
-    channels: a lens of its own for some colours. extra: the x_ keys of other programs, kept as they are.
+    channels: a lens of its own for some colours. held_by_prior: coefficients that the data of the calibration hardly
+    determined: their prior did. extra: the x_ keys of other programs, kept as they are.
     """
 
     camera: Camera
@@ -75,6 +76,7 @@ class CameraEntry:
     verdict: Verdict | None = None
     sensor: Mapping[str, float] = field(default_factory=dict)
     channels: Mapping[str, Camera] = field(default_factory=dict)
+    held_by_prior: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -39,6 +39,7 @@ _ENTRY = mapping(
     {
         **_LENS,
         "configuration": mapping({}, others=plain),
+        "held_by_prior": _unchecked,
         "valid": mapping({}, VALID),
         "quality": mapping({}, {**dict.fromkeys(FIGURES, number(0)), **dict.fromkeys(COUNTS, integer(0))}),
         "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1)}),
@@ -56,6 +57,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     if not isinstance(name, str) or name not in MODELS:
         return
     yield from native_lens.check(data, path, MODELS[name])
+    yield from native_lens.check_held_by_prior(data, path, MODELS[name])
     if "configuration" in data:
         yield Fault(child(path, "configuration"), f"model {name!r} takes no configuration; leave it out")
     channels = data.get("channels")
@@ -78,6 +80,7 @@ def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str,
         verdict=_read_verdict(data["verdict"]) if "verdict" in data else None,
         sensor=data.get("sensor", {}),
         channels=channels,
+        held_by_prior=tuple(data.get("held_by_prior", ())),
         extra={key: value for key, value in data.items() if key.startswith(VENDOR)},
     ), unknown
 
@@ -101,6 +104,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     camera = entry.camera
     data: dict[str, Any] = {"image_size": list(camera.image_size), "model": camera.model.name}
     data.update(native_lens.block(camera, beside))
+    data["held_by_prior"] = list(entry.held_by_prior) or None
     if entry.projection:
         data.setdefault("uncertainty", {})["projection"] = [
             {"range_m": item.range_m, **item.figures} for item in entry.projection

@@ -49,6 +49,19 @@ def check(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[F
     yield from faults or covariance.check(uncertainty, where, names, fixed if isinstance(fixed, list) else ())
 
 
+def check_held_by_prior(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
+    """Check the names of coefficients that a prior holds: some of the model's that were not fixed."""
+    held, fixed = block.get("held_by_prior", []), block.get("fixed", [])
+    where = child(path, "held_by_prior")
+    faults = list(items(one_of(_distortion(model.parameter_names), "coefficient"))(held, where))
+    yield from faults
+    for index, name in enumerate([] if faults else held):
+        if name in held[:index]:
+            yield Fault(child(where, index), f"{name!r} stands twice")
+        elif isinstance(fixed, list) and name in fixed:
+            yield Fault(child(where, index), f"{name!r} is fixed and has no prior; leave it out")
+
+
 def _core(names: Sequence[str]) -> list[str]:
     return [name for name in names if name in CORE]
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.formats import boards
-from camcal.report.uncertain import value_and_std
+from camcal.report.uncertain import held_by_prior_words, value_and_std
 from camcal.targets.surface import TIERS
 
 
@@ -23,7 +23,8 @@ def summary(calibration: Calibration) -> list[str]:
         f"{len(calibration.used)} views ({unused} not used, {len(calibration.rejected)} corners rejected); "
         f"noise {calibration.sigma_px:.3f} px"
     )
-    return [residuals, *_floor_lines(calibration), *_board_lines(calibration)]
+    held = [held_by_prior_words(calibration.held_by_prior)] if calibration.held_by_prior else []
+    return [residuals, *held, *_floor_lines(calibration), *_board_lines(calibration)]
 
 
 def _floor_lines(calibration: Calibration) -> list[str]:
@@ -72,6 +73,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "image_size": list(camera.image_size),
         "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
         "std": {name: camera.std(name) for name in camera.model.parameter_names},
+        "held_by_prior": list(calibration.held_by_prior),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
         "floor_px": calibration.floor_px,

@@ -1,5 +1,6 @@
 """A value and its standard deviation as text, no digit more than is known."""
 
+from collections.abc import Sequence
 from math import floor, isfinite, log10
 
 
@@ -14,3 +15,11 @@ def value_and_std(value: float, std: float | None) -> tuple[str, str]:
         return f"{value:.6g}", f"{std:.1e}"
     places = max(0, 1 - floor(log10(std)))
     return f"{value:.{places}f}", f"{std:.{places}f}"
+
+
+def held_by_prior_words(names: Sequence[str]) -> str:
+    """Return which coefficients their priors determine rather than the data."""
+    listed = ", ".join(names)
+    if len(names) == 1:
+        return f"{listed} is held by its prior: the data hardly determine it"
+    return f"{listed} are held by their priors: the data hardly determine them"

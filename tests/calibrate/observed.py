@@ -29,9 +29,9 @@ class Scene:
         return observe(self.camera, self.board, self.poses, rng=np.random.default_rng(seed), **how)[0].views
 
 
-def make_scene(model="opencv5", board=None, count=25, seed=1, **how):
+def make_scene(model="opencv5", board=None, count=25, seed=1, parameters=None, **how):
     board = board or Board("chessboard", 9, 6, 0.040)
-    camera = Camera(model_named(model), SIZE, np.array(PARAMETERS[model]))
+    camera = Camera(model_named(model), SIZE, np.array(parameters or PARAMETERS[model]))
     return Scene(camera, board, tuple(views(camera, board, count, rng=np.random.default_rng(seed), **how)))
 
 

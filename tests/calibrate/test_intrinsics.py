@@ -10,12 +10,15 @@ from scipy.stats import chi2
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.observe import observe
+from camcal.solve.least_squares import linearise
+from camcal.solve.steps import factorise
 from camcal.targets.board import Board, Detection
 
 
@@ -30,6 +33,42 @@ def test_truth_is_recovered_within_four_sigma(model):
     assert np.abs(sigmas(calibration, scene.camera)).max() < 4  # 1 in 16 000 per parameter
     assert calibration.sigma_px == pytest.approx(0.1, rel=0.1)  # 2 700 coordinates: 1.4 % standard deviation
     assert len(calibration.used) == len(scene.poses)
+
+
+def test_priors_leave_the_coefficients_of_a_fisheye_model_to_the_data_at_a_long_focal_length():
+    model = model_named("kannala_brandt4")
+    scene = make_scene(model.name, parameters=[3000.0, 3001.0, 803.0, 596.0, 0.02, -0.01, 0.004, -0.001])
+    seen = scene.observe(3, noise_px=0.1)
+    calibration = calibrate(seen, scene.board, Options(model, shape=ShapeOptions(smooth=False)))
+    assert not calibration.rejected
+    assert calibration.held_by_prior == ()
+    without = BoardProblem(model, scene.board, Observations.of(seen), np.arange(8), sigma=calibration.sigma_px)
+    rotations, translations = (
+        np.stack([getattr(view.camera_T_board, part) for view in calibration.views])
+        for part in ("rotation", "translation")
+    )
+    points = scene.board.count
+    state = State(calibration.camera.parameters, rotations, translations, np.zeros(0), np.zeros((points, 3)))
+    unregularised = np.sqrt(np.diag(factorise(linearise(without, state)).shared_covariance()))
+    ours = np.sqrt(np.diag(calibration.camera.covariance))
+    np.testing.assert_allclose(ours, unregularised, rtol=0.02)  # k4: 210, of a prior of 6561
+    assert ours[-1] > 100  # by far more than the prior of a denominator's k4 would let through
+
+
+def test_coefficients_that_the_data_hardly_determine_are_held_by_their_priors(scene):
+    seen = scene.observe(3, noise_px=0.1)
+    assert calibrate(seen, scene.board, Options(scene.camera.model)).held_by_prior == ()
+    rational = model_named("opencv8")
+    calibration = calibrate(seen, scene.board, Options(rational))
+    spread = rational.prior_std(scene.camera.image_size, scene.camera.value("fx"))
+    ratios = np.sqrt(np.diag(calibration.camera.covariance)) / spread
+    # numerator and denominator do the same to a lens that needs no denominator
+    assert {"k4", "k5"} & set(calibration.held_by_prior)
+    for name, ratio in zip(rational.parameter_names, ratios, strict=True):
+        assert ratio < (1.05 if name in calibration.held_by_prior else 0.55)  # the focal length moved since the start
+        assert (name in calibration.held_by_prior) <= (ratio > 0.45)
+    held = calibrate(seen, scene.board, Options(rational, fixed=("k4", "k5", "k6")))
+    assert held.held_by_prior == ()
 
 
 def test_noise_free_views_give_the_truth(scene):

@@ -65,13 +65,27 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
     document = json.loads(out)
     assert code == 0
     assert list(document) == [
-        "schema", "output", "model", "image_size", "parameters", "std", "rms_px", "sigma_px", "floor_px",
-        "degrees_of_freedom", "board", "board_shape", "views", "rejected", "trustworthy", "reasons", "remarks",
-        "frames", "notes", "failed",
+        "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "rms_px", "sigma_px",
+        "floor_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "trustworthy", "reasons",
+        "remarks", "frames", "notes", "failed",
     ]  # fmt: skip
     assert document["schema"] == "camcal/calibrate/1"
     assert len(document["views"]) == 15
     assert all(np.hypot(*corner["residual"]) > 0.4 for corner in document["rejected"])
+
+
+def test_coefficients_that_the_data_do_not_determine_are_named_everywhere(run, table, tmp_path):
+    output = tmp_path / "camera.yaml"
+    code, out, _ = run("calibrate", table, "-o", output, "--model", "opencv8", "--json")
+    held = json.loads(out)["held_by_prior"]
+    assert code == 0
+    assert {"k3", "k6"} & set(held)  # r⁶ above and below the line: these corners do not tell them apart
+    assert not {"fx", "cx", "p1", "p2"} & set(held)
+    assert native.read(output).cameras["camera"].held_by_prior == tuple(held)
+    _, shown, _ = run("calibrate", table, "-o", output, "--model", "opencv8")
+    assert f"{', '.join(held)} " in shown
+    assert "held by" in shown
+    assert "held by" in run("inspect", output)[1]
 
 
 def test_fix_and_guess_reach_the_solver(run, table, tmp_path):

@@ -18,6 +18,7 @@ cameras:
     intrinsics: {fx: 512.0625, fy: 511.5, cx: 321.5, cy: 238.25}
     distortion: {k1: -0.2, k2: 0.05, p1: 0.0001, p2: -2.0e-05}
     fixed: [p2]
+    held_by_prior: [k2]
     uncertainty:
       std: {fx: 0.41, fy: 0.4, cx: 0.33, cy: 0.29, k1: 0.0009, k2: 0.0011, p1: 4.1e-05}
       projection: [{range_m: 1.5, max_px: 0.21}, {max_px: 0.12}]
@@ -87,6 +88,7 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "fixed",
         "field of view 65.2° x 51.3°",  # of the pinhole: 2 atan(320 / 500), 2 atan(240 / 500)
         "valid up to 36.5° from the axis, up to 401 px from the principal point, inside a polygon of 3 corners",
+        "k2 is held by its prior: the data hardly determine it",
         "fit rms 0.214 px, images used 34",
         "noise 0.11 px (3400 degrees of freedom)",
         "projection uncertain at 1.5 m: max 0.21 px",
@@ -165,7 +167,7 @@ def test_warnings_go_to_stderr_and_into_the_document(camcal, rig, tmp_path):
     odd.write_text(CAMERA.replace("images_used: 34", "images_used: 3"))
     result = camcal(str(odd))
     assert result.code == 0
-    assert result.err == f"camcal: warning: {odd}:16: cameras.left.quality.images_used: 3 images; take 10 or more\n"
+    assert result.err == f"camcal: warning: {odd}:17: cameras.left.quality.images_used: 3 images; take 10 or more\n"
     assert "take 10 or more" in json.loads(camcal(str(odd), "--json").out)["warnings"][0]
 
 
@@ -174,7 +176,7 @@ def test_every_broken_rule_has_its_line(camcal, tmp_path):
     path.write_text(CAMERA.replace("fx: 512.0625", "fx: 0.0").replace("model: pinhole", "model: pinhol"))
     result = camcal(str(path))
     assert (result.code, result.out) == (2, "")
-    assert [line.partition("bad.yaml")[2].partition(": ")[0] for line in result.err.splitlines()] == [":9", ":24"]
+    assert [line.partition("bad.yaml")[2].partition(": ")[0] for line in result.err.splitlines()] == [":9", ":25"]
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,7 @@ def full_file(rng) -> CameraFile:
         verdict=Verdict(trustworthy=False, reasons=("no view in the lower left corner", "few tilts")),
         sensor={"pixel_pitch_um": 3.45, "gain_e_per_dn": 0.4, "read_noise_e": 2.1, "full_well_e": 10500.0},
         channels={"red": red},
+        held_by_prior=("k4", "k5"),
         extra={"x_lab": {"shelf": 3, "notes": ["a", "b c"]}},
     )
     pose = Pose.from_vector(np.array([0.01, -0.02, 0.3]), np.array([-0.11, 0.002, 0.003]))
@@ -135,6 +136,7 @@ def test_everything_written_is_read_back_to_twelve_digits(tmp_path):
         assert_same_camera(found.cameras[name].camera, entry.camera)
     left, expected = found.cameras["left"], file.cameras["left"]
     assert_same_camera(left.channels["red"], expected.channels["red"])
+    assert left.held_by_prior == ("k4", "k5")
     assert (left.noise, left.verdict, left.projection) == (expected.noise, expected.verdict, expected.projection)
     assert (left.quality, left.sensor, left.extra) == (expected.quality, expected.sensor, expected.extra)
     assert math.isclose(left.valid.max_theta, 0.65, rel_tol=1e-11)  # through degrees at 12 digits
@@ -265,6 +267,15 @@ FAULTS = {
         "9: cameras.left.configuration: model 'opencv5' takes no configuration; leave it out"
     ),
     (MODEL, MODEL + "    fixed: [k11]\n"): "9: cameras.left.fixed[0]: unknown parameter 'k11'. Did you mean 'k1'?",
+    (MODEL, MODEL + "    held_by_prior: [k3, k4]\n"): (
+        "9: cameras.left.held_by_prior[1]: unknown coefficient 'k4'; possible here: k1, k2, p1, p2, k3"
+    ),
+    (MODEL, MODEL + "    held_by_prior: [fx]\n"): "9: cameras.left.held_by_prior[0]: unknown coefficient 'fx'",
+    (MODEL, MODEL + "    held_by_prior: k3\n"): "9: cameras.left.held_by_prior: 'k3' is not a list",
+    (MODEL, MODEL + "    held_by_prior: [k3, k3]\n"): "9: cameras.left.held_by_prior[1]: 'k3' stands twice",
+    (MODEL, MODEL + "    fixed: [k3]\n    held_by_prior: [k3]\n"): (
+        "10: cameras.left.held_by_prior[0]: 'k3' is fixed and has no prior; leave it out"
+    ),
 }
 
 

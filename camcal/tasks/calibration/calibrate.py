@@ -250,6 +250,7 @@ def camera_file(
         noise=Noise(calibration.sigma_px, calibration.freedom),
         verdict=Verdict(advice.trustworthy, advice.reasons),
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
+        held_by_prior=calibration.held_by_prior,
     )
     shaped = calibration.surface.tiers or calibration.surface.offsets is not None
     return CameraFile(

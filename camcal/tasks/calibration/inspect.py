@@ -14,7 +14,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import native, strict_yaml
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.schema import did_you_mean
-from camcal.report.uncertain import value_and_std
+from camcal.report.uncertain import held_by_prior_words, value_and_std
 from camcal.targets.surface import TIERS, Surface
 
 
@@ -91,6 +91,8 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     yield f"field of view {horizontal} x {vertical}, diagonal {diagonal}"
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
+    if entry.held_by_prior:
+        yield held_by_prior_words(entry.held_by_prior)
     if entry.quality:
         yield "fit " + _figures(entry.quality)
     if entry.noise is not None:
