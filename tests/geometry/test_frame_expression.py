@@ -10,10 +10,10 @@ from camcal.geometry.frame_expression import evaluate
 from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import Pose
 
-RNG = np.random.default_rng(6)
+VECTORS = np.random.default_rng(6).normal(size=(3, 2, 3))
 KNOWN = {
-    f"{a}_T_{b}": NamedTransform(a, b, Pose.from_vector(RNG.normal(size=3), RNG.normal(size=3)))
-    for a, b in (("a", "b"), ("c", "b"), ("c", "d"))
+    f"{a}_T_{b}": NamedTransform(a, b, Pose.from_vector(*vectors))
+    for (a, b), vectors in zip((("a", "b"), ("c", "b"), ("c", "d")), VECTORS, strict=True)
 }
 A_B, C_B, C_D = (KNOWN[name].pose for name in ("a_T_b", "c_T_b", "c_T_d"))
 

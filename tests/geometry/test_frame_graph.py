@@ -10,9 +10,10 @@ from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import Pose
 
-RNG = np.random.default_rng(4)
+VECTORS = np.random.default_rng(4).normal(size=(5, 2, 3))
 WORLD = {
-    frame: Pose.from_vector(RNG.normal(size=3), RNG.normal(size=3)) for frame in ("base", "arm", "cam", "tag", "tool")
+    frame: Pose.from_vector(*vectors)
+    for frame, vectors in zip(("base", "arm", "cam", "tag", "tool"), VECTORS, strict=True)
 }
 
 

@@ -13,19 +13,23 @@ from camcal.images.image import Image
 from camcal.images.load import gray_8bit, load, load_gray
 from camcal.images.scratch import Scratch
 
-RNG = np.random.default_rng(2)
-GRAY = RNG.integers(0, 255, (30, 40), dtype=np.uint8)
-COLOUR = RNG.integers(0, 255, (30, 40, 3), dtype=np.uint8)
-PICTURES = {
-    "gray": GRAY,
-    "colour": COLOUR,
-    "alpha": RNG.integers(0, 255, (30, 40, 4), dtype=np.uint8),
-    "gray16": RNG.integers(0, 65535, (30, 40), dtype=np.uint16),
-    "colour16": RNG.integers(0, 65535, (30, 40, 3), dtype=np.uint16),
-    "alpha16": RNG.integers(0, 65535, (30, 40, 4), dtype=np.uint16),
-    "float": RNG.normal(size=(30, 40)).astype(np.float32),
-    "colour float": RNG.normal(size=(30, 40, 3)).astype(np.float32),
-}
+
+def pictures():
+    rng = np.random.default_rng(2)
+    return {
+        "gray": rng.integers(0, 255, (30, 40), dtype=np.uint8),
+        "colour": rng.integers(0, 255, (30, 40, 3), dtype=np.uint8),
+        "alpha": rng.integers(0, 255, (30, 40, 4), dtype=np.uint8),
+        "gray16": rng.integers(0, 65535, (30, 40), dtype=np.uint16),
+        "colour16": rng.integers(0, 65535, (30, 40, 3), dtype=np.uint16),
+        "alpha16": rng.integers(0, 65535, (30, 40, 4), dtype=np.uint16),
+        "float": rng.normal(size=(30, 40)).astype(np.float32),
+        "colour float": rng.normal(size=(30, 40, 3)).astype(np.float32),
+    }
+
+
+PICTURES = pictures()
+GRAY, COLOUR = PICTURES["gray"], PICTURES["colour"]
 HOLDS = {
     ".png": ["gray", "colour", "alpha", "gray16", "colour16", "alpha16"],
     ".tiff": list(PICTURES),

@@ -13,13 +13,13 @@ from camcal.images.image import Image
 from camcal.images.load import load
 from camcal.images.save import KINDS, save
 
-RNG = np.random.default_rng(3)
 ORIENTATION = 0x0112
 
 
 def picture(dtype, channels):
     shape = (30, 40) if channels == 1 else (30, 40, channels)
-    return RNG.random(shape, np.float32) if dtype == "float32" else RNG.integers(0, 255, shape).astype(dtype)
+    rng = np.random.default_rng(3)
+    return rng.random(shape, np.float32) if dtype == "float32" else rng.integers(0, 255, shape).astype(dtype)
 
 
 CASES = [(suffix, dtype, n) for suffix, kind in KINDS.items() for dtype in kind.dtypes for n in kind.channels]

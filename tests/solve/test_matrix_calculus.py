@@ -14,11 +14,14 @@ import pytest
 
 from camcal.solve.differentiate import central_jacobian, complex_jacobian
 
-RNG = np.random.default_rng(11)
-A, B = RNG.normal(size=(2, 3, 3))
-C = RNG.normal(size=(3, 3))
-X = RNG.normal(size=(3, 3)) + 3 * np.eye(3)  # far from singular
+A, B, C, NOISE = np.random.default_rng(11).normal(size=(4, 3, 3))
+X = NOISE + 3 * np.eye(3)  # far from singular
 ROUNDING = 1e-12  # complex steps are exact to the rounding of a dozen products of numbers near 10
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(12)
 
 
 def derivative_by_matrix(function, at):
@@ -33,15 +36,15 @@ def power(matrix, exponent):
 # Vectors by vectors
 
 
-def test_the_derivative_of_a_linear_map_is_its_matrix_not_the_transpose():
-    wide, x = RNG.normal(size=(2, 3)), RNG.normal(size=3)
+def test_the_derivative_of_a_linear_map_is_its_matrix_not_the_transpose(rng):
+    wide, x = rng.normal(size=(2, 3)), rng.normal(size=3)
     jacobian = complex_jacobian(lambda v: wide @ v, x)
     assert jacobian.shape == (2, 3)  # a row for each value, a column for each variable
     np.testing.assert_allclose(jacobian, wide, atol=ROUNDING)
 
 
-def test_the_derivative_of_a_quadratic_form_is_a_row_and_its_gradient_the_column():
-    x = RNG.normal(size=3)
+def test_the_derivative_of_a_quadratic_form_is_a_row_and_its_gradient_the_column(rng):
+    x = rng.normal(size=3)
     row = complex_jacobian(lambda v: np.array([v @ A @ v]), x)
     assert row.shape == (1, 3)
     np.testing.assert_allclose(row, x[None] @ (A + A.T), atol=ROUNDING)
@@ -51,8 +54,8 @@ def test_the_derivative_of_a_quadratic_form_is_a_row_and_its_gradient_the_column
     np.testing.assert_allclose(complex_jacobian(lambda v: v @ symmetric @ v, x), 2 * symmetric @ x, atol=ROUNDING)
 
 
-def test_the_derivative_of_an_inner_product_is_the_other_vector():
-    a, x = RNG.normal(size=(2, 3))
+def test_the_derivative_of_an_inner_product_is_the_other_vector(rng):
+    a, x = rng.normal(size=(2, 3))
     np.testing.assert_allclose(complex_jacobian(lambda v: a @ v, x), a, atol=ROUNDING)
     np.testing.assert_allclose(complex_jacobian(lambda v: v @ a, x), a, atol=ROUNDING)
 
@@ -71,8 +74,8 @@ def test_chained_jacobians_multiply_in_the_order_of_the_functions():
     np.testing.assert_allclose(whole, parts, atol=ROUNDING)
 
 
-def test_the_gradient_of_half_the_squared_residuals_is_the_jacobian_transposed_times_them():
-    x, data = np.array([0.4, -0.2]), RNG.normal(size=5)
+def test_the_gradient_of_half_the_squared_residuals_is_the_jacobian_transposed_times_them(rng):
+    x, data = np.array([0.4, -0.2]), rng.normal(size=5)
     at = np.linspace(0, 1, 5)
 
     def residuals(p):
@@ -84,12 +87,12 @@ def test_the_gradient_of_half_the_squared_residuals_is_the_jacobian_transposed_t
     np.testing.assert_allclose(gradient, jacobian.T @ residuals(x), atol=1e-10)
 
 
-def test_covariances_pass_through_a_jacobian_with_the_transpose_on_the_right():
+def test_covariances_pass_through_a_jacobian_with_the_transpose_on_the_right(rng):
     step = 1.0
     F = np.array([[1, step], [0, 1]])  # position and velocity of constant velocity
     P = np.diag([1.0, 3.0])
     propagated = F @ P @ F.T
-    samples = RNG.multivariate_normal(np.zeros(2), P, size=200_000) @ F.T
+    samples = rng.multivariate_normal(np.zeros(2), P, size=200_000) @ F.T
     # 200 000 samples: standard error of a variance of 4 is 0.013
     np.testing.assert_allclose(np.cov(samples.T), propagated, atol=0.06)
     assert propagated[0, 0] == 4.0
@@ -123,9 +126,9 @@ def test_the_trace_table_holds(row):
 
 
 @pytest.mark.parametrize("row", TRACE_TABLE)
-def test_the_differential_of_a_trace_is_the_trace_of_its_derivative_transposed_with_the_change(row):
+def test_the_differential_of_a_trace_is_the_trace_of_its_derivative_transposed_with_the_change(row, rng):
     function, slope = TRACE_TABLE[row]
-    change = RNG.normal(size=X.shape)
+    change = rng.normal(size=X.shape)
     along = complex_jacobian(lambda t: function(X + t[0] * change), np.zeros(1))[0]
     assert along == pytest.approx(np.trace(slope(X).T @ change), abs=1e-10)
 
@@ -138,8 +141,8 @@ def test_the_derivative_of_the_trace_of_the_inverse_has_a_minus():
     assert np.trace(gradient) < 0
 
 
-def test_the_inverse_changes_by_minus_inverse_change_inverse():
-    change, inverse = RNG.normal(size=X.shape), np.linalg.inv(X)
+def test_the_inverse_changes_by_minus_inverse_change_inverse(rng):
+    change, inverse = rng.normal(size=X.shape), np.linalg.inv(X)
     along = complex_jacobian(lambda t: np.linalg.inv(X + t[0] * change), np.zeros(1))[..., 0]
     np.testing.assert_allclose(along, -inverse @ change @ inverse, atol=ROUNDING)
 
@@ -149,15 +152,15 @@ def test_the_logarithm_of_the_determinant_has_the_inverse_transposed_for_its_der
     np.testing.assert_allclose(gradient, np.linalg.inv(X).T, atol=1e-9)  # fourth order at steps of 1e-3
 
 
-def test_a_normal_matrix_is_positive_definite_only_if_the_columns_are_independent():
-    independent, repeated = RNG.normal(size=(5, 2)), np.ones((5, 2))
+def test_a_normal_matrix_is_positive_definite_only_if_the_columns_are_independent(rng):
+    independent, repeated = rng.normal(size=(5, 2)), np.ones((5, 2))
     assert np.linalg.eigvalsh(independent.T @ independent).min() > 0
     assert np.linalg.eigvalsh(repeated.T @ repeated).min() == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(repeated) > 0  # that the matrix is not zero proves nothing
 
 
-def test_whitening_by_cholesky_gives_the_weighted_cost_for_any_covariance():
-    W, residual = C @ C.T + np.eye(3), RNG.normal(size=3)
+def test_whitening_by_cholesky_gives_the_weighted_cost_for_any_covariance(rng):
+    W, residual = C @ C.T + np.eye(3), rng.normal(size=3)
     whitened = np.linalg.solve(np.linalg.cholesky(W), residual)
     assert whitened @ whitened == pytest.approx(residual @ np.linalg.solve(W, residual), rel=1e-12)
     by_deviations = residual / np.sqrt(np.diag(W))  # right for a diagonal W only
