@@ -1,7 +1,13 @@
-"""What every test may use: the shared real data, and quick randomised searches."""
+"""What every test may use: the shared real data, processes that do not outlive it, and quick randomised searches."""
 
 import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -29,3 +35,28 @@ def real_data() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return folder
+
+
+@pytest.fixture
+def start_python() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """A function that starts Python with arguments, in a process group of its own.
+
+    Ctrl-C interrupts it even where it is ignored here, as in a job in the background, which children inherit. The whole
+    group is killed at the end of the test, also of one that fails.
+    """
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: object, **extra: Any) -> subprocess.Popen[str]:
+        command = [sys.executable, *map(str, arguments)]
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True, **extra)
+        finally:
+            signal.signal(signal.SIGINT, before)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        with process, suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)

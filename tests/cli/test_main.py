@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -244,8 +245,10 @@ def test_a_missing_settings_file_is_a_file_error(run):
     assert run("work", "--config", "nowhere.yaml") == (3, "", "camcal: error: nowhere.yaml: no such file\n")
 
 
-def console(*arguments: str, **extra) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, "-c", CONSOLE, *arguments], text=True, stderr=subprocess.PIPE, **extra)
+@pytest.fixture
+def console(start_python):
+    """A function that starts a small program with camcal's boundary."""
+    return partial(start_python, "-c", CONSOLE)
 
 
 CONSOLE = """
@@ -277,7 +280,7 @@ main.main()
 """
 
 
-def test_a_closed_pipe_is_not_an_error():
+def test_a_closed_pipe_is_not_an_error(console):
     reader, writer = os.pipe()
     os.close(reader)
     process = console("talk", stdout=writer)
@@ -287,25 +290,25 @@ def test_a_closed_pipe_is_not_an_error():
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is a device of Linux")
-def test_a_full_disk_behind_stdout_is_a_file_error():
+def test_a_full_disk_behind_stdout_is_a_file_error(console):
     with Path("/dev/full").open("w") as full:
         process = console("talk", stdout=full)
     assert process.communicate()[1] == "camcal: error: standard output: cannot be written: No space left on device\n"
     assert process.returncode == 3
 
 
-def test_c_libraries_are_not_heard_and_we_are():
+def test_c_libraries_are_not_heard_and_we_are(console):
     process = console("noise", stdout=subprocess.DEVNULL)
     assert process.communicate()[1] == "camcal: warning: ours\nand Python's\n"
 
 
-def test_a_crash_in_a_c_library_still_says_where():
+def test_a_crash_in_a_c_library_still_says_where(console):
     process = console("crash", stdout=subprocess.DEVNULL)
     assert "Segmentation fault" in process.communicate()[1]
     assert process.returncode == -signal.SIGSEGV
 
 
-def test_ctrl_c_exits_with_130_at_once():
+def test_ctrl_c_exits_with_130_at_once(console):
     process = console("wait", stdout=subprocess.PIPE)
     assert process.stdout.readline() == "waiting\n"
     process.send_signal(signal.SIGINT)

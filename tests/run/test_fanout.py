@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -217,7 +218,9 @@ list(fan_out(partial(work.pid_then_hang, Path(sys.argv[2])), range(9), jobs=2, p
 """
 
 
-def parent_with_two_hanging_workers(folder: Path, *, as_file: bool = False) -> tuple[subprocess.Popen[str], list[int]]:
+def parent_with_two_hanging_workers(
+    start_python: Callable[..., subprocess.Popen[str]], folder: Path, *, as_file: bool = False
+) -> tuple[subprocess.Popen[str], list[int]]:
     program = ["-c", PARENT]
     if as_file:
         script = folder / "parent.py"
@@ -225,12 +228,7 @@ def parent_with_two_hanging_workers(folder: Path, *, as_file: bool = False) -> t
         program = [str(script)]
     notes = folder / "pids"
     notes.mkdir()
-    process = subprocess.Popen(
-        [sys.executable, *program, str(Path(__file__).parent), str(notes)],
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    process = start_python(*program, Path(__file__).parent, notes)
     until = time.monotonic() + 30
     while len(pids := [int(path.name) for path in notes.iterdir()]) < 2:
         assert process.poll() is None, process.communicate()[1]
@@ -239,16 +237,16 @@ def parent_with_two_hanging_workers(folder: Path, *, as_file: bool = False) -> t
     return process, pids
 
 
-def test_workers_leave_when_their_parent_is_killed_in_the_middle_of_an_item(tmp_path):
-    process, pids = parent_with_two_hanging_workers(tmp_path)
+def test_workers_leave_when_their_parent_is_killed_in_the_middle_of_an_item(start_python, tmp_path):
+    process, pids = parent_with_two_hanging_workers(start_python, tmp_path)
     process.kill()
     process.communicate()
     assert all(gone(pid) for pid in pids)
 
 
 @pytest.mark.parametrize("as_file", [False, True], ids=["python -c", "a script without a __main__ guard"])
-def test_ctrl_c_ends_the_parent_and_its_workers_without_noise_from_them(tmp_path, as_file):
-    process, pids = parent_with_two_hanging_workers(tmp_path, as_file=as_file)
+def test_ctrl_c_ends_the_parent_and_its_workers_without_noise_from_them(start_python, tmp_path, as_file):
+    process, pids = parent_with_two_hanging_workers(start_python, tmp_path, as_file=as_file)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
     _, noise = process.communicate(timeout=10)
     assert process.returncode == -signal.SIGINT
@@ -260,10 +258,8 @@ def test_ctrl_c_ends_the_parent_and_its_workers_without_noise_from_them(tmp_path
 THREADS = PARENT.replace("pid_then_hang", "noted").replace("range(9), jobs=2, processes=True", "range(1000), jobs=2")
 
 
-def test_ctrl_c_drops_the_items_that_threads_have_not_begun(tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-c", THREADS, str(Path(__file__).parent), str(tmp_path)], stderr=subprocess.PIPE, text=True
-    )
+def test_ctrl_c_drops_the_items_that_threads_have_not_begun(start_python, tmp_path):
+    process = start_python("-c", THREADS, Path(__file__).parent, tmp_path)
     until = time.monotonic() + 30
     while not list(tmp_path.iterdir()):
         assert time.monotonic() < until
