@@ -1,15 +1,17 @@
 """The shape of the board that a calibration found, as a block of a camera file.
 
     board: {type: chessboard, inner_corners: [9, 6], square_mm: 25.0}
-    tiers: [bow, stretch]
+    classes:                              # optional
+      bow: {scale: 0.00039, std: 0.0001}
     coefficients: {xy: 1.2e-05, P2(x): 0.00021, P2(y): -3.1e-05, stretch: -0.003, shear: 1.0e-05}
     uncertainty: {std: {xy: 2.0e-06, ...}, covariance_order: [...], covariance: [...]}
     deflection_m: 0.00031
     deflection_std_m: 1.5e-05
     offsets: one [x, y, z] per corner, in the order of the ids (optional)
+    tiers: [bow, stretch]                 # optional, in older files
 
-Out-of-plane coefficients, offsets and deflection are in metres, in squares when the square's size is unknown (the
-keys then end in _squares); stretch and shear are ratios.
+Coefficients, offsets and deflection are in metres, in squares when the square's size is unknown (the keys then end in
+_squares); stretch and shear are ratios. Scales are shares of the board's longer side, ratios for stretch and shear.
 """
 
 from collections.abc import Iterator, Mapping
@@ -21,20 +23,24 @@ import numpy as np
 from camcal.formats import boards, covariance
 from camcal.formats.schema import items, mapping, number, one_of
 from camcal.formats.strict_yaml import Fault, child
-from camcal.targets.surface import OFFSETS, TIERS, Surface
+from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 
 # A key of the file is a plain word.
-KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term) for terms in TIERS.values() for term in terms}
+KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term.replace(" ", "_")) for term in TERMS}
+KEY_OF_CLASS = {name: name.replace(" ", "_") for name in (*CLASSES, *CORNER_CLASSES)}
 _TERM_OF_KEY = {key: term for term, key in KEY_OF_TERM.items()}
+_CLASS_OF_KEY = {key: name for name, key in KEY_OF_CLASS.items()}
 
+_SCALE = mapping({"scale": number(0), "std": number(0)})
 _SHAPE = mapping(
     {
         "board": boards.check,
-        "tiers": items(one_of((*TIERS, OFFSETS), "tier")),
         "coefficients": mapping({}, dict.fromkeys(_TERM_OF_KEY, number())),
         "uncertainty": mapping({}, covariance.KEYS),
     },
     {
+        "tiers": items(one_of((*TIERS, OFFSETS), "tier")),
+        "classes": mapping({}, dict.fromkeys(_CLASS_OF_KEY, _SCALE)),
         **{f"{what}_{unit}": number(0) for what in ("deflection", "deflection_std") for unit in ("m", "squares")},
         "offsets": items(items(number(), 3)),
     },
@@ -47,7 +53,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     yield from faults
     if faults:
         return
-    board, terms = boards.from_block(data["board"]), list(data["coefficients"])
+    board, terms = boards.from_block(data["board"]), _terms(data)
     yield from covariance.check(data["uncertainty"], child(path, "uncertainty"), terms)
     lacking = [name for name in terms if name not in data["uncertainty"].get("std", {})]
     if lacking:
@@ -62,18 +68,27 @@ def check(data: Any, path: str) -> Iterator[Fault]:
 
 def read(data: Mapping[str, Any], folder: Path) -> Surface:
     """Return the surface of data that has passed `check`."""
-    board, keys = boards.from_block(data["board"]), list(data["coefficients"])
+    board, keys = boards.from_block(data["board"]), _terms(data)
     known, _ = covariance.read(data["uncertainty"], keys, folder)
     return Surface(
         board,
-        tuple(data["tiers"]),
+        tuple(data.get("tiers", ())),
         tuple(_TERM_OF_KEY[key] for key in keys),
         np.array([float(data["coefficients"][key]) for key in keys]),
         np.zeros((0, 0)) if known is None else known,
         np.array(data["offsets"], dtype=float) if "offsets" in data else None,
         float(data.get(f"deflection_{board.unit}", 0.0)),
         float(data.get(f"deflection_std_{board.unit}", 0.0)),
+        {
+            _CLASS_OF_KEY[key]: (float(found["scale"]), float(found["std"]))
+            for key, found in data.get("classes", {}).items()
+            if key in _CLASS_OF_KEY  # and not x_ keys of others
+        },
     )
+
+
+def _terms(data: Mapping[str, Any]) -> list[str]:
+    return [key for key in data["coefficients"] if key in _TERM_OF_KEY]
 
 
 def block(surface: Surface, beside: Path) -> dict[str, Any]:
@@ -81,7 +96,12 @@ def block(surface: Surface, beside: Path) -> dict[str, Any]:
     keys, unit = [KEY_OF_TERM[term] for term in surface.terms], surface.board.unit
     return {
         "board": boards.block(surface.board),
-        "tiers": list(surface.tiers),
+        "tiers": list(surface.tiers) or None,
+        "classes": {
+            KEY_OF_CLASS[name]: {"scale": float(scale), "std": float(std)}
+            for name, (scale, std) in surface.classes.items()
+        }
+        or None,
         "coefficients": dict(zip(keys, surface.coefficients.tolist(), strict=True)),
         "uncertainty": covariance.block(keys, surface.covariance, beside),
         f"deflection_{unit}": float(surface.deflection),

@@ -5,7 +5,7 @@ from typing import Any
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.formats import boards
 from camcal.report.uncertain import held_by_prior_words, value_and_std
-from camcal.targets.surface import TIERS
+from camcal.targets.surface import RATIOS
 
 
 def parameter_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
@@ -46,7 +46,7 @@ def _board_lines(calibration: Calibration) -> list[str]:
         bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
         lines.append(f"board: bent by {bend} ± {std} {unit} peak to peak")
     for term, value, std in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
-        if term in TIERS["stretch"]:
+        if term in RATIOS:
             shown = " ± ".join(value_and_std(100 * value, 100 * std))
             pairs = calibration.correlations.items()
             with_focal = ", ".join(f"{pair[1]} {share:+.2f}" for pair, share in pairs if pair[0] == term)
@@ -82,6 +82,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "board_shape": {
             "unit": calibration.board.unit,
             "tiers": list(surface.tiers),
+            "classes": {name: {"scale": scale, "std": std} for name, (scale, std) in surface.classes.items()},
             "terms": dict(zip(surface.terms, surface.coefficients.tolist(), strict=True)),
             "std": dict(zip(surface.terms, surface.coefficients_std().tolist(), strict=True)),
             "deflection": surface.deflection,

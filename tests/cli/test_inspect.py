@@ -40,6 +40,7 @@ transforms:
 board_shape:
   board: {type: chessboard, inner_corners: [9, 6], square_mm: 25.0}
   tiers: [bow]
+  classes: {bow: {scale: 0.00039, std: 0.0001}, stretch: {scale: 0.0012, std: 0.0003}}
   coefficients: {P2(x): 0.0002}
   uncertainty: {std: {P2(x): 1.0e-05}}
   deflection_m: 0.00031
@@ -100,6 +101,8 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "right_T_left: 0.12 m apart, turned by 0.000°",
         "board chessboard of 9x6 inner corners, bent by 0.310 ± 0.015 mm peak to peak",
         "board P2(x): 0.200 ± 0.010 mm",
+        "board, scale of bow: 0.039 ± 0.010 % of the longer side",
+        "board, scale of stretch: 0.120 ± 0.030 %\n",
         "made by camcal 0.1.0",
         "with camcal calibrate images",
         "from 1 of 2 images",

@@ -106,6 +106,7 @@ def test_every_key_and_column_is_named_on_the_page():
         *native_entry.FIGURES,
         *native_entry.COUNTS,
         *native_board_shape.KEY_OF_TERM.values(),
+        *native_board_shape.KEY_OF_CLASS.values(),
         *keys_of_boards(),
         *detections_csv.COLUMNS,
         *detections_csv.OPTIONAL,

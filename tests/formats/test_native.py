@@ -2,6 +2,7 @@
 
 import copy
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -96,16 +97,17 @@ def full_file(rng) -> CameraFile:
     pose = Pose.from_vector(np.array([0.01, -0.02, 0.3]), np.array([-0.11, 0.002, 0.003]))
     names = ("left.fx", "right_T_left.tx", "right_T_left.rz")
     board = parse_board("charuco:9x7:30mm:22mm:DICT_5X5_100")
-    terms = ("xy", "P2(x)", "P2(y)", "x/y scale", "shear")
+    terms = ("xy", "P2(x)", "P2(y)", "x/y scale", "shear", "keystone x", "keystone y")
     shape = Surface(
         board,
         ("bow", "stretch", "offsets"),
         terms,
-        rng.normal(size=5) * 1e-4,
-        random_covariance(rng, np.full(5, 1e-5)),
+        rng.normal(size=7) * 1e-4,
+        random_covariance(rng, np.full(7, 1e-5)),
         rng.normal(size=(board.count, 3)) * 1e-5,
         3.1e-4,
         1.5e-5,
+        {"bow": (3.9e-4, 1e-4), "stretch": (0.0, 2e-4), "corners in plane": (1e-4, 2e-5)},
     )
     return CameraFile(
         {"left": left, "right": CameraEntry(lens)},
@@ -155,8 +157,38 @@ def test_the_shape_of_the_board_comes_back(tmp_path):
     found, expected = native.read(tmp_path / "rig.yaml").board_shape, file.board_shape
     assert (found.board, found.tiers, found.terms) == (expected.board, expected.tiers, expected.terms)
     assert (found.deflection, found.deflection_std) == (expected.deflection, expected.deflection_std)
+    assert found.classes == expected.classes
     for part in ("coefficients", "covariance", "offsets"):
         np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=TWELVE_DIGITS)
+
+
+@pytest.mark.parametrize(("name", "nothing"), [("tiers", ()), ("classes", {})])
+def test_tiers_and_classes_of_a_shape_are_optional(tmp_path, name, nothing):
+    file = full_file(np.random.default_rng(2))
+    native.write(tmp_path / "rig.yaml", replace(file, board_shape=replace(file.board_shape, **{name: nothing})))
+    data = yaml.safe_load((tmp_path / "rig.yaml").read_text(encoding="utf-8"))
+    assert {"tiers", "classes"} - data["board_shape"].keys() == {name}
+    assert getattr(native.read(tmp_path / "rig.yaml").board_shape, name) == nothing
+
+
+def test_a_shape_of_an_older_file_has_tiers_and_no_classes(saved):
+    shape = native.read(saved(GOOD + SHAPE)).board_shape
+    assert (shape.tiers, shape.classes, shape.terms) == (("bow",), {}, ("P2(x)",))
+
+
+def test_the_keys_of_terms_and_classes_are_plain_words(saved):
+    content = SHAPE.replace("tiers: [bow]", "classes: {corners_out_of_plane: {scale: 0.0001, std: 2.0e-05}}")
+    content = content.replace("P2(x)", "keystone_y")
+    shape = native.read(saved(GOOD + content)).board_shape
+    assert shape.classes == {"corners out of plane": (1e-4, 2e-5)}
+    assert shape.terms == ("keystone y",)
+
+
+def test_keys_of_others_may_stand_in_a_shape(saved):
+    content = SHAPE.replace("tiers: [bow]", "classes: {x_a: 1, bow: {scale: 0.001, std: 0.001, x_b: 2}}")
+    content = content.replace("{P2(x): 0.0002}", "{P2(x): 0.0002, x_c: 3}")
+    shape = native.read(saved(GOOD + content)).board_shape
+    assert (list(shape.classes), shape.terms) == (["bow"], ("P2(x)",))
 
 
 def test_what_was_read_is_written_with_the_same_bytes(tmp_path):
@@ -412,6 +444,9 @@ SHAPE = """board_shape:
         ("tiers", "offsets: [[0.0, 0.0, 0.0]]\n  tiers", "1 offsets; the board has 6 corners"),
         ("square_mm: 25.0", "square_mm: -1.0", "board_shape.board.square_mm: -1.0 must be > 0"),
         ("coefficients: {P2(x)", "coefficients: {P2(z)", "coefficients.P2(z): unknown key"),
+        ("tiers: [bow]", "classes: {bwo: {scale: 0.1, std: 0.1}}", "classes.bwo: unknown key. Did you mean 'bow'?"),
+        ("tiers: [bow]", "classes: {bow: {scale: 0.1}}", "classes.bow: missing key 'std'"),
+        ("tiers: [bow]", "classes: {bow: {scale: -0.1, std: 0.1}}", "classes.bow.scale: -0.1 is outside"),
     ],
 )
 def test_a_board_shape_that_contradicts_itself_is_refused(saved, old, new, expected):

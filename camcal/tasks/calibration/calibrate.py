@@ -252,10 +252,11 @@ def camera_file(
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,
     )
-    shaped = calibration.surface.tiers or calibration.surface.offsets is not None
+    surface = calibration.surface
+    shaped = surface.tiers or surface.terms or surface.classes or surface.offsets is not None
     return CameraFile(
         {options.name: entry},
-        board_shape=calibration.surface if shaped else None,
+        board_shape=surface if shaped else None,
         provenance=_provenance(calibration, options) | channel_figures(channels),
     )
 

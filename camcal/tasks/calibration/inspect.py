@@ -15,7 +15,7 @@ from camcal.formats import native, strict_yaml
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.schema import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, value_and_std
-from camcal.targets.surface import TIERS, Surface
+from camcal.targets.surface import CLASSES, RATIOS, Surface
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,14 @@ def _board_lines(surface: Surface) -> Iterator[str]:
     bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
     yield f"board {surface.board.words}, bent by {bend} ± {std} {unit} peak to peak"
     for term, value, spread in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
-        scale, what = (100.0, "%") if term in TIERS["stretch"] else (factor, unit)
+        scale, what = (100.0, "%") if term in RATIOS else (factor, unit)
         shown, sigma = value_and_std(scale * float(value), scale * float(spread))
         yield f"board {term}: {shown} ± {sigma} {what}"
+    for name, (value, spread) in surface.classes.items():
+        shown, sigma = value_and_std(100 * value, 100 * spread)
+        ratio = name in CLASSES and set(CLASSES[name].terms) <= set(RATIOS)
+        whole = "" if ratio else " of the longer side"
+        yield f"board, scale of {name}: {shown} ± {sigma} %{whole}"
     if surface.offsets is not None:
         yield f"board points moved by up to {factor * np.abs(surface.offsets).max():.3g} {unit}"
 
