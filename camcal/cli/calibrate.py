@@ -93,7 +93,7 @@ def calibrate(
     its standard deviation.
     """
     from camcal.errors import ItemsFailed
-    from camcal.report.calibration import as_data
+    from camcal.report.calibration import as_data, uncertainty_data
     from camcal.tasks.calibration.calibrate import CalibrateOptions, channel_data
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.photographs import Reading
@@ -133,7 +133,8 @@ def calibrate(
         frames = [frame_data(record) for record in report.frames]
         said = {"frames": frames, "notes": report.notes, "failed": report.failed}
         lenses = {"channels": channel_data(report.channels)} if report.channels else {}
-        show.document("calibrate", {"output": output, **as_data(report.calibration), **verdict, **said, **lenses})
+        numbers = {**as_data(report.calibration), "uncertainty": uncertainty_data(report.uncertainty)}
+        show.document("calibrate", {"output": output, **numbers, **verdict, **said, **lenses})
     elif not quiet:
         _show(report, output, verbose)
     if report.failed:
@@ -141,7 +142,9 @@ def calibrate(
 
 
 def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
+    from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import parameter_rows, summary
+    from camcal.report.uncertain import projection_words
 
     calibration = report.calibration
     if report.frames and verbose:
@@ -156,6 +159,7 @@ def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
     )
     for line in summary(calibration):
         show.text(line)
+    show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
     _show_channels(report)
     _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
     corners = [f"  {corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]

@@ -9,6 +9,7 @@ from camcal.arrays import Array, readonly
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import valid_block
 from camcal.geometry.pose import Pose
+from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.targets.surface import Surface
 
 
@@ -37,10 +38,18 @@ class ValidRegion:
 
 @dataclass(frozen=True)
 class ProjectionStd:
-    """How far a point at one range (m, None: infinity) may be projected off, px: figures over the whole image."""
+    """Standard deviations of where a point at one range (m, None: infinity) is projected, px.
+
+    figures: over the image, those that begin with `inside` over the part of it where corners were seen.
+    """
 
     figures: Mapping[str, float]
     range_m: float | None = None
+
+    @classmethod
+    def of(cls, uncertainty: ProjectionUncertainty) -> "ProjectionStd":
+        """Return the figures of a map at infinity by the keys of a file."""
+        return cls({name.replace("worst", "max"): value for name, value in uncertainty.figures().items()})
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,12 @@ _RANGES: Mapping[str, Check] = {
     "tau_x": number(-math.pi / 2, math.pi / 2),
     "tau_y": number(-math.pi / 2, math.pi / 2),
 }
-_PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px")
+PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
 _UNCERTAINTY = mapping(
     {},
     {
         **covariance.KEYS,
-        "projection": items(mapping({}, {"range_m": number(above=0), **dict.fromkeys(_PROJECTION_FIGURES, number(0))})),
+        "projection": items(mapping({}, {"range_m": number(above=0), **dict.fromkeys(PROJECTION_FIGURES, number(0))})),
     },
 )
 

@@ -2,8 +2,10 @@
 
 from typing import Any
 
+from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.formats import boards
+from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.uncertain import held_by_prior_words, value_and_std
 from camcal.targets.surface import RATIOS
 
@@ -101,3 +103,23 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
             for corner in calibration.rejected
         ],
     }
+
+
+def uncertainty_data(uncertainty: ProjectionUncertainty) -> dict[str, Any]:
+    """Return the figures of a projection uncertainty and its map, row by row and at four digits, as plain data."""
+    shape = (len(uncertainty.v), len(uncertainty.u))
+    inside = uncertainty.inside
+    return {
+        "projection": uncertainty.figures(),
+        "map": {
+            "u": uncertainty.u.round(3).tolist(),
+            "v": uncertainty.v.round(3).tolist(),
+            "rms_px": _four_digits(uncertainty.std_rms.reshape(shape)),
+            "worst_px": _four_digits(uncertainty.std_worst.reshape(shape)),
+            "inside": None if inside is None else inside.reshape(shape).tolist(),
+        },
+    }
+
+
+def _four_digits(values: Array) -> list[list[float]]:
+    return [[float(f"{value:.4g}") for value in row] for row in values.tolist()]

@@ -1,7 +1,9 @@
 """A value and its standard deviation as text, no digit more than is known."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import floor, isfinite, log10
+
+_FIGURES = {"rms": "RMS", "max": "worst", "centre": "centre", "median": "median", "p95": "95th percentile"}
 
 
 def value_and_std(value: float, std: float | None) -> tuple[str, str]:
@@ -23,3 +25,23 @@ def held_by_prior_words(names: Sequence[str]) -> str:
     if len(names) == 1:
         return f"{listed} is held by its prior: the data hardly determine it"
     return f"{listed} are held by their priors: the data hardly determine them"
+
+
+def projection_words(figures: Mapping[str, float], range_m: float | None = None) -> str:
+    """Return figures of a projection uncertainty by their keys in a camera file, px, as a line."""
+    distance = "at infinity" if range_m is None else f"at {range_m:g} m"
+    image, inside = (
+        ", ".join(
+            f"{words} {_two_digits(figures[key])} px"
+            for name, words in _FIGURES.items()
+            if (key := f"{part}{name}_px") in figures
+        )
+        for part in ("", "inside_")
+    )
+    parts = [image] if image else []
+    parts += [f"where corners were seen: {inside}"] if inside else []
+    return f"Projection uncertainty (1 sigma, {distance}): {'; '.join(parts)}"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.2g}" if value < 10 else f"{value:.0f}"

@@ -66,12 +66,39 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
     assert code == 0
     assert list(document) == [
         "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "rms_px", "sigma_px",
-        "floor_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "trustworthy", "reasons",
-        "remarks", "frames", "notes", "failed",
+        "floor_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty", "trustworthy",
+        "reasons", "remarks", "frames", "notes", "failed",
     ]  # fmt: skip
     assert document["schema"] == "camcal/calibrate/1"
     assert len(document["views"]) == 15
     assert all(np.hypot(*corner["residual"]) > 0.4 for corner in document["rejected"])
+    assert list(document["board_shape"]) == [
+        "unit", "tiers", "classes", "terms", "std", "deflection", "deflection_std", "free_corners", "correlations",
+    ]  # fmt: skip
+
+
+def test_the_projection_uncertainty_is_in_the_file_the_document_and_on_the_terminal(run, table, tmp_path):
+    output = tmp_path / "camera.yaml"
+    code, out, _ = run("calibrate", table, "-o", output, "--json")
+    found = json.loads(out)["uncertainty"]
+    assert code == 0
+    assert {key: list(part) for key, part in found.items()} == {
+        "projection": ["rms_px", "worst_px", "inside_rms_px", "inside_worst_px"],
+        "map": ["u", "v", "rms_px", "worst_px", "inside"],
+    }
+    (item,) = native.read(output).cameras["camera"].projection
+    assert item.range_m is None
+    assert list(item.figures) == ["rms_px", "max_px", "inside_rms_px", "inside_max_px"]
+    assert list(item.figures.values()) == pytest.approx(list(found["projection"].values()))
+    assert 0 < item.figures["inside_rms_px"] <= item.figures["rms_px"] < item.figures["max_px"] < 5
+    rows, columns = len(found["map"]["v"]), len(found["map"]["u"])
+    assert (found["map"]["u"][-1], found["map"]["v"][-1]) == (1599, 1199)
+    for name in ("rms_px", "worst_px", "inside"):
+        assert np.shape(found["map"][name]) == (rows, columns)
+    assert np.max(found["map"]["worst_px"]) == pytest.approx(found["projection"]["worst_px"], rel=1e-3)
+    line = "Projection uncertainty (1 sigma, at infinity): RMS "
+    assert line in run("calibrate", table, "-o", output)[1]
+    assert line in run("inspect", output)[1]
 
 
 def test_coefficients_that_the_data_do_not_determine_are_named_everywhere(run, table, tmp_path):

@@ -21,7 +21,7 @@ cameras:
     held_by_prior: [k2]
     uncertainty:
       std: {fx: 0.41, fy: 0.4, cx: 0.33, cy: 0.29, k1: 0.0009, k2: 0.0011, p1: 4.1e-05}
-      projection: [{range_m: 1.5, max_px: 0.21}, {max_px: 0.12}]
+      projection: [{range_m: 1.5, max_px: 0.21}, {rms_px: 0.04, max_px: 0.2, inside_rms_px: 0.03}]
     valid: {max_theta_deg: 36.5, max_radius_px: 401.0, polygon: [[0.0, 0.0], [639.0, 0.0], [320.0, 479.0]]}
     quality: {rms_px: 0.214, images_used: 34}
     noise: {sigma_px: 0.11, degrees_of_freedom: 3400}
@@ -92,8 +92,8 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "k2 is held by its prior: the data hardly determine it",
         "fit rms 0.214 px, images used 34",
         "noise 0.11 px (3400 degrees of freedom)",
-        "projection uncertain at 1.5 m: max 0.21 px",
-        "projection uncertain at infinity: max 0.12 px",
+        "Projection uncertainty (1 sigma, at 1.5 m): worst 0.21 px",
+        "Projection uncertainty (1 sigma, at infinity): RMS 0.04 px, worst 0.2 px; where corners were seen: RMS",
         "sensor pixel pitch 3.45 um",
         "a lens of its own for red",
         "DO NOT TRUST: the lower left corner was never seen",

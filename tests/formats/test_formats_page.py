@@ -20,7 +20,7 @@ from camcal.formats import (
     tags,
     trajectories,
 )
-from camcal.formats.native_lens import CORE
+from camcal.formats.native_lens import CORE, PROJECTION_FIGURES
 from camcal.targets.board import parse_board
 from camcal.targets.surface import TIERS
 
@@ -105,6 +105,7 @@ def test_every_key_and_column_is_named_on_the_page():
         *native_entry.SENSOR,
         *native_entry.FIGURES,
         *native_entry.COUNTS,
+        *PROJECTION_FIGURES,
         *native_board_shape.KEY_OF_TERM.values(),
         *native_board_shape.KEY_OF_CLASS.values(),
         *keys_of_boards(),

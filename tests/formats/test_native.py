@@ -85,7 +85,10 @@ def full_file(rng) -> CameraFile:
     left = CameraEntry(
         lens,
         valid=ValidRegion(0.65, 412.5, np.array([[0.5, 1.5], [600.0, 2.0], [300.0, 470.0]])),
-        projection=(ProjectionStd({"median_px": 0.02, "max_px": 0.3}, 1.5), ProjectionStd({"max_px": 0.2})),
+        projection=(
+            ProjectionStd({"median_px": 0.02, "max_px": 0.3}, 1.5),
+            ProjectionStd({"rms_px": 0.05, "max_px": 0.2, "inside_rms_px": 0.03, "inside_max_px": 0.1}),
+        ),
         quality={"rms_px": 0.21, "images_used": 34, "points_used": 1836},
         noise=Noise(0.11, 3400),
         verdict=Verdict(trustworthy=False, reasons=("no view in the lower left corner", "few tilts")),

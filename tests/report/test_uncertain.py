@@ -2,7 +2,7 @@
 
 import pytest
 
-from camcal.report.uncertain import value_and_std
+from camcal.report.uncertain import projection_words, value_and_std
 
 
 @pytest.mark.parametrize(
@@ -21,3 +21,21 @@ from camcal.report.uncertain import value_and_std
 )
 def test_the_value_ends_where_its_uncertainty_does(value, std, expected):
     assert value_and_std(value, std) == expected
+
+
+@pytest.mark.parametrize(
+    ("figures", "range_m", "words"),
+    [
+        ({"max_px": 0.2136, "rms_px": 0.0412}, None, "at infinity): RMS 0.041 px, worst 0.21 px"),
+        ({"rms_px": 12.34, "inside_max_px": 123.4}, None, "RMS 12 px; where corners were seen: worst 123 px"),
+        ({"inside_rms_px": 0.0}, 0.5, "at 0.5 m): where corners were seen: RMS 0 px"),
+        (
+            {"median_px": 0.1, "p95_px": 0.3, "centre_px": 0.05},
+            2,
+            "centre 0.05 px, median 0.1 px, 95th percentile 0.3 px",
+        ),
+    ],
+)
+def test_a_projection_uncertainty_is_one_line_of_two_digits(figures, range_m, words):
+    assert projection_words(figures, range_m).startswith("Projection uncertainty (1 sigma, at ")
+    assert projection_words(figures, range_m).endswith(words)

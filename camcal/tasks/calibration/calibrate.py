@@ -15,9 +15,10 @@ from camcal.calibrate.intrinsics import Calibration, View
 from camcal.cameras.catalogue import model_named
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ValidRegion, Verdict
+from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict
 from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise, misfits
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.report.calibration import view_record
 from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
@@ -75,12 +76,14 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class CalibrateReport:
-    """The calibration, what is to be said of it, the file that was written, remarks of the detection, failed inputs.
+    """The calibration, its projection uncertainty, what is to be said of it, the file that was written, remarks of the
+    detection, failed inputs.
 
     channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos.
     """
 
     calibration: Calibration
+    uncertainty: ProjectionUncertainty
     advice: Advice
     file: CameraFile
     notes: tuple[str, ...]
@@ -120,9 +123,12 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
             detections.write(options.save_detections, seen.detections)
     channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
     advice = advise(calibration)
-    file = camera_file(calibration, advice, options, channels)
+    uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels)
+    file = camera_file(calibration, uncertainty, advice, options, channels)
     native.write(options.output, file)
-    return CalibrateReport(calibration, advice, file, seen.notes + remarks, seen.failed, channels, seen.frames)
+    return CalibrateReport(
+        calibration, uncertainty, advice, file, seen.notes + remarks, seen.failed, channels, seen.frames
+    )
 
 
 def _require_outputs(options: CalibrateOptions) -> None:
@@ -238,6 +244,7 @@ def _solver_options(options: CalibrateOptions) -> intrinsics.Options:
 
 def camera_file(
     calibration: Calibration,
+    uncertainty: ProjectionUncertainty,
     advice: Advice,
     options: CalibrateOptions,
     channels: Mapping[str, Channel] = MappingProxyType({}),
@@ -246,6 +253,7 @@ def camera_file(
     entry = CameraEntry(
         calibration.camera,
         valid=ValidRegion.of(calibration.camera),
+        projection=(ProjectionStd.of(uncertainty),),
         quality=quality_figures(calibration),
         noise=Noise(calibration.sigma_px, calibration.freedom),
         verdict=Verdict(advice.trustworthy, advice.reasons),

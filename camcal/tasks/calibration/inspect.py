@@ -14,7 +14,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import native, strict_yaml
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.schema import did_you_mean
-from camcal.report.uncertain import held_by_prior_words, value_and_std
+from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
 from camcal.targets.surface import CLASSES, RATIOS, Surface
 
 
@@ -99,8 +99,7 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
         freedom = entry.noise.degrees_of_freedom
         yield f"noise {entry.noise.sigma_px:.3g} px" + (f" ({freedom} degrees of freedom)" if freedom else "")
     for item in entry.projection:
-        place = "at infinity" if item.range_m is None else f"at {item.range_m:g} m"
-        yield f"projection uncertain {place}: {_figures(item.figures)}"
+        yield projection_words(item.figures, item.range_m)
     if entry.sensor:
         yield "sensor " + _figures(entry.sensor)
     if entry.channels:
