@@ -86,7 +86,8 @@ class _DenseSearch(Generic[State]):
         low, high = self._room(state)
         free = ~((low >= 0) & (equations.gradient > 0) | (high <= 0) & (equations.gradient < 0))
         step, free = self._bounded(equations, damping, free, low, high)
-        promised = self._promised(equations, step, free, damping)
+        # at a minimum the difference of two equal numbers, of either sign
+        promised = float(-step @ equations.gradient - 0.5 * np.sum((equations.jacobian @ step) ** 2))
         if promised < -self.stopping.unseen(equations.cost):
             raise SingularError("the bounds leave no way down")
         visible = promised > _STRAIGHT * equations.cost + _FAINT * self.stopping.rounding
@@ -126,17 +127,6 @@ class _DenseSearch(Generic[State]):
             step = np.clip(step, low, high)
             free = free & ~outside
         return step, free
-
-    def _promised(self, equations: DenseEquations, step: Array, free: Array, damping: float) -> float:
-        """Return by how much a damped step lowers the quadratic model: without bounds in its way, a sum of squares.
-
-        -s·g - ½ ‖J s‖² is the same number, but at a minimum the difference of two equal ones, of either sign.
-        """
-        moved = equations.jacobian[:, free] @ step[free]
-        kept = equations.jacobian[:, ~free] @ step[~free]
-        damped = damping * float(np.sum((self.scale[free] * step[free]) ** 2))
-        at_bounds = -float(step[~free] @ equations.gradient[~free]) - 0.5 * float(kept @ kept)
-        return damped + 0.5 * float(moved @ moved) + at_bounds
 
     def _bend(self, state: State, equations: DenseEquations, step: Array, damping: float, free: Array) -> Array:
         """Return half the acceleration (n,) along a step; raises SingularError where it is too large to be believed."""
