@@ -19,8 +19,6 @@ ORDERS = {
     "s1": 1, "s2": 3, "s3": 1, "s4": 3, "tau_x": 0, "tau_y": 0,
 }  # fmt: skip
 COEFFICIENTS = tuple(ORDERS)
-# Numerator and denominator can grow together without a trace in the residuals: the denominator is held closer to 1.
-DENOMINATOR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,6 @@ class Brown(PlaneModel):
         "tilt": ("tau_x", "tau_y"),
     }
     orders: ClassVar[dict[str, int]] = ORDERS
-    shares: ClassVar[dict[str, float]] = dict.fromkeys(("k4", "k5", "k6"), DENOMINATOR_SHARE)
     prior_reach: ClassVar[float] = 1.0
 
     def _flatten(self, points: Array) -> Flat:

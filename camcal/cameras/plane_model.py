@@ -40,8 +40,6 @@ class PlaneModel(ABC):
     kinds: ClassVar[dict[str, tuple[str, ...]]]  # the coefficients of each of the Roles
     # By which power of the radius on the plane each coefficient's term grows relative to the radius itself.
     orders: ClassVar[dict[str, int]]
-    # The share of the radius that a term has at the image corner at one standard deviation; 1 if unsaid.
-    shares: ClassVar[dict[str, float]] = {}
     # The largest radius at which priors are taken: with the high powers of a larger one they would be tighter than the
     # coefficients of real lenses need, and the corner of an image may lie outside the image circle of a wide lens.
     prior_reach: ClassVar[float]
@@ -140,12 +138,11 @@ class PlaneModel(ABC):
     def prior_std(self, image_size: tuple[int, int], focal: float) -> Array:
         """Return the standard deviations (K,) of weak priors about zero, inf for parameters that have none.
 
-        The change of the radius by a coefficient's term alone, at the image corner, is taken to be 0 ± 100 % (or as
-        `shares` has it), which is more than most lenses have: coefficients that the data cannot tell apart stay finite.
-        focal: px.
+        The change of the radius by a coefficient's term alone, at the image corner, is taken to be 0 ± 100 %, which is
+        more than most lenses have: coefficients that the data cannot tell apart stay finite. focal: px.
         """
         corner = min(math.hypot(*image_size) / 2 / focal, self.prior_reach)
-        stds = [self.shares.get(name, 1.0) * corner ** -self.orders[name] for name in self.coefficients]
+        stds = [corner ** -self.orders[name] for name in self.coefficients]
         return np.array([math.inf] * len(CORE) + stds)
 
     def _read(self, parameters: Array) -> tuple[list[float], list[float], Distortion]:

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
-from camcal.geometry import rotation as so3
 
 GRID = (31, 23)
-_FEWEST_INSIDE = 10  # pixels of the grid that a rotation is fitted to
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +77,7 @@ def projection_uncertainty(
 
     covariance: of the lens parameters, the camera's own if None. observed: pixels (M, 2) of the corners of the
     calibration. grid: columns and rows. The rotation is the least-squares one over the pixels of the grid where corners
-    were seen, all with the same weight: these the calibration has measured, and pixels to which the lens is
-    extrapolated must not turn it. It is that over the whole image where corners are not known or cover less than ten
-    pixels of the grid.
+    were seen, see `direction_displacements`.
     Raises InvalidInput where the covariance is not known.
     """
     covariance = camera.covariance if covariance is None else covariance
@@ -89,48 +86,10 @@ def projection_uncertainty(
     width, height = camera.image_size
     u, v = np.linspace(0, width - 1, grid[0]), np.linspace(0, height - 1, grid[1])
     pixels = _pixels(u, v)
-    by_lens, by_rotation = _jacobians(camera, pixels)
-    valid = np.isfinite(by_lens).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
-    inside = None if observed is None else _in_hull(pixels, observed)
-    fitted = valid if inside is None or np.sum(valid & inside) < _FEWEST_INSIDE else valid & inside
-    rotations = _rotations(by_lens[fitted], by_rotation[fitted])
-    displacements = by_lens - by_rotation @ rotations
-    covariances = displacements @ covariance @ displacements.transpose(0, 2, 1)
-    covariances[~valid] = np.nan
-    return ProjectionUncertainty(u, v, covariances, inside)
+    inside = None if observed is None else in_hull(pixels, observed)
+    displacements = direction_displacements(camera, pixels, inside)
+    return ProjectionUncertainty(u, v, displacements @ covariance @ displacements.transpose(0, 2, 1), inside)
 
 
 def _pixels(u: Array, v: Array) -> Array:
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-
-
-def _jacobians(camera: Camera, pixels: Array) -> tuple[Array, Array]:
-    """Return the derivatives of the pixels of fixed directions by the parameters (N, 2, K) and a rotation (N, 2, 3)."""
-    rays = camera.unproject(pixels).directions
-    projected = camera.model.project_with_jacobians(camera.parameters, rays)
-    by_lens = np.array(projected.d_parameters)
-    if projected.columns is not None:
-        by_lens = np.zeros((len(pixels), 2, len(camera.parameters)))
-        np.put_along_axis(by_lens, np.asarray(projected.columns)[:, None, :], projected.d_parameters, axis=2)
-    return by_lens, np.asarray(projected.d_point @ -so3.hat(rays))  # δray = δr × ray
-
-
-def _rotations(by_lens: Array, by_rotation: Array) -> Array:
-    """Return the rotation (3, K) per unit of every parameter that best explains how the parameter moves the pixels."""
-    if not len(by_lens):
-        return np.zeros((3, by_lens.shape[2]))
-    flat = by_lens.reshape(-1, by_lens.shape[2])
-    return np.asarray(np.linalg.lstsq(by_rotation.reshape(-1, 3), flat, rcond=None)[0])
-
-
-def _in_hull(pixels: Array, observed: Array) -> Array:
-    """Return which pixels (N, 2) lie in the convex hull of others (M, 2): none if these are on one line."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(observed) < 3:
-        return np.zeros(len(pixels), bool)
-    try:
-        sides = ConvexHull(observed).equations  # outward normals and offsets
-    except QhullError:  # all on one line
-        return np.zeros(len(pixels), bool)
-    return np.asarray((pixels @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1))

@@ -7,7 +7,7 @@ Synthesis, 2000, section 6.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.solve.losses import Loss
+from camcal.solve.triangles import cholesky_solve, lower_solve, upper_solve
 
 
 class SingularError(Exception):
@@ -65,7 +66,8 @@ class NormalEquations:
     """The quadratic model of the cost ½ Σ ρ: cost, gradient and the arrow of JᵀWJ.
 
     group_group (G, g, g), group_shared (G, g, S), shared_shared (S, S), gradient as a Step,
-    group_gradients (G, S): each group's own part of the shared gradient.
+    group_gradients (G, S): each group's own part of the shared gradient. group_products (G, D, D): each group's own
+    part of shared_shared for the first D shared parameters, those on which all rows of a group depend.
     """
 
     cost: float
@@ -74,6 +76,7 @@ class NormalEquations:
     group_shared: Array
     shared_shared: Array
     group_gradients: Array
+    group_products: Array
 
     def damped(self, damping: float) -> "NormalEquations":
         """Return the equations with every diagonal element enlarged by the share `damping` (Marquardt's scaling)."""
@@ -82,10 +85,11 @@ class NormalEquations:
             diagonal = np.einsum("...ii->...i", matrix)
             # a parameter no residual depends on must not make the damped matrix singular
             diagonal += damping * np.maximum(diagonal, 1e-12 * (diagonal.max(initial=0.0) or 1.0))
-        return NormalEquations(self.cost, self.gradient, groups, self.group_shared, shared, self.group_gradients)
+        return replace(self, group_group=groups, shared_shared=shared)
 
     def restricted(self, columns: Array) -> "NormalEquations":
         """Return the equations of a subset of the shared parameters, the others held."""
+        dense = columns[columns < self.group_products.shape[-1]]
         return NormalEquations(
             self.cost,
             Step(self.gradient.shared[columns], self.gradient.groups),
@@ -93,6 +97,7 @@ class NormalEquations:
             self.group_shared[:, :, columns],
             self.shared_shared[np.ix_(columns, columns)],
             self.group_gradients[:, columns],
+            self.group_products[:, dense[:, None], dense],
         )
 
 
@@ -109,7 +114,7 @@ class Factors:
 
     @cached_property
     def _eliminated(self) -> Array:
-        return _lower_solve(self.group_root, self.equations.gradient.groups[..., None])[..., 0]
+        return lower_solve(self.group_root, self.equations.gradient.groups[..., None])[..., 0]
 
     def reduced_gradient(self) -> Array:
         """Return the gradient (S,) of the cost by the shared parameters when every group follows them."""
@@ -118,21 +123,36 @@ class Factors:
     def solve(self) -> Step:
         """Return the step that minimises the quadratic model."""
         eliminated = self._eliminated
-        shared = -_cholesky_solve(self.shared_root, self.reduced_gradient())
-        groups = -_upper_solve(self.group_root, (eliminated + self.reduced @ shared)[..., None])[..., 0]
+        shared = -cholesky_solve(self.shared_root, self.reduced_gradient())
+        groups = -upper_solve(self.group_root, (eliminated + self.reduced @ shared)[..., None])[..., 0]
         return Step(shared, groups)
+
+    @cached_property
+    def _shared_covariance(self) -> Array:
+        return cholesky_solve(self.shared_root, np.eye(len(self.shared_root)))
 
     def shared_covariance(self) -> Array:
         """Return the inverse of the Schur complement (S, S): the covariance of the shared parameters."""
-        return _cholesky_solve(self.shared_root, np.eye(len(self.shared_root)))
+        return self._shared_covariance
 
     def group_covariances(self) -> Array:
         """Return the covariances (G, g, g) of the groups, the uncertainty of the shared parameters included."""
-        identity = np.broadcast_to(np.eye(self.group_root.shape[-1]), self.group_root.shape)
-        inverse_root = _lower_solve(self.group_root, identity)
+        inverse_root = self.inverse_group_root()
         coupling = inverse_root.transpose(0, 2, 1) @ self.reduced
         own = inverse_root.transpose(0, 2, 1) @ inverse_root
         return np.asarray(own + coupling @ self.shared_covariance() @ coupling.transpose(0, 2, 1))
+
+    def inverse_group_root(self) -> Array:
+        """Return the inverses (G, g, g) of the groups' Cholesky factors."""
+        identity = np.broadcast_to(np.eye(self.group_root.shape[-1]), self.group_root.shape)
+        return lower_solve(self.group_root, identity)
+
+    def group_information(self) -> Array:
+        """Return each group's part (G, D, D) of the Schur complement of the first D shared parameters, on which all
+        rows of a group depend.
+        """
+        reduced = self.reduced[:, :, : self.equations.group_products.shape[-1]]
+        return np.asarray(self.equations.group_products - reduced.transpose(0, 2, 1) @ reduced)
 
     def group_scores(self) -> Array:
         """Return each group's part (G, S) of the reduced gradient; at a minimum they sum to zero."""
@@ -148,7 +168,7 @@ def factorise(equations: NormalEquations) -> Factors:
     """Return the factors of the normal equations; raises SingularError if they have no unique solution."""
     try:
         group_root = np.linalg.cholesky(equations.group_group)
-        reduced = _lower_solve(group_root, equations.group_shared)
+        reduced = lower_solve(group_root, equations.group_shared)
         rows = reduced.reshape(reduced.shape[0] * reduced.shape[1], reduced.shape[2])
         schur = equations.shared_shared - rows.T @ rows
         # Jacobi scaling first: pixels, radians and lens coefficients differ by many orders of magnitude
@@ -161,6 +181,8 @@ def factorise(equations: NormalEquations) -> Factors:
 
 def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int) -> NormalEquations:
     """Return the normal equations of residual blocks over `shared` parameters and `groups` groups of `group_size`."""
+    grouped = [part.columns for block in blocks if block.group is not None for part in block.shared]
+    dense = max((int(columns.max(initial=-1)) + 1 for columns in grouped if columns.ndim == 1), default=0)
     total = _Sums(
         0.0,
         np.zeros(shared),
@@ -169,6 +191,7 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
         np.zeros((groups, group_size, shared)),
         np.zeros((shared, shared)),
         np.zeros((groups, shared)),
+        np.zeros((groups, dense, dense)),
     )
     for block in blocks:
         total.add(block)
@@ -181,6 +204,7 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
         total.group_shared,
         total.shared_shared,
         total.group_gradients,
+        total.group_products,
     )
 
 
@@ -195,6 +219,7 @@ class _Sums:
     group_shared: Array
     shared_shared: Array
     group_gradients: Array
+    group_products: Array
 
     def add(self, block: Block) -> None:
         weights = self._weigh(block)
@@ -244,6 +269,9 @@ class _Sums:
         _add_at(self.group_gradients, where, wide_gradients)
         self.shared_gradient[columns] += gradients.sum(axis=0)
         self.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
+        products = np.zeros((len(gram), *self.group_products.shape[1:]))
+        products[:, columns[:, None], columns] = gram[:, shared, shared]
+        _add_at(self.group_products, where, products)
 
     def _add_ungrouped(self, rows: Array, columns: Array) -> None:
         gram = np.einsum("dim,djm->ij", rows, rows)
@@ -301,27 +329,3 @@ def _add_at(target: Array, where: slice | Array, values: Array) -> None:
         target[where] += values
     else:
         np.add.at(target, where, values)
-
-
-def _lower_solve(root: Array, right: Array) -> Array:
-    """Return root⁻¹ · right for many small lower triangles (G, g, g), by substitution over the g rows."""
-    result = np.empty_like(right, dtype=float)
-    for i in range(root.shape[-1]):
-        known = root[:, i, None, :i] @ result[:, :i]
-        result[:, i] = (right[:, i] - known[:, 0]) / root[:, i, i, None]
-    return result
-
-
-def _upper_solve(root: Array, right: Array) -> Array:
-    """Return root⁻ᵀ · right for many small lower triangles (G, g, g)."""
-    result = np.empty_like(right, dtype=float)
-    for i in reversed(range(root.shape[-1])):
-        known = root[:, i + 1 :, i][:, None, :] @ result[:, i + 1 :]
-        result[:, i] = (right[:, i] - known[:, 0]) / root[:, i, i, None]
-    return result
-
-
-def _cholesky_solve(root: Array, right: Array) -> Array:
-    from scipy.linalg import cho_solve
-
-    return np.asarray(cho_solve((root, True), right)) if len(root) else np.zeros_like(right)

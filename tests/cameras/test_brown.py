@@ -212,9 +212,9 @@ def test_a_pixel_with_a_ray_is_where_the_ray_projects(coefficients, tau_x, tau_y
     np.testing.assert_allclose(back.pixels, [[u, v]], atol=1e-8)  # 1e-12 on the plane, 500 px per unit, with slack
 
 
-def test_priors_follow_the_power_of_the_radius_and_hold_the_denominator_closer():
+def test_priors_follow_the_power_of_the_radius():
     spread = dict(zip(COEFFICIENTS, FAMILY["opencv14"].prior_std((1600, 1200), 2000.0)[4:], strict=True))
     assert {name: spread[name] for name in ("k1", "k2", "k3")} == {"k1": 4.0, "k2": 16.0, "k3": 64.0}
-    assert {name: spread[name] for name in ("k4", "k5", "k6")} == {"k4": 2.0, "k5": 8.0, "k6": 32.0}
+    assert {name: spread[name] for name in ("k4", "k5", "k6")} == {"k4": 4.0, "k5": 16.0, "k6": 64.0}
     assert {name: spread[name] for name in ("p1", "p2", "s1", "s3")} == dict.fromkeys(("p1", "p2", "s1", "s3"), 2.0)
     assert {name: spread[name] for name in ("s2", "s4", "tau_x")} == {"s2": 8.0, "s4": 8.0, "tau_x": 1.0}

@@ -177,6 +177,110 @@ def test_sparse_columns_add_up_like_dense_ones():
         np.testing.assert_allclose(results[name].gradient.shared, results["dense"].gradient.shared, atol=1e-12)
 
 
+@dataclass(frozen=True)
+class Grouped:
+    """Random rows of four groups: columns that all rows have, in two parts, and one that differs from row to row."""
+
+    residuals: np.ndarray
+    group: np.ndarray
+    common: np.ndarray  # of shared parameters 0, 1 and 3
+    own: np.ndarray  # of one of 4, 5 and 6
+    place: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def drawn(cls, seed=8):
+        rng = np.random.default_rng(seed)
+        shapes = (40, 2), (40, 2, 3), (40, 2, 3), (40, 2, 1)
+        return cls(*(rng.normal(size=shape) for shape in shapes), rng.integers(4, 7, (40, 1)), rng.uniform(0.5, 2, 40))
+
+    def blocks(self, rows=slice(None), **how):
+        shared = (
+            Jacobian(self.common[rows][:, :, :2], np.array([0, 1])),
+            Jacobian(self.own[rows], self.place[rows]),
+            Jacobian(self.common[rows][:, :, 2:], np.array([3])),
+        )
+        return Block(self.residuals[rows], shared, self.group[rows], weights=self.weights[rows], **how)
+
+    def equations(self):
+        # parameter 2 and single places have nothing but this prior, which belongs to no group
+        prior = Block(np.ones((7, 1)), (Jacobian(np.full((7, 1, 1), 0.7), np.arange(7)[:, None]),))
+        everywhere = Block(np.zeros((7, 1)), (Jacobian(0.5 * np.eye(7)[:, None], np.arange(7)),))
+        return assemble([self.blocks(rows_per_group=10), prior, everywhere], 7, 4, 3)
+
+    def wide(self):
+        """The Jacobian (4, 20, 4) of every group by the first four shared parameters, and of the group itself."""
+        values = np.zeros((40, 2, 4))
+        values[:, :, [0, 1, 3]] = self.common
+        root = np.sqrt(self.weights)[:, None, None]
+        return (root * values).reshape(4, 20, 4), (root * self.group).reshape(4, 20, 3)
+
+
+def test_products_of_a_group_are_its_own_part_of_what_all_rows_share():
+    grouped = Grouped.drawn()
+    equations, (wide, _) = grouped.equations(), grouped.wide()
+    assert equations.group_products.shape == (4, 4, 4)
+    np.testing.assert_allclose(equations.group_products, wide.transpose(0, 2, 1) @ wide, atol=1e-12)
+    priors = (0.49 + 0.25) * np.eye(4)
+    np.testing.assert_allclose(
+        equations.group_products.sum(axis=0) + priors, equations.shared_shared[:4, :4], atol=1e-12
+    )
+
+
+def test_products_of_a_group_add_up_over_blocks_that_name_it():
+    grouped = Grouped.drawn()
+    whole = assemble([grouped.blocks(rows_per_group=10)], 7, 4, 3)
+    rows = np.arange(40).reshape(4, 2, 5)
+    halves = [
+        grouped.blocks(rows[::-1, 0].ravel(), rows_per_group=5, groups=np.array([3, 2, 1, 0])),
+        grouped.blocks(rows[[1, 3, 0, 2], 1].ravel(), rows_per_group=5, groups=np.array([1, 3, 0, 2])),
+    ]
+    np.testing.assert_allclose(assemble(halves, 7, 4, 3).group_products, whole.group_products, atol=1e-12)
+
+
+def test_information_of_a_group_is_what_its_rows_say_when_the_group_follows():
+    grouped = Grouped.drawn()
+    wide, group = grouped.wide()
+    factors = factorise(grouped.equations())
+    for index, found in enumerate(factors.group_information()):
+        # what is left of the columns when those of the group are projected out
+        left = wide[index] - group[index] @ np.linalg.lstsq(group[index], wide[index], rcond=None)[0]
+        np.testing.assert_allclose(found, left.T @ left, atol=1e-10)
+    schur = factors.shared_root @ factors.shared_root.T
+    np.testing.assert_allclose(factors.group_information().sum(axis=0) + 0.74 * np.eye(4), schur[:4, :4], atol=1e-10)
+
+
+def test_restricted_equations_keep_the_products_of_what_remains():
+    grouped = Grouped.drawn()
+    whole = grouped.equations()
+    for columns, dense in (([0, 3, 5], [0, 3]), ([0, 1, 2, 3], [0, 1, 2, 3]), ([4, 6], [])):
+        found = whole.restricted(np.array(columns))
+        np.testing.assert_array_equal(found.group_products, whole.group_products[:, dense][:, :, dense])
+        assert found.shared_shared.shape == (len(columns), len(columns))
+    np.testing.assert_allclose(
+        factorise(whole.restricted(np.arange(4))).group_information(), factorise(whole).group_information(), atol=1e-12
+    )
+
+
+def test_groups_without_shared_parameters_have_no_products():
+    grouped = Grouped.drawn()
+    block = Block(grouped.residuals, (), grouped.group, rows_per_group=10)
+    assert assemble([block], 0, 4, 3).group_products.shape == (4, 0, 0)
+    alone = Block(grouped.residuals, (Jacobian(grouped.own, grouped.place - 4),), grouped.group, rows_per_group=10)
+    equations = assemble([alone], 3, 4, 3)
+    assert equations.group_products.shape == (4, 0, 0)
+    assert factorise(equations).group_information().shape == (4, 0, 0)
+
+
+def test_the_inverse_root_of_a_group_inverts_its_block():
+    factors = factorise(Grouped.drawn().equations())
+    inverse = factors.inverse_group_root()
+    identity = np.broadcast_to(np.eye(3), (4, 3, 3))
+    np.testing.assert_allclose(inverse @ factors.group_root, identity, atol=1e-12)
+    block = factors.equations.group_group
+    np.testing.assert_allclose(inverse.transpose(0, 2, 1) @ inverse @ block, identity, atol=1e-12)
+
+
 def test_blocks_may_share_groups_through_an_index():
     rng = np.random.default_rng(7)
     residuals, group = rng.normal(size=(12, 1)), rng.normal(size=(12, 1, 2))

@@ -1,0 +1,60 @@
+"""Where fixed directions are imaged when the parameters of a lens change, but for a rotation of all directions.
+
+A camera's own axes are a choice of its calibration: a rotation of all directions changes what the parameters are, not
+what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.
+"""
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.geometry import rotation as so3
+
+_FEWEST = 10  # pixels that a rotation is fitted to
+
+
+def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None = None) -> Array:
+    """Return the displacements (N, 2, K), px per unit of every lens parameter, of the directions seen at pixels (N, 2).
+
+    fitted: (N,) bool, the pixels over which the rotation is the least-squares one, all with the same weight: those that
+    a calibration has measured, as pixels to which the lens is extrapolated must not turn it. It is that over all pixels
+    where `fitted` is None or holds less than ten of them. NaN where the lens is not valid.
+    """
+    by_lens, by_rotation = _jacobians(camera, pixels)
+    valid = np.isfinite(by_lens).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
+    chosen = valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted
+    displacements = by_lens - by_rotation @ _rotations(by_lens[chosen], by_rotation[chosen])
+    displacements[~valid] = np.nan
+    return np.asarray(displacements)
+
+
+def _jacobians(camera: Camera, pixels: Array) -> tuple[Array, Array]:
+    """Return the derivatives of the pixels of fixed directions by the parameters (N, 2, K) and a rotation (N, 2, 3)."""
+    rays = camera.unproject(pixels).directions
+    projected = camera.model.project_with_jacobians(camera.parameters, rays)
+    by_lens = np.array(projected.d_parameters)
+    if projected.columns is not None:
+        by_lens = np.zeros((len(pixels), 2, len(camera.parameters)))
+        np.put_along_axis(by_lens, np.asarray(projected.columns)[:, None, :], projected.d_parameters, axis=2)
+    return by_lens, np.asarray(projected.d_point @ -so3.hat(rays))  # δray = δr × ray
+
+
+def _rotations(by_lens: Array, by_rotation: Array) -> Array:
+    """Return the rotation (3, K) per unit of every parameter that best explains how the parameter moves the pixels."""
+    if not len(by_lens):
+        return np.zeros((3, by_lens.shape[2]))
+    flat = by_lens.reshape(-1, by_lens.shape[2])
+    return np.asarray(np.linalg.lstsq(by_rotation.reshape(-1, 3), flat, rcond=None)[0])
+
+
+def in_hull(pixels: Array, observed: Array) -> Array:
+    """Return which pixels (N, 2) lie in the convex hull of others (M, 2): none if these are on one line."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(observed) < 3:
+        return np.zeros(len(pixels), bool)
+    try:
+        sides = ConvexHull(observed).equations  # outward normals and offsets
+    except QhullError:  # all on one line
+        return np.zeros(len(pixels), bool)
+    return np.asarray((pixels @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1))
