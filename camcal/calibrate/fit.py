@@ -1,55 +1,81 @@
-"""From a start to the maximum-likelihood solution: robust first, then outliers, board shape and orientation settled."""
+"""From a start to the solution: robust first, then the ends of a symmetric board, then estimates and their average."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.averaging import averaged, covariance_of, image_metric, influence, weights_of
+from camcal.calibrate.effects import EFFECTS, SMOOTH
+from camcal.calibrate.estimator import Estimate, Freedom, Views, estimate
 from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
+from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
-from camcal.calibrate.outliers import CUT, robust_sigma, screen
+from camcal.calibrate.outliers import CUT, robust_sigma
 from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
-from camcal.calibrate.shape import Verdict, judge, offsets_matter, with_terms
-from camcal.cameras.model import CameraModel
+from camcal.calibrate.shape import odd_terms
+from camcal.cameras.directions import direction_displacements, in_hull
+from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData
-from camcal.solve.least_squares import Solution, Stopping, minimise
+from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
+from camcal.solve.steps import SingularError
 from camcal.targets.board import Board
 
 _FIRST_VIEWS = 40  # enough to find the lens; the rest then start next to their minimum
 _FIRST_CORNERS = 40
 _ROUGH = Stopping(relative_decrease=1e-4, iterations=50)
+_FINE = Stopping(relative_decrease=1e-7, iterations=60)  # flat valleys of rational lenses are long
+_POSING = Stopping(relative_decrease=1e-8, iterations=10)
 _SETTLING = Stopping(iterations=2)  # the lens is known, the poses are next to their minimum
-_FINE = Stopping(relative_decrease=1e-8, iterations=60)
 _ROUNDS = 8
+_FIRST_PASSES = 10
+_GRID = (20, 15)  # of pixels at which lenses are compared
 _STAGES = (("fx", "fy", "k1"), ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
 _LOSS = Cauchy(3.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A solution: the problem with its final σ and kept points, the tiers of the board's shape, the symmetry by
-    which each view was turned (V,), the last solve, all iterations, and what was judged of the board's shape.
-    """
-
-    problem: BoardProblem
-    tiers: tuple[str, ...]
-    turns: Array
-    solution: Solution[State]
-    iterations: int
-    verdict: Verdict | None
-
-    @property
-    def state(self) -> State:
-        return self.solution.state
+# What the errors within views may be taken for, besides noise: anything smooth, or named causes as well.
+_EFFECTS = ((SMOOTH.name,), tuple(effect.name for effect in EFFECTS))
 
 
 @dataclass(frozen=True)
 class ShapeOptions:
-    """How far the board's shape may be estimated: not at all, in smooth tiers, and point by point."""
+    """How far the board's shape may be estimated: not at all, in smooth terms, and then point by point as well."""
 
     smooth: bool = True
     offsets: bool = True
+
+    @property
+    def freedom(self) -> Freedom:
+        """What an estimate that takes errors within views for noise is free to do."""
+        return Freedom(self.smooth, self.smooth and self.offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A solution: lens, poses and board of all views.
+
+    estimates: one that takes errors within views for noise, first, and those that model them. weights: of the
+    estimates in `state`. turns: (V,) the symmetry by which each view was turned. covariance: (D, D) of lens and terms
+    of the board, by the scatter from view to view; noise_covariance: (D, D) what noise alone would leave open.
+    """
+
+    state: State
+    estimates: tuple[Estimate, ...]
+    weights: Array
+    turns: Array
+    covariance: Array
+    noise_covariance: Array
+
+    @property
+    def plain(self) -> Estimate:
+        """The estimate that takes errors within views for noise."""
+        return self.estimates[0]
+
+    @property
+    def problem(self) -> BoardProblem:
+        return self.plain.problem
 
 
 def fit(
@@ -60,10 +86,12 @@ def fit(
     held: Array,
     guess: Array | None,
     shape: ShapeOptions,
+    claimed: Array | None = None,
 ) -> Fit:
     """Return the solution of a data set.
 
     held: (K,) values of lens parameters that stay as they are, NaN where free. guess: (K,) a lens to start from.
+    claimed: (V, P, 2, 2) px², the covariances that the images give the points, None: all alike.
     Raises InsufficientData where no start is found.
     """
     free = np.flatnonzero(np.isnan(held))
@@ -76,19 +104,60 @@ def fit(
         state = _pose_all(problem, state)
         problem = replace(problem, sigma=_sigma(problem, state))
         state = minimise(problem.within_domain(state), state, _SETTLING).state
-    result = _refine(problem, state, observations.weights > 0, shape)
-    return _oriented(result, observations.weights > 0, shape)
+    problem = replace(problem.within_domain(state), sigma=_sigma(problem, state))
+    state = minimise(problem, state, _FINE).state
+    spread = lens_spread(model, image_size, float(state.parameters[0]))
+    problem = replace(problem, observations=observations, lens_spread=spread)
+    views = Views(observations.weights > 0, claimed)
+    problem, state, turns = _oriented(problem, state, views, shape)
+    plain = estimate(problem, state, views, shape.freedom)
+    modelled = _EFFECTS if plain.converged and len(free) else ()
+    others = [_with_effects(plain, views, effects) for effects in modelled]
+    estimates = (plain, *(other for other in others if other is not None and other.converged))
+    return _averaged(estimates, turns, image_size)
 
 
-def reweighted(result: Fit, covariances: Array, present: Array, shape: ShapeOptions) -> Fit:
-    """Return the solution with points that count by their covariances (V, P, 2, 2) px², from the one where all count
-    the same. present: (V, P) the points that there are, whether they were kept or not.
+def _with_effects(plain: Estimate, views: Views, effects: tuple[str, ...]) -> Estimate | None:
+    """Return the estimate that models errors within views as `effects`, None where the data do not hold it."""
+    try:
+        return estimate(plain.problem, plain.state, views, replace(plain.freedom, effects=effects), plain)
+    except SingularError:
+        return None
+
+
+def _averaged(estimates: tuple[Estimate, ...], turns: Array, image_size: tuple[int, int]) -> Fit:
+    plain = estimates[0]
+    if not len(plain.problem.free):
+        return Fit(plain.state, estimates, np.ones(1), turns, plain.posterior.shared, plain.posterior.shared)
+    influences = [influence(own) for own in estimates]
+    metric = image_metric(_displacements(plain, image_size))
+    weights = weights_of([own.left_out for own in influences], metric)
+    state = averaged([own.state for own in estimates], weights)
+    state = replace(state, **_posed_again(plain.problem, state))
+    covariance = covariance_of(estimates, influences, metric, weights)
+    return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared)
+
+
+def _posed_again(problem: BoardProblem, state: State) -> dict[str, Array]:
+    """Return rotations and translations of all views under the lens and board of `state`, errors taken for noise: those
+    poses reproject the corners best, as poses that are later found with this camera will.
     """
-    observations = result.problem.observations.weighted(covariances)
-    problem = replace(result.problem, observations=observations, offsets=False)
-    state = replace(result.state, offsets=0 * result.state.offsets)
-    again = _refine(problem, state, present, shape)
-    return replace(again, turns=result.turns, iterations=result.iterations + again.iterations)
+    poses, bare = problem.poses_only(state)
+    found = minimise(poses.within_domain(bare), bare, _POSING).state
+    return {"rotations": found.rotations, "translations": found.translations}
+
+
+def _displacements(plain: Estimate, image_size: tuple[int, int]) -> Array:
+    """Return how the free lens parameters move directions (N, 2, K) over the part of the image that corners cover."""
+    problem = plain.problem
+    camera = Camera(problem.model, image_size, plain.state.parameters)
+    corners = problem.observations.pixels[:, problem.observations.weights >= REJECTED].T
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    axes = [np.linspace(start, end, count) for start, end, count in zip(low, high, _GRID, strict=True)]
+    pixels = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    pixels = pixels[in_hull(pixels, corners)]
+    found = direction_displacements(camera, pixels)
+    return np.asarray(found[np.isfinite(found).all(axis=(1, 2))][:, :, problem.free])
 
 
 def _start(problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None) -> State:
@@ -136,77 +205,40 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
     return replace(state, rotations=poses[0], translations=poses[1])
 
 
-def _refine(problem: BoardProblem, state: State, present: Array, shape: ShapeOptions) -> Fit:
-    """Return the solution with outliers and the board's shape settled together: each is judged under the other."""
-    tiers: tuple[str, ...] = ()
-    verdict: Verdict | None = None
-    iterations = 0
-    problem = _screened(problem, state, present)
-    for attempt in range(_ROUNDS):
-        solution = minimise(problem, state, _FINE)
-        state, iterations = solution.state, iterations + solution.iterations
-        if shape.smooth and not problem.offsets:
-            verdict = judge(problem, state)
-        if verdict:
-            tiers = verdict.tiers
-        following, state = with_terms(problem, state, verdict.terms if verdict else problem.terms)
-        settled = following.terms == problem.terms
-        if settled and shape.smooth and shape.offsets and not problem.offsets and offsets_matter(problem, state):
-            following, settled = replace(problem, offsets=True), False
-        following = _screened(following, state, present)
-        settled = settled and np.array_equal(following.observations.weights, problem.observations.weights)
-        if settled or attempt == _ROUNDS - 1:
-            break
-        problem = following
-    return Fit(problem, tiers, np.zeros(len(present), np.intp), solution, iterations, verdict)
-
-
-def _screened(problem: BoardProblem, state: State, present: Array) -> BoardProblem:
-    """Return the problem with outliers at weight 0 and σ brought up to date."""
-    count = 2 * int(present.sum())
-    freedom = max(1 - (problem.shared + 6 * len(present)) / count, 0.05)
-    screening = screen(problem.distances(problem.residuals(state)), present, freedom)
-    observations = replace(problem.observations, weights=screening.kept.astype(float))
-    return replace(problem, observations=observations, sigma=screening.sigma, loss=None)
-
-
-def _oriented(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
-    """Return the solution with every view of a symmetric board numbered from the end that fits its shape best."""
-    if not shape.smooth or len(result.problem.board.symmetries()) == 1:
-        return result
-    result = _sorted_apart(result, present, shape)
+def _oriented(
+    problem: BoardProblem, state: State, views: Views, shape: ShapeOptions
+) -> tuple[BoardProblem, State, Array]:
+    """Return problem and state with every view of a symmetric board numbered from the end that fits its shape best, and
+    the symmetries (V,) by which they were turned.
+    """
+    turns = np.zeros(len(views.present), np.intp)
+    symmetries = len(problem.board.symmetries())
+    if not shape.smooth or symmetries == 1:
+        return problem, state, turns
+    found = _first(problem, state, views, shape)
+    opposed = opposed_views(*odd_terms(found.problem, found.state, found.factors))
+    if opposed.any():
+        sorted_apart = opposed * (symmetries // 2)
+        trial = _first(*turned(found.problem, found.state, sorted_apart), views, shape)
+        sigma = found.noise.sigma
+        if _chi_square(found, views.present, sigma) - _chi_square(trial, views.present, sigma) > len(turns):
+            found, turns = trial, sorted_apart
     for _ in range(_ROUNDS):
-        turns, state = best_turns(result.problem, result.state, present)
-        if not turns.any():
+        better, state = best_turns(found.problem, found.state, views.present)
+        if not better.any():
             break
-        result = _restarted(result, renumbered(result.problem, turns), state, turns, present, shape)
-    return result
+        found = _first(renumbered(found.problem, better), state, views, shape)
+        turns = (turns + better) % symmetries
+    return found.problem, found.state, turns
 
 
-def _restarted(
-    result: Fit, problem: BoardProblem, state: State, turns: Array, present: Array, shape: ShapeOptions
-) -> Fit:
-    """Return the solution after some views were turned; points freed under the old numbering start anew."""
-    problem = replace(problem, offsets=False)
-    total = (result.turns + turns) % len(problem.board.symmetries())
-    return replace(_refine(problem, replace(state, offsets=0 * state.offsets), present, shape), turns=total)
+def _first(problem: BoardProblem, state: State, views: Views, shape: ShapeOptions) -> Estimate:
+    """Return a first estimate of the board's shape, good enough to tell its ends apart; its points start anew."""
+    state = replace(state, offsets=0 * state.offsets)
+    return estimate(problem, state, views, shape.freedom, passes=_FIRST_PASSES)
 
 
-def _sorted_apart(result: Fit, present: Array, shape: ShapeOptions) -> Fit:
-    """Return the better of the solution and the one with the views sorted by their pull on the odd terms."""
-    if result.verdict is None:
-        return result
-    opposed = opposed_views(result.verdict.factors, result.verdict.names)
-    if not opposed.any():
-        return result
-    turns = opposed * (len(result.problem.board.symmetries()) // 2)
-    trial = _restarted(result, *turned(result.problem, result.state, turns), turns, present, shape)
-    sigma = result.problem.sigma
-    gain = _chi_square(result, present, sigma) - _chi_square(trial, present, sigma)
-    return trial if gain > len(present) else result
-
-
-def _chi_square(result: Fit, present: Array, sigma: float) -> float:
+def _chi_square(result: Estimate, present: Array, sigma: float) -> float:
     """Return χ² of all present points, rejected ones counted at the cut, so that solutions can be compared."""
     squared = (
         np.nan_to_num(result.problem.distances(result.problem.residuals(result.state)), nan=np.inf) ** 2 / sigma**2

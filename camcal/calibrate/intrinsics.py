@@ -8,19 +8,17 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
-from camcal.calibrate.fit import Fit, ShapeOptions, fit, reweighted
-from camcal.calibrate.outliers import truncation
+from camcal.calibrate.fit import Fit, ShapeOptions, fit
+from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import BoardProblem, Observations, covariances_of
 from camcal.calibrate.shape import surface_of
-from camcal.calibrate.weights import floor_of
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
-from camcal.solve.steps import Factors, SingularError
+from camcal.solve.steps import SingularError
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
 
-_WEIGHT_ROUNDS = 2
 # Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
 # that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
 _HELD_BY_PRIOR = 0.5
@@ -85,6 +83,8 @@ class Calibration:
     correlations: between the board's in-plane terms and fx, fy, where the former are in use.
     floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given.
     held_by_prior: lens parameters that the data hardly determine: their prior does.
+    noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
+    covariance counts the errors within views as well.
     """
 
     camera: Camera
@@ -101,6 +101,7 @@ class Calibration:
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     floor_px: float | None = None
     held_by_prior: tuple[str, ...] = ()
+    noise_covariance: Array | None = None
 
     @property
     def used(self) -> tuple[View, ...]:
@@ -118,27 +119,18 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     held, guess = _held(options, size)
     observations = Observations.of(usable)
-    result = fit(options.model, board, observations, size, held, guess, options.shape)
-    floor = None
-    if (covariances := covariances_of(usable)) is not None and result.solution.converged:
-        for _ in range(_WEIGHT_ROUNDS):  # noisy points that count in full leave their mark on the others at first
-            floor = _floor(result, covariances)
-            total = covariances + floor**2 * np.eye(2)
-            result = reweighted(result, total, observations.weights > 0, options.shape)
-    if not result.solution.converged:
+    claimed = covariances_of(usable)
+    try:
+        result = fit(options.model, board, observations, size, held, guess, options.shape, claimed)
+    except SingularError as error:
+        raise InsufficientData(
+            "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
+            "or hold parameters with --fix"
+        ) from error
+    if not result.plain.converged:
         require_tilts(result.state.rotations)  # the likeliest cause, and a better thing to say
-        reason = result.solution.reason
-        raise NotConverged(f"the calibration did not settle ({reason} after {result.iterations} iterations)")
-    return replace(_record(result, detections, reasons, size, options), floor_px=floor)
-
-
-def _floor(result: Fit, covariances: Array) -> float:
-    """Return what the errors of all points have in common beyond their covariances (V, P, 2, 2), px."""
-    residuals = result.problem.residuals(result.state)
-    kept = (result.problem.observations.weights > 0) & np.isfinite(residuals).all(axis=0)
-    count = 2 * int(kept.sum())
-    freedom = max(1 - (result.problem.shared + 6 * len(kept)) / max(count, 1), 0.05)
-    return floor_of(residuals[:, kept].T, covariances[kept], freedom)
+        raise NotConverged(f"the calibration did not settle in {result.plain.passes} passes")
+    return _record(result, detections, reasons, size, options, observations.weights > 0)
 
 
 def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
@@ -180,53 +172,50 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
 
 
 def _record(
-    result: Fit, detections: Sequence[Detection], reasons: list[str | None], size: tuple[int, int], options: Options
+    result: Fit,
+    detections: Sequence[Detection],
+    reasons: list[str | None],
+    size: tuple[int, int],
+    options: Options,
+    present: Array,
 ) -> Calibration:
-    problem, state = result.problem, result.state
-    factors = _factors(result)
-    present = Observations.of([v for v, r in zip(detections, reasons, strict=True) if r is None]).weights > 0
+    problem, state, plain = result.problem, result.state, result.plain
     residuals = problem.residuals(state)
     # the solver may pass the edge of the lens's domain; what it leaves beyond has no residual to count
-    kept = (problem.observations.weights > 0) & np.isfinite(residuals).all(axis=0)
+    kept = (problem.observations.weights >= REJECTED) & np.isfinite(residuals).all(axis=0)
     used = np.asarray(kept.any(axis=1))
     require_views(int(used.sum()), len(detections), 0)
-    _require_kept(int(present.sum()), int(kept.sum()), options)
     require_tilts(state.rotations[used])
-    freedom = 2 * int(kept.sum()) - len(problem.free) - len(problem.terms) - 6 * int(used.sum())
-    freedom -= 3 * problem.board.count - 7 if problem.offsets else 0
-    distances = problem.distances(residuals)[kept]
-    sigma = float(np.sqrt(np.sum(distances**2) / max(freedom, 1) / truncation()))
-    scale = (sigma / problem.sigma) ** 2
-    covariance = factors.shared_covariance() * scale
+    _require_kept(int(present.sum()), int(kept.sum()), options)
+    covariance = result.covariance
     camera = _camera(result, size, covariance)
+    noise_covariance = _camera(result, size, result.noise_covariance).covariance
     for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
         require_focal(camera.value(focal), camera.std(focal) or 0.0)
-    views = _views(result, detections, reasons, factors.group_covariances() * scale, residuals, kept)
+    views = _views(result, detections, reasons, _pose_covariances(result), residuals, kept)
     return Calibration(
         camera,
         problem.board,
-        surface_of(problem, state, result.tiers, covariance),
+        surface_of(problem, state, plain.board, covariance),
         views,
         _rejected(result, detections, reasons, present & ~kept, residuals),
-        sigma,
-        freedom,
+        plain.noise.sigma,
+        max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
         float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
         readonly(residuals[:, kept].T, (None, 2), "residuals"),
         readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
-        result.iterations,
+        sum(own.passes for own in result.estimates),
         _correlations(problem.shared_names, covariance),
-        held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(covariance / scale))),
+        floor_px=None if plain.corners is None else plain.corners.floor_px,
+        held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
+        noise_covariance=noise_covariance,
     )
 
 
-def _factors(result: Fit) -> Factors:
-    try:
-        return result.solution.factors()
-    except SingularError as error:
-        raise InsufficientData(
-            "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
-            "or hold parameters with --fix"
-        ) from error
+def _pose_covariances(result: Fit) -> Array:
+    """Return the covariances (V, 6, 6) of the poses: weighted means of those that the estimates claim."""
+    own = [estimate.factors.group_covariances()[:, :6, :6] for estimate in result.estimates]
+    return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
 
 
 def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
@@ -285,7 +274,7 @@ def _views(
     return tuple(views)
 
 
-_ALL_REJECTED = "does not fit the other views (half its corners or its median error are out of line)"
+_ALL_REJECTED = "does not fit the other views (its corners count for less than a third each)"
 
 
 def _rejected(

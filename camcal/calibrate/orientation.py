@@ -14,9 +14,7 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import Factors
 from camcal.targets.board import Board
-from camcal.targets.surface import TIERS
 
 _MARGIN = 9.0  # a fall of χ² by 3σ turns a view; less is noise
 _POSES = Stopping(relative_decrease=1e-6, iterations=20)
@@ -85,16 +83,14 @@ def _view_costs(problem: BoardProblem, state: State) -> Array:
     return np.asarray(np.where(present, np.minimum(squared, CUT**2), 0.0).sum(axis=1))
 
 
-def opposed_views(factors: Factors, names: tuple[str, ...]) -> Array:
+def opposed_views(scores: Array, information: Array) -> Array:
     """Return a guess (V,) of which views were numbered from the other end, as 0 or 1; all 0 when nothing says so.
 
-    Turning a view by 180° changes the sign of its pull on the cubic terms. When views of both kinds are mixed the
-    pulls cancel and no shape is seen to choose by; their main axis still tells the two kinds apart.
+    scores: (V, 4) each view's pull on the cubic terms. information: (4, 4) what all views know of them.
+    Turning a view by 180° changes the sign of its pull. When views of both kinds are mixed the pulls cancel and no
+    shape is seen to choose by; their main axis still tells the two kinds apart.
     """
-    odd = [index for index, name in enumerate(names) if name in TIERS["cubic"]]
-    scores = factors.group_scores()[:, odd]
-    schur = (factors.shared_root @ factors.shared_root.T)[np.ix_(odd, odd)]
-    pulls = np.linalg.solve(np.linalg.cholesky(schur), scores.T)
+    pulls = np.linalg.solve(np.linalg.cholesky(information), scores.T)
     axis = np.linalg.eigh(pulls @ pulls.T)[1][:, -1]
     signs = np.where(axis @ pulls < 0, -1.0, 1.0)
     gain = np.sum((pulls @ signs) ** 2) - np.sum(pulls.sum(axis=1) ** 2)

@@ -1,7 +1,8 @@
 """One camera and a board in many views as a least-squares problem: the only place that knows the parameter layout.
 
 Shared parameters, in this order: the free lens parameters, the coefficients of the board's shape, the offsets of
-its points (x y z of point 0, of point 1, …). Each view's pose camera_T_board is a group of six: tx ty tz rx ry rz.
+its points (x y z of point 0, of point 1, …). Each view's pose camera_T_board is a group of six: tx ty tz rx ry rz,
+followed by the coefficients of effects within views where an estimator models them.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from camcal.geometry.pose import retract
 from camcal.solve.losses import Loss
 from camcal.solve.steps import Block, Jacobian, Step
 from camcal.targets.board import Board, Detection
-from camcal.targets.surface import basis, offset_prior_std, prior_std
+from camcal.targets.surface import basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +98,32 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Residuals (2, M) in pixels of M = V · P points, not whitened, and their derivatives by the points in the camera
+    frame (2, 3, M) and by the free lens parameters (2, K, M). rotated: (3, M) the board's points in the camera's axes.
+    valid: (M,) bool, the points that have an image; the others have zeros.
+    """
+
+    residuals: Array
+    by_point: Array
+    by_lens: Array
+    rotated: Array
+    valid: Array
+
+    def by_pose(self) -> Array:
+        """Return the derivatives (2, 6, M) by tx ty tz rx ry rz."""
+        return _pose_jacobian(self.by_point, self.rotated)
+
+
+@dataclass(frozen=True, eq=False)
 class BoardProblem:
     """The residuals, in pixels over `sigma`, of a board seen in many views.
 
-    free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether every point of
-    the board is free as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
+    free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether the offsets of the
+    board's points move as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
     board as it is known to be, None for as drawn. lens_spread: (K,) standard deviations of the weak priors on the
-    lens parameters about zero, inf for none; see `lens_spread`.
+    lens parameters about zero, inf for none; see `lens_spread`. term_std: (S,), offset_std: (3,) those of the board's
+    terms and offsets, in the board's unit. noise: (V,) the variance of a view's corners over that of a typical view.
     """
 
     model: CameraModel
@@ -116,6 +136,9 @@ class BoardProblem:
     loss: Loss | None = None
     points: Array | None = None
     lens_spread: Array | None = None
+    term_std: Array | None = None
+    offset_std: Array | None = None
+    noise: Array | None = None
 
     @property
     def shared(self) -> int:
@@ -139,8 +162,7 @@ class BoardProblem:
     def board_points(self, state: State) -> Array:
         """Return the points (C, 3) of the board as the state has it."""
         known = self.board.points() if self.points is None else self.points
-        points = known + self._basis @ state.shape
-        return np.asarray(points + state.offsets if self.offsets else points)
+        return np.asarray(known + self._basis @ state.shape + state.offsets)
 
     def within_domain(self, state: State) -> "BoardProblem":
         """Return the problem without the points that the lens cannot take at this state."""
@@ -151,15 +173,22 @@ class BoardProblem:
 
     def poses_only(self, state: State) -> "tuple[BoardProblem, State]":
         """Return the problem and state of the poses alone, lens and board held as the state has them."""
-        problem = replace(self, free=np.zeros(0, np.intp), terms=(), offsets=False, points=self.board_points(state))
-        return problem, replace(state, shape=np.zeros(0))
+        problem = replace(
+            self,
+            free=np.zeros(0, np.intp),
+            terms=(),
+            offsets=False,
+            points=self.board_points(state),
+            lens_spread=None,
+        )
+        return problem, replace(state, shape=np.zeros(0), offsets=0 * state.offsets)
 
     def retract(self, state: State, step: Step) -> State:
         """Return the state moved by a step."""
         lens, shape = len(self.free), len(self.free) + len(self.terms)
         parameters = state.parameters.copy()
         parameters[self.free] += step.shared[:lens]
-        rotations, translations = retract(state.rotations, state.translations, step.groups)
+        rotations, translations = retract(state.rotations, state.translations, step.groups[:, :6])
         offsets = state.offsets + step.shared[shape:].reshape(-1, 3) if self.offsets else state.offsets
         return State(parameters, rotations, translations, state.shape + step.shared[lens:shape], offsets)
 
@@ -177,33 +206,46 @@ class BoardProblem:
 
     def blocks(self, state: State) -> list[Block] | None:
         """Return the observations and the priors, or None where a point has no image at all."""
+        derivatives = self.derivatives(state)
+        if np.any(self.observations.weights.ravel()[~derivatives.valid] > 0):
+            return None
+        return [self.data(state, derivatives), *self.priors(state)]
+
+    def derivatives(self, state: State) -> "Derivatives":
+        """Return the residuals and their derivatives at a state, by the lens's formula beyond its domain as well."""
         rotated, points = self._points(state)
         projected = self.model.project_with_jacobians(state.parameters, points.reshape(3, -1).T, within_domain=False)
-        weights = self.observations.weights.ravel()
         residuals = projected.pixels.T - self.observations.pixels.reshape(2, -1)
         by_point, by_lens = projected.d_point.transpose(1, 2, 0), projected.d_parameters.transpose(1, 2, 0)
         if len(self.free) < by_lens.shape[1]:
             by_lens = by_lens[:, self.free]
         if not projected.valid.all():
-            if np.any(weights[~projected.valid] > 0):
-                return None
             residuals, by_point, by_lens = (np.nan_to_num(values) for values in (residuals, by_point, by_lens))
+        return Derivatives(residuals, by_point, by_lens, rotated.reshape(3, -1), projected.valid)
+
+    def data(self, state: State, derivatives: "Derivatives", effects: Array | None = None) -> Block:
+        """Return the observations as a block; effects: (2, m, V, P) columns that follow those of a view's pose."""
+        residuals, by_point, by_lens = derivatives.residuals, derivatives.by_point, derivatives.by_lens
+        further = [] if effects is None else [effects.reshape(2, effects.shape[1], -1)]
         if self.observations.whitening is not None:
             whitening = self.observations.whitening.reshape(2, 2, -1)
             residuals = np.einsum("ijm,jm->im", whitening, residuals)
-            by_point, by_lens = (np.einsum("ijm,jlm->ilm", whitening, part) for part in (by_point, by_lens))
+            by_point, by_lens, *further = (_whitened(whitening, part) for part in (by_point, by_lens, *further))
         shared = [Jacobian(by_lens.transpose(2, 0, 1), np.arange(len(self.free)))]
         shared += self._shape_jacobians(by_point, state.rotations)
-        group = _pose_jacobian(by_point, rotated.reshape(3, -1))
-        data = Block(
+        group = _pose_jacobian(by_point, derivatives.rotated)
+        group = np.concatenate([group, *further], axis=1) if further else group
+        weights = self.observations.weights
+        if self.noise is not None:
+            weights = weights / self.noise[:, None]
+        return Block(
             residuals.T,
             tuple(shared),
             group.transpose(2, 0, 1),
             rows_per_group=self.observations.ids.shape[1],
-            weights=weights / self.sigma**2,
+            weights=weights.ravel() / self.sigma**2,
             loss=self.loss,
         )
-        return [data, *self._priors(state)]
 
     def _points(self, state: State) -> tuple[Array, Array]:
         """Return the board's points rotated and in the camera frame, both (3, V, P)."""
@@ -235,23 +277,28 @@ class BoardProblem:
             result.append(Jacobian(stacked.transpose(2, 0, 1), first + np.arange(3)))
         return result
 
-    def _priors(self, state: State) -> list[Block]:
+    def priors(self, state: State) -> list[Block]:
+        """Return the priors of the lens, of the board's terms and of the offsets."""
         start, result = len(self.free), []
         if self.lens_spread is not None and start:
             spread = self.lens_spread[self.free]
             result.append(_prior(state.parameters[self.free] / spread, 1 / spread, 0))
-        if self.terms:
-            spread = np.array([prior_std(self.board, term) for term in self.terms])
-            result.append(_prior(state.shape / spread, 1 / spread, start))
-        if self.offsets:
-            spread = np.full(3 * self.board.count, offset_prior_std(self.board))
-            result.append(_prior(state.offsets.ravel() / spread, 1 / spread, start + len(self.terms)))
+        if self.terms and self.term_std is not None:
+            result.append(_prior(state.shape / self.term_std, 1 / self.term_std, start))
+        if self.offsets and self.offset_std is not None:
+            slopes = np.tile(1 / self.offset_std, self.board.count)
+            result.append(_prior(state.offsets.ravel() * slopes, slopes, start + len(self.terms)))
         return result
 
 
 def lens_spread(model: CameraModel, image_size: tuple[int, int], focal: float) -> Array:
     """Return the standard deviations (K,) of the model's weak priors on the coefficients of a lens, inf for none."""
     return model.prior_std(image_size, focal)
+
+
+def _whitened(whitening: Array, columns: Array) -> Array:
+    """Return columns (2, L, M) multiplied by the whitening (2, 2, M)."""
+    return np.asarray(np.stack([whitening[i, 0] * columns[0] + whitening[i, 1] * columns[1] for i in range(2)]))
 
 
 def _dot(first: Array, second: Array) -> Array:

@@ -1,174 +1,141 @@
-"""How much of the board's shape the data can tell: tiers of terms are added only while they are significant."""
+"""The board's shape: the scale of every class of it, and the record of what was estimated."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.solve.least_squares import linearise
-from camcal.solve.steps import Block, Factors, SingularError, assemble, factorise
-from camcal.targets.surface import TIERS, Surface, basis
+from camcal.calibrate.scales import Scale, scale_of
+from camcal.solve.steps import Factors
+from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, TERMS, Surface, basis, scale_unit
 
-SIGNIFICANCE = 1e-3  # a flat board gains a needless tier in less than one of 250 calibrations
-NEGLIGIBLE = 2.0  # σ; leaving out more would bias the lens by more than it calms it
-SEEN = 10  # a point is freed only when this many views hold it
-ALL_TERMS = tuple(term for terms in TIERS.values() for term in terms)
+_NARROWEST = 1e-4  # of a class's median: a prior this narrow leaves nothing of it
+_AXES = {IN_PLANE: (0, 1), OUT_OF_PLANE: (2,)}
 
 
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """The tiers that are significant, in that order, the terms to keep of them, and the factors of the problem with
-    every term: `names` are its shared parameters.
+def first_scales() -> dict[str, Scale]:
+    """Return the scales to begin with: those of a board that has something of every class."""
+    return {name: Scale(own.median, own.median, 0.0, 0.5) for name, own in (CLASSES | CORNER_CLASSES).items()}
+
+
+def with_terms(problem: BoardProblem, state: State) -> tuple[BoardProblem, State]:
+    """Return problem and state with every term of the board's shape; known coefficients are kept."""
+    known = dict(zip(problem.terms, state.shape, strict=True))
+    shape = np.array([known.get(term, 0.0) for term in TERMS])
+    return replace(problem, terms=TERMS), replace(state, shape=shape)
+
+
+def under(problem: BoardProblem, scales: Mapping[str, Scale]) -> BoardProblem:
+    """Return the problem with the priors of these scales on the board's shape, as far as it has terms and offsets."""
+    if problem.terms:
+        stds = [
+            _std(scales[name], own.median) * scale_unit(problem.board, term)
+            for name, own in CLASSES.items()
+            for term in own.terms
+        ]
+        problem = replace(problem, term_std=np.array(stds))
+    if problem.offsets:
+        problem = replace(problem, offset_std=offset_std(scales, max(problem.board.extent)))
+    return problem
+
+
+def offset_std(scales: Mapping[str, Scale], side: float) -> Array:
+    """Return the standard deviations (3,) of the prior of a point's offset, for a board of that longer side."""
+    flat, height = (side * _std(scales[name], CORNER_CLASSES[name].median) for name in (IN_PLANE, OUT_OF_PLANE))
+    return np.array([flat, flat, height])
+
+
+def _std(scale: Scale, median: float) -> float:
+    return max(scale.effective, _NARROWEST * median)
+
+
+def spent_on_offsets(problem: BoardProblem, factors: Factors) -> float:
+    """Return the degrees of freedom that offsets solved for together with everything else take."""
+    assert problem.offset_std is not None
+    variances = np.diag(factors.shared_covariance())[len(problem.free) + len(problem.terms) :]
+    return float(np.sum(1 - variances / np.tile(problem.offset_std**2, problem.board.count)))
+
+
+def board_scales(problem: BoardProblem, state: State, factors: Factors) -> dict[str, Scale]:
+    """Return the scales of the classes at a minimum, each with everything else following."""
+    result, start, covariance = {}, len(problem.free), factors.shared_covariance()
+    if problem.terms:
+        for name, own in CLASSES.items():
+            chosen = start + np.arange(len(own.terms))
+            start += len(own.terms)
+            unit = scale_unit(problem.board, own.terms[0])
+            information, vector = _of_data(problem, state, covariance, chosen)
+            result[name] = scale_of(unit**2 * information, unit * vector, own.median, own.spread)
+    if problem.offsets:
+        side = max(problem.board.extent)
+        for name, axes in _AXES.items():
+            chosen = np.sort(np.concatenate([start + axis + 3 * np.arange(problem.board.count) for axis in axes]))
+            information, vector = _of_data(problem, state, covariance, chosen)
+            prior = CORNER_CLASSES[name]
+            result[name] = scale_of(side**2 * information, side * vector, prior.median, prior.spread)
+    return result
+
+
+def odd_terms(problem: BoardProblem, state: State, factors: Factors) -> tuple[Array, Array]:
+    """Return every view's pull (V, 4) on the cubic terms, and what the data know of them (4, 4)."""
+    odd = np.array([index for index, name in enumerate(problem.shared_names) if name in CLASSES["cubic"].terms])
+    return factors.group_scores()[:, odd], _of_data(problem, state, factors.shared_covariance(), odd)[0]
+
+
+def _of_data(problem: BoardProblem, state: State, covariance: Array, chosen: Array) -> tuple[Array, Array]:
+    """Return what the data say of some shared parameters, their own prior taken out and everything else following:
+    information Λ (k, k) and vector Λ x, where x is the data's value. covariance: (S, S) of the shared parameters.
     """
-
-    tiers: tuple[str, ...]
-    terms: tuple[str, ...]
-    factors: Factors
-    names: tuple[str, ...]
-
-
-def with_terms(problem: BoardProblem, state: State, terms: tuple[str, ...]) -> tuple[BoardProblem, State]:
-    """Return problem and state with other shape terms; the coefficients of terms in both are kept."""
-    old = dict(zip(problem.terms, state.shape, strict=True))
-    return replace(problem, terms=terms), replace(state, shape=np.array([old.get(term, 0.0) for term in terms]))
+    precision, value = _priors(problem, state)
+    own = np.linalg.inv(covariance[np.ix_(chosen, chosen)])
+    # at a minimum the prior's pull and the data's are equal and opposite
+    return (own + own.T) / 2 - np.diag(precision[chosen]), own @ value[chosen]
 
 
-def judge(problem: BoardProblem, state: State) -> Verdict | None:
-    """Return the significant tiers at a minimum of `problem`, or None where nothing can be said.
-
-    One linearisation with every term, then a forward search on its reduced quadratic model: the tier with the least
-    probable gain under a flat board comes first, and the search ends where that probability passes SIGNIFICANCE.
-    Terms that a tier brought along without need go again: a bow nobody sees would loosen the focal length.
-    """
-    full, full_state = with_terms(problem, state, ALL_TERMS)
-    equations = linearise(full, full_state)
-    if equations is None:
-        return None
-    try:
-        factors = factorise(equations)
-    except SingularError:
-        return None
-    start = len(full.free)
-    columns = {tier: start + np.array([ALL_TERMS.index(term) for term in TIERS[tier]]) for tier in TIERS}
-    model = _Reduced.of(factors, full_state.shape, start)
-    tiers: tuple[str, ...] = ()
-    lowest = model.cost(_columns(columns, tiers))
-    while len(tiers) < len(TIERS):
-        trials = [(tier, model.cost(_columns(columns, (*tiers, tier)))) for tier in TIERS if tier not in tiers]
-        chances = [float(chi2.logsf(2 * (lowest - cost), len(columns[tier]))) for tier, cost in trials]
-        best = int(np.argmin(chances))
-        if chances[best] > np.log(SIGNIFICANCE):
-            break
-        tiers, lowest = (*tiers, trials[best][0]), trials[best][1]
-    used = _pruned(model, _columns(columns, tiers))
-    return Verdict(tiers, tuple(ALL_TERMS[column - start] for column in used), factors, full.shared_names)
+def _priors(problem: BoardProblem, state: State) -> tuple[Array, Array]:
+    """Return the precision of the board's priors on the shared parameters, and the parameters' values."""
+    lens = np.zeros(len(problem.free))
+    precision, value = [lens], [lens]
+    if problem.terms and problem.term_std is not None:
+        precision.append(problem.term_std**-2)
+        value.append(state.shape)
+    if problem.offsets and problem.offset_std is not None:
+        precision.append(np.tile(problem.offset_std**-2, problem.board.count))
+        value.append(state.offsets.ravel())
+    return np.concatenate(precision), np.concatenate(value)
 
 
-def _pruned(model: "_Reduced", used: Array) -> Array:
-    """Return the columns without those whose coefficient is within NEGLIGIBLE σ of zero, the least needed first."""
-    while len(used):
-        costs = [model.cost(np.delete(used, index)) for index in range(len(used))]
-        least = int(np.argmin(costs))
-        if 2 * (costs[least] - model.cost(used)) > NEGLIGIBLE**2:
-            break
-        used = np.delete(used, least)
-    return used
-
-
-def _columns(columns: dict[str, Array], tiers: tuple[str, ...]) -> Array:
-    return np.sort(np.concatenate([columns[tier] for tier in tiers])) if tiers else np.zeros(0, np.intp)
-
-
-@dataclass(frozen=True, eq=False)
-class _Reduced:
-    """The cost as a quadratic in the shared parameters alone, around the state with shape `shape` (S,)."""
-
-    matrix: Array
-    gradient: Array
-    shape: Array
-    start: int
-
-    @classmethod
-    def of(cls, factors: Factors, shape: Array, start: int) -> "_Reduced":
-        return cls(factors.shared_root @ factors.shared_root.T, factors.reduced_gradient(), shape, start)
-
-    def cost(self, used: Array) -> float:
-        """Return the least cost, relative to the state's, when only the shape terms in columns `used` may differ
-        from zero.
-        """
-        held = np.setdiff1d(np.arange(self.start, self.start + len(self.shape)), used)
-        moving = np.setdiff1d(np.arange(len(self.gradient)), held)
-        step = -self.shape[held - self.start]
-        pull = self.gradient[moving] + self.matrix[np.ix_(moving, held)] @ step
-        fall = 0.5 * pull @ np.linalg.solve(self.matrix[np.ix_(moving, moving)], pull)
-        return float(self.gradient[held] @ step + 0.5 * step @ self.matrix[np.ix_(held, held)] @ step - fall)
-
-
-def offsets_matter(problem: BoardProblem, state: State) -> bool:
-    """Return whether freeing every point of the board lowers the cost by more than chance would."""
-    observations = problem.observations
-    seen = np.bincount(observations.ids.ravel(), observations.weights.ravel() > 0, problem.board.count)
-    freed = replace(problem, offsets=True)
-    blocks = freed.blocks(state) if seen.min() >= SEEN else None
-    if blocks is None:
-        return False
-    # a rigid motion and the scale are not the board's own: seven of the offsets' freedoms cost nothing
-    freedom = 3 * problem.board.count - 7
-    gain = _gain_with_poses_held(blocks[0], len(problem.free) + len(problem.terms), problem.board.count)
-    if chi2.sf(gain, freedom) > 0.05:
-        return False  # the poses and the lens following cannot make much of so little
-    try:
-        gain = 2 * factorise(assemble(blocks, freed.shared, *freed.groups)).decrease()
-    except SingularError:
-        return False
-    return bool(chi2.logsf(gain, freedom) < np.log(SIGNIFICANCE))
-
-
-def _gain_with_poses_held(block: Block, start: int, points: int) -> float:
-    """Return the fall of χ² when each point moves on its own and nothing follows: one 3 × 3 solve a point."""
-    offsets, weights = block.shared[-1], block.weights
-    point = (offsets.columns[:, 0] - start) // 3
-    weighted = offsets.values if weights is None else offsets.values * weights[:, None, None]
-    gradient = np.einsum("mda,md->am", weighted, block.residuals)
-    products = np.einsum("mda,mdb->abm", weighted, offsets.values).reshape(9, -1)
-    slopes = np.stack([np.bincount(point, row, points) for row in gradient], axis=-1)
-    matrices = np.stack([np.bincount(point, row, points) for row in products], axis=-1).reshape(points, 3, 3)
-    return float(np.einsum("ca,ca->", slopes, np.linalg.solve(matrices, slopes[..., None])[..., 0]))
-
-
-def surface_of(problem: BoardProblem, state: State, tiers: tuple[str, ...], covariance: Array) -> Surface:
-    """Return the record of the board's shape from a solution and the covariance of its shared parameters."""
+def surface_of(problem: BoardProblem, state: State, scales: Mapping[str, Scale], covariance: Array) -> Surface:
+    """Return the record of the board's shape from a solution and the covariance of its lens and terms."""
     lens, count = len(problem.free), len(problem.terms)
-    heights = _heights_by_parameters(problem)
-    parameters = np.concatenate([np.zeros(lens), state.shape, state.offsets.ravel() if problem.offsets else []])
-    height = heights @ parameters
-    span = heights[np.argmax(height)] - heights[np.argmin(height)]
+    height = _heights(problem) @ np.concatenate([state.shape, state.offsets[:, 2]])
+    top, bottom = np.argmax(height), np.argmin(height)
+    span = basis(problem.board, problem.terms)[:, 2]
+    slope = span[top] - span[bottom]
+    own = covariance[lens : lens + count, lens : lens + count]
+    spread = 0.0 if problem.offset_std is None or not problem.offsets else float(problem.offset_std[2])
     return Surface(
         problem.board,
-        tiers,
+        (),
         problem.terms,
         state.shape,
-        covariance[lens : lens + count, lens : lens + count],
-        state.offsets if problem.offsets else None,
-        float(span @ parameters),
-        float(np.sqrt(max(span @ covariance @ span, 0.0))),
+        own,
+        state.offsets if state.offsets.any() else None,
+        float(height[top] - height[bottom]),
+        float(np.sqrt(max(slope @ own @ slope, 0.0) + 2 * spread**2)),
+        classes={name: (scale.mean, scale.std) for name, scale in scales.items()},
     )
 
 
-def _heights_by_parameters(problem: BoardProblem) -> Array:
-    """Return each point's height over the board's mean plane per unit of every shared parameter (C, shared).
+def _heights(problem: BoardProblem) -> Array:
+    """Return each point's height over the board's mean plane per unit of the terms and of the points' own heights.
 
     The plane is taken out because a pose can take it: offsets know it only through their prior.
     """
     points = problem.board.count
-    parts = [np.zeros((points, len(problem.free))), basis(problem.board, problem.terms)[:, 2]]
-    if problem.offsets:
-        upwards = np.zeros((points, points, 3))
-        upwards[np.arange(points), np.arange(points), 2] = 1.0
-        parts.append(upwards.reshape(points, -1))
-    heights = np.concatenate(parts, axis=1)
+    heights = np.concatenate([basis(problem.board, problem.terms)[:, 2], np.eye(points)], axis=1)
     drawn = problem.board.points()
     plane = np.column_stack([np.ones(points), drawn[:, :2] / problem.board.pitch])
     return np.asarray(heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0])

@@ -39,9 +39,7 @@ def calibrate(
     flat_board: Annotated[
         bool, typer.Option("--flat-board", help="Take the board as drawn; by default its shape is estimated.")
     ] = False,
-    free_corners: Annotated[
-        bool, typer.Option(help="Let every corner of the board move where it was seen at least 10 times.")
-    ] = True,
+    free_corners: Annotated[bool, typer.Option(help="Estimate an offset of every corner of the board.")] = True,
     refine: Annotated[
         bool | None,
         typer.Option(

@@ -1,5 +1,6 @@
 """A calibration in words and as plain data."""
 
+from dataclasses import replace
 from typing import Any
 
 from camcal.arrays import Array
@@ -8,6 +9,8 @@ from camcal.formats import boards
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.uncertain import held_by_prior_words, value_and_std
 from camcal.targets.surface import RATIOS
+
+_SHOWN = 2.0  # standard deviations: less of a board's shape is not worth a line
 
 
 def parameter_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
@@ -30,32 +33,31 @@ def summary(calibration: Calibration) -> list[str]:
 
 
 def _floor_lines(calibration: Calibration) -> list[str]:
-    """Return what is left of the corners' errors when the images have had their say."""
+    """Return what the noise is made of, where the images say how well they show the corners."""
     floor = calibration.floor_px
     if floor is None:
         return []
-    if not floor:
-        return ["corners: as good as their images say, no error besides"]
     images = max(calibration.sigma_px**2 - floor**2, 0.0) ** 0.5
-    return [f"corners: their images account for {images:.3f} px, board and lens model leave {floor:.3f} px besides"]
+    parts = f"{images:.3f} corner detection, {floor:.3f} board and lens model"
+    return [f"Residual noise {calibration.sigma_px:.3f} px: {parts}"]
 
 
 def _board_lines(calibration: Calibration) -> list[str]:
     surface = calibration.surface
     factor, unit = (1e3, "mm") if calibration.board.unit == "m" else (1.0, "squares")
     lines = []
-    if surface.deflection:
+    if surface.deflection > _SHOWN * surface.deflection_std:
         bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
         lines.append(f"board: bent by {bend} ± {std} {unit} peak to peak")
     for term, value, std in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
-        if term in RATIOS:
+        if term in RATIOS and abs(value) > _SHOWN * std:
             shown = " ± ".join(value_and_std(100 * value, 100 * std))
             pairs = calibration.correlations.items()
             with_focal = ", ".join(f"{pair[1]} {share:+.2f}" for pair, share in pairs if pair[0] == term)
             lines.append(f"board: {term} {shown} %" + (f" (correlation with {with_focal})" if with_focal else ""))
     if surface.offsets is not None:
         largest = factor * float(abs(surface.offsets).max())
-        lines.append(f"board: every corner free; the largest is off by {largest:.2g} {unit}")
+        lines.append(f"Per-corner board offsets estimated; largest {largest:.2g} {unit}")
     return lines or ["board: flat and true to the drawing as far as these views can tell"]
 
 
@@ -76,6 +78,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
         "std": {name: camera.std(name) for name in camera.model.parameter_names},
         "held_by_prior": list(calibration.held_by_prior),
+        "noise_std": _noise_std(calibration),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
         "floor_px": calibration.floor_px,
@@ -123,3 +126,9 @@ def uncertainty_data(uncertainty: ProjectionUncertainty) -> dict[str, Any]:
 
 def _four_digits(values: Array) -> list[list[float]]:
     return [[float(f"{value:.4g}") for value in row] for row in values.tolist()]
+
+
+def _noise_std(calibration: Calibration) -> dict[str, float | None]:
+    """Return the standard deviations of the lens parameters if noise were all that is wrong with the corners."""
+    noise = replace(calibration.camera, covariance=calibration.noise_covariance)
+    return {name: noise.std(name) for name in noise.model.parameter_names}

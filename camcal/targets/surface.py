@@ -134,15 +134,3 @@ def _legendre(degree: int, values: Array) -> Array:
 def scale_unit(board: Board, term: str) -> float:
     """Return what the scale of a term's class is a share of: the board's longer side, 1 for ratios."""
     return 1.0 if term in RATIOS else max(board.extent)
-
-
-def prior_std(board: Board, term: str) -> float:
-    """Return the standard deviation of the weak prior on one term: 1 % of the board's larger side out of plane
-    (a bow of a tenth of that is already visible), 1 % of stretch or shear in plane.
-    """
-    return 0.01 if term in TIERS["stretch"] else 0.01 * max(board.extent)
-
-
-def offset_prior_std(board: Board) -> float:
-    """Return the standard deviation of the prior on a single point's offset: 0.3 % of the board's larger side."""
-    return 0.003 * max(board.extent)

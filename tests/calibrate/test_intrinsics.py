@@ -50,7 +50,7 @@ def test_priors_leave_the_coefficients_of_a_fisheye_model_to_the_data_at_a_long_
     points = scene.board.count
     state = State(calibration.camera.parameters, rotations, translations, np.zeros(0), np.zeros((points, 3)))
     unregularised = np.sqrt(np.diag(factorise(linearise(without, state)).shared_covariance()))
-    ours = np.sqrt(np.diag(calibration.camera.covariance))
+    ours = np.sqrt(np.diag(calibration.noise_covariance))
     np.testing.assert_allclose(ours, unregularised, rtol=0.02)  # k4: 210, of a prior of 6561
     assert ours[-1] > 100  # by far more than the prior of a denominator's k4 would let through
 
@@ -61,7 +61,7 @@ def test_coefficients_that_the_data_hardly_determine_are_held_by_their_priors(sc
     rational = model_named("opencv8")
     calibration = calibrate(seen, scene.board, Options(rational))
     spread = rational.prior_std(scene.camera.image_size, scene.camera.value("fx"))
-    ratios = np.sqrt(np.diag(calibration.camera.covariance)) / spread
+    ratios = np.sqrt(np.diag(calibration.noise_covariance)) / spread
     # numerator and denominator do the same to a lens that needs no denominator
     assert {"k4", "k5"} & set(calibration.held_by_prior)
     for name, ratio in zip(rational.parameter_names, ratios, strict=True):
@@ -91,11 +91,12 @@ def test_opencv_finds_the_same_minimum_on_a_rigid_board(scene):
         None,
         criteria=(3, 200, 1e-12),
     )
-    assert ours.rms_px == pytest.approx(rms, rel=1e-5)
+    # residuals of three standard deviations count a little less than in least squares
+    assert ours.rms_px == pytest.approx(rms, rel=1e-3)
     theirs = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()]
     spread = np.sqrt(np.diag(ours.camera.covariance))
-    # the corners were rounded to float32 for OpenCV, and its stopping rule is its own
-    assert np.abs((ours.camera.parameters - theirs) / spread).max() < 0.02
+    # weights, and effects within views that are not there, move the minimum by a small part of its uncertainty
+    assert np.abs((ours.camera.parameters - theirs) / spread).max() < 0.3
 
 
 @pytest.mark.slow

@@ -7,9 +7,9 @@ import pytest
 from observed import make_scene
 
 from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
-from camcal.calibrate.shape import ALL_TERMS
 from camcal.cameras.catalogue import MODELS
 from camcal.solve.steps import Step, assemble
+from camcal.targets.surface import TERMS
 
 
 def state_of(scene, terms, rng):
@@ -36,10 +36,10 @@ def test_gradient_is_the_derivative_of_the_cost(offsets, covariances):
         shapes = rng.normal(size=(*observations.ids.shape, 2, 2))
         observations = observations.weighted(0.1 * np.eye(2) + shapes @ shapes.swapaxes(2, 3))
     problem = BoardProblem(
-        scene.camera.model, scene.board, observations, np.array([0, 2, 4, 5]), ALL_TERMS, offsets, sigma=0.3
+        scene.camera.model, scene.board, observations, np.array([0, 2, 4, 5]), TERMS, offsets, sigma=0.3
     )
     problem = replace(problem, lens_spread=lens_spread(scene.camera.model, scene.camera.image_size, 1200.0))
-    state = state_of(scene, ALL_TERMS, rng)
+    state = state_of(scene, TERMS, rng)
     equations = assemble(problem.blocks(state), problem.shared, *problem.groups)
     for _ in range(4):
         direction = Step(rng.normal(size=problem.shared), rng.normal(size=problem.groups))

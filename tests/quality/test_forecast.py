@@ -83,7 +83,7 @@ def test_a_calibration_states_the_uncertainty_that_was_forecast():
     forecast = calibration_std(camera, BOARD, exact.views, poses, 0.2)
     noisy, _ = observe(camera, BOARD, poses, rng=rng, noise_px=0.2)
     found = calibrate(noisy.views, BOARD, Options(model=model, shape=ShapeOptions(smooth=False, offsets=False)))
-    stated = np.sqrt(np.diag(found.camera.covariance))
+    stated = np.sqrt(np.diag(found.noise_covariance))
     assert stated == pytest.approx(forecast, rel=0.1)  # the noise is estimated to 3 %, the views move a little
 
 

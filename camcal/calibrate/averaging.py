@@ -1,0 +1,143 @@
+"""One lens from several estimates of it, weighted by how well each repeats when a view is left out, and its covariance.
+
+Estimates that take errors within views for noise, or model them, are all unbiased; which of them varies least depends
+on what the errors really are. What a view does to an estimate is known without solving again (the jackknife's one
+step); the weights are those under which leaving out views moves the weighted lens least, over the image that the
+corners cover. Source: Hansen & Racine, Jackknife model averaging, Journal of Econometrics 167, 2012.
+
+The covariance is that of the scatter from view to view, CR3, which needs no model of the errors and errs on the safe
+side, and of the scatter of the estimates about their mean.
+Source: MacKinnon, Nielsen & Webb, Journal of Econometrics 232, 2023; Buckland, Burnham & Augustin, Biometrics 53, 1997.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from camcal.arrays import Array
+from camcal.calibrate.estimator import Estimate
+from camcal.calibrate.problem import BoardProblem, State
+from camcal.geometry import rotation as so3
+
+_FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
+_LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told from the others
+
+
+@dataclass(frozen=True, eq=False)
+class Influence:
+    """What every view does to the parameters that all views share, lens and terms of the board's shape.
+
+    left_out: (G, D) their change when a view is left out, scaled so that the sum of squares is a covariance (CR3).
+    """
+
+    left_out: Array
+
+
+def influence(estimate: Estimate) -> Influence:
+    """Return what every view does to an estimate, from its last linear solve."""
+    factors, covariance = estimate.factors, estimate.posterior.shared
+    dense, root = len(covariance), np.linalg.cholesky(covariance)
+    scores, information = factors.group_scores(), factors.group_information()
+    matrix = factors.shared_root @ factors.shared_root.T
+    if len(matrix) > dense:  # offsets of single points follow
+        follow = np.linalg.solve(matrix[dense:, dense:], matrix[dense:, :dense])
+        scores = scores[:, :dense] - scores[:, dense:] @ follow
+        # what the offsets take of the information is taken from that of all views alike
+        turn = np.linalg.inv(np.linalg.cholesky(matrix[:dense, :dense]) @ root.T)
+        information = turn @ information @ turn.T
+    values, vectors = np.linalg.eigh(root.T @ information @ root)
+    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / (1 - np.clip(values, 0, _LARGEST))
+    count = len(scores)
+    return Influence(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
+
+
+def image_metric(displacements: Array) -> Array:
+    """Return the metric (K, K) in which a change of the lens has the mean square of what it moves in the image, px².
+
+    displacements: (N, 2, K) of the image by the lens parameters, see cameras.directions.
+    """
+    flat = displacements.reshape(-1, displacements.shape[2])
+    return np.asarray(flat.T @ flat / len(displacements))
+
+
+def weights_of(left_out: Sequence[Array], metric: Array) -> Array:
+    """Return the weights of estimates, none negative, that sum to one.
+
+    left_out: for each estimate (G, D), see Influence. metric: (K, K) of the lens, the first K of D parameters.
+    Each estimate's own scatter counts twice: from a few views it is not known well, and weights fitted to chance would
+    vary more than equal ones.
+    """
+    lens = len(metric)
+    spread = np.array([[np.sum((a[:, :lens] @ metric) * b[:, :lens]) for b in left_out] for a in left_out])
+    spread += np.diag(np.diag(spread))
+    root = np.linalg.cholesky(spread + _FINEST * np.trace(spread) * np.eye(len(spread)))
+    # the minimum of wᵀ S w over weights that sum to one, as least squares with a heavy row for the sum
+    heavy = _HEAVY * np.sqrt(np.trace(spread))
+    system = np.vstack([root.T, np.full(len(spread), heavy)])
+    weights = nnls(system, np.append(np.zeros(len(spread)), heavy))[0]
+    return np.asarray(weights / weights.sum())
+
+
+def covariance_of(
+    estimates: Sequence[Estimate], influences: Sequence[Influence], metric: Array, weights: Array
+) -> Array:
+    """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
+
+    Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
+    than the estimates claim. Its shape is that of the same scatter, which G views determine in as many directions only,
+    drawn towards the claimed one as by D further views.
+    """
+    claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
+    scatter = _scatter(estimates, influences, metric, weights)
+    lens, views, size = len(metric), len(influences[0].left_out), len(claimed)
+    claimed_px, scatter_px = (float(np.sum(own[:lens, :lens] * metric)) for own in (claimed, scatter))
+    mixed = (views * scatter + size * scatter_px / claimed_px * claimed) / (views + size)
+    return np.asarray(mixed * max(claimed_px / scatter_px, 1.0))
+
+
+def _scatter(estimates: Sequence[Estimate], influences: Sequence[Influence], metric: Array, weights: Array) -> Array:
+    """Return the scatter (D, D) from view to view, each view with the weights that the others give, as weights that
+    suit all views make their scatter small; that of the estimates, as what they disagree in is not known better; and
+    what priors leave open, which no view shows.
+    """
+    moved = []
+    for view in range(len(influences[0].left_out)):
+        left_out = [own.left_out for own in influences]
+        others = weights_of([np.delete(own, view, axis=0) for own in left_out], metric)
+        moved.append(others @ np.stack([own[view] for own in left_out]))
+    shared = np.array([_shared(own.problem, own.state) for own in estimates])
+    apart = shared - weights @ shared
+    priors = [own.posterior.shared @ (_precision(own.problem)[:, None] * own.posterior.shared) for own in estimates]
+    total = np.array(moved).T @ np.array(moved) + (weights * apart.T) @ apart
+    return np.asarray(total + np.tensordot(weights, np.stack(priors), axes=1))
+
+
+def _shared(problem: BoardProblem, state: State) -> Array:
+    """Return the free lens parameters and the terms of the board's shape (D,) of a state."""
+    return np.concatenate([state.parameters[problem.free], state.shape])
+
+
+def _precision(problem: BoardProblem) -> Array:
+    """Return the precision (D,) of the priors of the same parameters."""
+    lens = np.zeros(len(problem.free)) if problem.lens_spread is None else problem.lens_spread[problem.free] ** -2.0
+    terms = np.zeros(len(problem.terms)) if problem.term_std is None else problem.term_std**-2.0
+    return np.concatenate([lens, terms])
+
+
+def averaged(states: Sequence[State], weights: Array) -> State:
+    """Return the weighted mean of states of one problem; rotations are averaged about the first one's."""
+
+    def mean(values: Sequence[Array]) -> Array:
+        return np.asarray(np.tensordot(weights, np.stack(values), axes=1))
+
+    first = states[0].rotations
+    turns = mean([so3.log(first.transpose(0, 2, 1) @ state.rotations) for state in states])
+    return State(
+        mean([state.parameters for state in states]),
+        first @ so3.exp(turns),
+        mean([state.translations for state in states]),
+        mean([state.shape for state in states]),
+        mean([state.offsets for state in states]),
+    )

@@ -1,0 +1,339 @@
+"""The variances of effects: against the restricted likelihood of a small mixed model, computed with dense matrices."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from camcal.calibrate import variances
+from camcal.calibrate.effects import EffectColumns
+from camcal.calibrate.variances import EffectScales, fit_effects, posterior, scaled
+from camcal.solve.steps import Block, Jacobian, assemble, factorise
+
+VIEWS, ROWS = 5, 14  # rows of two coordinates each
+EFFECT = np.repeat([0, 1, 2], [3, 2, 2])
+COLUMNS = len(EFFECT)
+LOG_STD, SHARE_DOF = 3.0, 4.0  # of the priors
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """Linear views: a pose of 6, effects, and `shared` parameters that follow a prior of their own."""
+
+    pose: np.ndarray  # (V, 2 R, 6)
+    effects: np.ndarray  # (V, 2 R, m)
+    lens: np.ndarray  # (V, 2 R, D)
+    weights: np.ndarray  # (V, R)
+    observed: np.ndarray  # (V, 2 R)
+    prior: np.ndarray  # (D,) standard deviations
+    value: np.ndarray  # (D,) what is observed of the shared parameters by their prior
+
+    def blocks(self, by=None, *, prior=None):
+        """The residual blocks at zero; by: (V, m) factors of the effects' columns; prior: of their coefficients."""
+        effects = self.effects if by is None else self.effects * by[:, None, :]
+        group = np.concatenate([self.pose, effects], axis=2)
+        result = [
+            Block(
+                -self.observed.reshape(-1, 2),
+                (Jacobian(self.lens.reshape(VIEWS * ROWS, 2, -1), np.arange(self.lens.shape[2])),),
+                group.reshape(VIEWS * ROWS, 2, -1),
+                rows_per_group=ROWS,
+                weights=self.weights.ravel(),
+            )
+        ]
+        if self.lens.shape[2]:
+            columns = np.arange(self.lens.shape[2])[:, None]
+            result.append(
+                Block(-(self.value / self.prior)[:, None], (Jacobian((1 / self.prior)[:, None, None], columns),))
+            )
+        if prior is not None:
+            rows = np.concatenate([np.zeros((COLUMNS, 6)), prior * np.eye(COLUMNS)], axis=1)
+            repeated = np.tile(rows, (VIEWS, 1))[:, None, :]
+            result.append(Block(np.zeros((len(repeated), 1)), (), repeated, rows_per_group=COLUMNS))
+        return result
+
+    def equations(self, **how):
+        return assemble(self.blocks(**how), self.lens.shape[2], VIEWS, 6 + COLUMNS)
+
+    def fixed(self):
+        """The columns (N, 6 V + D) of what has no prior variance to find: poses and lens, then rows of the prior."""
+        count = self.lens.shape[2]
+        top = np.concatenate([block_diagonal(self.pose), self.lens.reshape(VIEWS * 2 * ROWS, count)], axis=1)
+        bottom = np.concatenate([np.zeros((count, 6 * VIEWS)), np.diag(1 / self.prior)], axis=1)
+        return np.concatenate([top, bottom])
+
+    def random(self):
+        """The columns (N, V m) of the effects."""
+        return np.concatenate([block_diagonal(self.effects), np.zeros((self.lens.shape[2], VIEWS * COLUMNS))])
+
+    def noise(self):
+        """The variances (N,) of all rows."""
+        return np.concatenate([1 / np.repeat(self.weights.ravel(), 2), np.ones(self.lens.shape[2])])
+
+    def everything(self):
+        return np.concatenate([self.observed.ravel(), self.value / self.prior])
+
+    def projector(self, std):
+        """P = V⁻¹ - V⁻¹ X (Xᵀ V⁻¹ X)⁻¹ Xᵀ V⁻¹ and the logarithms of the determinants of V and of Xᵀ V⁻¹ X."""
+        random = self.random() * std.ravel()
+        inverse = np.linalg.inv(np.diag(self.noise()) + random @ random.T)
+        fixed = self.fixed()
+        information = fixed.T @ inverse @ fixed
+        taken = inverse @ fixed
+        logs = -np.linalg.slogdet(inverse)[1], np.linalg.slogdet(information)[1]
+        return inverse - taken @ np.linalg.solve(information, taken.T), logs
+
+    def restricted(self, scales):
+        """The restricted log likelihood, Patterson & Thompson 1971, up to a constant."""
+        projector, logs = self.projector(scales.std(EFFECT))
+        y = self.everything()
+        return -0.5 * (sum(logs) + y @ projector @ y)
+
+    def hat(self, std):
+        """The matrix (N, N) that takes observed to fitted values, effects included."""
+        columns = np.concatenate([self.random() * std.ravel(), self.fixed()], axis=1)
+        weighted = columns / self.noise()[:, None]
+        ridge = np.zeros(columns.shape[1])
+        ridge[: VIEWS * COLUMNS] = 1.0
+        return columns @ np.linalg.solve(columns.T @ weighted + np.diag(ridge), weighted.T)
+
+
+def block_diagonal(parts):
+    views, rows, columns = parts.shape
+    result = np.zeros((views, rows, views, columns))
+    result[np.arange(views), :, np.arange(views)] = parts
+    return result.reshape(views * rows, views * columns)
+
+
+def mixed(seed=1, shared=4, sizes=(0.8, 0.5, 1.2)):
+    rng = np.random.default_rng(seed)
+    pose = rng.normal(size=(VIEWS, 2 * ROWS, 6))
+    effects = rng.normal(size=(VIEWS, 2 * ROWS, COLUMNS)) * [1, 0.5, 2, 1, 1, 0.3, 1.5]
+    lens = rng.normal(size=(VIEWS, 2 * ROWS, shared)) + rng.normal(size=(1, 2 * ROWS, shared))
+    weights = rng.uniform(0.3, 3, (VIEWS, ROWS))
+    # an effect that a lens parameter resembles
+    lens[:, :, : min(shared, 2)] += 2 * effects[:, :, : min(shared, 2)]
+    drawn = np.array(sizes)[EFFECT] * rng.normal(size=(VIEWS, COLUMNS))
+    noise = rng.normal(size=(VIEWS, 2 * ROWS)) / np.sqrt(np.repeat(weights, 2, axis=1))
+    observed = np.einsum("vrm,vm->vr", effects, drawn) + noise
+    observed += np.einsum("vrk,vk->vr", pose, rng.normal(size=(VIEWS, 6))) + lens @ rng.normal(size=shared)
+    return Mixed(pose, effects, lens, weights, observed, rng.uniform(0.5, 2, shared), rng.normal(size=shared))
+
+
+def scales(seed=2, spread=0.7):
+    rng = np.random.default_rng(seed)
+    return EffectScales(
+        np.exp(spread * rng.normal(size=3)), np.exp(0.5 * rng.normal(size=(VIEWS, 3))), np.array([0.1, 0.4, 2.0])
+    )
+
+
+def columns_of(model):
+    """The same effects as the estimator lays them out."""
+    values = model.effects.reshape(VIEWS, ROWS, 2, COLUMNS).transpose(2, 3, 0, 1)
+    return EffectColumns(values, EFFECT)
+
+
+def moved(start, log_variances):
+    return replace(start, variances=start.variances * np.exp(log_variances))
+
+
+@pytest.fixture
+def one_round(monkeypatch):
+    monkeypatch.setattr(variances, "_ROUNDS", 1)
+
+
+def test_scales_start_at_a_third_of_the_noise_and_a_ten_thousandth_of_the_board():
+    start = EffectScales.start(7, 0.2, 0.5)
+    np.testing.assert_allclose(np.sqrt(start.variances), [0.06, 0.06, 5e-5], rtol=1e-12)
+    np.testing.assert_array_equal(start.typical, start.variances)
+    np.testing.assert_array_equal(start.shares, np.ones((7, 3)))
+
+
+def test_a_coefficient_has_the_variance_of_its_effect_times_the_share_of_its_view():
+    found = EffectScales(np.array([4.0, 9.0]), np.array([[1.0, 1.0], [0.25, 4.0]]), np.ones(2))
+    np.testing.assert_allclose(found.std(np.array([0, 1, 1])), [[2, 3, 3], [1, 6, 6]], rtol=1e-12)
+
+
+def test_equations_in_standard_deviations_are_those_of_scaled_columns_and_a_unit_prior():
+    model, std = mixed(), scales().std(EFFECT)
+    found, expected = scaled(model.equations(), std), model.equations(by=std, prior=1.0)
+    for name in ("cost", "group_group", "group_shared", "shared_shared", "group_gradients", "group_products"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(found.gradient.groups, expected.gradient.groups, rtol=1e-12)
+    np.testing.assert_allclose(found.gradient.shared, expected.gradient.shared, rtol=1e-12)
+
+
+def test_scaling_leaves_the_equations_it_is_given_as_they_are():
+    model = mixed()
+    equations, again = model.equations(), model.equations()
+    scaled(equations, np.ones((VIEWS, COLUMNS)))
+    np.testing.assert_array_equal(equations.group_group, again.group_group)
+
+
+def dense_covariance(model, std):
+    """The inverse of the normal matrix of everything: effects in standard deviations, poses, lens."""
+    columns = np.concatenate([model.random() * std.ravel(), model.fixed()], axis=1)
+    ridge = np.zeros(columns.shape[1])
+    ridge[: VIEWS * COLUMNS] = 1.0
+    return np.linalg.inv(columns.T @ (columns / model.noise()[:, None]) + np.diag(ridge))
+
+
+@pytest.mark.parametrize("shared", [0, 1, 4])
+def test_the_posterior_is_part_of_the_inverse_of_the_whole_normal_matrix(shared):
+    model, std = mixed(shared=shared), scales().std(EFFECT)
+    found = posterior(factorise(scaled(model.equations(), std)))
+    covariance = dense_covariance(model, std)
+    count = len(covariance)
+    np.testing.assert_allclose(
+        found.shared, covariance[count - shared :, count - shared :], rtol=1e-8
+    )  # of condition 1e4
+    for view in range(VIEWS):
+        own = slice(view * COLUMNS, (view + 1) * COLUMNS)
+        np.testing.assert_allclose(found.effects[view], covariance[own, own], rtol=1e-8, atol=1e-10)
+
+
+def test_a_view_has_spent_the_trace_of_its_part_of_the_hat_matrix_where_nothing_is_shared():
+    model, std = mixed(shared=0), scales().std(EFFECT)
+    found = posterior(factorise(scaled(model.equations(), std))).spent
+    np.testing.assert_allclose(found, np.diag(model.hat(std)).reshape(VIEWS, -1).sum(axis=1), rtol=1e-8)
+
+
+def test_a_view_has_spent_the_trace_of_its_part_of_the_hat_matrix():
+    model, std = mixed(), scales().std(EFFECT)
+    found = posterior(factorise(scaled(model.equations(), std))).spent
+    expected = np.diag(model.hat(std))[: VIEWS * 2 * ROWS].reshape(VIEWS, -1).sum(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_without_effects_a_view_has_spent_its_pose_and_its_part_of_the_lens():
+    model = mixed()
+    model = replace(model, effects=model.effects[:, :, :0])
+    block = model.blocks()[0]
+    prior = model.blocks()[1]
+    equations = scaled(assemble([block, prior], 4, VIEWS, 6), np.zeros((VIEWS, 0)))
+    columns = model.fixed()
+    weighted = columns / model.noise()[:, None]
+    hat = np.diag(columns @ np.linalg.solve(columns.T @ weighted, weighted.T))
+    expected = hat[: VIEWS * 2 * ROWS].reshape(VIEWS, -1).sum(axis=1)
+    np.testing.assert_allclose(posterior(factorise(equations)).spent, expected, rtol=1e-8)
+
+
+def test_offsets_of_single_points_widen_the_covariance_of_what_all_rows_share():
+    rng = np.random.default_rng(8)
+    model, std = mixed(), scales().std(EFFECT)
+    block, prior = model.blocks()
+    points = rng.normal(size=(VIEWS * ROWS, 2, 1))
+    which = np.tile(np.arange(ROWS), VIEWS)
+    block = replace(block, shared=(*block.shared, Jacobian(points, 4 + which[:, None])))
+    holding = Block(np.zeros((ROWS, 1)), (Jacobian(np.full((ROWS, 1, 1), 2.0), 4 + np.arange(ROWS)[:, None]),))
+    found = posterior(factorise(scaled(assemble([block, prior, holding], 4 + ROWS, VIEWS, 6 + COLUMNS), std)))
+    dense = np.zeros((VIEWS, ROWS, 2, ROWS))
+    dense[:, np.arange(ROWS), :, np.arange(ROWS)] = points.reshape(VIEWS, ROWS, 2).transpose(1, 0, 2)
+    columns = np.concatenate([model.random() * std.ravel(), model.fixed()], axis=1)
+    ridge = np.concatenate([np.ones(VIEWS * COLUMNS), np.zeros(6 * VIEWS + 4), np.full(ROWS, 4.0)])
+    columns = np.concatenate([columns, np.concatenate([dense.reshape(-1, ROWS), np.zeros((4, ROWS))])], axis=1)
+    covariance = np.linalg.inv(columns.T @ (columns / model.noise()[:, None]) + np.diag(ridge))
+    lens = slice(VIEWS * (COLUMNS + 6), VIEWS * (COLUMNS + 6) + 4)
+    assert found.shared.shape == (4, 4)
+    np.testing.assert_allclose(found.shared, covariance[lens, lens], rtol=1e-8)
+
+
+@pytest.mark.parametrize("shared", [0, 4])
+def test_a_step_follows_the_slope_of_the_restricted_likelihood_and_its_information(one_round, shared):
+    model, start = mixed(shared=shared), scales()
+    found = fit_effects(model.equations(), columns_of(model), start)
+    length = 1e-4  # differences of a likelihood of about 100: slopes to 1e-8 from rounding and from curvature
+    gradient = np.array(
+        [
+            (model.restricted(moved(start, length * axis)) - model.restricted(moved(start, -length * axis)))
+            / (2 * length)
+            for axis in np.eye(3)
+        ]
+    )
+    offset = np.log(start.variances / start.typical)
+    # tr(P V_a P V_b) of the parts within views alone, of those between them nothing is known that is worth its time
+    std = start.std(EFFECT)
+    used = (model.random() * std.ravel()).T @ model.projector(std)[0] @ (model.random() * std.ravel())
+    information = np.zeros((3, 3))
+    for view in range(VIEWS):
+        own = used[view * COLUMNS : (view + 1) * COLUMNS, view * COLUMNS : (view + 1) * COLUMNS]
+        information += [[0.5 * np.sum(own[np.ix_(a == EFFECT, b == EFFECT)] ** 2) for b in range(3)] for a in range(3)]
+    change = np.linalg.solve(information + np.eye(3) / LOG_STD**2, gradient - offset / LOG_STD**2)
+    assert np.abs(change).max() < 1 / 0.6  # else it is cut
+    assert np.abs(change).min() > 0.05
+    np.testing.assert_allclose(np.log(found.variances / start.variances), 0.6 * change, rtol=1e-5)
+
+
+def test_a_step_goes_part_of_the_way_and_never_further_than_a_factor_of_e(one_round):
+    model, typical = mixed(), np.full(3, 1e-12)  # of effects that the data say nothing about
+    for offset, expected in ((1.0, -0.6), (-1.0, 0.6), (10.0, -1.0), (-10.0, 1.0)):
+        start = EffectScales(typical * np.exp(offset), np.ones((VIEWS, 3)), typical)
+        change = np.log(fit_effects(model.equations(), columns_of(model), start).variances / start.variances)
+        np.testing.assert_allclose(change, expected, rtol=1e-4)  # of a variance of 1e-8 some 1e-6 is known
+
+
+@pytest.mark.parametrize("shared", [0, 4])
+def test_shares_follow_the_squares_of_a_view_and_what_its_data_have_used_up(one_round, shared):
+    model, start = mixed(shared=shared), scales()
+    found = fit_effects(model.equations(), columns_of(model), start)
+    std = start.std(EFFECT)
+    random, projector = model.random() * std.ravel(), model.projector(std)[0]
+    squares = (random.T @ projector @ model.everything()) ** 2
+    used = np.diag(random.T @ projector @ random)
+    for effect in range(3):
+        own = np.tile(effect == EFFECT, VIEWS)
+        square, spent = (values[own].reshape(VIEWS, -1).sum(axis=1) for values in (squares, used))
+        expected = (SHARE_DOF + start.shares[:, effect] * square) / (SHARE_DOF + spent)
+        np.testing.assert_allclose(found.shares[:, effect], expected, rtol=1e-7)
+
+
+def settled(model, start, calls=100):
+    """The end of many calls, as of a calibration's passes."""
+    for _ in range(calls):
+        start = fit_effects(model.equations(), columns_of(model), start)
+    return start
+
+
+def test_the_scales_settle_at_the_maximum_of_restricted_likelihood_and_priors():
+    model, start = mixed(seed=3), scales()
+    found = settled(model, start)
+
+    def unlikeliness(values):
+        trial = replace(start, variances=np.exp(values[:3]), shares=np.exp(values[3:].reshape(VIEWS, 3)))
+        offset = np.log(trial.variances / trial.typical)
+        shares = -0.5 * SHARE_DOF * np.sum(np.log(trial.shares) + 1 / trial.shares)
+        return -(model.restricted(trial) - 0.5 * np.sum(offset**2) / LOG_STD**2 + shares)
+
+    best = minimize(unlikeliness, np.log([*found.variances, *found.shares.ravel()]), options={"gtol": 1e-4})
+    # passes end when variances move by less than 1 %, of which a step goes 0.6 of the way
+    np.testing.assert_allclose(found.variances, np.exp(best.x[:3]), rtol=0.02)
+    np.testing.assert_allclose(found.shares.ravel(), np.exp(best.x[3:]), rtol=0.02)
+
+
+def test_the_passes_of_a_calibration_come_near_the_end():
+    model = mixed(seed=3)
+    start = EffectScales(np.full(3, 0.01), np.ones((VIEWS, 3)), np.full(3, 0.01))
+    end = settled(model, start).variances
+    # from up to 100 times less
+    assert np.abs(np.log(settled(model, start, 4).variances / end)).max() < 0.3
+    assert np.abs(np.log(settled(model, start, 10).variances / end)).max() < 0.05
+
+
+def test_a_view_with_larger_effects_gets_a_larger_share_and_the_others_less():
+    model = mixed(seed=4)
+    rng = np.random.default_rng(5)
+    strong = model.observed.copy()
+    strong[2] += model.effects[2][:, EFFECT == 1] @ (5 * rng.normal(size=2))
+    start = EffectScales(np.array([0.6, 0.25, 1.4]), np.ones((VIEWS, 3)), np.ones(3))
+    found = settled(replace(model, observed=strong), start)
+    assert found.shares[2, 1] > 2
+    assert np.delete(found.shares[:, 1], 2).max() < found.shares[2, 1] / 2
+
+
+def test_effects_that_are_not_there_fall_far_below_the_noise_but_not_to_zero():
+    model = mixed(seed=6, sizes=(0.0, 1.0, 0.0))
+    found = settled(model, EffectScales(np.full(3, 0.1), np.ones((VIEWS, 3)), np.full(3, 0.1)))
+    assert (found.variances[[0, 2]] < 0.01).all()
+    assert (found.variances > 1e-8).all()
+    assert found.variances[1] == pytest.approx(1.0, rel=0.8)  # of ten squares
