@@ -14,12 +14,14 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.corner_noise import PERIODS, CornerNoise, estimate_noise, period_shares
 from camcal.calibrate.effects import EFFECTS, EffectColumns, effect_columns
-from camcal.calibrate.noise import FINEST, ViewNoise, clipped, corner_weights, count_of, first_noise, view_noise
+from camcal.calibrate.noise import FINEST, ViewNoise, clipped, corner_weights, count_of, first_noise, lost, view_noise
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.calibrate.scales import Scale
 from camcal.calibrate.shape import board_scales, first_scales, offset_std, spent_on_offsets, under, with_terms
 from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equations
 from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
+from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Factors, NormalEquations, Step, assemble, factorise
 
 _LEAST, MOST = 4, 30  # passes
@@ -31,6 +33,7 @@ _SETTLED, _CALM = 5e-3, 0.3
 _NEW, _LESS, _LEAST_SHARE, _BACK = 0.6, 0.6, 0.1, 0.25
 _OUT_OF_PROPORTION, _HALVINGS = 3.0, 20  # times the residuals before a step; halvings of a step
 _FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is believed
+_POSING, _GROSS = Stopping(relative_decrease=1e-6, iterations=20), 3.0  # of lost views; σ where an error is gross
 _LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for
 
 
@@ -152,6 +155,7 @@ class _Passes:
         equations = self._linearised(derivatives)
         factors, step = self._solved(equations)
         self._move(step)
+        self._pose_lost_views()
         left = posterior(factors)
         self.board = self.board | board_scales(self.problem, self.state, factors)
         offsets = 0.0
@@ -269,6 +273,21 @@ class _Passes:
         self.state = state
         if self.columns is not None:
             self.field = np.einsum("imvp,vm->ivp", self.columns.values, step.groups[:, 6:])
+
+    def _pose_lost_views(self) -> None:
+        """Pose the views that have lost most of their corners once more, all corners counting: an old pose under a lens
+        that has moved on would be held against them for good.
+        """
+        views = np.flatnonzero(lost(self.problem.observations.weights, self.present))
+        if not len(views):
+            return
+        poses, bare = self.problem.poses_only(self.state)
+        observations = replace(poses.observations.take(views), weights=self.present[views].astype(float))
+        poses = replace(poses, observations=observations, noise=None, loss=Cauchy(_GROSS))
+        found = minimise(poses.within_domain(bare.take(views)), bare.take(views), _POSING).state
+        rotations, translations = self.state.rotations.copy(), self.state.translations.copy()
+        rotations[views], translations[views] = found.rotations, found.translations
+        self.state = replace(self.state, rotations=rotations, translations=translations)
 
     def _typical(self, state: State) -> float:
         """Return the median length of the residuals, whitened px, infinite where the lens takes less than half."""

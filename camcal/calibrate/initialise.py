@@ -15,6 +15,7 @@ from camcal.targets.board import Board
 
 _CORNERS = 24  # a pose to start from needs no more corners of a view
 _SWEPT_VIEWS = 20
+_UNLIKE = 4.0  # times the typical view's error: more than this is not held against a lens
 _FOCALS = np.geomspace(0.2, 8.0, 13)  # in image sides: 136° to 7° for a pinhole
 
 
@@ -106,9 +107,13 @@ def _posed(model: CameraModel, parameters: Array, board: Board, observations: Ob
 
 
 def _typical_error(model: CameraModel, board: Board, observations: Observations, state: State) -> float:
-    """Return the mean over views of the median distance in pixels; infinite if a point cannot be projected."""
+    """Return the mean over views of the median distance in pixels, of no view more than four times the typical one's:
+    one whose points are numbered wrongly fits no lens. Points that have no image count as far off.
+    """
     problem = BoardProblem(model, board, observations, np.zeros(0, np.intp))
     distances = np.linalg.norm(problem.residuals(state), axis=0)
+    distances = np.where(np.isnan(distances), np.inf, distances)
     distances[observations.weights == 0] = np.nan
-    lost = np.isnan(distances) & (observations.weights > 0)
-    return np.inf if lost.any() else float(np.mean(np.nanmedian(distances, axis=1)))
+    medians = np.nanmedian(distances, axis=1)
+    typical = float(np.median(medians))
+    return float(np.mean(np.minimum(medians, _UNLIKE * typical))) if np.isfinite(typical) else np.inf

@@ -19,6 +19,8 @@ _RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 _LEAST_DOF = 0.05  # of a view's coordinates, however many parameters it has paid for
 _LONGEST, _LEAST_SHARE = 4.0, 0.8  # standard deviations by the median of residuals
 _ALTERNATIONS = 30  # between the noise of all and that of each view
+_NOISIEST = 1e3  # times the typical noise: what a view's is taken to be at most
+_LOST = 0.5  # of its corners' weights: a view with less has lost most of them
 _FAR = 1e6  # d² beyond which a weight is 0
 
 
@@ -44,11 +46,8 @@ _WEIGHTED_SQUARES = float(_SHARES @ (_weight(2 * _NODES) * _NODES))
 
 def first_noise(distances: Array, present: Array) -> ViewNoise:
     """Return the noise by the medians of the residuals' lengths (V, P): half of a view's corners may be anything."""
-    ordered = np.sort(np.where(present, np.nan_to_num(distances, nan=np.inf), np.inf), axis=1)
-    middle = np.maximum(present.sum(axis=1) - 1, 0) // 2
-    medians = np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0] / _RAYLEIGH_MEDIAN
-    typical = max(float(np.median(medians)), FINEST)
-    return ViewNoise(typical, np.clip(medians / typical, 1.0, 1e3) ** 2)
+    typical = max(float(np.median(_medians(distances, present))), FINEST)
+    return ViewNoise(typical, _by_medians(distances, present, typical))
 
 
 def count_of(weights: Array) -> Array:
@@ -89,7 +88,27 @@ def view_noise(
         variance = max(float(np.sum(trusted * squares / views) / np.sum(trusted * dof)), least)
         views = (_VIEW_DOF + squares / variance) / (_VIEW_DOF + dof)
     sigma = noise.sigma ** (1 - share) * variance ** (share / 2)
-    return ViewNoise(float(sigma), noise.views ** (1 - share) * views**share)
+    views = noise.views ** (1 - share) * views**share
+    # what counts for little says nothing of its noise: all its corners do, by their median
+    little = lost(weights, present)
+    return ViewNoise(float(sigma), np.where(little, _by_medians(distances, present, float(sigma)), views))
+
+
+def lost(weights: Array, present: Array) -> Array:
+    """Return which views (V,) have lost most of their corners, weights (V, P)."""
+    return np.asarray(weights.sum(axis=1) < _LOST * present.sum(axis=1))
+
+
+def _by_medians(distances: Array, present: Array, sigma: float) -> Array:
+    """Return the variances (V,) of views over sigma² by the median of their residuals (V, P), at least 1."""
+    return np.asarray(np.clip(_medians(distances, present) / sigma, 1.0, _NOISIEST) ** 2)
+
+
+def _medians(distances: Array, present: Array) -> Array:
+    """Return the standard deviation (V,) of each view's coordinates by the median of its residuals (V, P)."""
+    ordered = np.sort(np.where(present, np.nan_to_num(distances, nan=np.inf), np.inf), axis=1)
+    middle = np.maximum(present.sum(axis=1) - 1, 0) // 2
+    return np.asarray(np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0] / _RAYLEIGH_MEDIAN)
 
 
 def corner_weights(distances: Array, present: Array, noise: ViewNoise, spent: Array) -> Array:

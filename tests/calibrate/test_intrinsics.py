@@ -246,3 +246,26 @@ def test_a_lens_beyond_180_degrees_needs_no_hint():
     assert max(beyond) > np.radians(90)
     calibration = calibrate(seen.views, board, Options(camera.model))
     assert np.abs(sigmas(calibration, camera)).max() < 4
+
+
+def test_a_view_that_is_much_noisier_counts_for_less_and_keeps_its_pose(scene):
+    rng = np.random.default_rng(12)
+    seen = list(scene.observe(3, noise_px=0.1))
+    seen[4] = replace(seen[4], pixels=seen[4].pixels + 0.8 * rng.normal(size=seen[4].pixels.shape))
+    calibration = calibrate(seen, scene.board, Options(scene.camera.model))
+    noisy = calibration.views[4]
+    assert noisy.used
+    assert noisy.kept > 0.9 * noisy.points
+    truth = scene.poses[4]
+    # eight times the noise of the others, at which a corner of 54 says what it would alone
+    assert np.linalg.norm(noisy.camera_T_board.translation - truth.translation) < 0.01
+    assert np.abs(sigmas(calibration, scene.camera)).max() < 4
+
+
+def test_a_view_of_another_numbering_is_listed_and_does_no_harm(scene):
+    seen = list(scene.observe(3, noise_px=0.1))
+    seen[6] = replace(seen[6], ids=np.random.default_rng(2).permutation(seen[6].ids))
+    calibration = calibrate(seen, scene.board, Options(scene.camera.model))
+    assert calibration.views[6].kept < 0.2 * calibration.views[6].points
+    assert sum(view.used for view in calibration.views) >= len(seen) - 1
+    assert np.abs(sigmas(calibration, scene.camera)).max() < 4
