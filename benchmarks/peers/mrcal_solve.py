@@ -1,8 +1,12 @@
-"""mrcal's answer to the corners of a board: the last line is [fx, fy, cx, cy, k1, k2, p1, p2, k3] as JSON.
+"""mrcal's answer to the corners of a board, as JSON.
+
+The last line of the output is the lens, [fx, fy, cx, cy, k1, k2, p1, p2, k3], for opencv8 with k4, k5, k6 as well; the
+line before it is the points (C, 3) of the board as mrcal estimates it.
 
     INTERPRETER mrcal_solve.py FOLDER
 
-FOLDER/data.npz: pixels (V, C, 2) with NaN for what was not seen, points (C, 3), size, focal, shape (columns, rows).
+FOLDER/data.npz: pixels (V, C, 2) with NaN for what was not seen, points (C, 3), size, focal, shape (columns, rows),
+and optionally model, opencv5 or opencv8.
 The interpreter is one that has the module mrcal (Debian: python3-mrcal); mrcal-calibrate-cameras is on the PATH.
 """
 
@@ -14,6 +18,8 @@ from pathlib import Path
 import mrcal
 import numpy as np
 
+MODELS = {"opencv5": "LENSMODEL_OPENCV5", "opencv8": "LENSMODEL_OPENCV8"}
+
 
 def main() -> None:
     folder = Path(sys.argv[1])
@@ -22,12 +28,13 @@ def main() -> None:
     columns, rows = data["shape"]
     spacing = np.linalg.norm(data["points"][1] - data["points"][0])
     # Its best settings are its defaults: the board's warp and the rejection of outliers are on, and so is the
-    # regularisation, which changes its errors by less than 1 % here. The focal length, which it must have, is the true.
+    # regularisation, which changes its errors by less than 1 % on the boards of board_shape.py. It must have a focal
+    # length to start from.
     subprocess.run(
         [
             "mrcal-calibrate-cameras",
             *("--corners-cache", folder / "corners.vnl"),
-            *("--lensmodel", "LENSMODEL_OPENCV5"),
+            *("--lensmodel", MODELS[str(data.get("model", "opencv5"))]),
             *("--focal", str(data["focal"])),
             *("--imagersize", *map(str, data["size"])),
             *("--object-spacing", str(spacing)),
@@ -40,7 +47,11 @@ def main() -> None:
         cwd=folder,
         stdout=subprocess.DEVNULL,
     )
-    _, parameters = mrcal.cameramodel(str(folder / "camera-0.cameramodel")).intrinsics()
+    camera = mrcal.cameramodel(str(folder / "camera-0.cameramodel"))
+    warp = camera.optimization_inputs()["calobject_warp"]
+    points = mrcal.ref_calibration_object(columns, rows, spacing, calobject_warp=warp)
+    _, parameters = camera.intrinsics()
+    print(json.dumps(points.reshape(-1, 3).tolist()))
     print(json.dumps(parameters.tolist()))
 
 
