@@ -11,7 +11,6 @@ Source: MacKinnon, Nielsen & Webb, Journal of Econometrics 232, 2023; Buckland, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
@@ -25,18 +24,10 @@ _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights 
 _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told from the others
 
 
-@dataclass(frozen=True, eq=False)
-class Influence:
-    """What every view does to the parameters that all views share, lens and terms of the board's shape.
-
-    left_out: (G, D) their change when a view is left out, scaled so that the sum of squares is a covariance (CR3).
+def influence(estimate: Estimate) -> Array:
+    """Return the changes (G, D) of the parameters that all views share, lens and terms of the board's shape, when each
+    of the views is left out, in one step from the last linear solve; scaled so that their squares add up to CR3.
     """
-
-    left_out: Array
-
-
-def influence(estimate: Estimate) -> Influence:
-    """Return what every view does to an estimate, from its last linear solve."""
     factors, covariance = estimate.factors, estimate.posterior.shared
     dense, root = len(covariance), np.linalg.cholesky(covariance)
     scores, information = factors.group_scores(), factors.group_information()
@@ -50,7 +41,7 @@ def influence(estimate: Estimate) -> Influence:
     values, vectors = np.linalg.eigh(root.T @ information @ root)
     pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / (1 - np.clip(values, 0, _LARGEST))
     count = len(scores)
-    return Influence(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
+    return np.asarray(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
 
 
 def image_metric(displacements: Array) -> Array:
@@ -65,13 +56,22 @@ def image_metric(displacements: Array) -> Array:
 def weights_of(left_out: Sequence[Array], metric: Array) -> Array:
     """Return the weights of estimates, none negative, that sum to one.
 
-    left_out: for each estimate (G, D), see Influence. metric: (K, K) of the lens, the first K of D parameters.
+    left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
     Each estimate's own scatter counts twice: from a few views it is not known well, and weights fitted to chance would
     vary more than equal ones.
     """
-    lens = len(metric)
-    spread = np.array([[np.sum((a[:, :lens] @ metric) * b[:, :lens]) for b in left_out] for a in left_out])
-    spread += np.diag(np.diag(spread))
+    return _least_spread(_spreads(left_out, metric).sum(axis=0))
+
+
+def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
+    """Return the products (G, k, k), px², of what leaving out a view does to each of k estimates."""
+    moved = np.stack(left_out)[:, :, : len(metric)]
+    return np.asarray(np.einsum("agi,ij,bgj->gab", moved, metric, moved, optimize=True))
+
+
+def _least_spread(spread: Array) -> Array:
+    """Return the weights of estimates for products (k, k) summed over views."""
+    spread = spread + np.diag(np.diag(spread))
     root = np.linalg.cholesky(spread + _FINEST * np.trace(spread) * np.eye(len(spread)))
     # the minimum of wᵀ S w over weights that sum to one, as least squares with a heavy row for the sum
     heavy = _HEAVY * np.sqrt(np.trace(spread))
@@ -80,9 +80,7 @@ def weights_of(left_out: Sequence[Array], metric: Array) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def covariance_of(
-    estimates: Sequence[Estimate], influences: Sequence[Influence], metric: Array, weights: Array
-) -> Array:
+def covariance_of(estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
@@ -90,27 +88,25 @@ def covariance_of(
     drawn towards the claimed one as by D further views.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
-    scatter = _scatter(estimates, influences, metric, weights)
-    lens, views, size = len(metric), len(influences[0].left_out), len(claimed)
+    scatter = _scatter(estimates, left_out, metric, weights)
+    lens, views, size = len(metric), len(left_out[0]), len(claimed)
     claimed_px, scatter_px = (float(np.sum(own[:lens, :lens] * metric)) for own in (claimed, scatter))
     mixed = (views * scatter + size * scatter_px / claimed_px * claimed) / (views + size)
     return np.asarray(mixed * max(claimed_px / scatter_px, 1.0))
 
 
-def _scatter(estimates: Sequence[Estimate], influences: Sequence[Influence], metric: Array, weights: Array) -> Array:
+def _scatter(estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array) -> Array:
     """Return the scatter (D, D) from view to view, each view with the weights that the others give, as weights that
     suit all views make their scatter small; that of the estimates, as what they disagree in is not known better; and
     what priors leave open, which no view shows.
     """
-    moved = []
-    for view in range(len(influences[0].left_out)):
-        left_out = [own.left_out for own in influences]
-        others = weights_of([np.delete(own, view, axis=0) for own in left_out], metric)
-        moved.append(others @ np.stack([own[view] for own in left_out]))
+    spreads = _spreads(left_out, metric)
+    others = np.array([_least_spread(spreads.sum(axis=0) - own) for own in spreads])
+    moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
     shared = np.array([_shared(own.problem, own.state) for own in estimates])
     apart = shared - weights @ shared
     priors = [own.posterior.shared @ (_precision(own.problem)[:, None] * own.posterior.shared) for own in estimates]
-    total = np.array(moved).T @ np.array(moved) + (weights * apart.T) @ apart
+    total = moved.T @ moved + (weights * apart.T) @ apart
     return np.asarray(total + np.tensordot(weights, np.stack(priors), axes=1))
 
 

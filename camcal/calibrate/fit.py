@@ -129,12 +129,12 @@ def _averaged(estimates: tuple[Estimate, ...], turns: Array, image_size: tuple[i
     plain = estimates[0]
     if not len(plain.problem.free):
         return Fit(plain.state, estimates, np.ones(1), turns, plain.posterior.shared, plain.posterior.shared)
-    influences = [influence(own) for own in estimates]
+    left_out = [influence(own) for own in estimates]
     metric = image_metric(_displacements(plain, image_size))
-    weights = weights_of([own.left_out for own in influences], metric)
+    weights = weights_of(left_out, metric)
     state = averaged([own.state for own in estimates], weights)
     state = replace(state, **_posed_again(plain.problem, state))
-    covariance = covariance_of(estimates, influences, metric, weights)
+    covariance = covariance_of(estimates, left_out, metric, weights)
     return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared)
 
 

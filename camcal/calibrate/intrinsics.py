@@ -122,7 +122,7 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     claimed = covariances_of(usable)
     try:
         result = fit(options.model, board, observations, size, held, guess, options.shape, claimed)
-    except SingularError as error:
+    except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"

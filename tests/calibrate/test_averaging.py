@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.averaging import (
-    Influence,
     averaged,
     covariance_of,
     image_metric,
@@ -94,7 +93,7 @@ def without(views):
 @pytest.mark.parametrize("model", [{}, {"effects": 3}, {"prior": 0.2}])
 def test_the_jackknife_moves_the_lens_as_solving_again_without_a_view(model):
     linear = Linear(**model)
-    found = influence(linear.estimate()).left_out
+    found = influence(linear.estimate())
     moved = np.array([linear.solution(views=without([view])) for view in range(VIEWS)]) - linear.solution()
     np.testing.assert_allclose(found, moved * np.sqrt((VIEWS - 1) / VIEWS), rtol=1e-9, atol=1e-12)  # linear: exact
 
@@ -103,8 +102,8 @@ def test_points_of_the_board_that_follow_make_little_difference_to_one_view():
     linear = Linear(seed=3, points=0.05)
     moved = np.array([linear.solution(views=without([view])) for view in range(VIEWS)]) - linear.solution()
     found = influence(linear.estimate())
-    assert found.left_out.shape == (VIEWS, LENS)
-    close = found.left_out / np.sqrt((VIEWS - 1) / VIEWS) - moved[:, :LENS]
+    assert found.shape == (VIEWS, LENS)
+    close = found / np.sqrt((VIEWS - 1) / VIEWS) - moved[:, :LENS]
     # the points are held by all views alike: of a view's part of them some 1 / 7 is missed
     assert np.abs(close).max() < 0.1 * np.abs(moved[:, :LENS]).max()
 
@@ -113,7 +112,7 @@ def test_points_of_the_board_take_their_part_of_every_views_information():
     linear = Linear(seed=4, points=0.5)
     estimate = linear.estimate()
     scores, covariance = estimate.factors.group_scores(), estimate.posterior.shared
-    found = influence(estimate).left_out / np.sqrt((VIEWS - 1) / VIEWS)
+    found = influence(estimate) / np.sqrt((VIEWS - 1) / VIEWS)
     matrix = estimate.factors.shared_root @ estimate.factors.shared_root.T
     follow = np.linalg.solve(matrix[LENS:, LENS:], matrix[LENS:, :LENS])
     pulls = scores[:, :LENS] - scores[:, LENS:] @ follow
@@ -131,11 +130,11 @@ def test_a_view_that_alone_determines_the_lens_is_not_divided_by_zero():
     linear = Linear(seed=5)
     linear.lens[1:] *= 1e-9
     found = influence(linear.estimate())
-    assert np.isfinite(found.left_out).all()
+    assert np.isfinite(found).all()
     # what is cut at 99 % moves the lens by a hundred times its pull, along what the view determines
     root = np.linalg.cholesky(linear.estimate().posterior.shared)
     pull = root @ root.T @ linear.estimate().factors.group_scores()[0]
-    np.testing.assert_allclose(found.left_out[0], 100 * pull * np.sqrt((VIEWS - 1) / VIEWS), rtol=1e-6)
+    np.testing.assert_allclose(found[0], 100 * pull * np.sqrt((VIEWS - 1) / VIEWS), rtol=1e-6)
 
 
 def test_the_scatter_from_view_to_view_errs_on_the_safe_side_where_errors_are_alike():
@@ -145,7 +144,7 @@ def test_the_scatter_from_view_to_view_errs_on_the_safe_side_where_errors_are_al
     for index in range(count):  # an exact expectation: of one error of unit variance after the other, steps are linear
         errors = np.zeros(count)
         errors[index] = 1 / np.sqrt(linear.weights.ravel()[index // 2])
-        moved[index] = influence(linear.estimate(errors.reshape(VIEWS, ROWS, 2))).left_out
+        moved[index] = influence(linear.estimate(errors.reshape(VIEWS, ROWS, 2)))
     expected = np.einsum("nvi,nvj->ij", moved, moved)
     estimate = linear.estimate()
     truth = estimate.posterior.shared
@@ -262,7 +261,7 @@ def made(rng, moved, claimed=None, *, shared=None, lens_std=np.inf, term_std=Non
                 posterior=SimpleNamespace(shared=covariance),
             )
         )
-    return result, [Influence(own) for own in moved]
+    return result, list(moved)
 
 
 def in_image(covariance, metric):
