@@ -48,6 +48,8 @@ class EffectColumns:
     def of(self, effects: Sequence[int]) -> "EffectColumns":
         """Return the columns of some effects alone, by their places in EFFECTS."""
         chosen = np.isin(self.effect, list(effects))
+        if chosen.all():
+            return self
         return EffectColumns(np.ascontiguousarray(self.values[:, chosen]), self.effect[chosen])
 
 
@@ -59,17 +61,18 @@ def effect_columns(
     ids: (V, P). pixels: (2, V, P). by_pose: (2, 6, V, P) derivatives by the pose. by_height: (2, V, P) by a corner's
     height over the board. present: (V, P) bool.
     """
-    smooth = _smooth(board)[:, ids]
-    nothing = np.zeros_like(smooth)
-    field = np.concatenate([np.stack([smooth, nothing]), np.stack([nothing, smooth])], axis=1)
+    values = np.zeros((2, sum(effect.columns for effect in EFFECTS), *ids.shape))
+    modes = SMOOTH.columns // 2
+    values[0, :modes] = values[1, modes : 2 * modes] = _smooth(board)[:, ids]
     rows = pixels[1]
     time = (rows - np.mean(rows[present])) / max(float(np.std(rows[present])), 1.0)  # of unit variance over all corners
     # a pose parameter's share of the shift: so much of it as moves the corners of this view by 1 px RMS
     squared = np.sum(by_pose**2 * present, axis=(0, 3)) / np.maximum(present.sum(axis=1), 1)
-    rolling = time * by_pose / np.sqrt(np.maximum(squared, 1e-30))[None, :, :, None]
-    flex = by_height[:, None] * np.moveaxis(basis(board, _FLEX_TERMS)[:, 2][ids], 2, 0)
-    values = np.concatenate([field, rolling, flex], axis=1)
-    return EffectColumns(values * present, np.repeat(np.arange(len(EFFECTS)), [effect.columns for effect in EFFECTS]))
+    rolling = slice(SMOOTH.columns, SMOOTH.columns + ROLLING.columns)
+    values[:, rolling] = time * by_pose / np.sqrt(np.maximum(squared, 1e-30))[None, :, :, None]
+    values[:, rolling.stop :] = by_height[:, None] * np.moveaxis(basis(board, _FLEX_TERMS)[:, 2][ids], 2, 0)
+    values *= present
+    return EffectColumns(values, np.repeat(np.arange(len(EFFECTS)), [effect.columns for effect in EFFECTS]))
 
 
 def _smooth(board: Board) -> Array:

@@ -110,10 +110,11 @@ def _priors(problem: BoardProblem, state: State) -> tuple[Array, Array]:
 def surface_of(problem: BoardProblem, state: State, scales: Mapping[str, Scale], covariance: Array) -> Surface:
     """Return the record of the board's shape from a solution and the covariance of its lens and terms."""
     lens, count = len(problem.free), len(problem.terms)
-    height = _heights(problem) @ np.concatenate([state.shape, state.offsets[:, 2]])
+    by_term = basis(problem.board, problem.terms)[:, 2]
+    height = _over_plane(problem, by_term @ state.shape + state.offsets[:, 2])
     top, bottom = np.argmax(height), np.argmin(height)
-    span = basis(problem.board, problem.terms)[:, 2]
-    slope = span[top] - span[bottom]
+    flattened = _over_plane(problem, by_term)
+    slope = flattened[top] - flattened[bottom]
     own = covariance[lens : lens + count, lens : lens + count]
     spread = 0.0 if problem.offset_std is None or not problem.offsets else float(problem.offset_std[2])
     return Surface(
@@ -129,13 +130,8 @@ def surface_of(problem: BoardProblem, state: State, scales: Mapping[str, Scale],
     )
 
 
-def _heights(problem: BoardProblem) -> Array:
-    """Return each point's height over the board's mean plane per unit of the terms and of the points' own heights.
-
-    The plane is taken out because a pose can take it: offsets know it only through their prior.
-    """
-    points = problem.board.count
-    heights = np.concatenate([basis(problem.board, problem.terms)[:, 2], np.eye(points)], axis=1)
+def _over_plane(problem: BoardProblem, heights: Array) -> Array:
+    """Return heights of the points (C,) or (C, n) over the plane that fits them best: a pose can take it."""
     drawn = problem.board.points()
-    plane = np.column_stack([np.ones(points), drawn[:, :2] / problem.board.pitch])
+    plane = np.column_stack([np.ones(problem.board.count), drawn[:, :2] / problem.board.pitch])
     return np.asarray(heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0])
