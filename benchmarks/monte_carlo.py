@@ -28,7 +28,7 @@ from scipy.stats import f as fisher
 from scipy.stats import norm
 
 from camcal.calibrate.intrinsics import Calibration, Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
+from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
@@ -193,7 +193,7 @@ def equations(result: Calibration, detections: Detections) -> NormalEquations:
         np.arange(len(TRUTH.parameters)),
         result.surface.terms,
         sigma=result.sigma_px,
-        lens_spread=lens_spread(MODEL, SIZE, TRUTH.value("fx")),
+        lens_spread=MODEL.prior_std(SIZE, TRUTH.value("fx")),
     )
     return linearise(problem, state)
 

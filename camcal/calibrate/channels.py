@@ -19,7 +19,6 @@ from scipy.stats import chi2
 from camcal.arrays import Array, readonly
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.outliers import CUT, robust_sigma, truncation
-from camcal.calibrate.problem import lens_spread
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
@@ -162,7 +161,7 @@ class _LensProblem:
         seen = camera.project(points).valid if len(points) else np.zeros(0, np.bool_)
         names = camera.model.parameter_names
         free = np.array([index for index, name in enumerate(names) if name not in camera.fixed], np.intp)
-        spread = lens_spread(camera.model, camera.image_size, camera.value("fx"))
+        spread = camera.model.prior_std(camera.image_size, camera.value("fx"))
         weights = np.ones(int(seen.sum()))
         problem = cls(camera.model, points[seen], pixels[seen], free, camera.parameters, spread, weights)
         needed = _CORNERS_A_PARAMETER * len(free)

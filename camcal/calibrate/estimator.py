@@ -200,11 +200,10 @@ class _Passes:
         assert self.claimed is not None
         observations = self.problem.observations
         kept = self.present & np.isfinite(residuals).all(axis=0)
-        dof = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(observations.weights)))
         # by their own median, not by the weights: these follow from the noise, and both would shrink each other
         even = clipped((residuals / np.sqrt(self.noise.views)[:, None])[:, kept].T)
         weights = np.ones(len(even))
-        found = estimate_noise(even, self.claimed[kept], self.shares[kept], weights, max(dof, _LEAST_DOF), self.corners)
+        found = estimate_noise(even, self.claimed[kept], self.shares[kept], weights, self._unspent(), self.corners)
         self.corners = found if self.corners is None else self.corners.towards(found, self.share)
         total = self.corners.covariances(self.claimed.reshape(-1, 2, 2), self.shares.reshape(-1, 2, len(PERIODS)))
         self.problem = replace(self.problem, observations=observations.weighted(total.reshape(self.claimed.shape)))
@@ -224,7 +223,7 @@ class _Passes:
         return equations
 
     def _shares(self, derivatives: Derivatives) -> Array:
-        """Return the shares (V, P, n) that errors of each period have in the corners."""
+        """Return the shares (V, P, 2, n) that errors of each period have in the corners, in u and in v."""
         board, shape = self.problem.board, self.present.shape
         side = board.pitch if board.checker else (board.marker or board.pitch)
         by_point = derivatives.by_point.reshape(2, 3, *shape)
@@ -255,12 +254,16 @@ class _Passes:
     def _move_points(self) -> float:
         """Solve for the offsets of the points, everything else held; return the degrees of freedom they take."""
         equations = point_equations(self.problem, self.state, self.problem.derivatives(self.state), self.field)
-        left = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(self.problem.observations.weights)))
         side = max(self.problem.board.extent)
-        self.board = self.board | equations.scales(side, max(left, _LEAST_DOF))
+        self.board = self.board | equations.scales(side, self._unspent())
         std = offset_std(self.board, side)
         self.state = replace(self.state, offsets=equations.offsets(std))
         return equations.spent(std)
+
+    def _unspent(self) -> float:
+        """Return the degrees of freedom per coordinate that parameters have left over."""
+        left = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(self.problem.observations.weights)))
+        return max(left, _LEAST_DOF)
 
     def _move(self, step: Step) -> None:
         """Take a step, or so much of it as leads to residuals that are not out of proportion."""

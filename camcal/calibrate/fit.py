@@ -12,7 +12,7 @@ from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
 from camcal.calibrate.outliers import CUT, robust_sigma
-from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
+from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.calibrate.shape import odd_terms
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera, CameraModel
@@ -106,7 +106,7 @@ def fit(
         state = minimise(problem.within_domain(state), state, _SETTLING).state
     problem = replace(problem.within_domain(state), sigma=_sigma(problem, state))
     state = minimise(problem, state, _FINE).state
-    spread = lens_spread(model, image_size, float(state.parameters[0]))
+    spread = model.prior_std(image_size, float(state.parameters[0]))
     problem = replace(problem, observations=observations, lens_spread=spread)
     views = Views(observations.weights > 0, claimed)
     problem, state, turns = _oriented(problem, state, views, shape)
@@ -185,7 +185,7 @@ def _robust(
     run after them before the poses have settled.
     """
     state = _start(problem, image_size, held, guess)
-    spread = lens_spread(problem.model, image_size, float(state.parameters[0]))
+    spread = problem.model.prior_std(image_size, float(state.parameters[0]))
     problem = replace(problem, lens_spread=spread)
     names = problem.model.parameter_names
     everything = problem.free

@@ -122,8 +122,8 @@ class BoardProblem:
     free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether the offsets of the
     board's points move as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
     board as it is known to be, None for as drawn. lens_spread: (K,) standard deviations of the weak priors on the
-    lens parameters about zero, inf for none; see `lens_spread`. term_std: (S,), offset_std: (3,) those of the board's
-    terms and offsets, in the board's unit. noise: (V,) the variance of a view's corners over that of a typical view.
+    lens parameters about zero, inf for none (see CameraModel.prior_std). term_std: (S,), offset_std: (3,) those of the
+    board's terms and offsets, in its unit. noise: (V,) the variance of a view's corners over that of a typical view.
     """
 
     model: CameraModel
@@ -289,11 +289,6 @@ class BoardProblem:
             slopes = np.tile(1 / self.offset_std, self.board.count)
             result.append(_prior(state.offsets.ravel() * slopes, slopes, start + len(self.terms)))
         return result
-
-
-def lens_spread(model: CameraModel, image_size: tuple[int, int], focal: float) -> Array:
-    """Return the standard deviations (K,) of the model's weak priors on the coefficients of a lens, inf for none."""
-    return model.prior_std(image_size, focal)
 
 
 def _whitened(whitening: Array, columns: Array) -> Array:

@@ -11,7 +11,7 @@ from math import erfc, sqrt
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
+from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
@@ -65,7 +65,7 @@ def calibration_std(
     """
     names = camera.model.parameter_names
     free = np.array([index for index, name in enumerate(names) if name not in camera.fixed], np.intp)
-    spread = lens_spread(camera.model, camera.image_size, camera.value("fx"))  # as every calibration has it
+    spread = camera.model.prior_std(camera.image_size, camera.value("fx"))  # as every calibration has it
     problem = BoardProblem(camera.model, board, Observations.of(views), free, sigma=noise_px, lens_spread=spread)
     state = State(
         camera.parameters,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from observed import make_scene
 
-from camcal.calibrate.problem import BoardProblem, Observations, State, lens_spread
+from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import MODELS
 from camcal.solve.steps import Step, assemble
 from camcal.targets.surface import TERMS
@@ -38,7 +38,7 @@ def test_gradient_is_the_derivative_of_the_cost(offsets, covariances):
     problem = BoardProblem(
         scene.camera.model, scene.board, observations, np.array([0, 2, 4, 5]), TERMS, offsets, sigma=0.3
     )
-    problem = replace(problem, lens_spread=lens_spread(scene.camera.model, scene.camera.image_size, 1200.0))
+    problem = replace(problem, lens_spread=scene.camera.model.prior_std(scene.camera.image_size, 1200.0))
     state = state_of(scene, TERMS, rng)
     equations = assemble(problem.blocks(state), problem.shared, *problem.groups)
     for _ in range(4):
@@ -78,6 +78,6 @@ def test_shared_parameters_are_named_in_their_order():
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
 def test_lens_priors_leave_the_focal_length_and_centre_free(model):
-    spread = lens_spread(model, (1600, 1200), 1200.0)
+    spread = model.prior_std((1600, 1200), 1200.0)
     assert np.isinf(spread[:4]).all()
     assert np.isfinite(spread[4:]).all()
