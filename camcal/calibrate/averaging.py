@@ -53,14 +53,15 @@ def image_metric(displacements: Array) -> Array:
     return np.asarray(flat.T @ flat / len(displacements))
 
 
-def weights_of(left_out: Sequence[Array], metric: Array) -> Array:
+def weights_of(left_out: Sequence[Array], metric: Array, believed: float) -> Array:
     """Return the weights of estimates, none negative, that sum to one.
 
     left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
+    believed: 0…1, how far the weights are followed; the rest goes to the first estimate.
     Each estimate's own scatter counts twice: from a few views it is not known well, and weights fitted to chance would
     vary more than equal ones.
     """
-    return _least_spread(_spreads(left_out, metric).sum(axis=0))
+    return _believed(_least_spread(_spreads(left_out, metric).sum(axis=0)), believed)
 
 
 def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
@@ -80,7 +81,13 @@ def _least_spread(spread: Array) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def covariance_of(estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array) -> Array:
+def _believed(weights: Array, believed: float) -> Array:
+    return np.asarray((1 - believed) * np.eye(1, len(weights))[0] + believed * weights)
+
+
+def covariance_of(
+    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, believed: float
+) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
@@ -88,20 +95,22 @@ def covariance_of(estimates: Sequence[Estimate], left_out: Sequence[Array], metr
     drawn towards the claimed one as by D further views.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
-    scatter = _scatter(estimates, left_out, metric, weights)
+    scatter = _scatter(estimates, left_out, metric, weights, believed)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
     claimed_px, scatter_px = (float(np.sum(own[:lens, :lens] * metric)) for own in (claimed, scatter))
     mixed = (views * scatter + size * scatter_px / claimed_px * claimed) / (views + size)
     return np.asarray(mixed * max(claimed_px / scatter_px, 1.0))
 
 
-def _scatter(estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array) -> Array:
+def _scatter(
+    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, believed: float
+) -> Array:
     """Return the scatter (D, D) from view to view, each view with the weights that the others give, as weights that
     suit all views make their scatter small; that of the estimates, as what they disagree in is not known better; and
     what priors leave open, which no view shows.
     """
     spreads = _spreads(left_out, metric)
-    others = np.array([_least_spread(spreads.sum(axis=0) - own) for own in spreads])
+    others = np.array([_believed(_least_spread(spreads.sum(axis=0) - own), believed) for own in spreads])
     moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
     shared = np.array([_shared(own.problem, own.state) for own in estimates])
     apart = shared - weights @ shared

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.targets.board import Board
 from camcal.targets.surface import CLASSES, basis, normalised
 
@@ -51,6 +52,24 @@ class EffectColumns:
         if chosen.all():
             return self
         return EffectColumns(np.ascontiguousarray(self.values[:, chosen]), self.effect[chosen])
+
+
+def columns_at(
+    problem: BoardProblem, state: State, derivatives: Derivatives, present: Array, names: Sequence[str]
+) -> EffectColumns:
+    """Return the columns of the effects of some names at a state; at states nearby they differ by scale alone."""
+    if not names:
+        return EffectColumns(np.zeros((2, 0, *present.shape)), np.zeros(0, np.intp))
+    by_point = derivatives.by_point.reshape(2, 3, *present.shape)
+    columns = effect_columns(
+        problem.board,
+        problem.observations.ids,
+        problem.observations.pixels,
+        derivatives.by_pose().reshape(2, 6, *present.shape),
+        np.einsum("ijvp,vj->ivp", by_point, state.rotations[:, :, 2]),
+        present,
+    )
+    return columns.of([index for index, effect in enumerate(EFFECTS) if effect.name in names])
 
 
 def effect_columns(

@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.corner_noise import PERIODS, CornerNoise, estimate_noise, period_shares
-from camcal.calibrate.effects import EFFECTS, EffectColumns, effect_columns
+from camcal.calibrate.effects import EFFECTS, columns_at
 from camcal.calibrate.noise import FINEST, ViewNoise, clipped, corner_weights, count_of, first_noise, lost, view_noise
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.calibrate.scales import Scale
@@ -22,18 +22,24 @@ from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equa
 from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import Factors, NormalEquations, Step, assemble, factorise
+from camcal.solve.steps import Factors, Step, assemble, factorise
 
-_LEAST, MOST = 4, 30  # passes
+# Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
+_LEAST, _MOST, _BRIEF = 2, 30, 10
 # Of a standard deviation, the largest change of a lens parameter by a pass: after which no other is needed, and with
 # which the result may still be used where passes run out.
-_SETTLED, _CALM = 5e-3, 0.3
+_SETTLED, _CALM = 1e-2, 0.3
+# Of the change by the pass before, and of a standard deviation: in turn, single points and all else hardly get on.
+_SLOW, _CREEP = 0.5, 0.05
 # Noise, weights and lens answer to each other, and full steps may overshoot: so much of the way to new scales is gone,
 # and less from then on where a pass takes back what the one before did.
-_NEW, _LESS, _LEAST_SHARE, _BACK = 0.6, 0.6, 0.1, 0.25
-_OUT_OF_PROPORTION, _HALVINGS = 3.0, 20  # times the residuals before a step; halvings of a step
+_NEW, _LESS, _LEAST_SHARE, _BACK = 1.0, 0.7, 0.3, 0.5
+# A step is as long as the cost along it is lowest: how near to that is near enough, how much shorter a trial may be,
+# how many there are, and of the cost what cannot be seen in it.
+_NEAR, _SHORTEST, _TRIALS, _UNSEEN = 0.75, 0.2, 12, 1e-11
 _FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is believed
 _POSING, _GROSS = Stopping(relative_decrease=1e-6, iterations=20), 3.0  # of lost views; σ where an error is gross
+_POSE = 6
 _LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for
 
 
@@ -62,9 +68,9 @@ class Views:
 class Estimate:
     """Where the passes ended.
 
-    problem: with the final noise, weights and priors. board: the scales of the classes of its shape. factors: of the
-    last linear solve, effects in standard deviations. posterior: what it leaves open. converged: whether the lens had
-    settled.
+    problem: with the final noise, weights and priors. board: the scales of the classes of its shape. coefficients:
+    (V, m) of effects. factors: of the last linear solve, effects in standard deviations. posterior: what it leaves
+    open. converged: whether the lens had settled.
     """
 
     problem: BoardProblem
@@ -74,6 +80,7 @@ class Estimate:
     corners: CornerNoise | None
     board: Mapping[str, Scale]
     effect_scales: EffectScales | None
+    coefficients: Array
     factors: Factors
     posterior: Posterior
     passes: int
@@ -86,14 +93,24 @@ def estimate(
     views: Views,
     freedom: Freedom,
     start: Estimate | None = None,
-    passes: int = MOST,
+    *,
+    brief: bool = False,
 ) -> Estimate:
     """Return the estimate that passes lead to from a state near it.
 
-    start: an estimate of the same problem with less freedom, whose noise and board scales are taken over. passes: at
-    most. Raises SingularError where the data leave parameters undetermined.
+    start: an estimate of the same problem with no more freedom, whose noise and scales are taken over. brief: with few
+    passes, to look at. Raises SingularError where the data leave parameters undetermined.
     """
-    return _Passes(problem, state, views, freedom, start).run(passes)
+    return _Passes(problem, state, views, freedom, start).run(brief=brief)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where the passes are: a state, what was linearised there, and the coefficients (V, m) of effects."""
+
+    state: State
+    derivatives: Derivatives
+    coefficients: Array
 
 
 class _Passes:
@@ -107,79 +124,102 @@ class _Passes:
             problem, state = with_terms(problem, state)
         together = freedom.points and problem.board.count <= TOGETHER
         self.problem = replace(problem, loss=None, offsets=together)
-        self.state, self.present, self.claimed, self.freedom = state, present, views.claimed, freedom
-        self.corners = start.corners if start else None
-        self.shares = np.zeros((*present.shape, 2, len(PERIODS)))
-        self.board = dict(start.board) if start else first_scales()
-        residuals = self.problem.residuals(state)
+        self.present, self.claimed, self.freedom = present, views.claimed, freedom
+        derivatives = self.problem.derivatives(state)
+        self.columns = columns_at(self.problem, state, derivatives, present, freedom.effects)
+        self.place = _Place(state, derivatives, np.zeros((len(present), len(self.columns.effect))))
+        self.shares = self._shares()
+        residuals = self._residuals(self.place)
+        self.fresh = start is None
         self.noise = start.noise if start else first_noise(self.problem.distances(residuals), present)
         self.spent = start.posterior.spent if start else np.full(len(present), 6.0)
-        self.effect_scales: EffectScales | None = None
-        if freedom.effects:
-            self.effect_scales = EffectScales.start(len(present), self.noise.sigma, max(problem.board.extent))
-        self.columns: EffectColumns | None = None
-        self.field = np.zeros((2, *present.shape))
+        self.corners = start.corners if start else None
+        self.board = dict(start.board) if start else first_scales()
+        self.effect_scales = EffectScales.start(len(present), self.noise.sigma, max(problem.board.extent))
+        if start and start.effect_scales:
+            self._take_effects(start, start.effect_scales)
         self.moved, self.share = np.zeros(len(problem.free)), _NEW
         # offsets of the points may follow the corners of a view or two exactly, as if these had no noise at all
         self.finest = FINEST if views.claimed is None else _FINER * _typical_std(views.claimed[present])
 
-    def run(self, passes: int) -> Estimate:
-        settled, number = np.inf, 0
-        while number < passes and not (number >= _LEAST and settled < _SETTLED):
-            number += 1
-            factors, left, settled = self._pass(first=number == 1)
-        if self.freedom.points and not self.problem.offsets and self.problem.board.count <= AT_ALL_TOGETHER:
-            self.problem = replace(self.problem, offsets=True)
-            factors, left, _ = self._pass(first=False)
+    def _take_effects(self, start: Estimate, scales: EffectScales) -> None:
+        """Begin with the effects of an estimate that has some of them."""
+        known = np.array([effect.name in start.freedom.effects for effect in EFFECTS])
+        self.effect_scales = replace(
+            self.effect_scales,
+            variances=np.where(known, scales.variances, self.effect_scales.variances),
+            shares=np.where(known, scales.shares, self.effect_scales.shares),
+        )
+        self.place.coefficients[:, known[self.columns.effect]] = start.coefficients
+
+    def run(self, *, brief: bool) -> Estimate:
+        number, moved, settled = 0, np.inf, False
+        apart = self.freedom.points and not self.problem.offsets and self.problem.board.count <= AT_ALL_TOGETHER
+        while number < (_BRIEF if brief else _MOST) and not settled:
+            number, before = number + 1, moved
+            factors, left, moved = self._pass(first=self.fresh and number == 1)
+            settled = moved < _SETTLED and not (self.fresh and number < _LEAST)
+            slow = number > _LEAST and moved > max(_SLOW * before, _CREEP)
+            if apart and (slow or (settled and not brief)):
+                self.problem, apart, settled = replace(self.problem, offsets=True), False, False
         return Estimate(
             self.problem,
-            self.state,
+            self.place.state,
             self.freedom,
             self.noise,
             self.corners,
             self.board,
-            self.effect_scales,
+            self.effect_scales if self.freedom.effects else None,
+            self.place.coefficients,
             factors,
             left,
             number,
-            bool(settled < _CALM),
+            moved < _CALM,
         )
 
     def _pass(self, *, first: bool) -> tuple[Factors, Posterior, float]:
         """Return the factors of a pass, what they leave open, and by how much a lens parameter moved, in standard
         deviations.
         """
-        before = self.state.parameters
-        derivatives = self.problem.derivatives(self.state)
-        self._judge(derivatives, first=first)
-        equations = self._linearised(derivatives)
-        factors, step = self._solved(equations)
-        self._move(step)
-        self._pose_lost_views()
-        left = posterior(factors)
-        self.board = self.board | board_scales(self.problem, self.state, factors)
+        before = self.place.state.parameters
+        self._judge(first=first)
         offsets = 0.0
+        if self.freedom.points and not self.problem.offsets and not first:
+            offsets = self._move_points()
+        factors = self._move()
+        left = posterior(factors)
+        self.board = self.board | board_scales(self.problem, self.place.state, factors)
         if self.problem.offsets:
             offsets = spent_on_offsets(self.problem, factors)
-        elif self.freedom.points:
-            offsets = self._move_points()
+        self._pose_lost_views()
         corners = count_of(self.problem.observations.weights)
         self.spent = left.spent + offsets * corners / corners.sum()
         left = replace(left, spent=self.spent)
         free = self.problem.free
-        moved = (self.state.parameters - before)[free] / np.sqrt(np.diag(left.shared)[: len(free)])
+        moved = (self.place.state.parameters - before)[free] / np.sqrt(np.diag(left.shared)[: len(free)])
         if moved @ self.moved < -_BACK * np.linalg.norm(moved) * np.linalg.norm(self.moved):
             self.share = max(_LESS * self.share, _LEAST_SHARE)
-        self.moved = moved
+        if not first:  # the first pass has yet to learn how large everything is
+            self.moved = moved
         return factors, left, float(np.max(np.abs(moved), initial=0.0))
 
-    def _judge(self, derivatives: Derivatives, *, first: bool) -> None:
-        """Take noise and weights from the residuals.
+    def _residuals(self, place: _Place) -> Array:
+        """Return the residuals (2, V, P) that effects do not explain, NaN where the lens has no image.
 
         Beyond the domain of the lens of now they are those of its formula: a corner that had none could not pull the
         lens back.
         """
-        residuals = np.where(derivatives.valid, derivatives.residuals, np.nan).reshape(self.field.shape) + self.field
+        residuals = np.where(place.derivatives.valid, place.derivatives.residuals, np.nan)
+        return residuals.reshape(2, *self.present.shape) + self._field(place)
+
+    def _field(self, place: _Place) -> Array:
+        """Return what effects move the corners by, (2, V, P) px."""
+        views = self.columns.values.transpose(0, 2, 3, 1)
+        return np.asarray((views @ place.coefficients[:, :, None])[..., 0])
+
+    def _judge(self, *, first: bool) -> None:
+        """Take noise and weights from the residuals."""
+        residuals = self._residuals(self.place)
         if self.claimed is not None and not first:
             self._weigh(residuals)
         distances = self.problem.distances(residuals)
@@ -208,56 +248,26 @@ class _Passes:
         total = self.corners.covariances(self.claimed.reshape(-1, 2, 2), self.shares.reshape(-1, 2, len(PERIODS)))
         self.problem = replace(self.problem, observations=observations.weighted(total.reshape(self.claimed.shape)))
 
-    def _linearised(self, derivatives: Derivatives) -> NormalEquations:
-        if self.claimed is not None and self.problem.board.crossed:
-            self.shares = self._shares(derivatives)
-        values = None
-        if self.freedom.effects:
-            self.columns = self._columns(derivatives)
-            values = self.columns.values
-        blocks = [self.problem.data(self.state, derivatives, values), *self.problem.priors(self.state)]
-        size = 6 + (0 if values is None else values.shape[1])
-        equations = assemble(blocks, self.problem.shared, len(self.present), size)
-        if self.columns is not None and self.effect_scales is not None:
-            self.effect_scales = fit_effects(equations, self.columns, self.effect_scales)
-        return equations
-
-    def _shares(self, derivatives: Derivatives) -> Array:
+    def _shares(self) -> Array:
         """Return the shares (V, P, 2, n) that errors of each period have in the corners, in u and in v."""
         board, shape = self.problem.board, self.present.shape
+        if self.claimed is None or not board.crossed:
+            return np.zeros((*shape, 2, len(PERIODS)))
         side = board.pitch if board.checker else (board.marker or board.pitch)
-        by_point = derivatives.by_point.reshape(2, 3, *shape)
-        axes = side * np.einsum("ijvp,vjk->vpik", by_point, self.state.rotations[:, :, :2])
+        by_point = self.place.derivatives.by_point.reshape(2, 3, *shape)
+        axes = side * np.einsum("ijvp,vjk->vpik", by_point, self.place.state.rotations[:, :, :2])
         return period_shares(axes.reshape(-1, 2, 2)).reshape(*shape, 2, -1)
-
-    def _columns(self, derivatives: Derivatives) -> EffectColumns:
-        problem, shape = self.problem, self.present.shape
-        by_height = np.einsum("ijvp,vj->ivp", derivatives.by_point.reshape(2, 3, *shape), self.state.rotations[:, :, 2])
-        columns = effect_columns(
-            problem.board,
-            problem.observations.ids,
-            problem.observations.pixels,
-            derivatives.by_pose().reshape(2, 6, *shape),
-            by_height,
-            self.present,
-        )
-        return columns.of([index for index, effect in enumerate(EFFECTS) if effect.name in self.freedom.effects])
-
-    def _solved(self, equations: NormalEquations) -> tuple[Factors, Step]:
-        std = np.zeros((len(self.present), 0))
-        if self.columns is not None and self.effect_scales is not None:
-            std = self.effect_scales.std(self.columns.effect)
-        factors = factorise(scaled(equations, std))
-        step = factors.solve()
-        return factors, Step(step.shared, np.concatenate([step.groups[:, :6], std * step.groups[:, 6:]], axis=1))
 
     def _move_points(self) -> float:
         """Solve for the offsets of the points, everything else held; return the degrees of freedom they take."""
-        equations = point_equations(self.problem, self.state, self.problem.derivatives(self.state), self.field)
+        state, derivatives = self.place.state, self.place.derivatives
+        equations = point_equations(self.problem, state, derivatives, self._field(self.place))
         side = max(self.problem.board.extent)
         self.board = self.board | equations.scales(side, self._unspent())
         std = offset_std(self.board, side)
-        self.state = replace(self.state, offsets=equations.offsets(std))
+        offsets = equations.offsets(std)
+        derivatives = self.problem.with_points_moved(state, derivatives, offsets - state.offsets)
+        self.place = replace(self.place, state=replace(state, offsets=offsets), derivatives=derivatives)
         return equations.spent(std)
 
     def _unspent(self) -> float:
@@ -265,37 +275,61 @@ class _Passes:
         left = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(self.problem.observations.weights)))
         return max(left, _LEAST_DOF)
 
-    def _move(self, step: Step) -> None:
-        """Take a step, or so much of it as leads to residuals that are not out of proportion."""
-        longest = _OUT_OF_PROPORTION * max(self._typical(self.state), self.noise.sigma)
-        for _ in range(_HALVINGS):
-            state = self.problem.retract(self.state, step)
-            if self._typical(state) <= longest:
+    def _move(self) -> Factors:
+        """Solve for everything that is linear, and go as much of the way as the cost falls; return the factors."""
+        here, effects = self.place, self.columns.values if self.freedom.effects else None
+        blocks = [self.problem.data(here.state, here.derivatives, effects), *self.problem.priors(here.state)]
+        size = _POSE + len(self.columns.effect)
+        equations = assemble(blocks, self.problem.shared, len(self.present), size)
+        if self.freedom.effects:
+            self.effect_scales = fit_effects(equations, self.columns, self.effect_scales)
+        std = self.effect_scales.std(self.columns.effect)
+        factors = factorise(scaled(equations, std))
+        step, cost = factors.solve(), self._cost(here, std)
+        step = Step(step.shared, np.concatenate([step.groups[:, :_POSE], std * step.groups[:, _POSE:]], axis=1))
+        promised = cost - (factors.equations.cost - factors.decrease())
+        share = 1.0
+        for _ in range(_TRIALS):
+            self.place = self._towards(here, step, share)
+            # the parabola through both costs whose slope is the promised one has its minimum there
+            rise = self._cost(self.place, std) - cost + 2 * promised * share
+            best = promised * share**2 / rise if rise > 0 else share
+            if best > _NEAR * share or promised < _UNSEEN * cost:
                 break
-            step = Step(step.shared / 2, step.groups / 2)
-        self.state = state
-        if self.columns is not None:
-            self.field = np.einsum("imvp,vm->ivp", self.columns.values, step.groups[:, 6:])
+            share = max(best, _SHORTEST * share)
+        return factors
+
+    def _towards(self, here: _Place, step: Step, share: float) -> _Place:
+        """Return the place a share of the way along a step, whose coefficients of effects are those of its end."""
+        state = self.problem.retract(here.state, Step(share * step.shared, share * step.groups[:, :_POSE]))
+        coefficients = (1 - share) * here.coefficients + share * step.groups[:, _POSE:]
+        return _Place(state, self.problem.derivatives(state), coefficients)
+
+    def _cost(self, place: _Place, std: Array) -> float:
+        """Return the cost of a place, effects of standard deviations (V, m) included; inf where corners that count have
+        no image.
+        """
+        weights = self.problem.observations.weights / self.noise.views[:, None]
+        squared = np.nan_to_num(self.problem.distances(self._residuals(place)), nan=np.inf) ** 2
+        total = np.sum(np.where(weights > 0, weights * squared, 0.0)) / self.noise.sigma**2
+        total += sum(np.sum(prior.residuals**2) for prior in self.problem.priors(place.state))
+        return 0.5 * float(total + np.sum((place.coefficients / std) ** 2))
 
     def _pose_lost_views(self) -> None:
         """Pose the views that have lost most of their corners once more, all corners counting: an old pose under a lens
         that has moved on would be held against them for good.
         """
-        views = np.flatnonzero(lost(self.problem.observations.weights, self.present))
+        views, state = np.flatnonzero(lost(self.problem.observations.weights, self.present)), self.place.state
         if not len(views):
             return
-        poses, bare = self.problem.poses_only(self.state)
+        poses, bare = self.problem.poses_only(state)
         observations = replace(poses.observations.take(views), weights=self.present[views].astype(float))
         poses = replace(poses, observations=observations, noise=None, loss=Cauchy(_GROSS))
         found = minimise(poses.within_domain(bare.take(views)), bare.take(views), _POSING).state
-        rotations, translations = self.state.rotations.copy(), self.state.translations.copy()
+        rotations, translations = state.rotations.copy(), state.translations.copy()
         rotations[views], translations[views] = found.rotations, found.translations
-        self.state = replace(self.state, rotations=rotations, translations=translations)
-
-    def _typical(self, state: State) -> float:
-        """Return the median length of the residuals, whitened px, infinite where the lens takes less than half."""
-        distances = self.problem.distances(self.problem.residuals(state))[self.present]
-        return float(np.median(np.where(np.isnan(distances), np.inf, distances)))
+        state = replace(state, rotations=rotations, translations=translations)
+        self.place = replace(self.place, state=state, derivatives=self.problem.derivatives(state))
 
 
 def _typical_std(covariances: Array) -> float:

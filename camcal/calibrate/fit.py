@@ -8,6 +8,7 @@ from camcal.arrays import Array
 from camcal.calibrate.averaging import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.effects import EFFECTS, SMOOTH
 from camcal.calibrate.estimator import Estimate, Freedom, Views, estimate
+from camcal.calibrate.evidence import share_of_effects
 from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
@@ -29,7 +30,6 @@ _FINE = Stopping(relative_decrease=1e-7, iterations=60)  # flat valleys of ratio
 _POSING = Stopping(relative_decrease=1e-8, iterations=10)
 _SETTLING = Stopping(iterations=2)  # the lens is known, the poses are next to their minimum
 _ROUNDS = 8
-_FIRST_PASSES = 10
 _GRID = (20, 15)  # of pixels at which lenses are compared
 _STAGES = (("fx", "fy", "k1"), ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
 _LOSS = Cauchy(3.0)
@@ -109,32 +109,34 @@ def fit(
     spread = model.prior_std(image_size, float(state.parameters[0]))
     problem = replace(problem, observations=observations, lens_spread=spread)
     views = Views(observations.weights > 0, claimed)
-    problem, state, turns = _oriented(problem, state, views, shape)
-    plain = estimate(problem, state, views, shape.freedom)
-    modelled = _EFFECTS if plain.converged and len(free) else ()
-    others = [_with_effects(plain, views, effects) for effects in modelled]
-    estimates = (plain, *(other for other in others if other is not None and other.converged))
-    return _averaged(estimates, turns, image_size)
+    problem, state, turns, first = _oriented(problem, state, views, shape)
+    estimates = [estimate(problem, state, views, shape.freedom, first)]
+    believed = share_of_effects(estimates[0], views) if estimates[0].converged and len(free) else 0.0
+    for effects in _EFFECTS if believed > 0 else ():
+        following = _with_effects(estimates[-1], views, effects)
+        estimates += [following] if following is not None and following.converged else []
+    return _averaged(tuple(estimates), believed, turns, image_size)
 
 
-def _with_effects(plain: Estimate, views: Views, effects: tuple[str, ...]) -> Estimate | None:
+def _with_effects(start: Estimate, views: Views, effects: tuple[str, ...]) -> Estimate | None:
     """Return the estimate that models errors within views as `effects`, None where the data do not hold it."""
     try:
-        return estimate(plain.problem, plain.state, views, replace(plain.freedom, effects=effects), plain)
+        return estimate(start.problem, start.state, views, replace(start.freedom, effects=effects), start)
     except SingularError:
         return None
 
 
-def _averaged(estimates: tuple[Estimate, ...], turns: Array, image_size: tuple[int, int]) -> Fit:
+def _averaged(estimates: tuple[Estimate, ...], believed: float, turns: Array, image_size: tuple[int, int]) -> Fit:
+    """Return the solution by estimates, of which those that model effects count as far as these are believed in."""
     plain = estimates[0]
     if not len(plain.problem.free):
         return Fit(plain.state, estimates, np.ones(1), turns, plain.posterior.shared, plain.posterior.shared)
     left_out = [influence(own) for own in estimates]
     metric = image_metric(_displacements(plain, image_size))
-    weights = weights_of(left_out, metric)
+    weights = weights_of(left_out, metric, believed)
     state = averaged([own.state for own in estimates], weights)
     state = replace(state, **_posed_again(plain.problem, state))
-    covariance = covariance_of(estimates, left_out, metric, weights)
+    covariance = covariance_of(estimates, left_out, metric, weights, believed)
     return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared)
 
 
@@ -207,14 +209,14 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
 
 def _oriented(
     problem: BoardProblem, state: State, views: Views, shape: ShapeOptions
-) -> tuple[BoardProblem, State, Array]:
-    """Return problem and state with every view of a symmetric board numbered from the end that fits its shape best, and
-    the symmetries (V,) by which they were turned.
+) -> tuple[BoardProblem, State, Array, Estimate | None]:
+    """Return problem and state with every view of a symmetric board numbered from the end that fits its shape best, the
+    symmetries (V,) by which they were turned, and the estimate that says so.
     """
     turns = np.zeros(len(views.present), np.intp)
     symmetries = len(problem.board.symmetries())
     if not shape.smooth or symmetries == 1:
-        return problem, state, turns
+        return problem, state, turns, None
     found = _first(problem, state, views, shape)
     opposed = opposed_views(*odd_terms(found.problem, found.state, found.factors))
     if opposed.any():
@@ -229,13 +231,13 @@ def _oriented(
             break
         found = _first(renumbered(found.problem, better), state, views, shape)
         turns = (turns + better) % symmetries
-    return found.problem, found.state, turns
+    return found.problem, found.state, turns, found
 
 
 def _first(problem: BoardProblem, state: State, views: Views, shape: ShapeOptions) -> Estimate:
     """Return a first estimate of the board's shape, good enough to tell its ends apart; its points start anew."""
     state = replace(state, offsets=0 * state.offsets)
-    return estimate(problem, state, views, shape.freedom, passes=_FIRST_PASSES)
+    return estimate(problem, state, views, shape.freedom, brief=True)
 
 
 def _chi_square(result: Estimate, present: Array, sigma: float) -> float:

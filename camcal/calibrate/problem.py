@@ -223,6 +223,12 @@ class BoardProblem:
             residuals, by_point, by_lens = (np.nan_to_num(values) for values in (residuals, by_point, by_lens))
         return Derivatives(residuals, by_point, by_lens, rotated.reshape(3, -1), projected.valid)
 
+    def with_points_moved(self, state: State, derivatives: "Derivatives", change: Array) -> "Derivatives":
+        """Return the derivatives of a state whose board's points are then moved by `change` (C, 3), to first order."""
+        moved = np.einsum("vij,vpj->ivp", state.rotations, change[self.observations.ids]).reshape(3, -1)
+        residuals = derivatives.residuals + np.sum(derivatives.by_point * moved, axis=1)
+        return replace(derivatives, residuals=residuals, rotated=derivatives.rotated + moved)
+
     def data(self, state: State, derivatives: "Derivatives", effects: Array | None = None) -> Block:
         """Return the observations as a block; effects: (2, m, V, P) columns that follow those of a view's pose."""
         residuals, by_point, by_lens = derivatives.residuals, derivatives.by_point, derivatives.by_lens

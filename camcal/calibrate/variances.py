@@ -17,7 +17,10 @@ from camcal.solve.steps import Factors, NormalEquations, Step, factorise
 _POSE = 6
 _SHARE_DOF = 4.0  # degrees of freedom of the prior by which a view's variance is that of all views
 _LOG_STD = 3.0  # of the prior of log τ about a third of the noise: wide, it only keeps what is not there from zero
-_DAMPING, _LONGEST, _ROUNDS, _SETTLED = 0.6, 1.0, 3, 1e-2
+# Scoring steps: the longest, of logarithms; how many in one linearisation, and how often one is halved; a gain of the
+# log likelihood that is not worth another.
+_LONGEST, _ROUNDS, _MANY_ROUNDS, _HALVINGS, _SETTLED = 2.0, 4, 30, 5, 1e-3
+_NOTHING = 1e-12  # times a variance: as if there were no effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +39,40 @@ class EffectScales:
         typical = np.array([(1e-4 * side) ** 2 if effect.of_board else (0.3 * sigma) ** 2 for effect in EFFECTS])
         return cls(typical, np.ones((views, len(EFFECTS))), typical)
 
+    def moved(self, change: Array) -> "EffectScales":
+        """Return the scales with changed logarithms (1 + V, A) of variances and shares."""
+        factors = np.exp(change)
+        return replace(self, variances=self.variances * factors[0], shares=self.shares * factors[1:])
+
+    def log_prior(self) -> float:
+        """Return the logarithm of their prior density, up to a constant."""
+        offset = np.log(self.variances / self.typical)
+        shares = np.log(self.shares) + 1 / self.shares
+        return float(-0.5 * np.sum(offset**2) / _LOG_STD**2 - 0.5 * _SHARE_DOF * np.sum(shares))
+
+    def prior_slopes(self) -> tuple[Array, Array]:
+        """Return the derivatives of `log_prior` by the logarithms of variances (A,) and of shares (V, A)."""
+        return -np.log(self.variances / self.typical) / _LOG_STD**2, -0.5 * _SHARE_DOF * (1 - 1 / self.shares)
+
+    def prior_curvatures(self) -> tuple[Array, Array]:
+        """Return minus the second derivatives, as `prior_slopes`."""
+        return np.full(len(self.variances), _LOG_STD**-2), 0.5 * _SHARE_DOF / self.shares
+
     def std(self, effect: Array) -> Array:
         """Return the standard deviations (V, m) of coefficients; effect: (m,) which effect each belongs to."""
         return np.asarray(np.sqrt(self.shares * self.variances)[:, effect])
 
 
 def scaled(equations: NormalEquations, std: Array) -> NormalEquations:
-    """Return the equations of coefficients in standard deviations (V, m), with their prior: standard normal."""
-    by = np.concatenate([np.ones((len(std), _POSE)), std], axis=1)
+    """Return the equations of coefficients in standard deviations (V, m), with their prior: standard normal.
+
+    The coefficients are the last m parameters of a group.
+    """
+    pose = equations.group_group.shape[-1] - std.shape[1]
+    by = np.concatenate([np.ones((len(std), pose)), std], axis=1)
     group = equations.group_group * by[:, :, None] * by[:, None, :]
     diagonal = np.einsum("vii->vi", group)
-    diagonal[:, _POSE:] += 1.0
+    diagonal[:, pose:] += 1.0
     return replace(
         equations,
         gradient=Step(equations.gradient.shared, equations.gradient.groups * by),
@@ -58,12 +84,11 @@ def scaled(equations: NormalEquations, std: Array) -> NormalEquations:
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """What a solution leaves open. shared: (D, D) covariance of the parameters that all views share, but for offsets of
-    single points. effects: (V, m, m) of the coefficients in standard deviations. spent: (V,) degrees of freedom that
-    the corners of a view have spent on pose, effects and shared parameters.
+    single points. spent: (V,) degrees of freedom that the corners of a view have spent on pose, effects and shared
+    parameters.
     """
 
     shared: Array
-    effects: Array
     spent: Array
 
 
@@ -71,42 +96,95 @@ def posterior(factors: Factors) -> Posterior:
     """Return what the factors of scaled equations leave open."""
     dense = factors.equations.group_products.shape[-1]
     shared = factors.shared_covariance()[:dense, :dense]
-    inverse = factors.inverse_group_root()
-    own = np.einsum("vki,vkj->vij", inverse[:, :, _POSE:], inverse[:, :, _POSE:])
-    reduced = factors.reduced[:, :, :dense]
-    coupling = inverse[:, :, _POSE:].transpose(0, 2, 1) @ reduced
-    effects = own + coupling @ shared @ coupling.transpose(0, 2, 1)
-    lens = np.einsum("vij,ji->v", factors.group_information(), shared)
-    used = own.shape[-1] - np.einsum("vii->v", effects)
-    return Posterior(shared, effects, _POSE + used + lens)
+    inverse = factors.inverse_group_root()[:, _POSE:, _POSE:]  # of a lower triangle: zero above
+    coupling = inverse.transpose(0, 2, 1) @ factors.reduced[:, _POSE:, :dense]
+    # what is left open of the effects: the traces of their covariances
+    effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling @ shared * coupling, axis=(1, 2))
+    lens = np.sum(factors.group_information() * shared, axis=(1, 2))
+    return Posterior(shared, _POSE + inverse.shape[-1] - effects + lens)
 
 
 def fit_effects(equations: NormalEquations, columns: EffectColumns, scales: EffectScales) -> EffectScales:
-    """Return the scales under which the residuals of one linearisation are likeliest.
+    """Return the scales under which the residuals of one linearisation are likeliest, or the way there.
 
     equations: with columns per unit of the coefficients, without their prior.
     """
-    chosen = np.arange(equations.group_products.shape[-1])
-    dense = equations.restricted(chosen)
-    for _ in range(_ROUNDS):
-        factors = factorise(scaled(dense, scales.std(columns.effect)))
-        following = _updated(scales, columns.effect, factors.solve().groups[:, _POSE:], posterior(factors).effects)
-        moved = np.abs(np.log(following.variances / scales.variances)).max()
-        scales = following
-        if moved < _SETTLED:
-            break
-    return scales
+    search = _Search.of(equations, columns)
+    return search.best(scales, _ROUNDS).scales
 
 
-def _updated(scales: EffectScales, effect: Array, values: Array, open_part: Array) -> EffectScales:
-    """Return scales after one scoring step; values: (V, m) coefficients in standard deviations."""
-    member = [effect == index for index in range(len(scales.variances))]
-    used = np.eye(len(effect)) - open_part
-    squares = np.stack([np.sum(values[:, own] ** 2, axis=1) for own in member], axis=1)
-    spent = np.stack([np.einsum("vii->v", used[:, own][:, :, own]) for own in member], axis=1)
-    information = np.array([[np.sum(used[:, a][:, :, b] ** 2) for b in member] for a in member])
-    slope = 0.5 * (squares - spent).sum(axis=0) - np.log(scales.variances / scales.typical) / _LOG_STD**2
-    change = np.linalg.solve(0.5 * information + np.eye(len(member)) / _LOG_STD**2, slope)
-    variances = scales.variances * np.exp(np.clip(_DAMPING * change, -_LONGEST, _LONGEST))
-    shares = (_SHARE_DOF + scales.shares * squares) / (_SHARE_DOF + spent)
-    return replace(scales, variances=variances, shares=shares)
+def likelihood_gain(equations: NormalEquations, columns: EffectColumns, start: EffectScales) -> float:
+    """Return the gain of the restricted log likelihood by effects of the likeliest scales, over that of none."""
+    search = _Search.of(equations, columns)
+    best = search.best(start, _MANY_ROUNDS)
+    nothing = search.at(replace(best.scales, variances=_NOTHING * best.scales.variances))
+    return nothing.unlikeliness + nothing.scales.log_prior() - best.unlikeliness - best.scales.log_prior()
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Scales, the factors of their equations, and minus the logarithm of their restricted likelihood and priors."""
+
+    scales: EffectScales
+    factors: Factors
+    unlikeliness: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The search for scales in one linearisation. effect: (m,) which effect each coefficient belongs to."""
+
+    equations: NormalEquations
+    effect: Array
+
+    @classmethod
+    def of(cls, equations: NormalEquations, columns: EffectColumns) -> "_Search":
+        """Return the search; equations: with columns per unit of the coefficients, without their prior."""
+        dense = equations.restricted(np.arange(equations.group_products.shape[-1]))
+        return cls(dense.without_first(_POSE), columns.effect)
+
+    def best(self, scales: EffectScales, rounds: int) -> _Point:
+        """Return the likeliest scales, or how far as many scoring steps lead."""
+        here = self.at(scales)
+        for _ in range(rounds):
+            change, promised = self.step(here)
+            if promised < _SETTLED:
+                break
+            for _ in range(_HALVINGS):
+                there = self.at(here.scales.moved(change))
+                if there.unlikeliness <= here.unlikeliness:
+                    break
+                change = change / 2
+            else:
+                break
+            here = there
+        return here
+
+    def at(self, scales: EffectScales) -> _Point:
+        factors = factorise(scaled(self.equations, scales.std(self.effect)))
+        likelihood = -self.equations.cost + factors.decrease() - 0.5 * factors.log_determinant()
+        return _Point(scales, factors, -likelihood - scales.log_prior())
+
+    def step(self, point: _Point) -> tuple[Array, float]:
+        """Return the scoring step (1 + V, A) of the logarithms of variances and shares, and what it promises.
+
+        What views say of each other's scales is left out of the information: it is little, and would be a matrix of all
+        views by all views.
+        """
+        values, scales = point.factors.solve().groups, point.scales
+        used = np.eye(len(self.effect)) - point.factors.group_covariances()
+        member = (self.effect == np.arange(len(scales.variances))[:, None]).astype(float)
+        score = 0.5 * (values**2 - np.einsum("vii->vi", used)) @ member.T
+        information = 0.5 * member @ used**2 @ member.T
+        slope, own_slope = scales.prior_slopes()
+        curvature, own_curvature = scales.prior_curvatures()
+        # the shares of a view follow the variances: they are eliminated as poses are from the lens
+        own = information + own_curvature[:, :, None] * np.eye(len(member))
+        right = np.concatenate([information, (score + own_slope)[:, :, None]], axis=2)
+        gone = np.linalg.solve(own, right)
+        reduced = (information - information @ gone[:, :, :-1]).sum(axis=0) + np.diag(curvature)
+        gradient = score.sum(axis=0) + slope
+        change = np.linalg.solve(reduced, gradient - (information @ gone[:, :, -1:]).sum(axis=0)[:, 0])
+        shares = gone[:, :, -1] - gone[:, :, :-1] @ change
+        promised = 0.5 * float(gradient @ change + np.sum((score + own_slope) * shares))
+        return np.clip(np.concatenate([change[None], shares]), -_LONGEST, _LONGEST), promised

@@ -100,6 +100,27 @@ class NormalEquations:
             self.group_products[:, dense[:, None], dense],
         )
 
+    def without_first(self, count: int) -> "NormalEquations":
+        """Return the equations of what is left of the groups when their first `count` parameters are eliminated."""
+        first, last = slice(0, count), slice(count, None)
+        root = np.linalg.cholesky(self.group_group[:, first, first])
+        size = self.group_group.shape[-1] - count
+        right = [self.group_group[:, first, last], self.group_shared[:, first], self.gradient.groups[:, first, None]]
+        gone = lower_solve(root, np.concatenate(right, axis=2))
+        gram = gone.transpose(0, 2, 1) @ gone
+        own, others, dense = slice(0, size), slice(size, -1), self.group_products.shape[-1]
+        return NormalEquations(
+            self.cost - 0.5 * float(gram[:, -1, -1].sum()),
+            Step(
+                self.gradient.shared - gram[:, others, -1].sum(axis=0), self.gradient.groups[:, last] - gram[:, own, -1]
+            ),
+            self.group_group[:, last, last] - gram[:, own, own],
+            self.group_shared[:, last] - gram[:, own, others],
+            self.shared_shared - gram[:, others, others].sum(axis=0),
+            self.group_gradients - gram[:, others, -1],
+            self.group_products - gram[:, others, others][:, :dense, :dense],
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Factors:
@@ -142,6 +163,11 @@ class Factors:
         own = inverse_root.transpose(0, 2, 1) @ inverse_root
         return np.asarray(own + coupling @ self.shared_covariance() @ coupling.transpose(0, 2, 1))
 
+    def log_determinant(self) -> float:
+        """Return the logarithm of the determinant of the normal matrix."""
+        roots = np.einsum("gii->gi", self.group_root), np.diag(self.shared_root)
+        return float(sum(2 * np.log(root).sum() for root in roots))
+
     def inverse_group_root(self) -> Array:
         """Return the inverses (G, g, g) of the groups' Cholesky factors."""
         identity = np.broadcast_to(np.eye(self.group_root.shape[-1]), self.group_root.shape)
@@ -168,7 +194,11 @@ def factorise(equations: NormalEquations) -> Factors:
     """Return the factors of the normal equations; raises SingularError if they have no unique solution."""
     try:
         group_root = np.linalg.cholesky(equations.group_group)
-        reduced = lower_solve(group_root, equations.group_shared)
+        if equations.group_shared.shape[2] > group_root.shape[2]:
+            identity = np.broadcast_to(np.eye(group_root.shape[2]), group_root.shape)
+            reduced = lower_solve(group_root, identity) @ equations.group_shared
+        else:
+            reduced = lower_solve(group_root, equations.group_shared)
         rows = reduced.reshape(reduced.shape[0] * reduced.shape[1], reduced.shape[2])
         schur = equations.shared_shared - rows.T @ rows
         # Jacobi scaling first: pixels, radians and lens coefficients differ by many orders of magnitude
@@ -261,12 +291,15 @@ class _Sums:
         gradients = gram[:, shared, residual]
         _add_at(self.group_group, where, gram[:, group, group])
         _add_at(self.group_gradient, where, gram[:, group, residual])
-        widened = np.zeros((len(gram), size, self.group_shared.shape[-1]))
-        widened[:, :, columns] = gram[:, group, shared]
-        _add_at(self.group_shared, where, widened)
-        wide_gradients = np.zeros((len(gram), len(self.shared_gradient)))
-        wide_gradients[:, columns] = gradients
-        _add_at(self.group_gradients, where, wide_gradients)
+        if isinstance(where, slice):
+            span = _span(columns)
+            self.group_shared[:, :, span] += gram[:, group, shared]
+            self.group_gradients[:, span] += gradients
+        else:
+            np.add.at(
+                self.group_shared, (where[:, None, None], np.arange(size)[:, None], columns), gram[:, group, shared]
+            )
+            np.add.at(self.group_gradients, (where[:, None], columns), gradients)
         self.shared_gradient[columns] += gradients.sum(axis=0)
         self.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
         products = np.zeros((len(gram), *self.group_products.shape[1:]))
@@ -281,8 +314,33 @@ class _Sums:
     def _add_sparse(
         self, block: Block, jacobian: Jacobian, rows: Array, size: int, columns: Array, weights: Array
     ) -> None:
-        """Add a Jacobian whose columns differ from row to row, by scattered sums."""
+        """Add a Jacobian whose columns differ from row to row."""
         own = _rows([jacobian.values], np.sqrt(weights))
+        places = _repeated(block, jacobian)
+        if places is None:
+            self._add_scattered(block, jacobian, own, rows, size, columns)
+        else:
+            self._add_repeated(places, own, rows, size, columns)
+
+    def _add_repeated(self, places: Sequence[slice], own: Array, rows: Array, size: int, columns: Array) -> None:
+        """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
+        shape = len(self.group_shared), -1
+        own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
+        for axis, place in enumerate(places):
+            products = sum(first * second for first, second in zip(own[:, axis], rows, strict=True))
+            total = products.sum(axis=1)
+            self.shared_gradient[place] += total[-1]
+            self.shared_shared[place, columns] += total[size:-1].T
+            self.shared_shared[columns, place] += total[size:-1]
+            self.group_gradients[:, place] += products[-1]
+            self.group_shared[:, :, place] += products[:size].swapaxes(0, 1)
+            for other, across in zip(np.einsum("dgp,dlgp->lp", own[:, axis], own), places, strict=True):
+                np.einsum("ii->i", self.shared_shared[place, across])[:] += other
+
+    def _add_scattered(
+        self, block: Block, jacobian: Jacobian, own: Array, rows: Array, size: int, columns: Array
+    ) -> None:
+        """Add a Jacobian with any columns, by scattered sums."""
         at, shared = jacobian.columns.T, len(self.shared_gradient)
         products = np.einsum("dlm,djm->ljm", own, rows)
         _scatter(self.shared_gradient, at, products[:, -1])
@@ -292,7 +350,7 @@ class _Sums:
         _scatter(cross, index, products[:, size:-1])
         self.shared_shared += cross + cross.T
         if block.rows_per_group:
-            runs = np.arange(len(weights)) // block.rows_per_group
+            runs = np.arange(own.shape[-1]) // block.rows_per_group
             group = runs if block.groups is None else block.groups[runs]
             _scatter(self.group_gradients, group * shared + at, products[:, -1])
             index = (group * size + np.arange(size)[:, None])[None] * shared + at[:, None]
@@ -305,6 +363,27 @@ class _Sums:
         cross = np.zeros((shared, shared))
         _scatter(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
         self.shared_shared += cross + cross.T
+
+
+def _span(columns: Array) -> slice | Array:
+    """Return consecutive columns as a slice, which is faster."""
+    if len(columns) and (np.diff(columns) == 1).all():
+        return slice(columns[0], columns[-1] + 1)
+    return columns
+
+
+def _repeated(block: Block, jacobian: Jacobian) -> list[slice] | None:
+    """Return which columns each derivative of a Jacobian has in a run of rows, where these are evenly spaced and the
+    same in every run, else None.
+    """
+    length = block.rows_per_group
+    if length < 2 or block.groups is not None:
+        return None
+    run = jacobian.columns[:length]
+    steps = np.diff(run, axis=0)
+    if (steps != steps[0, 0]).any() or steps[0, 0] < 1 or (jacobian.columns.reshape(-1, *run.shape) != run).any():
+        return None
+    return [slice(first, last + 1, steps[0, 0]) for first, last in zip(run[0], run[-1], strict=True)]
 
 
 def _rows(parts: Sequence[Array], root_weights: Array) -> Array:
