@@ -22,6 +22,9 @@ from camcal.geometry import rotation as so3
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
 _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told from the others
+# Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
+# view determines something all but alone.
+_SAFETY = 2.0
 
 
 def influence(estimate: Estimate) -> Array:
@@ -39,7 +42,8 @@ def influence(estimate: Estimate) -> Array:
         turn = np.linalg.inv(np.linalg.cholesky(matrix[:dense, :dense]) @ root.T)
         information = turn @ information @ turn.T
     values, vectors = np.linalg.eigh(root.T @ information @ root)
-    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / (1 - np.clip(values, 0, _LARGEST))
+    left = 1 - np.clip(values, 0, _LARGEST)
+    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / np.maximum(left, np.sqrt(left / _SAFETY))
     count = len(scores)
     return np.asarray(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
 
@@ -53,7 +57,7 @@ def image_metric(displacements: Array) -> Array:
     return np.asarray(flat.T @ flat / len(displacements))
 
 
-def weights_of(left_out: Sequence[Array], metric: Array, believed: float) -> Array:
+def weights_of(left_out: Sequence[Array], metric: Array, believed: float = 1.0) -> Array:
     """Return the weights of estimates, none negative, that sum to one.
 
     left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
@@ -86,7 +90,7 @@ def _believed(weights: Array, believed: float) -> Array:
 
 
 def covariance_of(
-    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, believed: float
+    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, believed: float = 1.0
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 

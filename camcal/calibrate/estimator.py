@@ -25,7 +25,7 @@ from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Factors, Step, assemble, factorise
 
 # Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
-_LEAST, _MOST, _BRIEF = 2, 30, 10
+_LEAST, _MOST, _BRIEF = 2, 60, 10
 # Of a standard deviation, the largest change of a lens parameter by a pass: after which no other is needed, and with
 # which the result may still be used where passes run out.
 _SETTLED, _CALM = 1e-2, 0.3
@@ -186,9 +186,9 @@ class _Passes:
         offsets = 0.0
         if self.freedom.points and not self.problem.offsets and not first:
             offsets = self._move_points()
-        factors = self._move()
+        factors, end = self._move()
         left = posterior(factors)
-        self.board = self.board | board_scales(self.problem, self.place.state, factors)
+        self.board = self.board | board_scales(self.problem, end, factors)
         if self.problem.offsets:
             offsets = spent_on_offsets(self.problem, factors)
         self._pose_lost_views()
@@ -275,8 +275,10 @@ class _Passes:
         left = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(self.problem.observations.weights)))
         return max(left, _LEAST_DOF)
 
-    def _move(self) -> Factors:
-        """Solve for everything that is linear, and go as much of the way as the cost falls; return the factors."""
+    def _move(self) -> tuple[Factors, State]:
+        """Solve for everything that is linear, and go as much of the way as the cost falls; return the factors and the
+        state at the end of the whole way, which is their minimum.
+        """
         here, effects = self.place, self.columns.values if self.freedom.effects else None
         blocks = [self.problem.data(here.state, here.derivatives, effects), *self.problem.priors(here.state)]
         size = _POSE + len(self.columns.effect)
@@ -297,7 +299,7 @@ class _Passes:
             if best > _NEAR * share or promised < _UNSEEN * cost:
                 break
             share = max(best, _SHORTEST * share)
-        return factors
+        return factors, self.problem.retract(here.state, step)
 
     def _towards(self, here: _Place, step: Step, share: float) -> _Place:
         """Return the place a share of the way along a step, whose coefficients of effects are those of its end."""
