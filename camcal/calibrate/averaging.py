@@ -24,7 +24,7 @@ _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights 
 _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told from the others
 # Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
 # view determines something all but alone.
-_SAFETY = 2.0
+_SAFETY = 3.0
 
 
 def influence(estimate: Estimate) -> Array:

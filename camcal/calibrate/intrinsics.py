@@ -213,8 +213,8 @@ def _record(
 
 
 def _pose_covariances(result: Fit) -> Array:
-    """Return the covariances (V, 6, 6) of the poses: weighted means of those that the estimates claim."""
-    own = [estimate.factors.group_covariances()[:, :6, :6] for estimate in result.estimates]
+    """Return the covariances (V, 6, 6) of the poses: weighted means over the estimates, each under the lens's own."""
+    own = [estimate.factors.group_covariances(6, result.covariance) for estimate in result.estimates]
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
 
 

@@ -156,12 +156,14 @@ class Factors:
         """Return the inverse of the Schur complement (S, S): the covariance of the shared parameters."""
         return self._shared_covariance
 
-    def group_covariances(self) -> Array:
-        """Return the covariances (G, g, g) of the groups, the uncertainty of the shared parameters included."""
-        inverse_root = self.inverse_group_root()
-        coupling = inverse_root.transpose(0, 2, 1) @ self.reduced
-        own = inverse_root.transpose(0, 2, 1) @ inverse_root
-        return np.asarray(own + coupling @ self.shared_covariance() @ coupling.transpose(0, 2, 1))
+    def group_covariances(self, count: int | None = None, shared: Array | None = None) -> Array:
+        """Return the covariances (G, n, n) of the groups' first `count` parameters, the uncertainty of the shared
+        parameters included; shared: (D, D) that of the first D of them, where it is not what these equations say.
+        """
+        shared = self.shared_covariance() if shared is None else shared
+        by_root = self.inverse_group_root()[:, :, :count].transpose(0, 2, 1)
+        coupling = by_root @ self.reduced[:, :, : len(shared)]
+        return np.asarray(by_root @ by_root.transpose(0, 2, 1) + coupling @ shared @ coupling.transpose(0, 2, 1))
 
     def log_determinant(self) -> float:
         """Return the logarithm of the determinant of the normal matrix."""

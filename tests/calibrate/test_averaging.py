@@ -131,21 +131,26 @@ def test_a_view_that_alone_determines_the_lens_is_not_divided_by_zero():
     linear.lens[1:] *= 1e-9
     found = influence(linear.estimate())
     assert np.isfinite(found).all()
-    # what is cut at 99 % moves the lens by a hundred times its pull, along what the view determines
+    # a leverage cut at 99 % leaves 0.01, of which a third counts under the root
     root = np.linalg.cholesky(linear.estimate().posterior.shared)
     pull = root @ root.T @ linear.estimate().factors.group_scores()[0]
-    np.testing.assert_allclose(found[0], 100 * pull * np.sqrt((VIEWS - 1) / VIEWS), rtol=1e-6)
+    np.testing.assert_allclose(found[0], pull / np.sqrt(0.01 / 3) * np.sqrt((VIEWS - 1) / VIEWS), rtol=1e-6)
+
+
+def expected_scatter(linear):
+    """The expectation of the summed squares of influences: of one unit error after the other, steps are linear."""
+    count = VIEWS * ROWS * 2
+    moved = np.zeros((count, VIEWS, LENS))
+    for index in range(count):
+        errors = np.zeros(count)
+        errors[index] = 1 / np.sqrt(linear.weights.ravel()[index // 2])
+        moved[index] = influence(linear.estimate(errors.reshape(VIEWS, ROWS, 2)))
+    return np.einsum("nvi,nvj->ij", moved, moved)
 
 
 def test_the_scatter_from_view_to_view_errs_on_the_safe_side_where_errors_are_alike():
     linear = Linear(seed=6)
-    count = VIEWS * ROWS * 2
-    moved = np.zeros((count, VIEWS, LENS))
-    for index in range(count):  # an exact expectation: of one error of unit variance after the other, steps are linear
-        errors = np.zeros(count)
-        errors[index] = 1 / np.sqrt(linear.weights.ravel()[index // 2])
-        moved[index] = influence(linear.estimate(errors.reshape(VIEWS, ROWS, 2)))
-    expected = np.einsum("nvi,nvj->ij", moved, moved)
+    expected = expected_scatter(linear)
     estimate = linear.estimate()
     truth = estimate.posterior.shared
     assert np.linalg.eigvalsh(expected - truth).min() > 0
@@ -154,6 +159,22 @@ def test_the_scatter_from_view_to_view_errs_on_the_safe_side_where_errors_are_al
     share = root.T @ estimate.factors.group_information() @ root
     sums = np.sum(share @ np.linalg.inv(np.eye(LENS) - share), axis=0)
     np.testing.assert_allclose(expected, (VIEWS - 1) / VIEWS * root @ sums @ root.T, rtol=1e-8)
+
+
+@pytest.mark.parametrize("factor", [8.0, 15.0, 30.0])
+def test_the_scatter_of_a_view_that_determines_much_is_at_most_three_times_what_equal_views_have(factor):
+    linear = Linear(seed=6)
+    linear.lens[0] *= factor
+    estimate = linear.estimate()
+    root = np.linalg.cholesky(estimate.posterior.shared)
+    leverages, vectors = np.linalg.eigh(root.T @ estimate.factors.group_information() @ root)
+    assert leverages[0].max() > 0.7
+    assert leverages[1:].max() < 0.5
+    shares = np.minimum(leverages / (1 - leverages), 3 * leverages)
+    sums = np.einsum("vij,vj,vkj->ik", vectors, shares, vectors)
+    np.testing.assert_allclose(
+        expected_scatter(linear), (VIEWS - 1) / VIEWS * root @ sums @ root.T, rtol=1e-8, atol=1e-14
+    )
 
 
 def test_the_metric_of_the_image_is_the_mean_square_of_what_moves_in_it():
@@ -237,6 +258,14 @@ def test_equal_estimates_share_their_weight_and_one_has_all_of_it():
     metric, moved = metric_of(rng), drawn(rng, 1.0)
     np.testing.assert_allclose(weights_of(moved, metric), [1.0])
     np.testing.assert_allclose(weights_of(moved * 3, metric), np.full(3, 1 / 3), rtol=1e-7)  # the ridge
+
+
+def test_weights_are_followed_as_far_as_effects_are_believed_in():
+    rng = np.random.default_rng(11)
+    left_out, metric = drawn(rng, 1.0, 0.5, 0.8), metric_of(rng)
+    whole = weights_of(left_out, metric)
+    np.testing.assert_allclose(weights_of(left_out, metric, 0.0), [1, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(weights_of(left_out, metric, 0.3), 0.3 * whole + [0.7, 0, 0], rtol=1e-12)
 
 
 def made(rng, moved, claimed=None, *, shared=None, lens_std=np.inf, term_std=None):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from observed import make_scene
 
-from camcal.calibrate.effects import EFFECTS, FLEX, ROLLING, SMOOTH, effect_columns
-from camcal.calibrate.estimator import Freedom, Views, _Passes
+from camcal.calibrate.effects import EFFECTS, FLEX, ROLLING, SMOOTH, columns_at, effect_columns
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.solve.steps import Step, assemble
 from camcal.targets.board import Board
@@ -40,9 +39,7 @@ def seen():
 
 
 def columns_of(problem, state, present, effects=NAMES):
-    """The columns as the estimator makes them."""
-    passes = _Passes(problem, state, Views(present), Freedom(smooth=False, points=False, effects=effects), None)
-    return passes._columns(problem.derivatives(state))
+    return columns_at(problem, state, problem.derivatives(state), present, effects)
 
 
 def slope(problem, moved, length):

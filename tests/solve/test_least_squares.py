@@ -177,6 +177,34 @@ def test_sparse_columns_add_up_like_dense_ones():
         np.testing.assert_allclose(results[name].gradient.shared, results["dense"].gradient.shared, atol=1e-12)
 
 
+@pytest.mark.parametrize("step", [1, 3])
+@pytest.mark.parametrize("last", [None, 0])
+def test_columns_that_every_run_of_rows_repeats_add_up_like_any_others(step, last):
+    rng = np.random.default_rng(9)
+    residuals, group = rng.normal(size=(40, 2)), rng.normal(size=(40, 2, 3))
+    common, own = rng.normal(size=(40, 2, 2)), rng.normal(size=(40, 2, 2))
+    run = 2 + step * np.arange(10)[:, None] + np.arange(2)
+    columns = np.tile(run, (4, 1))
+    if last is not None:
+        columns[-1] = columns[last]  # no longer evenly spaced: the sums are scattered
+    weights = rng.uniform(0.5, 2, 40)
+    count = columns.max() + 1
+    widened = np.zeros((40, 2, count))
+    widened[:, :, :2] = common
+    np.put_along_axis(widened, np.repeat(columns[:, None], 2, axis=1), own, axis=2)
+    found, expected = (
+        assemble([Block(residuals, shared, group, rows_per_group=10, weights=weights)], count, 4, 3)
+        for shared in (
+            (Jacobian(common, np.arange(2)), Jacobian(own, columns)),
+            (Jacobian(widened, np.arange(count)),),
+        )
+    )
+    for part in ("group_group", "group_shared", "shared_shared", "group_gradients"):
+        np.testing.assert_allclose(getattr(found, part), getattr(expected, part), atol=1e-12, err_msg=part)
+    np.testing.assert_allclose(found.gradient.shared, expected.gradient.shared, atol=1e-12)
+    np.testing.assert_allclose(found.gradient.groups, expected.gradient.groups, atol=1e-12)
+
+
 @dataclass(frozen=True)
 class Grouped:
     """Random rows of four groups: columns that all rows have, in two parts, and one that differs from row to row."""
@@ -260,6 +288,33 @@ def test_restricted_equations_keep_the_products_of_what_remains():
     np.testing.assert_allclose(
         factorise(whole.restricted(np.arange(4))).group_information(), factorise(whole).group_information(), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_eliminating_a_part_of_each_group_leaves_the_step_of_the_rest(count):
+    whole = Grouped.drawn().equations()
+    rest = whole.without_first(count)
+    step, expected = factorise(rest).solve(), factorise(whole).solve()
+    np.testing.assert_allclose(step.shared, expected.shared, rtol=1e-9)
+    np.testing.assert_allclose(step.groups, expected.groups[:, count:], rtol=1e-9)
+    assert rest.cost - factorise(rest).decrease() == pytest.approx(whole.cost - factorise(whole).decrease(), rel=1e-12)
+    for part in ("group_information", "group_scores", "shared_covariance"):
+        np.testing.assert_allclose(
+            getattr(factorise(rest), part)(), getattr(factorise(whole), part)(), rtol=1e-8, atol=1e-12, err_msg=part
+        )
+
+
+def test_the_determinant_is_that_of_the_whole_normal_matrix():
+    equations = Grouped.drawn().equations()
+    groups, size, shared = equations.group_shared.shape
+    whole = np.zeros((groups * size + shared,) * 2)
+    for index in range(groups):
+        own = slice(index * size, (index + 1) * size)
+        whole[own, own] = equations.group_group[index]
+        whole[own, groups * size :] = equations.group_shared[index]
+    whole[groups * size :, : groups * size] = whole[: groups * size, groups * size :].T
+    whole[groups * size :, groups * size :] = equations.shared_shared
+    assert factorise(equations).log_determinant() == pytest.approx(np.linalg.slogdet(whole)[1], rel=1e-10)
 
 
 def test_groups_without_shared_parameters_have_no_products():

@@ -1,0 +1,103 @@
+"""The passes: they settle where steps overshoot, go on from an estimate, and agree however points are solved for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observed import make_scene
+
+from camcal.calibrate import estimator
+from camcal.calibrate.estimator import Freedom, Views, estimate
+from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.solve.steps import Step
+from camcal.targets.board import Board
+
+
+def started(scene, views, offset=0.0):
+    """The problem, a state at the truth or `offset` standard deviations of 1 px from it, and what was seen."""
+    observations = Observations.of(views)
+    rng = np.random.default_rng(5)
+    parameters = np.array(scene.camera.parameters)
+    state = State(
+        parameters + offset * rng.normal(size=len(parameters)) * [1, 1, 1, 1, *[1e-3] * (len(parameters) - 4)],
+        np.stack([pose.rotation for pose in scene.poses]),
+        np.stack([pose.translation for pose in scene.poses]),
+        np.zeros(0),
+        np.zeros((scene.board.count, 3)),
+    )
+    problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(len(parameters)))
+    return problem, state, Views(observations.weights > 0)
+
+
+@pytest.fixture(scope="module")
+def printed():
+    """A board of 99 corners that are off by 0.05 mm each, seen 12 times."""
+    scene = make_scene(board=Board("chessboard", 11, 9, 0.040), count=12)
+    offsets = 5e-5 * np.random.default_rng(2).normal(size=(scene.board.count, 3))
+    views = []
+    for view, pose in zip(scene.observe(1, noise_px=0.05), scene.poses, strict=True):
+        true = scene.camera.project(pose.apply(scene.board.points() + offsets)).pixels
+        drawn = scene.camera.project(pose.apply(scene.board.points())).pixels
+        views.append(replace(view, pixels=view.pixels + (true - drawn)[view.ids]))
+    return scene, views
+
+
+def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, monkeypatch):
+    problem, state, seen = started(*printed)
+    free = Freedom(smooth=True, points=True)
+    together = estimate(problem, state, seen, free)
+    monkeypatch.setattr(estimator, "AT_ALL_TOGETHER", 0)
+    monkeypatch.setattr(estimator, "_SETTLED", 1e-4)
+    in_turn = estimate(problem, state, seen, free)
+    assert together.problem.offsets
+    assert not in_turn.problem.offsets
+    std = np.sqrt(np.diag(together.posterior.shared))[: len(state.parameters)]
+    assert np.abs((in_turn.state.parameters - together.state.parameters) / std).max() < 0.2
+    np.testing.assert_allclose(in_turn.state.offsets, together.state.offsets, atol=2e-5)
+    assert np.abs(together.state.offsets).max() > 5e-5
+
+
+def test_an_estimate_that_goes_on_from_another_stays_there(printed):
+    problem, state, seen = started(*printed)
+    free = Freedom(smooth=True, points=True, effects=("smooth",))
+    first = estimate(problem, state, seen, free)
+    again = estimate(first.problem, first.state, seen, free, first)
+    std = np.sqrt(np.diag(first.posterior.shared))[: len(state.parameters)]
+    assert np.abs((again.state.parameters - first.state.parameters) / std).max() < 0.03
+    np.testing.assert_allclose(again.coefficients, first.coefficients, atol=0.05)
+
+
+def test_the_start_does_not_matter(printed):
+    free = Freedom(smooth=True, points=True)
+    near, far = (
+        estimate(problem, state, seen, free) for problem, state, seen in (started(*printed), started(*printed, 5.0))
+    )
+    std = np.sqrt(np.diag(near.posterior.shared))[: len(near.state.parameters)]
+    assert np.abs((far.state.parameters - near.state.parameters) / std).max() < 0.05
+
+
+class Overshooting(BoardProblem):
+    """A problem whose steps lead twice as far as they say."""
+
+    def retract(self, state, step):
+        return super().retract(state, Step(2 * step.shared, 2 * step.groups))
+
+
+def test_steps_that_overshoot_are_shortened_and_the_passes_settle(printed):
+    problem, state, seen = started(*printed)
+    free = Freedom(smooth=False, points=False)
+    straight = estimate(problem, state, seen, free)
+    fields = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
+    bent = estimate(Overshooting(**fields), state, seen, free)
+    assert bent.converged
+    assert bent.passes < 2 * straight.passes
+    std = np.sqrt(np.diag(straight.posterior.shared))
+    assert np.abs((bent.state.parameters - straight.state.parameters) / std).max() < 0.02
+
+
+def test_a_corner_that_leaves_the_image_makes_a_step_too_long(printed):
+    problem, state, seen = started(*printed)
+    passes = estimator._Passes(problem, state, seen, Freedom(smooth=False, points=False), None)
+    behind = replace(passes.place.derivatives, valid=passes.place.derivatives.valid & False)
+    assert np.isfinite(passes._cost(passes.place, np.zeros((12, 0))))
+    assert passes._cost(replace(passes.place, derivatives=behind), np.zeros((12, 0))) == np.inf
