@@ -21,6 +21,7 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
+_ALIKE = 10.0  # views that count for estimates of equal scatter
 _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told from the others
 # Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
 # view determines something all but alone.
@@ -62,10 +63,11 @@ def weights_of(left_out: Sequence[Array], metric: Array, believed: float = 1.0) 
 
     left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
     believed: 0…1, how far the weights are followed; the rest goes to the first estimate.
-    Each estimate's own scatter counts twice: from a few views it is not known well, and weights fitted to chance would
-    vary more than equal ones.
+    Each estimate's own scatter counts once more with ten views, and less with more of them: from a few views it is not
+    known well, and weights fitted to chance would vary more than equal ones.
     """
-    return _believed(_least_spread(_spreads(left_out, metric).sum(axis=0)), believed)
+    spreads = _spreads(left_out, metric)
+    return _believed(_least_spread(spreads.sum(axis=0), len(spreads)), believed)
 
 
 def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
@@ -74,9 +76,9 @@ def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
     return np.asarray(np.einsum("agi,ij,bgj->gab", moved, metric, moved, optimize=True))
 
 
-def _least_spread(spread: Array) -> Array:
-    """Return the weights of estimates for products (k, k) summed over views."""
-    spread = spread + np.diag(np.diag(spread))
+def _least_spread(spread: Array, views: int) -> Array:
+    """Return the weights of estimates for products (k, k) summed over a number of views."""
+    spread = spread + _ALIKE / views * np.diag(np.diag(spread))
     root = np.linalg.cholesky(spread + _FINEST * np.trace(spread) * np.eye(len(spread)))
     # the minimum of wᵀ S w over weights that sum to one, as least squares with a heavy row for the sum
     heavy = _HEAVY * np.sqrt(np.trace(spread))
@@ -114,7 +116,9 @@ def _scatter(
     what priors leave open, which no view shows.
     """
     spreads = _spreads(left_out, metric)
-    others = np.array([_believed(_least_spread(spreads.sum(axis=0) - own), believed) for own in spreads])
+    others = np.array(
+        [_believed(_least_spread(spreads.sum(axis=0) - own, len(spreads) - 1), believed) for own in spreads]
+    )
     moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
     shared = np.array([_shared(own.problem, own.state) for own in estimates])
     apart = shared - weights @ shared

@@ -19,7 +19,7 @@ SMOOTH_DEGREE = 3
 # how fast the spectrum of a field with the correlation exp(-d / 4 squares) falls, by degree: seen on boards of 6 x 4 to
 # 14 x 10 corners
 _SPECTRUM = (0.0, 1.0, 0.3, 0.12)
-_FLEX_TERMS = (*CLASSES["bow"].terms, *CLASSES["cubic"].terms)
+FLEX_TERMS = (*CLASSES["bow"].terms, *CLASSES["cubic"].terms)
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Effect:
 
 SMOOTH = Effect("smooth", 2 * sum(degree + 1 for degree in range(1, SMOOTH_DEGREE + 1)))
 ROLLING = Effect("rolling", 6)
-FLEX = Effect("flex", len(_FLEX_TERMS), of_board=True)
+FLEX = Effect("flex", len(FLEX_TERMS), of_board=True)
 EFFECTS = (SMOOTH, ROLLING, FLEX)
 
 
@@ -89,7 +89,7 @@ def effect_columns(
     squared = np.sum(by_pose**2 * present, axis=(0, 3)) / np.maximum(present.sum(axis=1), 1)
     rolling = slice(SMOOTH.columns, SMOOTH.columns + ROLLING.columns)
     values[:, rolling] = time * by_pose / np.sqrt(np.maximum(squared, 1e-30))[None, :, :, None]
-    values[:, rolling.stop :] = by_height[:, None] * np.moveaxis(basis(board, _FLEX_TERMS)[:, 2][ids], 2, 0)
+    values[:, rolling.stop :] = by_height[:, None] * np.moveaxis(basis(board, FLEX_TERMS)[:, 2][ids], 2, 0)
     values *= present
     return EffectColumns(values, np.repeat(np.arange(len(EFFECTS)), [effect.columns for effect in EFFECTS]))
 

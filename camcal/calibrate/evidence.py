@@ -1,38 +1,108 @@
-"""How clear it is that errors within views are more than noise: the evidence for effects in a solution without them."""
+"""How clear it is that errors within views are more than noise, and what they are: evidence and size of effects."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camcal.calibrate.effects import EFFECTS, columns_at
+from camcal.arrays import Array
+from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, columns_at
 from camcal.calibrate.estimator import Estimate, Views
-from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.variances import EffectScales, likelihood_gain
 from camcal.solve.steps import assemble
+from camcal.targets.surface import basis
 
 _VIEWS = 40  # effects that so many views do not show need not be modelled
 # Gains of the restricted log likelihood. Of noise alone few are beyond the first, with up to forty views; beyond the
 # second, effects are certain.
 _NOTHING, _CERTAIN = 3.0, 10.0
+# That of an effect over the others, beyond which it is named. Cameras that expose all rows at once reach 10 by chance
+# resemblance, those that do not 16 to 140.
+NAMED = 20.0
+_NAMES = tuple(effect.name for effect in EFFECTS)
 
 
-def share_of_effects(plain: Estimate, views: Views) -> float:
-    """Return how far effects are to be believed in, 0…1, by the gain of the restricted likelihood that they bring.
+@dataclass(frozen=True)
+class Evidence:
+    """share: 0…1, how far effects are to be believed in. rolling, flex: the gains of the log likelihood that these two
+    bring beside the others.
+    """
+
+    share: float = 0.0
+    rolling: float = 0.0
+    flex: float = 0.0
+
+
+@dataclass(frozen=True)
+class WithinViews:
+    """What the errors within views are.
+
+    share: 0…1, how far they are believed to be more than noise. rolling_px: by how far the rows of an image are apart
+    over its height, where a rolling shutter is seen, flex: RMS height in the board's unit by which the board bends,
+    where that is seen: each of a typical view (median) and at most.
+    """
+
+    share: float = 0.0
+    rolling_px: tuple[float, float] | None = None
+    flex: tuple[float, float] | None = None
+
+
+def evidence_of_effects(plain: Estimate, views: Views) -> Evidence:
+    """Return the evidence for effects by the gain of the restricted likelihood that they bring.
 
     plain: the estimate that takes errors within views for noise.
     """
     count = len(views.present)
     chosen = np.unique(np.linspace(0, count - 1, min(count, _VIEWS)).astype(np.intp))
-    problem, state = _of_views(plain.problem, plain.noise.views, chosen), plain.state.take(chosen)
-    derivatives = problem.derivatives(state)
-    columns = columns_at(problem, state, derivatives, views.present[chosen], [effect.name for effect in EFFECTS])
-    blocks = [problem.data(state, derivatives, columns.values), *problem.priors(state)]
-    equations = assemble(blocks, problem.shared, len(chosen), 6 + len(columns.effect))
-    start = EffectScales.start(len(chosen), plain.noise.sigma, max(problem.board.extent))
-    gain = likelihood_gain(equations, columns, start)
-    return float(np.clip((gain - _NOTHING) / (_CERTAIN - _NOTHING), 0, 1))
+    some = replace(
+        plain.problem,
+        observations=plain.problem.observations.take(chosen),
+        noise=plain.noise.views[chosen],
+        offsets=False,
+    )
+    state, present = plain.state.take(chosen), views.present[chosen]
+    derivatives = some.derivatives(state)
+    start = EffectScales.start(len(chosen), plain.noise.sigma, max(some.board.extent))
+
+    def gain(names: Sequence[str]) -> float:
+        columns = columns_at(some, state, derivatives, present, names)
+        blocks = [some.data(state, derivatives, columns.values), *some.priors(state)]
+        equations = assemble(blocks, some.shared, len(chosen), 6 + len(columns.effect))
+        return likelihood_gain(equations, columns, start)
+
+    everything = gain(_NAMES)
+    share = float(np.clip((everything - _NOTHING) / (_CERTAIN - _NOTHING), 0, 1))
+    if everything < NAMED:  # no part of it can have more
+        return Evidence(share)
+    rolling, flex = (everything - gain([name for name in _NAMES if name != own.name]) for own in (ROLLING, FLEX))
+    return Evidence(share, rolling, flex)
 
 
-def _of_views(problem: BoardProblem, noise: np.ndarray, chosen: np.ndarray) -> BoardProblem:
-    """Return the problem of some of the views, the offsets of single points held."""
-    return replace(problem, observations=problem.observations.take(chosen), noise=noise[chosen], offsets=False)
+def within_views(evidence: Evidence, everything: Estimate, views: Views, height: int) -> WithinViews:
+    """Return what the errors within views are, by the estimate that models all effects; height: of the image, px."""
+    problem, state = everything.problem, everything.state
+    own = everything.freedom.effects
+    columns = columns_at(problem, state, problem.derivatives(state), views.present, own)
+    rolling_px = flex = None
+    if evidence.rolling >= NAMED:
+        chosen = columns.effect == EFFECTS.index(ROLLING)
+        field = np.einsum("imvp,vm->ivp", columns.values[:, chosen], everything.coefficients[:, chosen])
+        rows = problem.observations.pixels[1]
+        centre = np.mean(rows[views.present])
+        # the field grows with the distance from the middle row: by how much over the height of the image
+        apart = _rms(np.sqrt(np.sum(field**2, axis=0)), views.present) / _rms(rows - centre, views.present)
+        rolling_px = _typical_and_most(height * apart)
+    if evidence.flex >= NAMED:
+        chosen = columns.effect == EFFECTS.index(FLEX)
+        heights = everything.coefficients[:, chosen] @ basis(problem.board, FLEX_TERMS)[:, 2].T
+        flex = _typical_and_most(np.sqrt(np.mean(heights**2, axis=1)))
+    return WithinViews(evidence.share, rolling_px, flex)
+
+
+def _rms(values: Array, present: Array) -> Array:
+    """Return the RMS (V,) of values (V, P) over the points that are present."""
+    return np.asarray(np.sqrt(np.sum(values**2 * present, axis=1) / np.maximum(present.sum(axis=1), 1)))
+
+
+def _typical_and_most(values: Array) -> tuple[float, float]:
+    return float(np.median(values)), float(np.max(values))

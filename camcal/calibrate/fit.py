@@ -8,7 +8,7 @@ from camcal.arrays import Array
 from camcal.calibrate.averaging import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.effects import EFFECTS, SMOOTH
 from camcal.calibrate.estimator import Estimate, Freedom, Views, estimate
-from camcal.calibrate.evidence import share_of_effects
+from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
 from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
@@ -58,7 +58,8 @@ class Fit:
 
     estimates: one that takes errors within views for noise, first, and those that model them. weights: of the
     estimates in `state`. turns: (V,) the symmetry by which each view was turned. covariance: (D, D) of lens and terms
-    of the board, by the scatter from view to view; noise_covariance: (D, D) what noise alone would leave open.
+    of the board, by the scatter from view to view; noise_covariance: (D, D) what noise alone would leave open. errors:
+    what the errors within views are.
     """
 
     state: State
@@ -67,6 +68,7 @@ class Fit:
     turns: Array
     covariance: Array
     noise_covariance: Array
+    errors: WithinViews
 
     @property
     def plain(self) -> Estimate:
@@ -111,11 +113,14 @@ def fit(
     views = Views(observations.weights > 0, claimed)
     problem, state, turns, first = _oriented(problem, state, views, shape)
     estimates = [estimate(problem, state, views, shape.freedom, first)]
-    believed = share_of_effects(estimates[0], views) if estimates[0].converged and len(free) else 0.0
-    for effects in _EFFECTS if believed > 0 else ():
+    found = evidence_of_effects(estimates[0], views) if estimates[0].converged and len(free) else Evidence()
+    for effects in _EFFECTS if found.share > 0 else ():
         following = _with_effects(estimates[-1], views, effects)
         estimates += [following] if following is not None and following.converged else []
-    return _averaged(tuple(estimates), believed, turns, image_size)
+    errors = WithinViews(found.share)
+    if estimates[-1].freedom.effects == _EFFECTS[-1]:
+        errors = within_views(found, estimates[-1], views, image_size[1])
+    return _averaged(tuple(estimates), errors, turns, image_size)
 
 
 def _with_effects(start: Estimate, views: Views, effects: tuple[str, ...]) -> Estimate | None:
@@ -126,18 +131,18 @@ def _with_effects(start: Estimate, views: Views, effects: tuple[str, ...]) -> Es
         return None
 
 
-def _averaged(estimates: tuple[Estimate, ...], believed: float, turns: Array, image_size: tuple[int, int]) -> Fit:
+def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array, image_size: tuple[int, int]) -> Fit:
     """Return the solution by estimates, of which those that model effects count as far as these are believed in."""
     plain = estimates[0]
     if not len(plain.problem.free):
-        return Fit(plain.state, estimates, np.ones(1), turns, plain.posterior.shared, plain.posterior.shared)
+        return Fit(plain.state, estimates, np.ones(1), turns, plain.posterior.shared, plain.posterior.shared, errors)
     left_out = [influence(own) for own in estimates]
     metric = image_metric(_displacements(plain, image_size))
-    weights = weights_of(left_out, metric, believed)
+    weights = weights_of(left_out, metric, errors.share)
     state = averaged([own.state for own in estimates], weights)
     state = replace(state, **_posed_again(plain.problem, state))
-    covariance = covariance_of(estimates, left_out, metric, weights, believed)
-    return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared)
+    covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
+    return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared, errors)
 
 
 def _posed_again(problem: BoardProblem, state: State) -> dict[str, Array]:

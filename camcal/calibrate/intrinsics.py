@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
+from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import BoardProblem, Observations, covariances_of
@@ -84,7 +85,7 @@ class Calibration:
     floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given.
     held_by_prior: lens parameters that the data hardly determine: their prior does.
     noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
-    covariance counts the errors within views as well.
+    covariance counts the errors within views as well. within_views: what these errors are.
     """
 
     camera: Camera
@@ -102,6 +103,7 @@ class Calibration:
     floor_px: float | None = None
     held_by_prior: tuple[str, ...] = ()
     noise_covariance: Array | None = None
+    within_views: WithinViews = field(default_factory=WithinViews)
 
     @property
     def used(self) -> tuple[View, ...]:
@@ -209,6 +211,7 @@ def _record(
         floor_px=None if plain.corners is None else plain.corners.floor_px,
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
+        within_views=result.errors,
     )
 
 

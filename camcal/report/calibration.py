@@ -29,7 +29,13 @@ def summary(calibration: Calibration) -> list[str]:
         f"noise {calibration.sigma_px:.3f} px"
     )
     held = [held_by_prior_words(calibration.held_by_prior)] if calibration.held_by_prior else []
-    return [residuals, *held, *_floor_lines(calibration), *_board_lines(calibration)]
+    return [
+        residuals,
+        *held,
+        *_floor_lines(calibration),
+        *_within_views_lines(calibration),
+        *_board_lines(calibration),
+    ]
 
 
 def _floor_lines(calibration: Calibration) -> list[str]:
@@ -42,9 +48,29 @@ def _floor_lines(calibration: Calibration) -> list[str]:
     return [f"Residual noise {calibration.sigma_px:.3f} px: {parts}"]
 
 
+def _within_views_lines(calibration: Calibration) -> list[str]:
+    """Return what is wrong with single views beside noise, where it is clear that there is anything."""
+    errors, lines = calibration.within_views, []
+    if errors.rolling_px is not None:
+        typical, most = errors.rolling_px
+        lines.append(f"Rolling shutter: {typical:.2g} px over the height of a typical image, at most {most:.2g} px")
+    if errors.flex is not None:
+        factor, unit = _length(calibration)
+        typical, most = (factor * value for value in errors.flex)
+        lines.append(f"The board bends: by {typical:.2g} {unit} RMS in a typical view, at most {most:.2g} {unit}")
+    if errors.share > 0 and not lines:
+        lines.append("Corners of a view share errors of no clear cause; the standard deviations include them")
+    return lines
+
+
+def _length(calibration: Calibration) -> tuple[float, str]:
+    """Return the factor that takes lengths of the board to the unit that they are said in, and that unit."""
+    return (1e3, "mm") if calibration.board.unit == "m" else (1.0, "squares")
+
+
 def _board_lines(calibration: Calibration) -> list[str]:
     surface = calibration.surface
-    factor, unit = (1e3, "mm") if calibration.board.unit == "m" else (1.0, "squares")
+    factor, unit = _length(calibration)
     lines = []
     if surface.deflection > _SHOWN * surface.deflection_std:
         bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
@@ -79,6 +105,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "std": {name: camera.std(name) for name in camera.model.parameter_names},
         "held_by_prior": list(calibration.held_by_prior),
         "noise_std": _noise_std(calibration),
+        "within_views": _within_views(calibration),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
         "floor_px": calibration.floor_px,
@@ -121,6 +148,14 @@ def uncertainty_data(uncertainty: ProjectionUncertainty) -> dict[str, Any]:
             "worst_px": _four_digits(uncertainty.std_worst.reshape(shape)),
             "inside": None if inside is None else inside.reshape(shape).tolist(),
         },
+    }
+
+
+def _within_views(calibration: Calibration) -> dict[str, Any]:
+    errors = calibration.within_views
+    named = {"rolling_px": errors.rolling_px, "flex": errors.flex}
+    return {"share": errors.share} | {
+        name: None if sizes is None else {"median": sizes[0], "max": sizes[1]} for name, sizes in named.items()
     }
 
 

@@ -9,7 +9,7 @@ from observed import make_scene
 from camcal.calibrate import evidence
 from camcal.calibrate.effects import SMOOTH
 from camcal.calibrate.estimator import Freedom, Views, estimate
-from camcal.calibrate.evidence import share_of_effects
+from camcal.calibrate.evidence import evidence_of_effects
 from camcal.calibrate.fit import ShapeOptions, fit
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.targets.surface import normalised
@@ -44,14 +44,14 @@ def bent(scene, views, size, seed=3):
 @pytest.mark.parametrize("count", [5, 12, 25])
 def test_noise_alone_is_no_evidence(count):
     scene = make_scene(count=count)
-    shares = [share_of_effects(*plain(scene, scene.observe(seed, noise_px=0.1))) for seed in range(4)]
+    shares = [evidence_of_effects(*plain(scene, scene.observe(seed, noise_px=0.1))).share for seed in range(4)]
     assert shares == [0.0] * 4
 
 
 def test_belief_grows_with_the_errors_that_corners_share_from_nothing_to_all():
     scene = make_scene(count=12)
     views = scene.observe(1, noise_px=0.1)
-    shares = [share_of_effects(*plain(scene, bent(scene, views, size))) for size in np.linspace(0, 0.12, 25)]
+    shares = [evidence_of_effects(*plain(scene, bent(scene, views, size))).share for size in np.linspace(0, 0.12, 25)]
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert 0.05 < np.max(np.diff(shares)) < 0.7  # by and by, not at once
@@ -61,9 +61,9 @@ def test_belief_grows_with_the_errors_that_corners_share_from_nothing_to_all():
 def test_of_many_views_some_are_looked_at(monkeypatch):
     scene = make_scene(count=12)
     views = bent(scene, scene.observe(1, noise_px=0.1), 0.06)
-    whole = share_of_effects(*plain(scene, views))
+    whole = evidence_of_effects(*plain(scene, views)).share
     monkeypatch.setattr(evidence, "_VIEWS", 4)
-    assert share_of_effects(*plain(scene, views)) < whole == 1.0
+    assert evidence_of_effects(*plain(scene, views)).share < whole == 1.0
 
 
 @pytest.mark.parametrize(("size", "names"), [(0.0, [()]), (0.2, [(), (SMOOTH.name,), ("smooth", "rolling", "flex")])])
