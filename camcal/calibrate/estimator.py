@@ -20,9 +20,10 @@ from camcal.calibrate.scales import Scale
 from camcal.calibrate.shape import board_scales, first_scales, offset_std, spent_on_offsets, under, with_terms
 from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equations
 from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
+from camcal.solve.assembly import assemble
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import Factors, Step, assemble, factorise
+from camcal.solve.steps import Factors, Step, factorise
 
 # Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
 _LEAST, _MOST, _BRIEF = 2, 60, 10

@@ -9,7 +9,7 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, columns_at
 from camcal.calibrate.estimator import Estimate, Views
 from camcal.calibrate.variances import EffectScales, likelihood_gain
-from camcal.solve.steps import assemble
+from camcal.solve.assembly import assemble
 from camcal.targets.surface import basis
 
 _VIEWS = 40  # effects that so many views do not show need not be modelled

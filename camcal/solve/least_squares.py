@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+from camcal.solve.assembly import assemble
 from camcal.solve.descent import STOPPING, Observer, Proposal, Stopping, descend, unobserved
-from camcal.solve.steps import Block, Factors, NormalEquations, Step, assemble, factorise
+from camcal.solve.steps import Block, Factors, NormalEquations, Step, factorise
 
 State = TypeVar("State")
 

@@ -16,7 +16,8 @@ from camcal.calibrate.averaging import (
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.variances import posterior, scaled
 from camcal.geometry import rotation as so3
-from camcal.solve.steps import Block, Jacobian, assemble, factorise
+from camcal.solve.assembly import assemble
+from camcal.solve.steps import Block, Jacobian, factorise
 
 VIEWS, ROWS, LENS, GROUP = 7, 20, 3, 6
 
@@ -195,16 +196,18 @@ def metric_of(rng):
 
 
 def weight_of_first(one, other, metric):
-    """Where the own scatter of each counts twice: the minimum of 2 a w² + 2 c (1 - w)² + 2 b w (1 - w)."""
+    """The minimum of k a w² + k c (1 - w)² + 2 b w (1 - w): the own scatter of each counts k = 1 + 10/V times."""
     a, b, c = (
         np.einsum("vi,ij,vj", x[:, :LENS], metric, y[:, :LENS]) for x, y in ((one, one), (one, other), (other, other))
     )
-    return np.clip((2 * c - b) / (2 * a + 2 * c - 2 * b), 0, 1)
+    k = 1 + 10 / len(one)
+    return np.clip((k * c - b) / (k * a + k * c - 2 * b), 0, 1)
 
 
-def test_two_estimates_are_weighed_by_the_closed_form():
+@pytest.mark.parametrize("views", [5, 20, 400])
+def test_two_estimates_are_weighed_by_the_closed_form(views):
     rng = np.random.default_rng(8)
-    metric, moved = metric_of(rng), drawn(rng, 1.0, 1.5, common=0.8)
+    metric, moved = metric_of(rng), drawn(rng, 1.0, 1.5, common=0.8, views=views)
     weights = weights_of(moved, metric)
     # a ridge of 1e-9 of the trace
     np.testing.assert_allclose(weights[0], weight_of_first(*moved, metric), rtol=1e-7)
@@ -222,7 +225,7 @@ def test_weights_of_many_estimates_have_the_least_spread():
             weight**2 * np.sum((one[:, :LENS] @ metric) * one[:, :LENS])
             for weight, one in zip(trial, moved, strict=True)
         )
-        return np.sum((total @ metric) * total) + own
+        return np.sum((total @ metric) * total) + 10 / 400 * own
 
     assert weights.min() > 0.05
     for first in range(4):

@@ -9,7 +9,8 @@ from scipy.optimize import minimize
 from camcal.calibrate import variances
 from camcal.calibrate.effects import EffectColumns
 from camcal.calibrate.variances import EffectScales, fit_effects, likelihood_gain, posterior, scaled
-from camcal.solve.steps import Block, Jacobian, assemble, factorise
+from camcal.solve.assembly import assemble
+from camcal.solve.steps import Block, Jacobian, factorise
 
 VIEWS, ROWS = 5, 14  # rows of two coordinates each
 EFFECT = np.repeat([0, 1, 2], [3, 2, 2])

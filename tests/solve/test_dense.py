@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from camcal.solve.assembly import assemble
 from camcal.solve.dense import assemble_dense
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import Block, Jacobian, SingularError, assemble, factorise
+from camcal.solve.steps import Block, Jacobian, SingularError, factorise
 
 NAMES = ("a", "b", "c")
 
