@@ -27,9 +27,10 @@ from camcal.solve.steps import Factors, Step, factorise
 
 # Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
 _LEAST, _MOST, _BRIEF = 2, 60, 10
-# Of a standard deviation, the largest change of a lens parameter by a pass: after which no other is needed, and with
-# which the result may still be used where passes run out.
+# Of a standard deviation: so little more to come for any lens parameter that no other pass is needed; and its largest
+# change by a pass with which the result may still be used where passes run out.
 _SETTLED, _CALM = 1e-2, 0.3
+_SLOWEST = 0.95  # rate at which changes are taken to fall at least
 # Of the change by the pass before, and of a standard deviation: in turn, single points and all else hardly get on.
 _SLOW, _CREEP = 0.5, 0.05
 # Noise, weights and lens answer to each other, and full steps may overshoot: so much of the way to new scales is gone,
@@ -159,7 +160,7 @@ class _Passes:
         while number < (_BRIEF if brief else _MOST) and not settled:
             number, before = number + 1, moved
             factors, left, moved = self._pass(first=self.fresh and number == 1)
-            settled = moved < _SETTLED and not (self.fresh and number < _LEAST)
+            settled = _to_come(moved, before) < _SETTLED and not (self.fresh and number < _LEAST)
             slow = number > _LEAST and moved > max(_SLOW * before, _CREEP)
             if apart and (slow or (settled and not brief)):
                 self.problem, apart, settled = replace(self.problem, offsets=True), False, False
@@ -314,7 +315,7 @@ class _Passes:
         """
         weights = self.problem.observations.weights / self.noise.views[:, None]
         squared = np.nan_to_num(self.problem.distances(self._residuals(place)), nan=np.inf) ** 2
-        total = np.sum(np.where(weights > 0, weights * squared, 0.0)) / self.noise.sigma**2
+        total = np.sum(weights * np.where(weights > 0, squared, 0.0)) / self.noise.sigma**2
         total += sum(np.sum(prior.residuals**2) for prior in self.problem.priors(place.state))
         return 0.5 * float(total + np.sum((place.coefficients / std) ** 2))
 
@@ -333,6 +334,12 @@ class _Passes:
         rotations[views], translations[views] = found.rotations, found.translations
         state = replace(state, rotations=rotations, translations=translations)
         self.place = replace(self.place, state=state, derivatives=self.problem.derivatives(state))
+
+
+def _to_come(moved: float, before: float) -> float:
+    """Return how far a series goes on after a change, of which the one before was `before`; at least the change."""
+    rate = min(moved / before, _SLOWEST) if before > 0 else 0.0
+    return moved * max(rate / (1 - rate), 1.0)
 
 
 def _typical_std(covariances: Array) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, columns_at
+from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, Effect, columns_at
 from camcal.calibrate.estimator import Estimate, Views
 from camcal.calibrate.variances import EffectScales, likelihood_gain
 from camcal.solve.assembly import assemble
@@ -85,23 +85,29 @@ def within_views(evidence: Evidence, everything: Estimate, views: Views, height:
     columns = columns_at(problem, state, problem.derivatives(state), views.present, own)
     rolling_px = flex = None
     if evidence.rolling >= NAMED:
-        chosen = columns.effect == EFFECTS.index(ROLLING)
-        field = np.einsum("imvp,vm->ivp", columns.values[:, chosen], everything.coefficients[:, chosen])
-        rows = problem.observations.pixels[1]
-        centre = np.mean(rows[views.present])
-        # the field grows with the distance from the middle row: by how much over the height of the image
-        apart = _rms(np.sqrt(np.sum(field**2, axis=0)), views.present) / _rms(rows - centre, views.present)
-        rolling_px = _typical_and_most(height * apart)
+        moved = columns.of([EFFECTS.index(ROLLING)]).values
+        products = _products(everything, columns.effect, ROLLING)
+        squares = np.einsum("imvp,vmn,invp->vp", moved, products, moved, optimize=True)
+        rows = problem.observations.pixels[1] - np.mean(problem.observations.pixels[1][views.present])
+        # the effect grows with the distance from the middle row: by how much over the height of the image
+        apart = np.sum(squares, axis=1) / np.sum(rows**2 * views.present, axis=1)
+        rolling_px = _typical_and_most(height * np.sqrt(apart))
     if evidence.flex >= NAMED:
-        chosen = columns.effect == EFFECTS.index(FLEX)
-        heights = everything.coefficients[:, chosen] @ basis(problem.board, FLEX_TERMS)[:, 2].T
-        flex = _typical_and_most(np.sqrt(np.mean(heights**2, axis=1)))
+        terms = basis(problem.board, FLEX_TERMS)[:, 2]
+        squares = np.einsum("cm,vmn,cn->vc", terms, _products(everything, columns.effect, FLEX), terms)
+        flex = _typical_and_most(np.sqrt(np.mean(squares, axis=1)))
     return WithinViews(evidence.share, rolling_px, flex)
 
 
-def _rms(values: Array, present: Array) -> Array:
-    """Return the RMS (V,) of values (V, P) over the points that are present."""
-    return np.asarray(np.sqrt(np.sum(values**2 * present, axis=1) / np.maximum(present.sum(axis=1), 1)))
+def _products(estimate: Estimate, effect: Array, wanted: Effect) -> Array:
+    """Return the expected products (V, m, m) of the coefficients of one effect given the data: what these leave open
+    counts, as estimates alone are drawn towards zero. effect: which effect each coefficient belongs to.
+    """
+    assert estimate.effect_scales is not None
+    std = estimate.effect_scales.std(effect)
+    left = estimate.factors.group_covariances()[:, 6:, 6:] * std[:, :, None] * std[:, None]
+    values, chosen = estimate.coefficients, effect == EFFECTS.index(wanted)
+    return np.asarray((values[:, :, None] * values[:, None] + left)[:, chosen][:, :, chosen])
 
 
 def _typical_and_most(values: Array) -> tuple[float, float]:

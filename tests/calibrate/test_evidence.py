@@ -12,6 +12,7 @@ from camcal.calibrate.estimator import Freedom, Views, estimate
 from camcal.calibrate.evidence import evidence_of_effects
 from camcal.calibrate.fit import ShapeOptions, fit
 from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.geometry import rotation as so3
 from camcal.targets.surface import normalised
 
 
@@ -70,10 +71,61 @@ def test_of_many_views_some_are_looked_at(monkeypatch):
 def test_effects_are_estimated_where_there_is_evidence(size, names):
     scene = make_scene(count=12)
     views = bent(scene, scene.observe(1, noise_px=0.1), size)
-    count = len(scene.camera.parameters)
-    found = fit(
-        scene.camera.model, scene.board, Observations.of(views), (1600, 1200), np.full(count, np.nan), None,
-        ShapeOptions(smooth=False),
-    )  # fmt: skip
+    found = solved(scene, views)
     assert [own.freedom.effects for own in found.estimates] == names
     assert found.weights.sum() == pytest.approx(1.0)
+
+
+def solved(scene, views, shape=None):
+    count = len(scene.camera.parameters)
+    held = np.full(count, np.nan)
+    shape = shape or ShapeOptions(smooth=False)
+    return fit(scene.camera.model, scene.board, Observations.of(views), (1600, 1200), held, None, shape)
+
+
+def ways(scene, pose):
+    """The image's displacements (6, C, 2) of the board's corners by a motion along and about each axis, 1 px RMS."""
+    points = scene.board.points()
+    seen = scene.camera.project(pose.apply(points)).pixels
+    result = []
+    for axis in 1e-5 * np.eye(6):
+        moved = pose.apply(points) @ so3.exp(axis[3:]).T + axis[:3]
+        way = scene.camera.project(moved).pixels - seen
+        result.append(way / np.sqrt(np.mean(np.sum(way**2, axis=1))))
+    return np.array(result)
+
+
+def test_a_rolling_shutter_is_named_with_the_way_of_a_corner_over_the_image():
+    scene = make_scene(count=15)
+    rng = np.random.default_rng(4)
+    views, sizes = [], []
+    for view, pose in zip(scene.observe(1, noise_px=0.05), scene.poses, strict=True):
+        way = np.tensordot(0.4 * rng.normal(size=6), ways(scene, pose), axes=1)[view.ids]
+        views.append(replace(view, pixels=view.pixels + way * (view.pixels[:, 1:] / 1200 - 0.5)))
+        sizes.append(np.sqrt(np.mean(np.sum(way**2, axis=1))))
+    errors = solved(scene, views).errors
+    assert errors.share == 1.0
+    assert errors.flex is None
+    assert errors.rolling_px == pytest.approx((np.median(sizes), max(sizes)), rel=0.25)
+
+
+def test_a_board_that_bends_is_named_with_its_height():
+    scene = make_scene(count=15)
+    x, y = normalised(scene.board).T
+    shapes = np.column_stack([x**2 - 1 / 3, x * y, y**2 - 1 / 3])
+    rng = np.random.default_rng(4)
+    heights = 3e-4 * rng.normal(size=(15, 3)) @ shapes.T
+    views = []
+    for view, pose, height in zip(scene.observe(1, noise_px=0.05), scene.poses, heights, strict=True):
+        points = scene.board.points()
+        moved = (
+            scene.camera.project(pose.apply(points + height[:, None] * [0, 0, 1])).pixels
+            - scene.camera.project(pose.apply(points)).pixels
+        )
+        views.append(replace(view, pixels=view.pixels + moved[view.ids]))
+    errors = solved(scene, views).errors
+    plane = np.column_stack([np.ones_like(x), x, y])
+    bent = heights.T - plane @ np.linalg.lstsq(plane, heights.T, rcond=None)[0]
+    sizes = np.sqrt(np.mean(bent**2, axis=0))
+    assert errors.rolling_px is None
+    assert errors.flex == pytest.approx((np.median(sizes), sizes.max()), rel=0.3)

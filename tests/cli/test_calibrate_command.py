@@ -67,7 +67,8 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
     document = json.loads(out)
     assert code == 0
     assert list(document) == [
-        "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "noise_std", "rms_px",
+        "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "noise_std",
+        "within_views", "rms_px",
         "sigma_px", "floor_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
         "trustworthy", "reasons", "remarks", "frames", "notes", "failed",
     ]  # fmt: skip
