@@ -90,11 +90,38 @@ def fit(
     shape: ShapeOptions,
     claimed: Array | None = None,
 ) -> Fit:
-    """Return the solution of a data set.
+    """Return the solution of a data set; see `fit_plain` for what it is made of."""
+    views = Views(observations.weights > 0, claimed)
+    plain, turns = fit_plain(model, board, observations, image_size, held, guess, shape, claimed)
+    estimates = [plain]
+    found = evidence_of_effects(plain, views) if plain.converged and len(plain.problem.free) else Evidence()
+    for effects in _EFFECTS if found.share > 0 else ():
+        following = _with_effects(estimates[-1], views, effects)
+        estimates += [following] if following is not None and following.converged else []
+    errors = WithinViews(found.share)
+    if estimates[-1].freedom.effects == _EFFECTS[-1]:
+        errors = within_views(found, estimates[-1], views, image_size[1])
+    return _averaged(tuple(estimates), errors, turns, image_size)
+
+
+def fit_plain(
+    model: CameraModel,
+    board: Board,
+    observations: Observations,
+    image_size: tuple[int, int],
+    held: Array,
+    guess: Array | None,
+    shape: ShapeOptions,
+    claimed: Array | None = None,
+    *,
+    brief: bool = False,
+) -> tuple[Estimate, Array]:
+    """Return the estimate that takes errors within views for noise, and the symmetry (V,) by which each view was
+    turned.
 
     held: (K,) values of lens parameters that stay as they are, NaN where free. guess: (K,) a lens to start from.
-    claimed: (V, P, 2, 2) px², the covariances that the images give the points, None: all alike.
-    Raises InsufficientData where no start is found.
+    claimed: (V, P, 2, 2) px², the covariances that the images give the points, None: all alike. brief: with few passes,
+    to compare lens models by. Raises InsufficientData where no start is found.
     """
     free = np.flatnonzero(np.isnan(held))
     count = len(observations.ids)
@@ -112,15 +139,7 @@ def fit(
     problem = replace(problem, observations=observations, lens_spread=spread)
     views = Views(observations.weights > 0, claimed)
     problem, state, turns, first = _oriented(problem, state, views, shape)
-    estimates = [estimate(problem, state, views, shape.freedom, first)]
-    found = evidence_of_effects(estimates[0], views) if estimates[0].converged and len(free) else Evidence()
-    for effects in _EFFECTS if found.share > 0 else ():
-        following = _with_effects(estimates[-1], views, effects)
-        estimates += [following] if following is not None and following.converged else []
-    errors = WithinViews(found.share)
-    if estimates[-1].freedom.effects == _EFFECTS[-1]:
-        errors = within_views(found, estimates[-1], views, image_size[1])
-    return _averaged(tuple(estimates), errors, turns, image_size)
+    return estimate(problem, state, views, shape.freedom, first, brief=brief), turns
 
 
 def _with_effects(start: Estimate, views: Views, effects: tuple[str, ...]) -> Estimate | None:

@@ -9,7 +9,9 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
 from camcal.calibrate.evidence import WithinViews
-from camcal.calibrate.fit import Fit, ShapeOptions, fit
+from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
+from camcal.calibrate.gross import misfit, require_fit
+from camcal.calibrate.model_choice import Contender, contender
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import BoardProblem, Observations, covariances_of
 from camcal.calibrate.shape import surface_of
@@ -30,7 +32,7 @@ class Options:
     """How to calibrate: the lens model, what to hold, where to start, how free the board is.
 
     fixed: lens parameters to hold, at the guess's value or else at the model's start (0 for coefficients).
-    max_rejected: the share of corners that may be rejected before the result is refused.
+    max_rejected: the share of corners that may be wrong (see gross.py) before the result is refused.
     """
 
     model: CameraModel
@@ -135,6 +137,29 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     return _record(result, detections, reasons, size, options, observations.weights > 0)
 
 
+def compare_models(
+    detections: Sequence[Detection], board: Board, options: Options, models: Sequence[CameraModel]
+) -> tuple[Contender, ...]:
+    """Return how well lens models predict views, in their order; options.model does not matter.
+
+    Raises InsufficientData for too few views.
+    """
+    size, reasons = _usable(detections, board)
+    usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
+    observations, claimed = Observations.of(usable), covariances_of(usable)
+    result = []
+    for model in models:
+        try:
+            held, guess = _held(replace(options, model=model), size)
+            plain, _ = fit_plain(model, board, observations, size, held, guess, options.shape, claimed, brief=True)
+            result.append(contender(model.name, plain, observations.weights > 0))
+        except (SingularError, np.linalg.LinAlgError):
+            result.append(Contender(model.name, reason="the views leave some of its parameters undetermined"))
+        except (InsufficientData, InvalidInput) as error:
+            result.append(Contender(model.name, reason=error.message))
+    return tuple(result)
+
+
 def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
     """Return the image size of the majority and, for every view, why it cannot be used (None if it can)."""
     reasons = [reason_unusable(view, board) for view in detections]
@@ -188,7 +213,8 @@ def _record(
     used = np.asarray(kept.any(axis=1))
     require_views(int(used.sum()), len(detections), 0)
     require_tilts(state.rotations[used])
-    _require_kept(int(present.sum()), int(kept.sum()), options)
+    images = [view.image for view, reason in zip(detections, reasons, strict=True) if reason is None]
+    require_fit(misfit(problem, state, residuals, present), images, options.max_rejected, options.model.name)
     covariance = result.covariance
     camera = _camera(result, size, covariance)
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
@@ -229,14 +255,6 @@ def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
         return ()
     held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]
     return tuple(np.array(problem.shared_names[: len(problem.free)])[held].tolist())
-
-
-def _require_kept(total: int, kept: int, options: Options) -> None:
-    if total - kept > options.max_rejected * total:
-        raise InsufficientData(
-            f"{total - kept} of {total} corners ({100 * (total - kept) / total:.1f} %) do not fit, more than "
-            f"{100 * options.max_rejected:g} %: wrong board, wrong lens model ({options.model.name}) or bad detections"
-        )
 
 
 def _camera(result: Fit, size: tuple[int, int], covariance: Array) -> Camera:

@@ -3,6 +3,7 @@
 With r² = x² + y² and c = (1 + k1 r² + k2 r⁴ + …) / (1 + k4 r² + k5 r⁴ + k6 r⁶):
 x_d = c x + 2 p1 x y + p2 (r² + 2 x²) + s1 r² + s2 r⁴
 y_d = c y + p1 (r² + 2 y²) + 2 p2 x y + s3 r² + s4 r⁴, then the tilt of the sensor.
+Decentring terms are the tangential ones of (c x, c y) and their r², in place of x, y and theirs.
 Sources: Brown, Close-range camera calibration, 1971; Weng, Cohen & Herniou, PAMI 1992 (thin prism);
 Claus & Fitzgibbon, CVPR 2005 (rational); Louhichi et al., 2007 (tilt).
 """
@@ -30,6 +31,7 @@ class Roles:
     denominator: Columns = ()
     tangential: Columns = ()
     prism: Columns = ()
+    decentring: Columns = ()
     tilt: Columns = ()
 
 
@@ -97,9 +99,11 @@ class Distortion:
             return Distorted(x, y, _ONE, _ZERO, _ZERO, _ONE, powers.square)
         result = self._radial(x, y, powers, gradient)
         if self.roles.tangential:
-            result = self._tangential(x, y, powers, result, gradient)
+            result = self._tangential(self.roles.tangential, x, y, powers, result, gradient)
         if self.roles.prism:
             result = self._prism(x, y, powers, result, gradient)
+        if self.roles.decentring:
+            result = self._decentring(result, gradient)
         if self.roles.tilt:
             result = self._tilt(result, gradient)
         return result
@@ -119,6 +123,7 @@ class Distortion:
         There its stretch along the radius, d(r c)/dr, and across it, c, both exceed the norm of the Jacobian of the
         tangential and prism terms. So the symmetric part of the whole Jacobian is positive definite, and on a convex
         region such a map is one-to-one. A barrel with tangential terms alone folds just there, towards (-p2, -p1).
+        Decentring terms act after the radial part and likewise need 6 |p| r c < 1.
         """
         if not self.values:
             return Limit(reach, reach)
@@ -128,7 +133,11 @@ class Distortion:
         along -= np.convolve(numerator, _times_degree(denominator))
         bound = np.convolve(self._asymmetry(), np.convolve(denominator, denominator))
         pole = first_root(denominator)
-        radius = min(first_root(_difference(along, bound)), first_root(_difference(across, bound)), pole, reach)
+        ends = [first_root(_difference(along, bound)), first_root(_difference(across, bound)), pole, reach]
+        if self.roles.decentring:
+            moved = np.convolve([0.0, 6.0 * math.hypot(*self._of(self.roles.decentring))], numerator)
+            ends.append(first_root(_difference(denominator, moved)))
+        radius = min(ends)
         if radius >= (1 - 1e-6) * pole:  # a double pole is a root of the others too, but for the rounding
             return Limit(radius, math.inf)
         return Limit(radius, float(radius * self.radial(np.array([radius * radius]))[0][0]))
@@ -179,13 +188,14 @@ class Distortion:
         y_y += ratio
         return Distorted(x * ratio, y * ratio, x_x, x_y, x_y, y_y, powers.square)
 
-    def _tangential(self, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None) -> Distorted:
+    def _tangential(
+        self, columns: Columns, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None
+    ) -> Distorted:
         """Return `base`, changed in place, with the tangential terms: x (2 p1 y + 2 p2 x) + p2 r² and its like in y."""
-        p1, p2 = self._of(self.roles.tangential)
+        p1, p2 = self._of(columns)
         if gradient is not None:
-            across, lengthwise = self.roles.tangential, self.roles.tangential[::-1]
             for axis, focal, own, first, second in zip(
-                gradient.rows, gradient.focal, (powers.xx, powers.yy), across, lengthwise, strict=True
+                gradient.rows, gradient.focal, (powers.xx, powers.yy), columns, columns[::-1], strict=True
             ):
                 np.multiply(powers.xy, 2.0 * focal, out=axis[first])
                 np.multiply(own + own + powers.square, focal, out=axis[second])
@@ -218,6 +228,14 @@ class Distortion:
             y_y=base.y_y + slopes[1] * y,
         )
 
+    def _decentring(self, base: Distorted, gradient: Gradient | None) -> Distorted:
+        """Return `base` with tangential terms of its distorted coordinates."""
+        x, y, columns = base.x, base.y, self.roles.decentring
+        cross = np.zeros_like(x)
+        same = Distorted(x.copy(), y.copy(), np.ones_like(x), cross, cross, np.ones_like(x), base.square)
+        moved = self._tangential(columns, x, y, _powers(x, y), same, gradient)
+        return _chained(moved, base, gradient, columns[0])
+
     def _tilt(self, base: Distorted, gradient: Gradient | None) -> Distorted:
         tilt = Tilt(*self._of(self.roles.tilt))
         matrix = tilt.homography()
@@ -228,24 +246,12 @@ class Distortion:
         a, b = ((matrix[0, column] - x * matrix[2, column]) * inverse for column in (0, 1))
         c, d = ((matrix[1, column] - y * matrix[2, column]) * inverse for column in (0, 1))
         if gradient is not None:
-            rows, ratio = gradient.rows, gradient.focal[0] / gradient.focal[1]
-            across, down = b * ratio, c / ratio
-            for column in range(self.roles.tilt[0]):  # the tilt comes last in every list of coefficients
-                first, second = rows[0, column], rows[1, column]
-                rows[0, column], rows[1, column] = a * first + across * second, down * first + d * second
             for column, derivative in zip(self.roles.tilt, tilt.homography_derivatives(), strict=True):
                 by_x, by_y, by_scale = transform(derivative, base.x, base.y)
                 for axis, focal, by, value in zip(gradient.rows, gradient.focal, (by_x, by_y), (x, y), strict=True):
                     np.multiply(by - value * by_scale, focal * inverse, out=axis[column])
-        return Distorted(
-            x,
-            y,
-            x_x=a * base.x_x + b * base.y_x,
-            x_y=a * base.x_y + b * base.y_y,
-            y_x=c * base.x_x + d * base.y_x,
-            y_y=c * base.x_y + d * base.y_y,
-            square=np.where(scale > 0, base.square, np.nan),  # else the ray meets the sensor's plane behind the lens
-        )
+        square = np.where(scale > 0, base.square, np.nan)  # else the ray meets the sensor's plane behind the lens
+        return _chained(Distorted(x, y, a, b, c, d, square), base, gradient, self.roles.tilt[0])
 
 
 def first_root(coefficients: Array) -> float:
@@ -262,6 +268,26 @@ def first_root(coefficients: Array) -> float:
     largest = float(real.max(initial=0.0))
     # Nearer to zero is the noise of roots at infinity; a radius of 1e6 is 1e-6 rad from 90° on a pinhole's plane.
     return 1.0 / largest if largest > 1e-6 else math.inf
+
+
+def _chained(last: Distorted, base: Distorted, gradient: Gradient | None, before: int) -> Distorted:
+    """Return the distortion `last` of the coordinates in `base` with its derivatives by the undistorted ones.
+
+    Its own coefficients follow the first `before` ones, whose rows of the gradient are brought through it.
+    """
+    a, b, c, d = last.x_x, last.x_y, last.y_x, last.y_y
+    if gradient is not None:
+        rows, ratio = gradient.rows, gradient.focal[0] / gradient.focal[1]
+        across, down = b * ratio, c / ratio
+        for column in range(before):
+            first, second = rows[0, column], rows[1, column]
+            rows[0, column], rows[1, column] = a * first + across * second, down * first + d * second
+    return last._replace(
+        x_x=a * base.x_x + b * base.y_x,
+        x_y=a * base.x_y + b * base.y_y,
+        y_x=c * base.x_x + d * base.y_x,
+        y_y=c * base.x_y + d * base.y_y,
+    )
 
 
 def _times_degree(coefficients: Array) -> Array:

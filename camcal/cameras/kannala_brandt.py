@@ -1,6 +1,8 @@
-"""The fisheye of Kannala & Brandt with four coefficients, as in OpenCV but beyond 90° from the axis as well.
+"""The fisheye of Kannala & Brandt, beyond 90° from the axis as well: with four coefficients as in OpenCV, and with five
+radial and two tangential terms for decentred lenses.
 
-Source: Kannala & Brandt, A generic camera model and calibration method, PAMI 2006, eq. 6 without its asymmetric terms.
+Sources: Kannala & Brandt, A generic camera model and calibration method, PAMI 2006, eq. 6 without its asymmetric terms;
+the tangential terms are Brown's, see distortion.py.
 """
 
 import math
@@ -14,19 +16,21 @@ from camcal.cameras.distortion import Distorted
 from camcal.cameras.plane_model import Flat, PlaneModel
 
 SERIES_ANGLE = 1e-4
-ORDERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 8}  # the power of θ by which each coefficient's term grows relative to θ
+# The powers of θ by which each coefficient's term grows relative to θ.
+RADIAL = {"k1": 2, "k2": 4, "k3": 6, "k4": 8, "k5": 10}
+TANGENTIAL = {"p1": 1, "p2": 1}
 
 
 @dataclass(frozen=True)
 class KannalaBrandt(PlaneModel):
     """The plane is equidistant: a point stands θ from its centre, θ = atan2(√(X² + Y²), Z).
 
-    Distorted, that is θ (1 + k1 θ² + k2 θ⁴ + …).
+    Distorted, that is θ (1 + k1 θ² + k2 θ⁴ + …), and the tangential terms are those of the point moved so.
     """
 
     reach: ClassVar[float] = math.pi
-    kinds: ClassVar[dict[str, tuple[str, ...]]] = {"numerator": tuple(ORDERS)}
-    orders: ClassVar[dict[str, int]] = ORDERS
+    kinds: ClassVar[dict[str, tuple[str, ...]]] = {"numerator": tuple(RADIAL), "decentring": tuple(TANGENTIAL)}
+    orders: ClassVar[dict[str, int]] = RADIAL | TANGENTIAL
     prior_reach: ClassVar[float] = math.pi / 2
 
     def _flatten(self, points: Array) -> Flat:
@@ -65,4 +69,7 @@ class KannalaBrandt(PlaneModel):
         return radius
 
 
-MODELS = (KannalaBrandt("kannala_brandt4", tuple(ORDERS)),)
+MODELS = (
+    KannalaBrandt("kannala_brandt4", ("k1", "k2", "k3", "k4")),
+    KannalaBrandt("kannala_brandt5t", (*RADIAL, *TANGENTIAL)),
+)

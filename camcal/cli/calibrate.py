@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from camcal.tasks.calibration.calibrate import CalibrateReport
 
 LISTED = 10
+TRUSTWORTHY = "trustworthy"
 
 
 def calibrate(
@@ -26,8 +27,8 @@ def calibrate(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4 (wide lenses). "
-            "Default: opencv5; where that cannot hold the lens, kannala_brandt4 or opencv8, and it is said."
+            help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4, kannala_brandt5t (wide lenses). "
+            "Default: opencv5, unless another one predicts views clearly better; it is said."
         ),
     ] = None,
     fix: Annotated[
@@ -49,8 +50,19 @@ def calibrate(
         ),
     ] = None,
     max_rejected: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Refuse the result when more corners than this do not fit.")
+        float,
+        typer.Option(metavar="PERCENT", help="Refuse the result if more corners than this are off by 4 % of a square."),
     ] = 10.0,
+    require: Annotated[
+        str | None, typer.Option(metavar="trustworthy", help="Exit with 7 if the result is not to be trusted.")
+    ] = None,
+    max_uncertainty: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PX",
+            help="Exit with 7 if the projection uncertainty (1 sigma, RMS where corners were seen) is larger.",
+        ),
+    ] = None,
     name: Annotated[str, typer.Option("--name", help="Name of the camera in the file.")] = "camera",
     save_detections: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the corners too, so that a second solve needs no images.")
@@ -90,14 +102,18 @@ def calibrate(
     The board's bend and stretch are estimated along with the lens, outliers are listed, and every value comes with
     its standard deviation.
     """
-    from camcal.errors import ItemsFailed
-    from camcal.report.calibration import as_data, uncertainty_data
+    from camcal.errors import InvalidInput, ItemsFailed
+    from camcal.report.calibration import as_data, contenders_data, uncertainty_data
     from camcal.tasks.calibration.calibrate import CalibrateOptions, channel_data
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.photographs import Reading
     from camcal.tasks.calibration.video_frames import FrameOptions
     from camcal.tasks.calibration.video_frames import as_data as frame_data
 
+    if require not in (None, TRUSTWORTHY):
+        raise InvalidInput(f"--require {require}: can only be {TRUSTWORTHY}")
+    if max_uncertainty is not None and not max_uncertainty > 0:
+        raise InvalidInput(f"--max-uncertainty {max_uncertainty:g} is not above 0")
     layout = shared.given_layout(format, size, stride, offset, endian, align)
     report = run(
         CalibrateOptions(
@@ -127,6 +143,8 @@ def calibrate(
             "trustworthy": report.advice.trustworthy,
             "reasons": report.advice.reasons,
             "remarks": report.advice.remarks,
+            "findings": [vars(found) for found in report.advice.findings],
+            "contenders": contenders_data(report.contenders),
         }
         frames = [frame_data(record) for record in report.frames]
         said = {"frames": frames, "notes": report.notes, "failed": report.failed}
@@ -135,18 +153,39 @@ def calibrate(
         show.document("calibrate", {"output": output, **numbers, **verdict, **said, **lenses})
     elif not quiet:
         _show(report, output, verbose)
+    _gate(report, require, max_uncertainty)
     if report.failed:
         raise ItemsFailed(f"{len(report.failed)} of the images could not be read: {', '.join(report.failed[:LISTED])}")
 
 
+def _gate(report: "CalibrateReport", require: str | None, max_uncertainty: float | None) -> None:
+    """Raise GateFailed if the result does not do; the camera file is written all the same."""
+    from camcal.errors import GateFailed
+
+    figures = report.uncertainty.figures()
+    reached = figures.get("inside_rms_px", figures["rms_px"])
+    if require and not report.advice.trustworthy:
+        raise GateFailed(f"--require {require}: {report.advice.reasons[0]}")
+    if max_uncertainty is not None and not reached <= max_uncertainty:
+        raise GateFailed(f"--max-uncertainty {max_uncertainty:g}: the projection uncertainty is {reached:.3g} px")
+
+
 def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
-    from camcal.report.calibration import parameter_rows, summary
+    from camcal.report.calibration import contender_rows, headline, parameter_rows, summary
     from camcal.report.uncertain import projection_words
 
     calibration = report.calibration
     if report.frames and verbose:
         targets.show_frames(report.frames, verbose)
+    for reason in report.advice.reasons:
+        show.text(f"DO NOT TRUST: {reason}")
+    if report.advice.trustworthy:
+        show.text("trustworthy")
+    show.text(headline(calibration))
+    show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
+    for remark in report.advice.remarks:
+        show.text(f"note: {remark}")
     for note in report.notes:
         show.text(note)
     width, height = calibration.camera.image_size
@@ -155,17 +194,16 @@ def _show(report: "CalibrateReport", output: Path, verbose: bool) -> None:
         ["parameter", "value", "± std"],
         parameter_rows(calibration),
     )
+    if verbose and report.contenders:
+        header = ["lens model", "nat per corner", "prediction error px", ""]
+        show.table("Lens models by how well they predict left-out views", header, contender_rows(report.contenders))
     for line in summary(calibration):
         show.text(line)
-    show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
     _show_channels(report)
     _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
-    corners = [f"  {corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
-    _list("Rejected corners:", corners, verbose)
-    for remark in report.advice.remarks:
-        show.text(f"note: {remark}")
-    for reason in report.advice.reasons:
-        show.text(f"DO NOT TRUST: {reason}")
+    if verbose:
+        corners = [f"  {corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
+        _list("Rejected corners:", corners, verbose)
     show.text(f"wrote {output}")
 
 

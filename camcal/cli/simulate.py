@@ -28,7 +28,10 @@ def simulate(
         typer.Argument(metavar="CAMERA", help="A camera file, FILE#NAME for one of several; else --model and so on."),
     ] = None,
     model: Annotated[
-        str | None, typer.Option(help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4; by default opencv5.")
+        str | None,
+        typer.Option(
+            help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4, kannala_brandt5t; by default opencv5."
+        ),
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size of the images; by default 1280x960, of pairs 640x480.")

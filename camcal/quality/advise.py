@@ -1,5 +1,6 @@
-"""What is weak about a calibration, in plain words, and whether it must not be trusted."""
+"""What is weak about a calibration, in plain words, and whether it must not be trusted: criteria.py, applied."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,15 +9,26 @@ from camcal.calibrate.degeneracy import tilt_spread
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import folds_inside
 from camcal.quality.coverage import coverage, radial_trend
+from camcal.quality.criteria import CRITERIA, Finding, finding
 from camcal.targets.boards.types import BOARD_TYPES
+
+_CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
+_FEW_FOR_SCATTER = 6  # views
 
 
 @dataclass(frozen=True)
 class Advice:
-    """reasons: why the result must not be trusted (none: it may be). remarks: what is weak but usable."""
+    """What was found. reasons: why the result must not be trusted (none: it may be). remarks: what is weak."""
 
-    reasons: tuple[str, ...]
-    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        return tuple(found.text for found in self.findings if found.failure)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        return tuple(found.text for found in self.findings if not found.failure)
 
     @property
     def trustworthy(self) -> bool:
@@ -25,87 +37,130 @@ class Advice:
 
 def advise(calibration: Calibration) -> Advice:
     """Return what a careful engineer would say of a calibration on seeing its numbers."""
-    reasons = [*_lens_reasons(calibration), *_focal_reasons(calibration)]
-    remarks = [*_view_remarks(calibration), *_noise_remarks(calibration), *_board_remarks(calibration)]
-    return Advice(tuple(reasons), tuple(remarks))
+    parts = (_fold, _lens_model, _focal_length, _views, _coverage, _noise, _within_views, _plausible, _board)
+    return Advice(tuple(found for part in parts for found in part(calibration)))
 
 
-def misfits(calibration: Calibration) -> bool:
-    """Return whether the residuals follow the distance from the centre: the lens model is too poor for the lens."""
-    trend = radial_trend(calibration)
-    return trend.chance < 1e-6 and abs(trend.largest_px) > 0.3 * calibration.sigma_px
+def _limit(code: str) -> float:
+    return CRITERIA[code].limit
 
 
-def _lens_reasons(calibration: Calibration) -> list[str]:
-    result = []
+def _fold(calibration: Calibration) -> Iterator[Finding]:
     fold = folds_inside(calibration.camera)
-    if fold.folds:
-        result.append(
-            f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre; "
-            f"the image corner is at {fold.corner_px:.0f} px: use fewer coefficients or cover the corners"
-        )
-    if misfits(calibration):
-        trend = radial_trend(calibration)
+    if not fold.folds or fold.radius_px >= _limit("partly_invertible") * fold.corner_px:
+        return
+    centre = [calibration.camera.value("cx"), calibration.camera.value("cy")]
+    outermost = float(np.linalg.norm(calibration.pixels - centre, axis=1).max())
+    where = f"beyond {fold.radius_px:.0f} px from the centre; the image corner is at {fold.corner_px:.0f} px"
+    if fold.radius_px < _limit("not_invertible") * outermost:
+        text = f"distortion is not invertible {where}: use fewer coefficients or cover the corners"
+        yield finding("not_invertible", text, fold.radius_px / outermost)
+    else:
+        text = f"the lens is not known {where}: pixels there are masked; board views there would tell"
+        yield finding("partly_invertible", text, fold.radius_px / fold.corner_px)
+
+
+def _lens_model(calibration: Calibration) -> Iterator[Finding]:
+    trend, name = radial_trend(calibration), calibration.camera.model.name
+    least = max(_limit("lens_model") * calibration.sigma_px, CRITERIA["lens_model"].floor_px)
+    if trend.chance < _CHANCE and abs(trend.largest_px) > least:
         way = "outwards" if trend.largest_px > 0 else "inwards"
-        result.append(
+        others = [other for other in ("opencv8", "kannala_brandt4", "kannala_brandt5t") if other != name]
+        text = (
             f"residuals point {way} by {abs(trend.largest_px):.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px "
-            f"from the centre: {calibration.camera.model.name} does not describe this lens; "
-            "try opencv8, or kannala_brandt4 for a wide one"
+            f"from the centre: {name} does not describe this lens; try --model {' or '.join(others)}"
         )
-    return result
+        yield finding("lens_model", text, abs(trend.largest_px) / calibration.sigma_px)
 
 
-def _focal_reasons(calibration: Calibration) -> list[str]:
+def _focal_length(calibration: Calibration) -> Iterator[Finding]:
     camera = calibration.camera
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
-    if share > 0.01:
-        return [
-            f"the focal length is known to {100 * share:.1f} % only: add views tilted by 20° to 45° about both axes"
-        ]
-    return []
+    code = "focal_length_few_views" if len(calibration.used) < _FEW_FOR_SCATTER else "focal_length"
+    if share > _limit(code):
+        text = f"the focal length is known to {100 * share:.1f} % only: add views tilted by 20° to 45° about both axes"
+        yield finding(code, text, share)
 
 
-def _view_remarks(calibration: Calibration) -> list[str]:
-    result, views = [], calibration.used
-    if len(views) < 10:
-        result.append(f"{len(views)} views are few; 15 to 40 in varied positions are better")
-    spread = tilt_spread(np.stack([view.camera_T_board.rotation for view in views if view.camera_T_board]))
-    if spread < np.radians(15):
-        result.append(f"the board was tilted by {np.degrees(spread):.0f}° at most; 30° to 45° fix the focal length")
+def _views(calibration: Calibration) -> Iterator[Finding]:
+    views = calibration.used
+    if len(views) < _limit("few_views"):
+        text = f"{len(views)} views are few; 15 to 40 in varied positions are better"
+        yield finding("few_views", text, len(views))
+    spread = np.degrees(tilt_spread(np.stack([view.camera_T_board.rotation for view in views if view.camera_T_board])))
+    if spread < _limit("tilt"):
+        text = f"the board was tilted by {spread:.0f}° at most; 30° to 45° determine the focal length"
+        yield finding("tilt", text, spread)
+
+
+def _coverage(calibration: Calibration) -> Iterator[Finding]:
     seen = coverage(calibration)
-    if seen.reach < 0.8:
-        result.append(
-            f"no corner lies beyond {100 * seen.reach:.0f} % of the way to the image corner: "
-            "the lens is extrapolated there"
-        )
-    elif seen.cells < 0.6:
-        result.append(f"only {100 * seen.cells:.0f} % of the image was covered by the board")
-    return result
+    if seen.reach < _limit("extrapolated"):
+        text = f"no corners beyond {100 * seen.reach:.0f} % of the image diagonal: distortion is extrapolated there"
+        yield finding("extrapolated", text, seen.reach)
+    elif seen.cells < _limit("coverage"):
+        text = f"only {100 * seen.cells:.0f} % of the image was covered by the board"
+        yield finding("coverage", text, seen.cells)
 
 
-def _noise_remarks(calibration: Calibration) -> list[str]:
-    result = []
-    if calibration.sigma_px > 0.5:
-        result.append(
+def _noise(calibration: Calibration) -> Iterator[Finding]:
+    if calibration.sigma_px > _limit("noise"):
+        text = (
             f"corners scatter by {calibration.sigma_px:.2f} px, where 0.1 px is usual: "
             "blur, a wrong lens model or a wrong board"
         )
+        yield finding("noise", text, calibration.sigma_px)
     total = sum(view.points for view in calibration.views if view.kept)
-    if calibration.rejected and len(calibration.rejected) > 0.02 * total:
-        result.append(f"{len(calibration.rejected)} corners ({100 * len(calibration.rejected) / total:.1f} %) rejected")
-    return result
+    if calibration.rejected and len(calibration.rejected) > _limit("rejected") * total:
+        share = len(calibration.rejected) / total
+        yield finding("rejected", f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected", share)
 
 
-def _board_remarks(calibration: Calibration) -> list[str]:
-    result, surface, board = [], calibration.surface, calibration.board
+def _within_views(calibration: Calibration) -> Iterator[Finding]:
+    errors, board = calibration.within_views, calibration.board
+    if errors.rolling_px is not None and errors.rolling_px[0] > _limit("rolling_shutter"):
+        text = (
+            f"rolling shutter, {errors.rolling_px[0]:.2g} px over the height of a typical image: "
+            "hold camera and board still, or use shorter exposures"
+        )
+        yield finding("rolling_shutter", text, errors.rolling_px[0])
+    if errors.flex is not None and errors.flex[0] > _limit("board_bends") * max(board.extent):
+        share = errors.flex[0] / max(board.extent)
+        text = f"the board bends from view to view by {100 * share:.2g} % of its side: use a stiffer board"
+        yield finding("board_bends", text, share)
+
+
+def _plausible(calibration: Calibration) -> Iterator[Finding]:
+    camera, board = calibration.camera, calibration.board
+    if board.unit == "m" and max(board.extent) > _limit("board_size"):
+        text = f"the board is {max(board.extent):.3g} m long: give its size with a unit, such as 25mm"
+        yield finding("board_size", text, max(board.extent))
+    ratio = abs(np.log(camera.value("fx") / camera.value("fy")))
+    if ratio > _limit("focal_ratio"):
+        text = f"fx and fy differ by {100 * np.expm1(ratio):.0f} %: were the images resized without their proportions?"
+        yield finding("focal_ratio", text, np.expm1(ratio))
+    size = np.array(camera.image_size)
+    offset = np.abs(np.array([camera.value("cx"), camera.value("cy")]) - (size - 1) / 2) / size
+    if offset.max() > _limit("principal_point"):
+        text = (
+            f"the principal point is {100 * offset.max():.0f} % of the image size from its middle: "
+            "a cropped image, or views that do not determine it"
+        )
+        yield finding("principal_point", text, offset.max())
+
+
+def _board(calibration: Calibration) -> Iterator[Finding]:
+    surface, board = calibration.surface, calibration.board
     if board.square is None:
-        result.append(f"the {BOARD_TYPES[board.type].element}'s size is unknown: every length is in squares")
-    if surface.deflection > 3 * surface.deflection_std and surface.deflection > 0.002 * max(board.extent):
+        yield finding(
+            "unit", f"the {BOARD_TYPES[board.type].element}'s size is unknown: every length is in squares", 0.0
+        )
+    share = surface.deflection / max(board.extent)
+    if surface.deflection > 3 * surface.deflection_std and share > _limit("bent_board"):
         millimetres = f"{1e3 * surface.deflection:.2f} mm" if board.unit == "m" else f"{surface.deflection:.3f} squares"
-        result.append(f"the board is bent by {millimetres}: accounted for, but a stiffer board is better")
+        text = f"the board is bent by {millimetres}: accounted for, but a stiffer board is better"
+        yield finding("bent_board", text, share)
     for (term, focal), value in calibration.correlations.items():
-        if abs(value) > 0.9:
-            result.append(
-                f"{term} of the board and {focal} are correlated by {value:+.2f}: turn the board in some views"
-            )
-    return result
+        if abs(value) > _limit("correlation"):
+            text = f"{term} of the board and {focal} are correlated by {value:+.2f}: turn the board in some views"
+            yield finding("correlation", text, abs(value))

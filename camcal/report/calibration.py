@@ -1,10 +1,12 @@
 """A calibration in words and as plain data."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
+from camcal.calibrate.model_choice import Contender
 from camcal.formats import boards
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.uncertain import held_by_prior_words, value_and_std
@@ -18,6 +20,42 @@ def parameter_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
     camera = calibration.camera
     rows = [(name, *value_and_std(camera.value(name), camera.std(name))) for name in camera.model.parameter_names]
     return [(name, value, "fixed" if name in camera.fixed else std) for name, value, std in rows]
+
+
+def headline(calibration: Calibration) -> str:
+    """Return lens model and focal lengths with their standard deviations, in a line."""
+    camera = calibration.camera
+    focal = ", ".join(
+        f"{name} {' ± '.join(value_and_std(camera.value(name), camera.std(name)))}" for name in ("fx", "fy")
+    )
+    return f"Lens model {camera.model.name}, {focal} px"
+
+
+def contender_rows(contenders: Sequence[Contender]) -> list[list[str]]:
+    """Return name, score below the best, prediction error and what went wrong of lens models, the best first."""
+    best = max(own.score for own in contenders)
+    return [
+        [
+            own.name,
+            f"{own.score - best:.3f}" if own.scores is not None else "",
+            f"{own.sigma_px:.3f}" if own.sigma_px is not None else "",
+            own.reason or "",
+        ]
+        for own in sorted(contenders, key=lambda own: -own.score)
+    ]
+
+
+def contenders_data(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
+    """Return the lens models that were compared as plain data."""
+    return [
+        {
+            "model": own.name,
+            "nat_per_corner": own.score if own.scores is not None else None,
+            "prediction_error_px": own.sigma_px,
+            "reason": own.reason,
+        }
+        for own in contenders
+    ]
 
 
 def summary(calibration: Calibration) -> list[str]:

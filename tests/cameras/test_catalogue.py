@@ -8,7 +8,7 @@ from camcal.errors import InvalidInput
 
 def test_models_are_found_by_their_names():
     assert list(MODELS) == [
-        "pinhole", "opencv4", "opencv5", "opencv8", "opencv12", "opencv14", "kannala_brandt4",
+        "pinhole", "opencv4", "opencv5", "opencv8", "opencv12", "opencv14", "kannala_brandt4", "kannala_brandt5t",
         "cylinder", "equirectangular", "stereographic",
     ]  # fmt: skip
     assert all(model_named(name).name == name for name in MODELS)

@@ -25,6 +25,16 @@ def test_the_typical_lens_is_valid_over_its_image(model):
     assert camera.unproject(corners).valid.all()
 
 
+def test_a_typical_fisheye_is_the_same_in_both_models_but_for_a_little_decentring():
+    four, decentred = (
+        make_camera(model_named(name), SIZE, np.radians(190)) for name in ("kannala_brandt4", "kannala_brandt5t")
+    )
+    common = [decentred.value(name) for name in ("k1", "k2", "k3", "k4")]
+    np.testing.assert_array_equal(common, four.parameters[4:])
+    assert 0 < abs(decentred.value("p1")) < 0.001
+    assert decentred.model.domain(decentred.parameters).max_theta == np.pi
+
+
 def test_coefficients_are_set_by_name():
     camera = make_camera(model_named("opencv5"), SIZE, np.radians(60), {"k1": -0.1, "p2": 0.001})
     assert camera.value("k1") == -0.1

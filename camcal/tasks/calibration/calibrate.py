@@ -12,33 +12,31 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
+from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import model_named
-from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
+from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict
 from camcal.progress import SILENT, Progress
-from camcal.quality.advise import Advice, advise, misfits
+from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.report.calibration import view_record
 from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
+from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, Selection, select
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
 from camcal.tasks.calibration.second_look import renumbered, second_look
 from camcal.tasks.calibration.video_frames import BEST_FRAMES, FrameOptions, FrameRecord
-
-DEFAULT_MODEL = "opencv5"
-WIDE_MODELS = ("kannala_brandt4", "opencv8")
-BETTER = 0.7  # another model must lower the noise to this share to be taken unasked
 
 
 @dataclass(frozen=True)
 class CalibrateOptions:
     """What to calibrate from and how; see `camcal calibrate --help`.
 
-    inputs: images, folders and globs, or one detections file. model: None for DEFAULT_MODEL, or where that cannot
-    hold the lens, the best of WIDE_MODELS. board: a board file or short form, None when the
+    inputs: images, folders and globs, or one detections file. model: None for DEFAULT_MODEL, or where
+    another one predicts views clearly better, that one. board: a board file or short form, None when the
     detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height)
     of the images of a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own.
     frames: which ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are.
@@ -79,7 +77,8 @@ class CalibrateReport:
     """The calibration, its projection uncertainty, what is to be said of it, the file that was written, remarks of the
     detection, failed inputs.
 
-    channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos.
+    channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos. contenders:
+    the lens models that were compared, none where the model was given.
     """
 
     calibration: Calibration
@@ -90,6 +89,7 @@ class CalibrateReport:
     failed: tuple[str, ...]
     channels: Mapping[str, Channel] = field(default_factory=dict)
     frames: tuple[FrameRecord, ...] = ()
+    contenders: tuple[Contender, ...] = ()
 
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
@@ -114,7 +114,8 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
-    calibration, remarks = _solve(seen, how, options.model is None)
+    selection = _solve(seen, how, options.model is None)
+    calibration, remarks = selection.calibration, selection.remarks
     progress.finish()
     if looks_again:
         seen, calibration, remark = _refined(seen, calibration, how, options, progress)
@@ -127,7 +128,15 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     file = camera_file(calibration, uncertainty, advice, options, channels)
     native.write(options.output, file)
     return CalibrateReport(
-        calibration, uncertainty, advice, file, seen.notes + remarks, seen.failed, channels, seen.frames
+        calibration,
+        uncertainty,
+        advice,
+        file,
+        seen.notes + remarks,
+        seen.failed,
+        channels,
+        seen.frames,
+        selection.contenders,
     )
 
 
@@ -188,29 +197,11 @@ def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) 
     return Channel(lens, aberration(calibration.camera, lens))
 
 
-def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool) -> tuple[Calibration, tuple[str, ...]]:
-    """Return the calibration and remarks; `choose`: take a wide lens model where the default one does not fit."""
-    failure: CamcalError | None = None
-    first: Calibration | None = None
-    try:
-        first = intrinsics.calibrate(seen.detections.views, seen.board, how)
-    except (InsufficientData, NotConverged) as error:
-        failure = error
-    if not choose or (first is not None and not misfits(first)):
-        return _or_raise(first, failure), ()
-    others = [_attempt(seen, replace(how, model=model_named(name))) for name in WIDE_MODELS]
-    best = min((other for other in others if other), key=lambda other: other.sigma_px, default=None)
-    if best is None or (first is not None and not _replaces(best, first)):
-        return _or_raise(first, failure), ()
-    left = f"leaves {first.sigma_px:.2f} px of noise" if first else "finds no solution"
-    name = best.camera.model.name
-    return best, (f"{DEFAULT_MODEL} {left}, {name} {best.sigma_px:.2f} px: {name} is used (--model decides otherwise)",)
-
-
-def _replaces(other: Calibration, first: Calibration) -> bool:
-    """Return whether another model is taken unasked: it leaves far less noise, or less and can be trusted instead."""
-    trusted = advise(other).trustworthy and not advise(first).trustworthy
-    return other.sigma_px <= (1.0 if trusted else BETTER) * first.sigma_px
+def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool) -> Selection:
+    """Return the calibration; `choose`: with the lens model that predicts views best."""
+    if choose:
+        return select(seen.detections.views, seen.board, how)
+    return Selection(intrinsics.calibrate(seen.detections.views, seen.board, how))
 
 
 def _attempt(seen: BoardViews, how: intrinsics.Options) -> Calibration | None:
@@ -218,12 +209,6 @@ def _attempt(seen: BoardViews, how: intrinsics.Options) -> Calibration | None:
         return intrinsics.calibrate(seen.detections.views, seen.board, how)
     except (InvalidInput, InsufficientData, NotConverged):
         return None
-
-
-def _or_raise(calibration: Calibration | None, failure: CamcalError | None) -> Calibration:
-    if calibration is None:
-        raise failure or NotConverged("no solution was found")
-    return calibration
 
 
 def _solver_options(options: CalibrateOptions) -> intrinsics.Options:

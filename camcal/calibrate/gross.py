@@ -1,0 +1,73 @@
+"""Corners that are wrong, not merely noisy: where a calibration must be refused, and what is likely to be wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.problem import BoardProblem, State
+from camcal.errors import InsufficientData
+
+# A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the typical
+# corner is off by more than the second share.
+_GROSS_PX, _GROSS_SHARE, _MEDIAN_SHARE = 1.0, 0.04, 0.02
+_WRONG_VIEW = 0.5  # of its corners
+_NAMED = 5  # images
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square."""
+
+    distances: Array
+    sides: Array
+    present: Array
+
+    @property
+    def gross(self) -> Array:
+        """Which corners (V, P) are wrong."""
+        limit = np.maximum(_GROSS_PX, _GROSS_SHARE * self.sides)[:, None]
+        return np.asarray(self.present & (self.distances > limit))
+
+    @property
+    def median_share(self) -> float:
+        """The median distance over the side of a square."""
+        return float(np.median((self.distances / self.sides[:, None])[self.present]))
+
+
+def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array) -> Misfit:
+    """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image."""
+    derivatives = problem.derivatives(state)
+    by_point = derivatives.by_point.reshape(2, 3, *present.shape)
+    axes = problem.board.pitch * np.einsum("ijvp,vjk->vpik", by_point, state.rotations[:, :, :2])
+    areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
+    distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
+    return Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
+
+
+def require_fit(found: Misfit, images: Sequence[str], most: float, model: str) -> None:
+    """Raise InsufficientData where more than a share `most` of the corners are wrong, or the typical one is; images:
+    the names of the views.
+    """
+    gross, total = found.gross, int(found.present.sum())
+    share = float(gross.sum()) / total
+    if share <= most and found.median_share <= _MEDIAN_SHARE:
+        return
+    how = (
+        f"{int(gross.sum())} of {total} corners ({100 * share:.0f} %, limit {100 * most:g} %) are off by more than "
+        f"{100 * _GROSS_SHARE:g} % of a square, the median by {100 * found.median_share:.1f} % "
+        f"(limit {100 * _MEDIAN_SHARE:g} %)"
+    )
+    wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
+    if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():
+        names = [images[index] for index in np.flatnonzero(wrong)[:_NAMED]]
+        more = f" and {int(wrong.sum()) - _NAMED} more" if wrong.sum() > _NAMED else ""
+        raise InsufficientData(
+            f"{how}: {int(wrong.sum())} of {len(wrong)} views do not fit the others (ids in another order, another "
+            f"board or another camera): leave out {', '.join(names)}{more}"
+        )
+    raise InsufficientData(
+        f"{how}: the board is not the one that --board describes, several cameras are mixed, or the lens model "
+        f"({model}) is wrong: check columns, rows and type of the board, and calibrate each camera by itself"
+    )

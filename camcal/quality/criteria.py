@@ -1,0 +1,116 @@
+"""What a calibration is judged by: every criterion, its limit, whether it is a failure or a warning, and its source.
+
+A failure makes a result untrustworthy; a warning says what is weak but usable.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One rule of the verdict.
+
+    limit: beyond which it applies, in `unit`. floor_px: however small the noise, less than this is not worth a word.
+    source: where the limit is from.
+    """
+
+    code: str
+    failure: bool
+    limit: float
+    unit: str
+    means: str
+    source: str
+    floor_px: float = 0.0
+
+
+_SETS = "24 real sets, halves of them, and simulations"
+_RULE = "usual practice"
+
+_ALL = (
+    Criterion(
+        "not_invertible",
+        True,
+        1.05,
+        "distance to the outermost corner",
+        "the distortion stops being invertible nearer to the outermost corner than this",
+        _SETS,
+    ),
+    Criterion(
+        "lens_model",
+        True,
+        0.3,
+        "noise",
+        "the mean residual of a ring about the principal point points outwards or inwards by more than this, beyond "
+        "chance (1e-6)",
+        _SETS,
+        floor_px=0.02,
+    ),
+    Criterion("focal_length", True, 0.01, "focal length", "the standard deviation of the focal length", _SETS),
+    Criterion(
+        "focal_length_few_views",
+        True,
+        0.007,
+        "focal length",
+        "the same with fewer than 6 views, whose scatter is not well known",
+        _SETS,
+    ),
+    Criterion(
+        "partly_invertible",
+        False,
+        0.99,
+        "distance to the image corner",
+        "the distortion stops being invertible before this, beyond all corners: masked there",
+        _SETS,
+    ),
+    Criterion("few_views", False, 10, "views", "fewer views than this", _RULE),
+    Criterion("tilt", False, 15, "degrees", "the board was never tilted by more than this", _RULE),
+    Criterion(
+        "extrapolated", False, 0.8, "distance to the image corner", "no corner lies further out than this", _RULE
+    ),
+    Criterion("coverage", False, 0.6, "image", "the share of a 10 x 8 grid with a corner in it", _RULE),
+    Criterion("noise", False, 0.5, "px", "the noise of a coordinate, where 0.1 px is usual", _RULE),
+    Criterion("rejected", False, 0.02, "corners", "the share of rejected corners", _RULE),
+    Criterion(
+        "rolling_shutter",
+        False,
+        0.5,
+        "px",
+        "rows of a typical image are apart by more than this",
+        _SETS,
+    ),
+    Criterion("board_bends", False, 2e-4, "board's longer side", "RMS height by which the board bends", _SETS),
+    Criterion("board_size", False, 3.0, "m", "the longer side of the board: was it given in mm?", _RULE),
+    Criterion(
+        "focal_ratio", False, 0.05, "ratio", "fx and fy differ by more than this: pixels that are not square?", _RULE
+    ),
+    Criterion(
+        "principal_point",
+        False,
+        0.15,
+        "image size",
+        "the principal point is further from the middle of the image than this: a cropped image?",
+        _RULE,
+    ),
+    Criterion("unit", False, 0, "", "the size of the board is not known", _RULE),
+    Criterion("bent_board", False, 0.002, "board's longer side", "the deflection of the board, if it is clear", _RULE),
+    Criterion("correlation", False, 0.9, "", "a scale of the board and a focal length are correlated", _RULE),
+)
+CRITERIA = {criterion.code: criterion for criterion in _ALL}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A criterion that applies: its code, whether it is a failure, and in words what was found and what to do.
+
+    value: what was found, in the criterion's unit.
+    """
+
+    code: str
+    failure: bool
+    text: str
+    value: float
+
+
+def finding(code: str, text: str, value: float) -> Finding:
+    """Return the finding of a criterion of the table."""
+    return Finding(code, CRITERIA[code].failure, text, float(value))

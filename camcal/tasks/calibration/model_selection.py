@@ -1,0 +1,101 @@
+"""A calibration with the lens model that suits the views: chosen by prediction, then by where it is valid."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.calibrate import intrinsics
+from camcal.calibrate.intrinsics import Calibration, compare_models
+from camcal.calibrate.model_choice import GAIN, Contender, chosen
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.validity import folds_inside
+from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
+from camcal.quality.projection_uncertainty import projection_uncertainty
+from camcal.targets.board import Board, Detection
+
+DEFAULT_MODEL = "opencv5"
+# the simplest first: by the number of their parameters
+CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
+_CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
+_KNOWN = 0.01  # of the image diagonal: standard deviation of a projection
+_FAILURES = (InvalidInput, InsufficientData, NotConverged)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """A calibration, the models that it was chosen from (none where the model was given), and what to say of that."""
+
+    calibration: Calibration
+    contenders: tuple[Contender, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def select(views: Sequence[Detection], board: Board, options: intrinsics.Options) -> Selection:
+    """Return the calibration with the lens model that predicts views best, DEFAULT_MODEL unless another one is clearly
+    better; options.model does not matter.
+
+    Raises InsufficientData, InvalidInput or NotConverged where no model leads to a calibration.
+    """
+    contenders = _compared(views, board, options)
+    first = chosen(contenders, DEFAULT_MODEL)
+    others = sorted((own for own in contenders if own is not first), key=lambda own: -own.score)
+    failure: CamcalError | None = None
+    for own in (first, *others):
+        try:
+            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
+        except _FAILURES as error:
+            failure = failure or error
+            continue
+        return _without_fold(Selection(calibration, contenders), views, board, options)
+    raise failure or NotConverged("no lens model was found")
+
+
+def _compared(views: Sequence[Detection], board: Board, options: intrinsics.Options) -> tuple[Contender, ...]:
+    """Return the contenders, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
+    wide = [name for name in CANDIDATES if name not in _CONTAINED]
+    found = {own.name: own for own in compare_models(views, board, options, [model_named(name) for name in wide])}
+    if found[DEFAULT_MODEL].scores is None:
+        others = compare_models(views, board, options, [model_named(name) for name in _CONTAINED])
+        found |= {own.name: own for own in others}
+    return tuple(found[name] for name in CANDIDATES if name in found)
+
+
+def _without_fold(
+    selection: Selection, views: Sequence[Detection], board: Board, options: intrinsics.Options
+) -> Selection:
+    """Return the selection, with a model that is invertible in the whole image where one predicts about as well and is
+    known there: a lens that might be anything in the corners is no better than one that is not invertible.
+    """
+    taken = selection.calibration.camera.model.name
+    best = max(own.score for own in selection.contenders)
+    near = [own for own in selection.contenders if own.score >= best - GAIN and own.name != taken]
+    for own in sorted(near, key=lambda own: -own.score) if folds_inside(selection.calibration.camera).folds else ():
+        try:
+            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
+        except _FAILURES:
+            continue
+        if not folds_inside(calibration.camera).folds and _known_everywhere(calibration):
+            remark = f"{own.name} is used: {taken} predicts as well, but is not invertible in the whole image"
+            return Selection(calibration, selection.contenders, (remark,))
+    return replace(selection, remarks=_words(selection))
+
+
+def _known_everywhere(calibration: Calibration) -> bool:
+    """Return whether the projection uncertainty is small in the whole image."""
+    figures = projection_uncertainty(calibration.camera, observed=calibration.pixels).figures()
+    return figures["worst_px"] <= _KNOWN * float(np.hypot(*calibration.camera.image_size))
+
+
+def _words(selection: Selection) -> tuple[str, ...]:
+    """Return why another model than the default one was taken."""
+    name = selection.calibration.camera.model.name
+    scores = {own.name: own for own in selection.contenders}
+    if name == DEFAULT_MODEL:
+        return ()
+    default, taken = scores[DEFAULT_MODEL], scores[name]
+    if default.scores is None:
+        return (f"lens model {name} is used: {DEFAULT_MODEL} fails ({default.reason})",)
+    left_out = f"{taken.sigma_px:.2g} px with it, {default.sigma_px:.2g} px with {DEFAULT_MODEL}"
+    gain = f"{taken.score - default.score:.2g} nat per corner"
+    return (f"lens model {name} is used: prediction error of left-out views {left_out} ({gain})",)
