@@ -30,10 +30,12 @@ class ValidRegion:
             object.__setattr__(self, "polygon", readonly(self.polygon, (None, 2), "polygon"))
 
     @classmethod
-    def of(cls, camera: Camera) -> "ValidRegion":
-        """Return how far a camera's model is one-to-one within its image."""
+    def of(cls, camera: Camera, reach_px: float = math.inf) -> "ValidRegion":
+        """Return how far a camera's model is one-to-one within its image; reach_px: how far from the principal point
+        the lens forms an image.
+        """
         limits = valid_block(camera)
-        return cls(math.radians(limits["max_theta_deg"]), limits["max_radius_px"])
+        return cls(math.radians(limits["max_theta_deg"]), min(limits["max_radius_px"], reach_px))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -35,19 +36,23 @@ class Advice:
         return not self.reasons
 
 
-def advise(calibration: Calibration) -> Advice:
-    """Return what a careful engineer would say of a calibration on seeing its numbers."""
-    parts = (_fold, _lens_model, _focal_length, _views, _coverage, _noise, _within_views, _plausible, _board)
-    return Advice(tuple(found for part in parts for found in part(calibration)))
+def advise(calibration: Calibration, reach_px: float = inf) -> Advice:
+    """Return what a careful engineer would say of a calibration on seeing its numbers.
+
+    reach_px: how far from the principal point the lens forms an image, where that is less than to the image's corner.
+    """
+    parts = (_lens_model, _focal_length, _views, _coverage, _noise, _within_views, _plausible, _board)
+    findings = (found for part in parts for found in part(calibration))
+    return Advice((*_fold(calibration, reach_px), *findings))
 
 
 def _limit(code: str) -> float:
     return CRITERIA[code].limit
 
 
-def _fold(calibration: Calibration) -> Iterator[Finding]:
+def _fold(calibration: Calibration, reach_px: float) -> Iterator[Finding]:
     fold = folds_inside(calibration.camera)
-    if not fold.folds or fold.radius_px >= _limit("partly_invertible") * fold.corner_px:
+    if not fold.folds or fold.radius_px >= _limit("partly_invertible") * min(fold.corner_px, reach_px):
         return
     centre = [calibration.camera.value("cx"), calibration.camera.value("cy")]
     outermost = float(np.linalg.norm(calibration.pixels - centre, axis=1).max())

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
+from math import inf
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,6 +26,7 @@ from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
+from camcal.tasks.calibration.image_reach import image_reach
 from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, Selection, select
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
 from camcal.tasks.calibration.second_look import renumbered, second_look
@@ -123,9 +125,10 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         if options.save_detections:
             detections.write(options.save_detections, seen.detections)
     channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
-    advice = advise(calibration)
+    reach_px = image_reach(calibration.camera, seen, options.reading)
+    advice = advise(calibration, reach_px)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels)
-    file = camera_file(calibration, uncertainty, advice, options, channels)
+    file = camera_file(calibration, uncertainty, advice, options, channels, reach_px)
     native.write(options.output, file)
     return CalibrateReport(
         calibration,
@@ -233,11 +236,15 @@ def camera_file(
     advice: Advice,
     options: CalibrateOptions,
     channels: Mapping[str, Channel] = MappingProxyType({}),
+    reach_px: float = inf,
 ) -> CameraFile:
-    """Return what the camera file says of a calibration; green is the camera itself and no channel of its own."""
+    """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
+
+    reach_px: how far from the principal point the lens forms an image.
+    """
     entry = CameraEntry(
         calibration.camera,
-        valid=ValidRegion.of(calibration.camera),
+        valid=ValidRegion.of(calibration.camera, reach_px),
         projection=(ProjectionStd.of(uncertainty),),
         quality=quality_figures(calibration),
         noise=Noise(calibration.sigma_px, calibration.freedom),
