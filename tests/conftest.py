@@ -12,7 +12,13 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from camcal.run.startup import BLAS_THREADS
+
 PROJECT = Path(__file__).parents[1]
+
+# as the command line has it, and before numpy is there: on small matrices many threads wait for each other
+for _name in BLAS_THREADS:
+    os.environ.setdefault(_name, "1")
 
 settings.register_profile("camcal", max_examples=50, deadline=None, derandomize=True)
 settings.load_profile("camcal")

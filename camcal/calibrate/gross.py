@@ -9,9 +9,10 @@ from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.errors import InsufficientData
 
-# A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the typical
-# corner is off by more than the second share.
-_GROSS_PX, _GROSS_SHARE, _MEDIAN_SHARE = 1.0, 0.04, 0.02
+# A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the median corner
+# is.
+_GROSS_PX, _GROSS_SHARE = 1.0, 0.04
+_MEDIAN_PX, _MEDIAN_SHARE = 0.5, 0.02
 _WRONG_VIEW = 0.5  # of its corners
 _NAMED = 5  # images
 
@@ -31,9 +32,14 @@ class Misfit:
         return np.asarray(self.present & (self.distances > limit))
 
     @property
-    def median_share(self) -> float:
-        """The median distance over the side of a square."""
-        return float(np.median((self.distances / self.sides[:, None])[self.present]))
+    def median_px(self) -> float:
+        """The median of the distances."""
+        return float(np.median(self.distances[self.present]))
+
+    @property
+    def median_limit_px(self) -> float:
+        """What the median may be, by the size of the squares in the images."""
+        return max(_MEDIAN_PX, _MEDIAN_SHARE * float(np.median(np.repeat(self.sides, self.present.sum(axis=1)))))
 
 
 def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array) -> Misfit:
@@ -52,13 +58,14 @@ def require_fit(found: Misfit, images: Sequence[str], most: float, model: str) -
     """
     gross, total = found.gross, int(found.present.sum())
     share = float(gross.sum()) / total
-    if share <= most and found.median_share <= _MEDIAN_SHARE:
+    if share <= most and found.median_px <= found.median_limit_px:
         return
     how = (
         f"{int(gross.sum())} of {total} corners ({100 * share:.0f} %, limit {100 * most:g} %) are off by more than "
-        f"{100 * _GROSS_SHARE:g} % of a square, the median by {100 * found.median_share:.1f} % "
-        f"(limit {100 * _MEDIAN_SHARE:g} %)"
+        f"{100 * _GROSS_SHARE:g} % of a square and {_GROSS_PX:g} px"
     )
+    if np.isfinite(found.median_px):
+        how += f", the median by {found.median_px:.2g} px (limit {found.median_limit_px:.2g} px)"
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
     if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():
         names = [images[index] for index in np.flatnonzero(wrong)[:_NAMED]]

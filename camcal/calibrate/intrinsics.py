@@ -290,12 +290,12 @@ def _views(
             readonly(covariances[row], (6, 6), "pose covariance"),
             int(result.turns[row]),
         )
-        views.append(view if count else replace(view, camera_T_board=None, pose_covariance=None, reason=_ALL_REJECTED))
+        views.append(view if count else replace(view, camera_T_board=None, pose_covariance=None, reason=ALL_REJECTED))
         row += 1
     return tuple(views)
 
 
-_ALL_REJECTED = "does not fit the other views (its corners count for less than a third each)"
+ALL_REJECTED = "does not fit the other views (its corners count for less than a third each)"
 
 
 def _rejected(

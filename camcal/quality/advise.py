@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 
 from camcal.calibrate.degeneracy import tilt_spread
-from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.intrinsics import ALL_REJECTED, Calibration
 from camcal.cameras.validity import folds_inside
 from camcal.quality.coverage import coverage, radial_trend
 from camcal.quality.criteria import CRITERIA, Finding, finding
@@ -115,7 +115,7 @@ def _noise(calibration: Calibration) -> Iterator[Finding]:
             "blur, a wrong lens model or a wrong board"
         )
         yield finding("noise", text, calibration.sigma_px)
-    total = sum(view.points for view in calibration.views if view.kept)
+    total = sum(view.points for view in calibration.views if view.kept or view.reason == ALL_REJECTED)
     if calibration.rejected and len(calibration.rejected) > _limit("rejected") * total:
         share = len(calibration.rejected) / total
         yield finding("rejected", f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected", share)
@@ -140,10 +140,11 @@ def _plausible(calibration: Calibration) -> Iterator[Finding]:
     if board.unit == "m" and max(board.extent) > _limit("board_size"):
         text = f"the board is {max(board.extent):.3g} m long: give its size with a unit, such as 25mm"
         yield finding("board_size", text, max(board.extent))
-    ratio = abs(np.log(camera.value("fx") / camera.value("fy")))
-    if ratio > _limit("focal_ratio"):
-        text = f"fx and fy differ by {100 * np.expm1(ratio):.0f} %: were the images resized without their proportions?"
-        yield finding("focal_ratio", text, np.expm1(ratio))
+    focal = camera.value("fx"), camera.value("fy")
+    excess = max(focal) / min(focal) - 1
+    if excess > _limit("focal_ratio"):
+        text = f"fx and fy differ by {100 * excess:.0f} %: were the images resized without their proportions?"
+        yield finding("focal_ratio", text, excess)
     size = np.array(camera.image_size)
     offset = np.abs(np.array([camera.value("cx"), camera.value("cy")]) - (size - 1) / 2) / size
     if offset.max() > _limit("principal_point"):

@@ -40,7 +40,7 @@ def table(tmp_path, seen):
 
 def test_the_camera_file_holds_the_lens_its_covariance_and_the_board(run, table, tmp_path):
     output = tmp_path / "camera.yaml"
-    code, out, err = run("calibrate", table, "-o", output)
+    code, out, err = run("calibrate", table, "-o", output, "--verbose")
     assert (code, err) == (0, "")
     file = native.read(output)
     camera = file.cameras["camera"].camera
@@ -70,7 +70,7 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
         "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "noise_std",
         "within_views", "rms_px",
         "sigma_px", "floor_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
-        "trustworthy", "reasons", "remarks", "frames", "notes", "failed",
+        "trustworthy", "reasons", "remarks", "findings", "contenders", "frames", "notes", "failed",
     ]  # fmt: skip
     assert document["schema"] == "camcal/calibrate/1"
     assert len(document["views"]) == 15
@@ -135,6 +135,9 @@ def test_fix_and_guess_reach_the_solver(run, table, tmp_path):
         (["--board", "chessboard:9by6"], 2, "9by6"),
         (["--guess", "nowhere.yaml"], 3, "no such file"),
         (["--max-rejected", "200"], 2, "max-rejected"),
+        (["--require", "good"], 2, "--require good: can only be trustworthy"),
+        (["--max-uncertainty", "0"], 2, "--max-uncertainty 0 is not above 0"),
+        (["--max-uncertainty", "nan"], 2, "--max-uncertainty nan is not above 0"),
     ],
 )
 def test_wrong_arguments_get_one_line_and_write_nothing(run, table, tmp_path, arguments, code, words):
@@ -145,6 +148,51 @@ def test_wrong_arguments_get_one_line_and_write_nothing(run, table, tmp_path, ar
     assert len(err.splitlines()) == 1
     assert out == ""
     assert not output.exists()
+
+
+def test_a_result_that_is_not_to_be_trusted_is_written_and_ends_with_exit_7_where_trust_is_required(
+    run, table, tmp_path
+):
+    output = tmp_path / "camera.yaml"
+    command = ["calibrate", table, "-o", output, "--model", "pinhole", "--flat-board"]
+    code, out, err = run(*command, "--json", "--require", "trustworthy")
+    document = json.loads(out)  # the only one, although it failed
+    assert code == 7
+    assert not document["trustworthy"]
+    assert len(document["reasons"]) > 1
+    assert err == f"camcal: error: --require trustworthy: {document['reasons'][0]}\n"
+    assert document["reasons"][0].startswith("residuals point outwards by ")
+    file = native.read(output)
+    assert file.cameras["camera"].verdict.reasons == tuple(document["reasons"])
+    code, out, err = run(*command)
+    assert (code, err) == (0, "")
+    assert f"DO NOT TRUST: {document['reasons'][0]}" in out.splitlines()
+
+
+def test_a_result_that_is_to_be_trusted_passes_where_trust_is_required(run, table, tmp_path):
+    output = tmp_path / "camera.yaml"
+    code, out, err = run("calibrate", table, "-o", output, "--model", "opencv5", "--require", "trustworthy")
+    assert (code, err) == (0, "")
+    assert "trustworthy" in out.splitlines()
+    assert "DO NOT TRUST" not in out
+    assert native.read(output).cameras["camera"].verdict.trustworthy
+
+
+def test_a_projection_uncertainty_above_the_most_that_is_allowed_ends_with_exit_7(run, table, tmp_path):
+    output = tmp_path / "camera.yaml"
+    command = ["calibrate", table, "-o", output, "--model", "opencv5", "--flat-board"]
+    code, out, _ = run(*command, "--max-uncertainty", 100, "--json")
+    figures = json.loads(out)["uncertainty"]["projection"]
+    reached = figures["inside_rms_px"]  # where corners were seen; the image's is larger
+    most = 1.02 * reached
+    assert (code, most < figures["rms_px"]) == (0, True)
+    assert run(*command, "--max-uncertainty", most)[0] == 0
+    output.unlink()
+    most = 0.98 * reached
+    code, _, err = run(*command, "--max-uncertainty", most)
+    assert code == 7
+    assert err == f"camcal: error: --max-uncertainty {most:g}: the projection uncertainty is {reached:.3g} px\n"
+    assert output.exists()
 
 
 def test_an_input_is_never_overwritten(run, table):

@@ -1,0 +1,370 @@
+"""Every criterion of the verdict on both sides of its limit: one simulated calibration with single figures changed."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import cycle, islice
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from camcal.calibrate.evidence import WithinViews
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.intrinsics import Calibration, Options, RejectedCorner, calibrate
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+from camcal.quality.advise import advise
+from camcal.quality.criteria import CRITERIA
+from camcal.simulate.observe import observe
+from camcal.simulate.scene import views
+from camcal.targets.board import Board, parse_board
+
+WIDTH, HEIGHT = SIZE = (1600, 1200)
+MIDDLE = (np.array(SIZE) - 1) / 2
+CORNER = math.hypot(*MIDDLE)  # px from the middle to the centre of a corner pixel
+BOARD = Board("chessboard", 9, 6, 0.040)
+SIDE = max(BOARD.extent)
+FOCAL = 1200.0
+VIEWS = 20
+CORNERS = VIEWS * BOARD.count
+RINGS = 8  # of radial_trend
+
+
+@pytest.fixture(scope="module")
+def good():
+    """A calibration that nothing is to be said of."""
+    camera = Camera(model_named("opencv5"), SIZE, np.array([FOCAL, 1205, 805, 590, -0.12, 0.06, 5e-4, -3e-4, 0.01]))
+    rng = np.random.default_rng(1)
+    seen, _ = observe(camera, BOARD, views(camera, BOARD, VIEWS, rng=rng), rng=rng, noise_px=0.1)
+    return calibrate(seen.views, BOARD, Options(camera.model, shape=ShapeOptions(smooth=False, offsets=False)))
+
+
+def lens(calibration, **values):
+    camera = calibration.camera
+    parameters = [values.get(name, camera.value(name)) for name in camera.model.parameter_names]
+    return replace(calibration, camera=replace(camera, parameters=np.array(parameters)))
+
+
+def folding(calibration, radius):
+    """A lens in the middle of the image whose distortion turns back at a radius: where the derivative of r + k1 r³,
+    which is f r (1 + k1 r²) px, is zero; that is at 2/3 of f r with k1 = -1 / (3 r²).
+    """
+    reach = 1.5 * radius / FOCAL
+    middle = {"fx": FOCAL, "fy": FOCAL, "cx": MIDDLE[0], "cy": MIDDLE[1]}
+    return lens(calibration, **middle, k1=-1 / (3 * reach**2), k2=0.0, p1=0.0, p2=0.0, k3=0.0)
+
+
+def reaching(calibration, radius):
+    """The corners moved to or from the middle of the image, until the outermost is at a radius."""
+    calibration = lens(calibration, cx=MIDDLE[0], cy=MIDDLE[1])
+    offset = calibration.pixels - MIDDLE
+    return replace(calibration, pixels=MIDDLE + offset * radius / np.linalg.norm(offset, axis=1).max())
+
+
+def pointing(calibration, towards_px):
+    """Residuals that all point outwards by so much, inwards where it is negative."""
+    offset = calibration.pixels - [calibration.camera.value("cx"), calibration.camera.value("cy")]
+    return replace(calibration, residuals=towards_px * offset / np.linalg.norm(offset, axis=1)[:, None])
+
+
+def known_to(calibration, name, share):
+    """A focal length with a standard deviation of this share of it, everything else known exactly."""
+    index = calibration.camera.model.parameter_names.index(name)
+    covariance = np.zeros((9, 9))
+    covariance[index, index] = (share * calibration.camera.value(name)) ** 2
+    return replace(calibration, camera=replace(calibration.camera, covariance=covariance))
+
+
+def with_views(calibration, count):
+    return replace(calibration, views=tuple(islice(cycle(calibration.views), count)))
+
+
+def tilted(calibration, angle_deg):
+    """Every second view tilted to one side, the others to the other: their mean direction is the axis."""
+    angles = cycle(np.radians([angle_deg, -angle_deg]))
+    poses = (Pose(so3.exp(np.array([angle, 0.0, 0.0])), np.array([0.0, 0.0, 1.0])) for angle in angles)
+    tilts = zip(calibration.views, poses, strict=False)  # of poses there is no end
+    return replace(calibration, views=tuple(replace(view, camera_T_board=pose) for view, pose in tilts))
+
+
+def covering(calibration, share):
+    """One corner in each of the first cells of the 10 × 8, from the upper left."""
+    cells = np.arange(round(80 * share))
+    pixels = np.column_stack([(cells % 10 + 0.5) * WIDTH / 10, (cells // 10 + 0.5) * HEIGHT / 8])
+    return replace(calibration, pixels=pixels, residuals=0 * pixels)
+
+
+def rejecting(calibration, share):
+    corner = RejectedCorner("a.png", 3, np.zeros(2), np.array([3.0, 4.0]))
+    return replace(calibration, rejected=(corner,) * round(share * CORNERS))
+
+
+def bending(calibration, share):
+    return replace(calibration, within_views=WithinViews(1.0, flex=(share * SIDE, 9.0)))
+
+
+def bent(calibration, share, stds=10.0):
+    """A board with a deflection of this share of its side, which is so many times its standard deviation."""
+    bow = share * SIDE
+    return replace(calibration, surface=replace(calibration.surface, deflection=bow, deflection_std=bow / stds))
+
+
+def correlated(calibration, value):
+    return replace(calibration, correlations={("shear", "fy"): 0.1, ("x/y scale", "fx"): value})
+
+
+@dataclass(frozen=True)
+class Example:
+    """A figure to which a criterion does not apply yet, and one, on the other side of its limit, to which it does.
+
+    change: gives the calibration such a figure. words: what is then said, the figure and what to do. value: that of
+    the finding, if it is not the figure.
+    """
+
+    code: str
+    change: Callable[[Calibration, float], Calibration]
+    silent: float | None
+    found: float | None
+    words: str
+    value: float | None = None
+
+
+EXAMPLES = (
+    Example(
+        "not_invertible",
+        lambda good, share: folding(reaching(good, 800), share * 800),
+        1.08,
+        1.02,
+        r"not invertible beyond 816 px .* image corner is at 999 px: use fewer coefficients or cover the corners",
+    ),
+    Example(
+        "lens_model",  # so many views that 0.3 of the noise is no chance
+        lambda good, ratio: pointing(with_views(replace(good, sigma_px=0.2), 200), 0.2 * ratio),
+        0.28,
+        0.325,
+        r"outwards by 0\.07 px at \d+ to \d+ px .*: opencv5 does not describe .*--model opencv8 or kannala_brandt4 or",
+    ),
+    Example(
+        "lens_model",  # so little noise that 0.3 of it is not worth a word
+        lambda good, inwards_px: pointing(replace(good, sigma_px=0.01), -inwards_px),
+        0.019,
+        0.022,
+        r"inwards by 0\.02 px at \d+ to \d+ px",
+        value=2.2,
+    ),
+    Example(
+        "lens_model",  # by more than 0.3 of the noise, which this many views would show by chance
+        lambda good, chance: pointing(good, good.sigma_px * math.sqrt(chi2.isf(chance, RINGS) / (RINGS * VIEWS))),
+        1.1e-6,
+        0.9e-6,
+        r"outwards by 0\.05 px",
+        value=math.sqrt(chi2.isf(0.9e-6, RINGS) / (RINGS * VIEWS)),
+    ),
+    Example(
+        "focal_length",
+        lambda good, share: known_to(good, "fx", share),
+        0.0095,
+        0.011,
+        r"known to 1\.1 % only: add views tilted by 20° to 45°",
+    ),
+    Example(
+        "focal_length",
+        lambda good, share: known_to(with_views(good, 6), "fy", share),
+        0.0095,
+        0.011,
+        r"known to 1\.1 % only: add views",
+    ),
+    Example(
+        "focal_length_few_views",
+        lambda good, share: known_to(with_views(good, 5), "fy", share),
+        0.0066,
+        0.0078,
+        r"known to 0\.8 % only: add views tilted by 20° to 45°",
+    ),
+    Example(
+        "focal_length_few_views",
+        lambda good, views: known_to(with_views(good, int(views)), "fx", 0.0078),
+        6,
+        5,
+        r"known to 0\.8 % only",
+        value=0.0078,
+    ),
+    Example(
+        "partly_invertible",
+        lambda good, share: folding(reaching(good, 800), share * CORNER),
+        0.998,
+        0.98,
+        r"not known beyond 979 px .* image corner is at 999 px: pixels there are masked; board views there would tell",
+    ),
+    Example("few_views", with_views, 10, 9, r"9 views are few; 15 to 40 in varied positions"),
+    Example("tilt", tilted, 15.6, 14.4, r"tilted by 14° at most; 30° to 45° determine the focal length"),
+    Example(
+        "extrapolated",  # the distance is that to the outer edge of the corner pixel
+        lambda good, share: reaching(good, share * math.hypot(WIDTH, HEIGHT) / 2),
+        0.81,
+        0.79,
+        r"no corners beyond 79 % .*extrapolated there",
+    ),
+    Example("coverage", covering, 48 / 80, 47 / 80, r"only 59 % of the image was covered by the board"),
+    Example(
+        "noise",
+        lambda good, px: replace(good, sigma_px=px),
+        0.49,
+        0.52,
+        r"scatter by 0\.52 px, where 0\.1 px is usual: blur, a wrong lens model or a wrong board",
+    ),
+    Example("rejected", rejecting, 21 / CORNERS, 23 / CORNERS, r"23 corners \(2\.1 %\) rejected"),
+    Example(
+        "rolling_shutter",
+        lambda good, px: replace(good, within_views=WithinViews(1.0, rolling_px=(px, 9.0))),
+        0.48,
+        0.53,
+        r"rolling shutter, 0\.53 px over the height .*: hold camera and board still, or use shorter exposures",
+    ),
+    Example("board_bends", bending, 1.9e-4, 2.1e-4, r"bends from view to view by 0\.021 % .*: use a stiffer board"),
+    Example(
+        "board_size",
+        lambda good, length: replace(good, board=replace(BOARD, square=length / 8)),
+        2.9,
+        3.1,
+        r"board is 3\.1 m long: give its size with a unit, such as 25mm",
+    ),
+    Example(
+        "focal_ratio",
+        lambda good, share: lens(good, fx=FOCAL * (1 + share), fy=FOCAL),
+        0.045,
+        0.058,
+        r"fx and fy differ by 6 %: were the images resized",
+    ),
+    Example(
+        "focal_ratio",
+        lambda good, share: lens(good, fx=FOCAL, fy=FOCAL * (1 + share)),
+        0.045,
+        0.058,
+        r"fx and fy differ by 6 %",
+    ),
+    Example(
+        "principal_point",
+        lambda good, share: lens(good, cx=MIDDLE[0] + share * WIDTH),
+        0.145,
+        0.156,
+        r"principal point is 16 % of the image size from its middle: a cropped image",
+    ),
+    Example(
+        "principal_point",
+        lambda good, share: lens(good, cy=MIDDLE[1] - share * HEIGHT),
+        0.145,
+        0.156,
+        r"principal point is 16 % of the image size from its middle",
+    ),
+    Example(
+        "unit",
+        lambda good, square: replace(good, board=replace(BOARD, square=square)),
+        0.04,
+        None,
+        r"the square's size is unknown: every length is in squares",
+        value=0.0,
+    ),
+    Example("bent_board", bent, 0.0019, 0.0021, r"bent by 0\.67 mm: accounted for, but a stiffer board is better"),
+    Example(
+        "bent_board",  # as clear as three standard deviations
+        lambda good, stds: bent(good, 0.003, stds),
+        2.9,
+        3.1,
+        r"bent by 0\.96 mm",
+        value=0.003,
+    ),
+    Example(
+        "correlation",
+        correlated,
+        0.88,
+        0.92,
+        r"x/y scale of the board and fx are correlated by \+0\.92: turn the board",
+    ),
+    Example("correlation", correlated, -0.88, -0.92, r"correlated by -0\.92: turn the board in some views", value=0.92),
+)
+
+
+def by_code(calibration):
+    return {found.code: found for found in advise(calibration).findings}
+
+
+def test_of_a_good_calibration_nothing_is_said(good):
+    advice = advise(good)
+    assert (advice.findings, advice.reasons, advice.remarks) == ((), (), ())
+    assert advice.trustworthy
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.code)
+def test_a_criterion_applies_beyond_its_limit_and_not_before(good, example):
+    assert example.code not in by_code(example.change(good, example.silent))
+    calibration = example.change(good, example.found)
+    found = by_code(calibration)[example.code]
+    assert re.search(example.words, found.text)
+    assert found.value == pytest.approx(example.found if example.value is None else example.value, rel=1e-3)
+    advice, failure = advise(calibration), CRITERIA[example.code].failure
+    assert found.failure == failure
+    assert (found.text in advice.reasons, found.text in advice.remarks) == (failure, not failure)
+
+
+def test_every_criterion_has_an_example():
+    assert {example.code for example in EXAMPLES} == set(CRITERIA)
+    assert all(code == criterion.code for code, criterion in CRITERIA.items())
+
+
+def test_a_lens_that_is_not_known_where_it_was_used_is_a_failure_the_rest_are_warnings(good):
+    failures = {"not_invertible", "lens_model", "focal_length", "focal_length_few_views"}
+    assert {code for code, criterion in CRITERIA.items() if criterion.failure} == failures
+    weak = replace(with_views(good, 9), sigma_px=0.6)
+    assert advise(weak).trustworthy
+    assert len(advise(weak).remarks) == 2
+    bad = advise(known_to(weak, "fx", 0.02))
+    assert not bad.trustworthy
+    assert (len(bad.reasons), len(bad.remarks), len(bad.findings)) == (1, 2, 3)
+
+
+def test_a_lens_that_folds_beyond_all_corners_is_masked_there_and_not_refused(good):
+    found = by_code(folding(reaching(good, 800), 900))
+    assert "partly_invertible" in found
+    assert "not_invertible" not in found
+
+
+def test_corners_that_reach_little_are_said_to_leave_out_what_is_outside_not_to_cover_little(good):
+    found = by_code(reaching(good, 300))
+    assert "extrapolated" in found
+    assert "coverage" not in found
+
+
+def test_a_focal_length_that_was_given_is_known(good):
+    calibration = known_to(good, "fx", 0.05)
+    assert "focal_length" in by_code(calibration)
+    given = replace(calibration, camera=replace(calibration.camera, fixed=("fx", "fy")))
+    assert advise(given).trustworthy
+
+
+def test_views_that_are_not_used_do_not_count(good):
+    left_out = [replace(view, reason="no board found", camera_T_board=None) for view in good.views[:11]]
+    found = by_code(replace(good, views=(*left_out, *good.views[11:])))
+    assert found["few_views"].value == 9
+
+
+def test_models_that_were_tried_are_not_proposed(good):
+    fisheye = model_named("kannala_brandt4")
+    parameters = [*good.camera.parameters[:4], 0.0, 0.0, 0.0, 0.0]
+    wide = replace(good, camera=Camera(fisheye, SIZE, np.array(parameters)))
+    text = by_code(pointing(wide, 1.0))["lens_model"].text
+    assert "kannala_brandt4 does not describe this lens; try --model opencv8 or kannala_brandt5t" in text
+
+
+def test_lengths_of_a_board_of_unknown_size_are_in_squares(good):
+    unknown = replace(BOARD, square=None)
+    surface = replace(good.surface, deflection=0.021, deflection_std=0.001)  # 8 squares long
+    found = by_code(replace(good, board=unknown, surface=surface))
+    assert "board_size" not in found
+    assert "bent by 0.021 squares" in found["bent_board"].text
+    tags = parse_board("aprilgrid:6x6:0.3")
+    assert "the tag's size is unknown" in by_code(replace(good, board=tags))["unit"].text
