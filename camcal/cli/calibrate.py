@@ -90,6 +90,7 @@ def calibrate(
     every: targets.Every = 1,
     all_frames: targets.AllFrames = False,
     parts: targets.Parts = False,
+    mixed_sizes: targets.MixedSizes = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -135,6 +136,7 @@ def calibrate(
             FrameOptions(max_frames, every, all_frames),
             parts,
             refine,
+            mixed_sizes,
         ),
         show.progress(quiet),
     )

@@ -41,6 +41,14 @@ Parts = Annotated[
     bool,
     typer.Option("--partial", help="Use parts of a chessboard too where they show which part they are."),
 ]
+MixedSizes = Annotated[
+    bool,
+    typer.Option(
+        "--mixed-sizes",
+        help="Use images of another size than most too: of half or twice the size, turned by 90 degrees, or a pixel or "
+        "two off.",
+    ),
+]
 AllFrames = Annotated[bool, typer.Option("--all-frames", help="Take all frames of videos, not chosen ones.")]
 
 
@@ -64,6 +72,7 @@ def detect(
         typer.Option(metavar="FOLDER", help="Write a picture of every image with its corners, or why there are none."),
     ] = None,
     parts: Parts = False,
+    mixed_sizes: MixedSizes = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     json: shared.Json = False,
@@ -89,7 +98,9 @@ def detect(
     reading = Reading(pattern, algorithm, layout=layout)
     frames = FrameOptions(max_frames, every, all_frames)
     report = detect_images(
-        DetectOptions(tuple(inputs), load_board(board), output, recursive, jobs, reading, frames, draw, parts),
+        DetectOptions(
+            tuple(inputs), load_board(board), output, recursive, jobs, reading, frames, draw, parts, mixed_sizes
+        ),
         show.progress(quiet),
     )
     if json:

@@ -131,6 +131,16 @@ class Board:
         """Return the same board with columns and rows exchanged."""
         return replace(self, columns=self.rows, rows=self.columns)
 
+    def of_size(self, columns: int, rows: int) -> "Board":
+        """Return the same board with another number of points each way, wide or high as this one is.
+
+        One without room for dots has none.
+        """
+        wide = self.type == ASYMMETRIC_CIRCLES or (columns >= rows) == (self.columns >= self.rows)
+        columns, rows = (columns, rows) if wide else (rows, columns)
+        dots = self.dots and bool(layouts.dotted_squares(columns, rows))
+        return replace(self, columns=columns, rows=rows, dots=dots)
+
     def symmetries(self) -> tuple[Array, ...]:
         """Return the permutations of ids, the identity first, that a detector cannot tell from each other.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.targets.board import Detection
+from camcal.targets.board import Board, Detection
 
 MIN_CORNERS = 4  # as many as a homography needs
 
@@ -14,13 +14,13 @@ MIN_CORNERS = 4  # as many as a homography needs
 class Sighting:
     """Points ids (N,) at pixels (N, 2) with their covariance (N, 2, 2) px² where it is known, or none and the reason.
 
-    pattern: inner corners (columns, rows) of a checker pattern in sight that is not the board.
+    other: the board in sight that is not the one that was looked for.
     """
 
     ids: Array
     pixels: Array
     reason: str | None = None
-    pattern: tuple[int, int] | None = None
+    other: Board | None = None
     covariance: Array | None = None
 
     def __post_init__(self) -> None:
@@ -30,9 +30,9 @@ class Sighting:
             object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.ids), 2, 2), "covariance"))
 
     @classmethod
-    def nothing(cls, reason: str, pattern: tuple[int, int] | None = None) -> "Sighting":
+    def nothing(cls, reason: str, other: Board | None = None) -> "Sighting":
         """Return the record of an image without points to use."""
-        return cls(np.zeros(0, np.intp), np.zeros((0, 2)), reason, pattern)
+        return cls(np.zeros(0, np.intp), np.zeros((0, 2)), reason, other)
 
     @classmethod
     def of(cls, grid: Array, covariance: Array | None = None) -> "Sighting":

@@ -67,6 +67,38 @@ def test_nothing_is_written_where_no_image_shows_the_board(run, folder, tmp_path
     assert not output.exists()
 
 
+def test_a_board_of_circles_is_proposed_in_the_form_that_the_option_takes(run, tmp_path):
+    row, column = np.mgrid[0:400, 0:480].astype(float)
+    image = np.full((400, 480), 220.0)
+    for index in range(7 * 3):
+        v, u = 70 + 40 * (index // 3), 120 + 80 * (index % 3) + 40 * (index // 3 % 2)
+        image = np.minimum(image, 30 + 190 * np.clip(np.hypot(column - u, row - v) - 14, 0, 1))
+    cv2.imwrite(str(tmp_path / "dots.png"), image.astype(np.uint8))
+    code, _, err = run("detect", tmp_path, "-b", "asymmetric_circles:4x11:20mm", "-o", tmp_path / "a.csv", "--jobs", 1)
+    assert code == 4
+    assert err == (
+        "camcal: error: no asymmetric grid of 4x11 circles in 1 of 1 images, but an asymmetric grid of 3x7 circles in "
+        "1; use --board asymmetric_circles:3x7:20mm\n"
+    )
+    board = err.split()[-1]
+    assert run("detect", tmp_path, "-b", board, "-o", tmp_path / "a.csv", "--jobs", 1)[0] == 0
+
+
+def test_images_of_other_sizes_are_used_with_their_option(run, folder, tmp_path):
+    image = cv2.imread(str(folder / "board.png"), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(folder / "board2.png"), image)
+    cv2.imwrite(str(folder / "cropped.png"), image[:-1, :-2])
+    output = tmp_path / "corners.csv"
+    command = ("detect", folder, "-b", "chessboard:6x5:25mm", "-o", output, "--jobs", 1)
+    code, out, _ = run(*command)
+    assert code == 0
+    assert "image 318x239 differs from the majority 320x240: 2 x 1 px off; --mixed-sizes uses it" in out
+    code, out, _ = run(*command, "--mixed-sizes")
+    assert code == 0
+    assert "3 of 4 images show the board" in out
+    assert output.read_text().count("cropped.png,320,240,") == 30
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

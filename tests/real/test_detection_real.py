@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from camcal.errors import InsufficientData
 from camcal.images.load import load_gray
 from camcal.run.inputs import find_images
 from camcal.targets.board import parse_board
+from camcal.targets.checker.charuco_search import search_charuco
 from camcal.targets.checker.chessboard import find_chessboard
 from camcal.targets.detect import detect
 from camcal.tasks.calibration.detect import DetectOptions, detect_images
@@ -63,6 +65,46 @@ def test_charuco_boards_of_both_patterns_are_found(real_data, folder, corners):
     report = detect_images(DetectOptions(images, board, jobs=1))
     assert report.detections.board.legacy == ("Old" in folder)
     assert min(len(view.ids) for view in report.detections.views) >= corners
+
+
+@pytest.mark.parametrize(
+    ("folder", "asked", "differs", "pattern"),
+    [
+        ("2024-05-07_lifecam_1280", "8x8:25.4mm:15mm:DICT_4X4_1000", "markers of 19 mm, not 15 mm", ""),
+        ("2024-05-07_lifecam_1280", "9x8:25.4mm:19mm:DICT_4X4_1000", "8x8 squares, not 9x8", ""),
+        ("2024-06-19_lifecam_1280_Old_Pattern", "8x8:25.4mm:19mm:DICT_6X6_250", "DICT_4X4_50, not DICT_6X6_250", ""),
+        ("2024-06-19_lifecam_1280_Old_Pattern", "9x7:25.4mm:19mm:DICT_4X4_1000", "8x8 squares, not 9x7", ""),
+        (
+            "2024-06-19_lifecam_1280_Old_Pattern",
+            "8x8:25.4mm:19mm:DICT_4X4_1000:current",
+            "the legacy pattern (OpenCV before 4.6), not the current pattern (OpenCV since 4.6)",
+            ":legacy",
+        ),
+    ],
+)
+def test_the_charuco_board_that_images_show_is_proposed(real_data, folder, asked, differs, pattern):
+    images = find_images([real_data / "charuco" / f"photonvision-{folder}" / "*.jpg"])
+    with pytest.raises(InsufficientData) as raised:
+        detect_images(DetectOptions(images, parse_board(f"charuco:{asked}"), jobs=1))
+    words, _, form = str(raised.value).partition("; use --board ")
+    assert words.endswith(f" images that were tried show {differs}")
+    dictionary = "DICT_4X4_50" if "DICT_6X6" in asked else "DICT_4X4_1000"
+    assert form == f"charuco:8x8:25.4mm:19mm:{dictionary}{pattern}"
+    assert detect_images(DetectOptions(images, parse_board(form), jobs=1)).used == len(images)
+
+
+@pytest.mark.parametrize("folder", ["chessboard/opencv-left-right", "other_targets/visp-grid36", "demosaic_gt/kodak24"])
+def test_no_charuco_board_is_proposed_where_there_is_none(real_data, folder):
+    asked = parse_board("charuco:9x7:30mm:22mm:DICT_5X5_100")
+    images = [path for path in find_images([real_data / folder]) if path.suffix != ".tif"][:12]
+    assert [search_charuco(load_gray(image), asked) for image in images] == [None] * len(images)
+
+
+@pytest.mark.parametrize("asked", ["circles:9x7:25mm", "circles:10x7:25mm"])
+def test_the_grid_of_circles_that_images_show_is_proposed(real_data, asked):
+    images = [real_data / "other_targets" / "boofcv-circle-regular"]
+    with pytest.raises(InsufficientData, match=r"but a grid of 10x8 circles in \d; use --board circles:10x8:25mm"):
+        detect_images(DetectOptions(images, parse_board(asked), jobs=1))
 
 
 def test_a_partly_hidden_charuco_board_is_used(real_data):

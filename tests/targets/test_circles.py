@@ -155,6 +155,76 @@ def test_another_grid_is_named():
     assert not find_circles(gray, parse_board("circles:6x5:25mm")).found
 
 
+@pytest.mark.parametrize("roll_deg", [7, 97, 200])
+@pytest.mark.parametrize(
+    ("drawn", "asked", "proposed", "reason"),
+    [
+        (
+            "circles:7x5:25mm:15mm",
+            "circles:8x5:20mm",
+            "circles:7x5:20mm",
+            "a grid of 7 x 5 circles in sight, not 8 x 5",
+        ),
+        (
+            "asymmetric_circles:3x7:20mm:16mm",
+            "asymmetric_circles:4x11:20mm",
+            "asymmetric_circles:3x7:20mm",
+            "an asymmetric grid of 3 x 7 circles in sight, not 4 x 11",
+        ),
+        (
+            "asymmetric_circles:3x6:20mm:16mm",
+            "asymmetric_circles:4x11",
+            "asymmetric_circles:3x6",
+            "an asymmetric grid of 3 x 6 circles in sight, not 4 x 11",
+        ),
+        (
+            "asymmetric_circles:3x7:20mm:16mm",
+            "circles:7x5:25mm:15mm",
+            "asymmetric_circles:3x7",
+            "an asymmetric grid of 3 x 7 circles in sight, not 7 x 5",
+        ),
+        (
+            "circles:7x5:25mm:15mm",
+            "asymmetric_circles:4x11:20mm",
+            "circles:5x7",
+            "a grid of 5 x 7 circles in sight, not 4 x 11",
+        ),
+    ],
+)
+def test_another_grid_is_proposed_as_a_board(drawn, asked, proposed, reason, roll_deg):
+    gray, _ = view(parse_board(drawn), 30, roll_deg, 30)
+    sighting = find_circles(gray, parse_board(asked))
+    assert (sighting.other, sighting.reason) == (parse_board(proposed), reason)
+
+
+def test_a_grid_that_leaves_the_image_is_not_proposed():
+    gray, truth = view(PLAIN, 30, 7, 30)
+    cut = gray[:, int(truth[:, 0].min()) + 70 :]
+    sighting = find_circles(np.ascontiguousarray(cut), parse_board("circles:8x6"))
+    assert sighting.other is None
+    assert sighting.reason.startswith("board partly outside the image (")
+
+
+def test_a_grid_with_holes_is_not_proposed():
+    gray, truth = view(PLAIN, 30, 7, 30)
+    covered = gray.copy()
+    for u, v in truth[[9, 10, 16, 24]].astype(int):
+        covered[v - 9 : v + 10, u - 9 : u + 10] = 200
+    sighting = find_circles(covered, parse_board("circles:8x6"))
+    assert sighting.other is None
+    assert sighting.reason.startswith("a part of a grid in sight (")
+
+
+def test_the_dark_squares_of_a_small_chessboard_are_no_grid_of_circles():
+    """At 10 px a square they pass for dots, in the arrangement of an asymmetric grid."""
+    row, column = np.mgrid[0:7, 0:10]
+    squares = np.kron(np.where((row + column) % 2, 220, 30), np.ones((10, 10))).astype(np.uint8)
+    image = cv2.copyMakeBorder(squares, 80, 80, 105, 105, cv2.BORDER_CONSTANT, value=220)
+    image = cv2.GaussianBlur(image, (0, 0), 2.0)
+    sighting = find_circles(image, parse_board("asymmetric_circles:4x11"))
+    assert (sighting.other, sighting.found) == (None, False)
+
+
 def test_images_without_circles_have_a_reason():
     noise = np.random.default_rng(2).integers(0, 256, (240, 320)).astype(np.uint8)
     for gray in (np.full((240, 320), 128, np.uint8), noise):

@@ -95,7 +95,7 @@ def test_a_board_of_another_size_is_not_taken_for_the_stated_one(stated, reason)
     sighting = detect(view(ODD), Board("chessboard", *stated))
     assert not sighting.found
     assert sighting.reason == reason
-    assert sighting.pattern == (6, 5)
+    assert sighting.other == Board("chessboard", 6, 5)
 
 
 def test_a_board_that_leaves_the_image_says_so_and_its_rim_is_no_row_of_corners():

@@ -1,10 +1,12 @@
 """What is said of boards of every type after a search: remarks, and why there is nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from camcal.targets.board import Detection, parse_board
-from camcal.tasks.calibration.board_remarks import nothing_found, remarks
+from camcal.tasks.calibration.board_remarks import OtherBoard, nothing_found, remarks
 
 NOTHING = Detection.nothing("a.png", (640, 480), "nothing seen")
 
@@ -52,19 +54,65 @@ def test_a_board_that_is_nowhere_is_named_with_what_to_check(form, message):
     assert message in str(nothing_found([NOTHING, NOTHING], [None, None], parse_board(form)))
 
 
-def test_a_checker_pattern_beside_another_type_of_board_is_not_proposed():
-    error = nothing_found([NOTHING], [(9, 6)], parse_board("aprilgrid:6x6:88mm:0.3"))
-    assert "checker" not in str(error)
+def test_another_size_that_is_proposed_keeps_the_squares_and_the_dots():
+    asked = parse_board("chessboard:10x7:25mm:dots")
+    error = nothing_found([NOTHING], [asked.of_size(9, 6)], asked)
+    assert str(error).endswith("sizes count inner corners, not squares: use --board chessboard:9x6:25mm:dots")
 
 
-def test_another_size_that_is_proposed_keeps_the_dots():
-    error = nothing_found([NOTHING], [(9, 6)], parse_board("chessboard:10x7:25mm:dots"))
-    assert str(error).endswith("sizes count inner corners, not squares: use --board chessboard:9x6:dots")
+@pytest.mark.parametrize(
+    ("asked", "shown", "message"),
+    [
+        (
+            "circles:8x5:25mm:15mm",
+            "circles:7x5:25mm:15mm",
+            "3 of 3 images, but a grid of 7x5 circles in 2; use --board circles:7x5:25mm:15mm",
+        ),
+        (
+            "circles:8x5:25mm",
+            "asymmetric_circles:7x13",
+            "3 of 3 images, but an asymmetric grid of 7x13 circles in 2; use --board asymmetric_circles:7x13",
+        ),
+    ],
+)
+def test_another_grid_of_circles_is_proposed_as_a_board(asked, shown, message):
+    other = parse_board(shown)
+    text = str(nothing_found([NOTHING] * 3, [other, None, other], parse_board(asked)))
+    assert text == f"no grid of 8x5 circles in {message}"
+
+
+@pytest.mark.parametrize(
+    ("asked", "shown", "differences", "form"),
+    [
+        ("8x8:25.4mm:15mm:DICT_4X4_50", "8x8:25.4mm:19mm:DICT_4X4_50", "markers of 19 mm, not 15 mm", None),
+        (
+            "9x8:0.6:DICT_4X4_50",
+            "8x8:0.75:DICT_4X4_50",
+            "8x8 squares, not 9x8, markers of 0.75 of a square, not 0.6",
+            None,
+        ),
+        ("9x8:5mm:3mm:DICT_5X5_50", "9x8:5mm:3mm:DICT_4X4_50", "DICT_4X4_50, not DICT_5X5_50", None),
+        (
+            "8x8:5mm:3mm:DICT_4X4_50:legacy",
+            "8x8:5mm:3mm:DICT_4X4_50:current",
+            "the current pattern (OpenCV since",
+            None,
+        ),
+        ("8x8:5mm:3mm:DICT_4X4_50", "8x8:5mm:3mm:DICT_4X4_50", "marker ids from 17, not 0", 17),
+    ],
+)
+def test_another_charuco_board_is_proposed_with_what_differs(asked, shown, differences, form):
+    board = replace(parse_board(f"charuco:{shown}"), first_marker=form or 0)
+    text = str(OtherBoard(board, 2, 3).error([NOTHING] * 4, parse_board(f"charuco:{asked}")))
+    assert f"in 4 of 4 images: 2 of 3 images that were tried show {differences}" in text
+    end = f"with a board file: charuco:{shown}, first_marker_id: {form}" if form else f"charuco:{shown}"
+    assert text.endswith(f"; use --board {end}")
 
 
 @pytest.mark.parametrize(("pattern", "parts"), [((6, 4), False), ((6, 4), True), ((11, 4), False)])
 def test_a_smaller_pattern_may_be_a_part_unless_parts_count_already(pattern, parts):
-    error = nothing_found([NOTHING], [pattern], parse_board("chessboard:9x6:25mm"), parts=parts)
+    asked = parse_board("chessboard:9x6:25mm")
+    error = nothing_found([NOTHING], [asked.of_size(*pattern)], asked, parts=parts)
     assert ("or --partial" in str(error)) == (pattern == (6, 4) and not parts)
 
 

@@ -13,6 +13,7 @@ from opencv_charuco import drawn_by_opencv
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
 from camcal.targets.board import Board, Detection, parse_board
+from camcal.tasks.calibration import which_board
 from camcal.tasks.calibration.board_remarks import nothing_found
 from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
 
@@ -139,6 +140,76 @@ def test_squares_given_for_corners_end_with_the_size_that_was_found(tmp_path):
     )
 
 
+DRAWN = parse_board("charuco:6x5:40mm:30mm:DICT_4X4_50")
+
+
+@pytest.mark.parametrize(
+    ("asked", "differs", "tried"),
+    [
+        ("6x5:40mm:20mm:DICT_4X4_50", "markers of 30 mm, not 20 mm", " in 3 of 3 images: 2 of 2"),
+        ("6x5:40mm:30mm:DICT_5X5_100", "DICT_4X4_50, not DICT_5X5_100", " in 3 of 3 images: 2 of 2"),
+        ("7x8:40mm:30mm:DICT_4X4_50", "6x5 squares, not 7x8", " in 3 of 3 images: 2 of 2"),
+        ("6x6:40mm:30mm:DICT_4X4_50", "6x5 squares, not 6x6", ": 3 of 3"),
+    ],
+    ids=["marker", "dictionary", "size", "rows"],
+)
+def test_another_charuco_board_ends_with_the_one_that_images_show(tmp_path, asked, differs, tried):
+    for seed in range(3):
+        write(tmp_path / f"{seed}.png", DRAWN, seed, size=(480, 400))
+    with pytest.raises(InsufficientData) as raised:
+        found(tmp_path, parse_board(f"charuco:{asked}"))
+    form = "charuco:6x5:40mm:30mm:DICT_4X4_50"
+    assert str(raised.value) == (
+        f"no ChArUco board of {asked[:3]} squares{tried} images that were tried show {differs}; use --board {form}"
+    )
+    assert found(tmp_path, parse_board(form)).used == 3
+
+
+def test_a_board_whose_last_row_is_out_of_sight_is_taken_as_stated(tmp_path):
+    for seed in range(3):
+        path = write(tmp_path / f"{seed}.png", DRAWN, seed, size=(480, 400))
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        image[300:] = 100
+        cv2.imwrite(str(path), image)
+    asked = replace(DRAWN, rows=7)
+    assert found(tmp_path, asked).used == 3
+
+
+def test_a_chessboard_of_another_size_is_not_proposed_for_a_charuco_board(tmp_path):
+    write(tmp_path / "a.png", BOARD)
+    with pytest.raises(InsufficientData, match="check squares, dictionary"):
+        found(tmp_path, CHARUCO)
+
+
+def test_other_boards_are_tried_on_a_few_images_only(tmp_path, monkeypatch):
+    tried = []
+    monkeypatch.setattr(which_board, "search_charuco", lambda gray, like: tried.append(like))
+    for index in range(20):
+        write_wall(tmp_path / f"{index}.png", (64, 48))
+    with pytest.raises(InsufficientData, match="in any of 20 images"):
+        found(tmp_path, CHARUCO)
+    assert 0 < len(tried) <= which_board.SAMPLE
+
+
+def test_images_of_other_sizes_are_used_if_asked_for(tmp_path):
+    for seed in range(4):
+        write(tmp_path / f"{seed}.png", BOARD, seed)
+    whole = found(tmp_path).detections.views[3]
+    image = cv2.imread(str(tmp_path / "3.png"), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(tmp_path / "3.png"), cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR))
+    assert found(tmp_path).detections.views[3].reason.endswith(": twice as large")
+    left_out = found(tmp_path, mixed_sizes=False)
+    assert left_out.detections.views[3].reason.endswith(": twice as large; --mixed-sizes uses it")
+    report = found(tmp_path, mixed_sizes=True, draw=tmp_path / "drawn")
+    view = report.detections.views[3]
+    assert view.size == SIZE
+    difference = view.pixels - whole.pixels
+    assert np.abs(difference.mean(axis=0)).max() < 0.01  # half a pixel if the map were wrong
+    assert np.abs(difference).max() < 0.15  # the picture's own errors
+    assert report.notes[-1].startswith("used with --mixed-sizes: 1 image of 640x480, twice as large")
+    assert len(report.pictures) == 4
+
+
 def test_a_board_that_is_nowhere_ends_with_advice(tmp_path):
     write_wall(tmp_path / "a.png")
     with pytest.raises(InsufficientData, match=r"in any of 1 images \(1 times: no chessboard found\); check the size"):
@@ -151,8 +222,9 @@ def test_a_part_of_a_larger_board_is_not_taken_for_the_board():
     """Some detectors find 5 x 3 corners in some images of a 6 x 4 board; more images then show the larger pattern."""
     board = Board("chessboard", 5, 3)
     views = [view_of(board), *[view_of(None)] * 2]
-    assert nothing_found(views, [None, (6, 4), (6, 4)], board).exit_code == InsufficientData.exit_code
-    assert nothing_found(views[:2], [None, (6, 4)], board) is None
+    larger = Board("chessboard", 6, 4)
+    assert nothing_found(views, [None, larger, larger], board).exit_code == InsufficientData.exit_code
+    assert nothing_found(views[:2], [None, larger], board) is None
 
 
 def view_of(board):

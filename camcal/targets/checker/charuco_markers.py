@@ -22,7 +22,7 @@ BORDER = 0.8  # share of the border's cells that must be dark
 LEAST_VOTES = 2
 MAJORITY = 3  # times the votes for any other place; in the other pattern half of the markers agree
 _SUB = (np.arange(3) - 1) / 4  # places of samples in a cell, in cells from its middle
-_TURNS = (
+TURNS = (
     ((1, 0), (0, 1)),
     ((0, 1), (-1, 0)),
     ((-1, 0), (0, -1)),
@@ -46,7 +46,7 @@ class Seat:
     def on_board(self, grid: Array, board: Board) -> Array:
         """Return the corners (rows, columns, 2) of a pattern by their places on the board; NaN where none is."""
         i, j = np.nonzero(~np.isnan(grid[..., 0]))
-        row, column = np.array(_TURNS[self.turn]) @ np.stack([i, j]) + np.array([[self.row], [self.column]])
+        row, column = np.array(TURNS[self.turn]) @ np.stack([i, j]) + np.array([[self.row], [self.column]])
         inside = (row >= 0) & (row < board.rows) & (column >= 0) & (column < board.columns)
         result = np.full((board.rows, board.columns, 2), np.nan)
         result[row[inside], column[inside]] = grid[i[inside], j[inside]]
@@ -69,12 +69,15 @@ class Reading:
 
 def read_markers(gray: Array, checker: Checker, board: Board) -> Reading:
     """Return the markers of a ChArUco board that are seen between the corners of a pattern in `gray`, (H, W) uint8."""
-    cells = _cells(board.dictionary or "", board.first_marker, (board.rows + 1) * (board.columns + 1) // 2)
-    square, seen = _bits(gray, checker, (board.marker or 0.0) / board.pitch, cells.shape[1])
+    words = cells(board.dictionary or "", board.first_marker, (board.rows + 1) * (board.columns + 1) // 2)
+    square, corners = bright_squares(checker)
+    share = (board.marker or 0.0) / board.pitch
+    seen, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
+    square, seen = square[clear], seen[clear]
     if not len(square):
         return Reading(square, np.zeros(0, np.intp), np.zeros(0, np.intp), 0)
-    marker, turn, wrong = _nearest(seen, cells[:, 1:-1, 1:-1])
-    behind = _nearest(seen, cells[:, 1:-1, -2:0:-1])[2]
+    marker, turn, wrong = nearest(seen, words[:, 1:-1, 1:-1])
+    behind = nearest(seen, words[:, 1:-1, -2:0:-1])[2]
     known = wrong * WRONG_BITS <= seen[0].size
     mirrored = int((~known & (behind * WRONG_BITS <= seen[0].size)).sum())
     return Reading(square[known], marker[known], turn[known], mirrored)
@@ -88,18 +91,19 @@ def seat(reading: Reading, board: Board, legacies: Sequence[bool]) -> Seat | Non
     return best[0] if len(best) == 1 else None  # markers of a single row fit both patterns
 
 
-@lru_cache(maxsize=4)
-def _cells(dictionary: str, first: int, count: int) -> Array:
+@lru_cache(maxsize=16)
+def cells(dictionary: str, first: int, count: int) -> Array:
     """Return the cells (count, n, n) of markers from the id `first` on, border included, 1 where bright."""
     words = opencv.marker_dictionary(dictionary)
     side = words.markerSize + 2
     return np.stack([words.generateImageMarker(first + marker, side) for marker in range(count)]) / 255.0
 
 
-def _bits(gray: Array, checker: Checker, share: float, side: int) -> tuple[Array, Array]:
-    """Return the bright squares (S, 2) with a dark border, row and column of the corner after them, and bits (S, b, b).
+def bright_squares(checker: Checker) -> tuple[Array, Array]:
+    """Return the bright squares (S, 2) of a pattern, row and column of the corner after each, and their corners.
 
-    side: cells across a marker, border included. Squares beyond the outer corners are among them.
+    corners: (4, S, 2) pixels: upper left, upper right, lower left, lower right. Squares beyond the outer corners are
+    among them.
     """
     wide = grids.predict(grids.padded(checker.grid))
     wide[1:-1, 1:-1] = np.where(checker.found[..., None], checker.grid, wide[1:-1, 1:-1])
@@ -107,15 +111,23 @@ def _bits(gray: Array, checker: Checker, share: float, side: int) -> tuple[Array
     corners = np.stack([wide[row, column], wide[row, column + 1], wide[row + 1, column], wide[row + 1, column + 1]])
     bright = ((row + column) % 2 == 1) == (checker.sign > 0)
     used = bright & ~np.isnan(corners).any(axis=(0, 2))
-    if not used.any():
-        return np.zeros((0, 2), np.intp), np.zeros((0, side - 2, side - 2), bool)
-    levels, margin = _levels(gray, corners[:, used], share, side)
+    return np.stack([row, column], axis=1)[used], corners[:, used]
+
+
+def read_bits(gray: Array, corners: Array, share: float, side: int, contrast: float) -> tuple[Array, Array]:
+    """Return the bits (S, side - 2, side - 2) within squares, and in which (S,) they have a dark border around them.
+
+    corners: (4, S, 2) of bright squares. share: the marker's of a square. side: cells across a marker, border included.
+    """
+    if not corners.shape[1]:
+        return np.zeros((0, side - 2, side - 2), bool), np.zeros(0, bool)
+    levels, margin = _levels(gray, corners, share, side)
     border = np.ones((side, side), dtype=bool)
     border[1:-1, 1:-1] = False
     dark = levels[:, border].mean(axis=1)
     bits = levels > ((dark + margin) / 2)[:, None, None]
-    clear = ((~bits[:, border]).mean(axis=1) >= BORDER) & (margin - dark > 0.5 * checker.contrast)
-    return np.stack([row, column], axis=1)[used][clear], bits[clear, 1:-1, 1:-1]
+    clear = ((~bits[:, border]).mean(axis=1) >= BORDER) & (margin - dark > 0.5 * contrast)
+    return bits[:, 1:-1, 1:-1], np.asarray(clear)
 
 
 def _levels(gray: Array, corners: Array, share: float, side: int) -> tuple[Array, Array]:
@@ -127,22 +139,22 @@ def _levels(gray: Array, corners: Array, share: float, side: int) -> tuple[Array
     place = (1 - share) / 2 + cell * (np.arange(side)[:, None] + 0.5 + _SUB).ravel()
     v, u = (axis.ravel() for axis in np.meshgrid(place, place, indexing="ij"))
     count = corners.shape[1]
-    values = _in_squares(gray, corners, u, v).reshape(count, side, len(_SUB), side, len(_SUB))
+    values = in_squares(gray, corners, u, v).reshape(count, side, len(_SUB), side, len(_SUB))
     ring, near = np.linspace(0.2, 0.8, 7), (1 - share) / 4
     u = np.concatenate([ring, ring, np.full(7, near), np.full(7, 1 - near)])
     v = np.concatenate([np.full(7, near), np.full(7, 1 - near), ring, ring])
-    return values.mean(axis=(2, 4)), np.median(_in_squares(gray, corners, u, v), axis=1)
+    return values.mean(axis=(2, 4)), np.median(in_squares(gray, corners, u, v), axis=1)
 
 
-def _in_squares(gray: Array, corners: Array, u: Array, v: Array) -> Array:
+def in_squares(gray: Array, corners: Array, u: Array, v: Array) -> Array:
     """Return the gray levels (S, K) at places u to the right and v down (K,) in squares, 0 to 1."""
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
     x, y = (corners[..., axis].T @ weights for axis in (0, 1))
     return opencv.sampled(gray, x, y)
 
 
-def _nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
-    """Return the board's marker (S,) most like each of the bits seen (S, b, b), its turn, and how many bits differ."""
+def nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
+    """Return the marker (S,) of `bits` (N, b, b) most like each seen (S, b, b), its turn, and how many bits differ."""
     codes = np.stack([np.rot90(bits, turn, axes=(1, 2)) for turn in range(4)], axis=1).reshape(-1, bits[0].size)
     flat = seen.reshape(len(seen), -1).astype(np.float32)
     codes = (codes > 0.5).astype(np.float32)
@@ -155,7 +167,7 @@ def _nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
 def _elected(reading: Reading, board: Board, legacy: bool) -> Seat | None:
     """Return the place that most markers put the pattern in, None if they are at odds."""
     home = marker_squares(board, legacy=legacy)[reading.marker]
-    turned = np.einsum("sij,sj->si", np.array(_TURNS)[reading.turn], reading.square - 0.5)
+    turned = np.einsum("sij,sj->si", np.array(TURNS)[reading.turn], reading.square - 0.5)
     moved = np.rint(home - 0.5 - turned).astype(np.intp)
     ranked = Counter(map(tuple, np.column_stack([reading.turn, moved]).tolist())).most_common(2)
     if not ranked or ranked[0][1] < LEAST_VOTES or (len(ranked) > 1 and ranked[0][1] < MAJORITY * ranked[1][1]):

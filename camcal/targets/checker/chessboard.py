@@ -67,19 +67,20 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Si
     if whole and board.dots:
         return Sighting.nothing("the three dots that tell its corners apart are not to be seen")
     seen = _part_or_another(gray, checker, board)
-    return Sighting.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.pattern)
+    return Sighting.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.other)
 
 
 def _part_or_another(gray: Array, checker: Checker, board: Board) -> Sighting:
     """Return what a pattern of another size than the board is."""
     rows, columns = checker.grid.shape[:2]
     size = max(rows, columns), min(rows, columns)  # it does not say which are its rows
+    other = board.of_size(*size)
     seen, wanted = f"{size[0]} x {size[1]}", f"{board.columns} x {board.rows}"
     if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
-        return Sighting.nothing(f"a checker pattern of {seen} corners, not {wanted}", size)
+        return Sighting.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
     if _leaves(gray, checker.grid):
         return Sighting.nothing(f"board partly outside the image ({seen} corners in sight)")
-    return Sighting.nothing(f"only {seen} of {wanted} corners in sight", size)
+    return Sighting.nothing(f"only {seen} of {wanted} corners in sight", other)
 
 
 def _leaves(gray: Array, pattern: Array) -> bool:

@@ -12,16 +12,18 @@ from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.targets.board import ASYMMETRIC_CIRCLES, Board
+from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
 from camcal.targets.circles.blobs import Ellipses, find_ellipses
 from camcal.targets.circles.disc_centres import projected_centres
 from camcal.targets.circles.disc_fit import DiscFits, fit_discs
 from camcal.targets.circles.lattice import lattices
 from camcal.targets.circles.numbering import as_drawn, nodes, numbered, size_of
+from camcal.targets.circles.other_grids import OtherGrid
 from camcal.targets.sighting import MIN_CORNERS, Sighting
 
 MIN_PROPOSED = 0.5  # of the board's circles, for the others to be looked for
+LEAST_OTHER = 9  # circles of a grid that is worth a word; fewer may be anything
 MIN_SHARE = 0.75  # of them that must be measured
 _REDUCED = 800  # px, the longer side of the copy that is searched first
 _LARGEST = 3200  # px, of a copy that is searched at last
@@ -38,28 +40,22 @@ def find_circles(gray: Array, board: Board) -> Sighting:
     Up to a quarter of the circles may be hidden, but on each side of the board most must be seen: they say where it
     ends. Pixels are the images of the discs' centres; covariances are those of the fitted ellipses.
     """
-    largest, unclear = (0, 0), None
+    largest: OtherGrid | None = None
+    unclear, longest = None, 2 * max(size_of(board)) + 1
     for ellipses in _proposals(gray):
-        for lattice in lattices(ellipses, 2 * max(size_of(board)) + 1):
-            drawn = as_drawn(lattice, board)
-            ordered = numbered(drawn, ellipses, board)
+        for lattice in lattices(ellipses, longest):
+            ordered = numbered(as_drawn(lattice, board), ellipses, board)
             if ordered is None or (ordered >= 0).sum() < max(MIN_CORNERS, MIN_PROPOSED * board.count):
-                largest = max(largest, drawn.shape, key=lambda size: size[0] * size[1])
+                other = OtherGrid.of(lattice, ellipses, board, whole=max(lattice.shape) <= longest)
+                largest = other if largest is None or other.count > largest.count else largest
                 continue
             seen = _measured(gray, board, ordered, ellipses)
             if seen.found:
                 return seen
             unclear = seen
-    return unclear or Sighting.nothing(_reason(largest, board))
-
-
-def _reason(size: tuple[int, int], board: Board) -> str:
-    """Return what is to be said where the largest grid seen has that many rows and columns."""
-    if min(size) < 2:
-        return f"no {board.words} found"
-    seen, wanted = (sorted(pair, reverse=True) for pair in (size, size_of(board)))
-    lines = "rows and half columns" if board.type == ASYMMETRIC_CIRCLES else "circles"
-    return f"a grid of {seen[0]} x {seen[1]} {lines} in sight, not {wanted[0]} x {wanted[1]}"
+    if unclear or largest is None or largest.count < LEAST_OTHER:
+        return unclear or Sighting.nothing(f"no {board.words} found")
+    return largest.sighting(gray, board)
 
 
 def _proposals(gray: Array) -> Iterator[Ellipses]:

@@ -7,7 +7,7 @@ board's grid has a column for every half of its spacing, so that every other nod
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.targets.board import ASYMMETRIC_CIRCLES, Board
+from camcal.targets.board import ASYMMETRIC_CIRCLES, LARGEST, Board
 from camcal.targets.boards import layouts
 from camcal.targets.circles.blobs import Ellipses
 
@@ -54,6 +54,26 @@ def numbered(lattice: Array, ellipses: Ellipses, board: Board) -> Array | None:
     turns = [np.rot90(lattice, turn) for turn in range(4)]
     fitting = [turn for turn in turns if turn.shape == size_of(board) and _staggered(turn, board)]
     return max(fitting, key=lambda turn: _rightness(turn, ellipses), default=None)
+
+
+def board_of(lattice: Array, like: Board) -> Board | None:
+    """Return the board whose rows and columns a lattice of indices, turned as one like it is drawn, has; None if none.
+
+    Lengths are those of `like`.
+    """
+    for turn in range(4):
+        turned = np.rot90(lattice, turn)
+        rows, columns = turned.shape
+        if like.type == ASYMMETRIC_CIRCLES:
+            columns, half = divmod(columns, 2)
+            if half:
+                continue
+        if min(rows, columns) < 2 or max(rows, columns) > LARGEST:
+            return None
+        board = like.of_size(columns, rows)
+        if turned.shape == size_of(board) and _staggered(turned, board):
+            return board
+    return None
 
 
 def nodes(board: Board) -> Array:

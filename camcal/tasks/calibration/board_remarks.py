@@ -2,8 +2,10 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from camcal.errors import InsufficientData
+from camcal.formats.board_text import short_form
 from camcal.targets.board import (
     APRILGRID,
     ASYMMETRIC_CIRCLES,
@@ -13,8 +15,6 @@ from camcal.targets.board import (
     Board,
     Detection,
 )
-
-Size = tuple[int, int]
 
 _UNKNOWN_SIZE = {
     CHESSBOARD: "the size of a square is not given: lengths are in squares",
@@ -52,35 +52,88 @@ def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[st
 
 
 def nothing_found(
-    views: Sequence[Detection], patterns: Sequence[Size | None], board: Board, *, parts: bool = False
+    views: Sequence[Detection], others: Sequence[Board | None], board: Board, *, parts: bool = False
 ) -> InsufficientData | None:
     """Return the error that says why the board is in no image, None where it is in some.
 
-    patterns: the checker patterns of another size that images show. One that is larger than the board and in more
-    images than the board means that a part of another board was taken for it; a smaller one may be a part of the board,
-    which counts only if parts do.
+    others: the boards that images show instead. One that is larger than the board and in more images than the board
+    means that a part of another board was taken for it; a smaller one may be a part of the board, which counts only if
+    parts do.
     """
     found = sum(view.found for view in views)
-    sizes = Counter(size for size in patterns if size is not None and (not found or _larger(size, board)))
-    common = max(sizes, key=lambda size: sizes[size], default=None)
-    if found and (common is None or sizes[common] <= found):
+    counts = Counter(other for other in others if other is not None and (not found or _larger(other, board)))
+    common = max(counts, key=lambda other: counts[other], default=None)
+    if found and (common is None or counts[common] <= found):
         return None
-    if board.type != CHESSBOARD or common is None:
+    if common is None:
         advice = f"check {_TO_CHECK[board.type]}, or look at the images"
         return InsufficientData(f"no {board.words} in any of {len(views)} images{_reasons(views)}; {advice}")
-    columns, rows = common if board.columns >= board.rows else common[::-1]
-    squares = (columns + 1, rows + 1) == (board.columns, board.rows)
-    why = "sizes count inner corners, not squares: " if squares else ""
-    dots = ":dots" if board.dots else ""
-    hidden = "" if parts or squares or _larger(common, board) else ", or --partial if the rest is out of sight"
+    squares = (common.columns + 1, common.rows + 1) == (board.columns, board.rows)
+    checker = board.type == CHESSBOARD
+    why = "sizes count inner corners, not squares: " if checker and squares else ""
+    part = not (parts or squares or not checker or _larger(common, board))
+    hidden = ", or --partial if the rest is out of sight" if part else ""
+    article = "an" if common.type == ASYMMETRIC_CIRCLES else "a"
+    what = f"a checker pattern of {common.columns}x{common.rows}" if checker else f"{article} {common.words}"
     return InsufficientData(
-        f"no {board.words} in {len(views) - found} of {len(views)} images, but a checker pattern of {columns}x{rows} "
-        f"in {sizes[common]}; {why}use --board chessboard:{columns}x{rows}{dots}{hidden}"
+        f"no {board.words} in {len(views) - found} of {len(views)} images, but {what} "
+        f"in {counts[common]}; {why}use --board {short_form(common)}{hidden}"
     )
 
 
-def _larger(size: Size, board: Board) -> bool:
-    return size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows)
+@dataclass(frozen=True)
+class OtherBoard:
+    """A ChArUco board that images show in place of the one that was asked for, in `shown` of `tried` images."""
+
+    board: Board
+    shown: int
+    tried: int
+
+    def error(self, views: Sequence[Detection], asked: Board) -> InsufficientData:
+        """Return the error that says so; views: what was found of the board that was asked for."""
+        missing = sum(not view.found for view in views)
+        lacking = f"no {asked.words}" + (f" in {missing} of {len(views)} images" if missing else "")
+        return InsufficientData(
+            f"{lacking}: {self.shown} of {self.tried} images that were tried show "
+            f"{', '.join(_differences(self.board, asked))}; use --board {_stated(self.board)}"
+        )
+
+
+def _differences(board: Board, asked: Board) -> list[str]:
+    """Return what a ChArUco board has that was not asked for, in words."""
+    size = (board.columns, board.rows)
+    pairs = [
+        (f"{_squares(board)} squares", _squares(asked), size != (asked.columns, asked.rows)),
+        (f"{board.dictionary}", f"{asked.dictionary}", board.dictionary != asked.dictionary),
+        (f"markers of {_marker(board)}", _marker(asked), board.marker != asked.marker),
+        (f"marker ids from {board.first_marker}", f"{asked.first_marker}", board.first_marker != asked.first_marker),
+        (_pattern(board), _pattern(asked), board.legacy is not None and board.legacy != asked.legacy),
+    ]
+    return [f"{has}, not {wanted}" for has, wanted, differs in pairs if differs]
+
+
+def _marker(board: Board) -> str:
+    marker = board.marker or 0.0
+    return f"{marker:.3g} of a square" if board.square is None else f"{1e3 * marker:.4g} mm"
+
+
+def _pattern(board: Board) -> str:
+    return "the legacy pattern (OpenCV before 4.6)" if board.legacy else "the current pattern (OpenCV since 4.6)"
+
+
+def _stated(board: Board) -> str:
+    """Return how a board is given to --board; a first marker other than 0 takes a board file."""
+    if not board.first_marker:
+        return short_form(board)
+    form = short_form(replace(board, first_marker=0))
+    return f"with a board file: {form}, first_marker_id: {board.first_marker}"
+
+
+def _larger(other: Board, board: Board) -> bool:
+    (long, short), (longest, shortest) = (
+        (max(each.columns, each.rows), min(each.columns, each.rows)) for each in (other, board)
+    )
+    return long > longest or short > shortest
 
 
 def _reasons(views: Sequence[Detection]) -> str:

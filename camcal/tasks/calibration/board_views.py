@@ -1,7 +1,7 @@
 """What is seen of a board, from images or from a detections file: the first step of every task that needs a board."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from camcal.errors import InvalidInput
@@ -9,6 +9,7 @@ from camcal.formats import boards, detections
 from camcal.progress import Progress
 from camcal.targets.board import Board, Detection, Detections
 from camcal.tasks.calibration.detect import DetectOptions, detect_images
+from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, read_photograph
 from camcal.tasks.calibration.video_frames import BEST_FRAMES, Film, FrameOptions, FrameRecord
 
@@ -43,13 +44,15 @@ def board_views(
     reading: Reading = AS_IMAGES,
     frames: FrameOptions = BEST_FRAMES,
     parts: bool = False,
+    mixed_sizes: bool | None = None,
 ) -> BoardViews:
     """Return what images, videos, folders and globs show of a board, or what one detections file holds.
 
     board: a board, its file or its short form; it may be None where a detections file names the board.
     image_size: (width, height) of the images of a .vnl file, which has none; None: the images beside it tell.
     reading: what is made of raw frames, and which colours are looked at. frames: which ones of videos are taken.
-    parts: whether parts of a chessboard will do that show which part they are.
+    parts: whether parts of a chessboard will do that show which part they are. mixed_sizes: whether views of another
+    size than most are used where it is known how the sizes are related; None is no, by a command without that option.
     Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.
     """
     known = boards.load_board(board) if isinstance(board, str) else board
@@ -64,10 +67,23 @@ def board_views(
         found = detections.read(path, known, image_size or (lambda name: _size_beside(path, name)))
         if found.board is None:
             raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm", where=tables[0])
-        return BoardViews(found.board, found, table=True)
+        sized = same_size(found.views, usual_size(found.views), found.board, mixed=mixed_sizes)
+        # views of other sizes keep their points unless they are asked to fit: the solver names what it leaves out
+        return BoardViews(
+            found.board, replace(found, views=sized.views) if mixed_sizes else found, sized.notes, table=True
+        )
     if known is None:
         raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
-    options = DetectOptions(inputs, known, recursive=recursive, jobs=jobs, reading=reading, frames=frames, parts=parts)
+    options = DetectOptions(
+        inputs,
+        known,
+        recursive=recursive,
+        jobs=jobs,
+        reading=reading,
+        frames=frames,
+        parts=parts,
+        mixed_sizes=mixed_sizes,
+    )
     report = detect_images(options, progress)
     found = report.detections
     return BoardViews(

@@ -42,6 +42,7 @@ class CalibrateOptions:
     detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height)
     of the images of a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own.
     frames: which ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are.
+    mixed_sizes: whether images turned by 90°, of half the size or off by a pixel or two are used.
     refine: measure the corners once more along the edges that the calibrated lens expects, and calibrate with these;
     None: where there are images.
     """
@@ -64,6 +65,7 @@ class CalibrateOptions:
     frames: FrameOptions = BEST_FRAMES
     parts: bool = False
     refine: bool | None = None
+    mixed_sizes: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         options.reading,
         options.frames,
         options.parts,
+        mixed_sizes=options.mixed_sizes,
     )
     looks_again = _looks_again(options, seen)
     if options.save_detections:
@@ -317,6 +320,7 @@ def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str
     arguments += ["--flat-board"] if options.flat_board else []
     arguments += [] if options.refine is None else ["--refine" if options.refine else "--no-refine"]
     arguments += [*options.reading.arguments(), *options.frames.arguments(), *(["--partial"] if options.parts else [])]
+    arguments += ["--mixed-sizes"] if options.mixed_sizes else []
     return provenance.build(arguments, calibration.board, [_image(view) for view in calibration.views])
 
 

@@ -1,30 +1,23 @@
 """`camcal detect`: the points of a board in images and frames of videos, as many at a time as there are cores."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections
-from camcal.progress import SILENT, Outcome, Progress
-from camcal.run.fanout import fan_out
+from camcal.progress import SILENT, Progress
 from camcal.run.inputs import Media, find_images, find_media
 from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
-from camcal.targets.checker.charuco import arrangements
-from camcal.targets.detect import detect, require_findable
+from camcal.targets.detect import require_findable
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks
 from camcal.tasks.calibration.corner_drawing import draw, pictures
-from camcal.tasks.calibration.photographs import (
-    AS_IMAGES,
-    Reading,
-    in_colours,
-    read_photograph,
-    require_colours,
-)
+from camcal.tasks.calibration.image_detection import Seen, detect_file, search
+from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
+from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, require_colours
 from camcal.tasks.calibration.video_frames import (
     BEST_FRAMES,
     Film,
@@ -38,18 +31,13 @@ from camcal.tasks.calibration.video_frames import (
     summary,
     survey,
 )
+from camcal.tasks.calibration.which_board import Material, arranged, other_board
 
 SUFFIXES = (".csv", ".vnl")
-SAMPLE = 6  # images on which the arrangement of a ChArUco board is found out
-TRYING = "trying patterns"
-TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
 MIXED = (
     "red and blue come from demosaiced images, which mix them with green: the aberration may be wrong by tenths of a "
     "pixel; use raw frames"
 )
-
-Source = TypeVar("Source")
-Shown = TypeVar("Shown")
 
 
 @dataclass(frozen=True)
@@ -58,6 +46,8 @@ class DetectOptions:
 
     reading: what is made of camera raw files and bare mosaics. frames: which ones of videos are taken. draw: a folder
     for pictures of what was found. parts: whether parts of a chessboard will do that show which part they are.
+    mixed_sizes: whether images of another size than most are used where it is known how the sizes are related; None is
+    no, by a command without that option.
     """
 
     inputs: Sequence[Path | str]
@@ -69,6 +59,7 @@ class DetectOptions:
     frames: FrameOptions = BEST_FRAMES
     draw: Path | None = None
     parts: bool = False
+    mixed_sizes: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,24 +85,11 @@ class DetectReport:
         return sum(view.found for view in self.detections.views)
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What one image shows, and its colours if asked for; pattern: the size of a checker pattern that is not the board.
-
-    demosaiced: whether the colours had been mixed.
-    """
-
-    view: Detection
-    pattern: tuple[int, int] | None
-    colours: Mapping[str, Detection] = field(default_factory=dict)
-    demosaiced: bool = False
-
-
 def detect_images(options: DetectOptions, progress: Progress = SILENT) -> DetectReport:
     """Return what images and chosen frames of videos show of a board, written to options.output if that is given.
 
     Images come in their order, then frames in theirs. A ChArUco board is taken in the arrangement that fits. Images of
-    another size than most are left out.
+    another size than most are left out, or made to fit.
     Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere; only pictures are
     drawn then.
     """
@@ -120,31 +98,36 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     media = _media(options)
     _require_outputs(options, media)
     films = [survey(video, options.frames, progress) for video in media.videos]
-    board = _arranged(options, media.images, films, progress) if options.board.type == CHARUCO else options.board
+    material = Material(media.images, films, options.reading, options.jobs, progress)
+    board = arranged(options.board, material) if options.board.type == CHARUCO else options.board
     seen, errors = _seen(media.images, board, options, progress)
     looks, lost = _looks(films, board, options, progress)
     errors += [*(film.error for film in films if film.error is not None), *lost]
     found = [item.view for item in seen] + [look.view for look in looks]
-    patterns = [item.pattern for item in seen] + [look.pattern for look in looks]
+    others = [item.other for item in seen] + [look.other for look in looks]
     _require_readable(found, errors)
-    if error := nothing_found(found, patterns, board, parts=options.parts):
+    instead = other_board(options.board, board, found, material) if board.type == CHARUCO else None
+    nothing = nothing_found(found, others, board, parts=options.parts)
+    if error := instead.error(found, options.board) if instead else nothing:
         _drawn([item.view for item in seen], films, options, progress)  # here the reasons are wanted most
         raise error
-    size = _usual_size(found)
+    size = usual_size(found)
     records = settled(looks, board, size, options.frames)
     kept = [record.look.view for record in records if record.taken or options.frames.whole]
-    views = [_of_size(view, size) for view in (*(item.view for item in seen), *kept)]
+    before = [*(item.view for item in seen), *kept]
+    sized = same_size(before, size, board, mixed=options.mixed_sizes)
+    views = sized.views
     mixed = (MIXED,) if any(item.demosaiced for item in seen) else ()
     if options.output is not None:
-        detections.write(options.output, Detections(board, tuple(views)))
+        detections.write(options.output, Detections(board, views))
     return DetectReport(
-        Detections(board, tuple(views)),
-        remarks(views, board, options.board) + mixed + tuple(summary(film, records) for film in films),
+        Detections(board, views),
+        remarks(views, board, options.board) + sized.notes + mixed + tuple(summary(film, records) for film in films),
         tuple(map(str, errors)),
-        {colour: tuple(item.colours[colour] for item in seen) for colour in (seen[0].colours if seen else ())},
+        {colour: sized.alike([item.colours[colour] for item in seen]) for colour in (seen[0].colours if seen else ())},
         records,
         tuple(films),
-        _drawn(views, films, options, progress),
+        _drawn(sized.in_files(before), films, options, progress),
     )
 
 
@@ -188,9 +171,9 @@ def _seen(
     images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress
 ) -> tuple[list[Seen], list[CamcalError]]:
     """Return what images show, and why others could not be read."""
-    work = partial(_detect_file, reading=options.reading, parts=options.parts)
+    work = partial(detect_file, reading=options.reading, parts=options.parts)
     tasks = [(path, board) for path in images]
-    outcomes = list(_search(work, tasks, options, "detecting", progress)) if images else []
+    outcomes = list(search(work, tasks, options.jobs, "detecting", progress)) if images else []
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
 
@@ -204,68 +187,10 @@ def _looks(
     for film in films:
         # one outcome after another: each holds its frame
         work = partial(look_at, parts=options.parts)
-        for outcome in _search(work, film.tasks([board]), options, f"detecting in {film.path.name}", progress):
+        for outcome in search(work, film.tasks([board]), options.jobs, f"detecting in {film.path.name}", progress):
             looks += [outcome.value] if outcome.value else []
             errors += [outcome.error] if outcome.error else []
     return looks, errors
-
-
-def _search(
-    work: Callable[[Source], Shown], tasks: Iterable[Source], options: DetectOptions, what: str, progress: Progress
-) -> Iterator[Outcome[Source, Shown]]:
-    timeout = None if options.jobs == 1 else TIMEOUT_S
-    return fan_out(work, tasks, jobs=options.jobs, processes=True, what=what, progress=progress, timeout=timeout)
-
-
-def _detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Seen:
-    path, board = task
-    photograph = read_photograph(path, reading)
-    sighting = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
-    height, width = photograph.gray.shape
-    found = sighting.in_image(path.as_posix(), (width, height), photograph.orientation)
-    return Seen(found, sighting.pattern, in_colours(photograph, found, board), photograph.demosaiced)
-
-
-def _arranged(options: DetectOptions, images: Sequence[Path], films: Sequence[Film], progress: Progress) -> Board:
-    """Return the arrangement of a ChArUco board with which most corners are found on a sample, else on everything."""
-    candidates = arrangements(options.board)
-    if len(candidates) == 1:
-        return candidates[0]
-    options = replace(options, reading=replace(options.reading, colours=False))
-    samples = images[:: -(-len(images) // SAMPLE) or 1], [film.sample() for film in films]
-    corners: Counter[Board] = Counter()
-    for part, parts in (samples, (images, films)):
-        tasks = [(path, candidate) for candidate in candidates for path in part]
-        shown = _search(partial(_detect_file, reading=options.reading), tasks, options, TRYING, progress)
-        corners.update(_counts((outcome.item[1], outcome.value.view) for outcome in shown if outcome.value))
-        for film in parts:
-            looks = _search(look_at, film.tasks(candidates), options, TRYING, progress)
-            corners.update(_counts((outcome.item[2], outcome.value.view) for outcome in looks if outcome.value))
-        if corners.total():
-            break
-    return max(candidates, key=lambda candidate: corners[candidate])
-
-
-def _counts(views: Iterable[tuple[Board, Detection]]) -> Counter[Board]:
-    """Return how many corners were found with each board."""
-    counts: Counter[Board] = Counter()
-    for board, view in views:
-        counts[board] += len(view.ids)
-    return counts
-
-
-def _usual_size(views: Sequence[Detection]) -> tuple[int, int]:
-    """Return the size of most views with points, (width, height)."""
-    sizes = Counter(view.size for view in views if view.found)
-    return max(sizes, key=lambda size: sizes[size])
-
-
-def _of_size(view: Detection, usual: tuple[int, int]) -> Detection:
-    """Return the view, without its points if it is of another size than most with points."""
-    if view.size == usual or not view.found:
-        return view
-    reason = f"image {view.size[0]}x{view.size[1]} differs from the majority {usual[0]}x{usual[1]}"
-    return replace(Detection.nothing(view.image, view.size, reason), orientation=view.orientation)
 
 
 def document(report: DetectReport, output: Path | None) -> dict[str, Any]:

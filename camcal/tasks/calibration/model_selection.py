@@ -47,7 +47,12 @@ def select(views: Sequence[Detection], board: Board, options: intrinsics.Options
         except _FAILURES as error:
             failure = failure or error
             continue
-        return _without_fold(Selection(calibration, contenders), views, board, options)
+        selection = Selection(calibration, contenders)
+        if failure is not None:
+            return replace(
+                selection, remarks=(f"lens model {own.name} is used: {first.name} fails ({failure.message})",)
+            )
+        return _without_fold(selection, views, board, options)
     raise failure or NotConverged("no lens model was found")
 
 

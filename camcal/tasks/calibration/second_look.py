@@ -14,6 +14,7 @@ from camcal.run.fanout import fan_out
 from camcal.targets.board import Board, Detection
 from camcal.targets.corners.board_edges import seen_cells, signs
 from camcal.targets.corners.second_look import Expected, look_again
+from camcal.targets.mixed_sizes import NEAR, size_relation
 from camcal.targets.samples import Samples
 from camcal.tasks.calibration.photographs import Reading, read_photograph
 from camcal.tasks.calibration.video_frames import Film
@@ -54,7 +55,7 @@ def second_look(
     """Return the views of a calibration with their corners measured along the edges that it expects.
 
     detections: of calibration.views, in their order. A view that the calibration does not use stays as it is, and so
-    does one whose image can no longer be read.
+    does one whose image can no longer be read, or was made to fit the size of the others (--mixed-sizes).
     """
     pairs = zip(detections, calibration.views, strict=True)
     expected = {
@@ -87,11 +88,21 @@ def _sights(expected: Mapping[str, _Sight], films: Sequence[Film]) -> Iterator[_
 def _look_again(sight: _Sight, reading: Reading) -> tuple[Detection, int]:
     """Return a view with its corners measured again, and how many were recovered."""
     view = sight.view
-    samples = Samples(sight.gray) if sight.gray is not None else read_photograph(Path(view.image), reading).samples
+    samples = Samples(sight.gray) if sight.gray is not None else _samples(view, reading)
+    if samples is None:
+        return view, 0
     seen = look_again(samples, view.ids, view.pixels, sight.expected)
     if not len(seen.ids):
         return view, 0
     return replace(view, ids=seen.ids, pixels=seen.pixels, covariance=seen.covariance), seen.recovered
+
+
+def _samples(view: Detection, reading: Reading) -> Samples | None:
+    """Return the samples of a view's image, None where the view's pixels are not those of its file (--mixed-sizes)."""
+    photograph = read_photograph(Path(view.image), reading)
+    height, width = photograph.gray.shape
+    same = (width, height) == view.size or size_relation((width, height), view.size) == NEAR
+    return photograph.samples if same else None
 
 
 def renumbered(view: Detection, record: View, board: Board) -> Detection:

@@ -110,11 +110,11 @@ class Film:
 class FrameLook:
     """What a frame shows: blur of the board's edges, px, and how far it has moved since the frame before, px.
 
-    pattern: the size of a checker pattern that is not the board.
+    other: the board in sight that is not the one looked for.
     """
 
     view: Detection
-    pattern: tuple[int, int] | None = None
+    other: Board | None = None
     blur_px: float = float("nan")
     motion_px: float = float("nan")
 
@@ -174,12 +174,12 @@ def look_at(task: tuple[str, Frame, Board], parts: bool = False) -> FrameLook:
     sighting = detect(gray, board, partial=parts)
     found = sighting.in_image(frame.name, frame.image.size, frame.image.orientation)
     if not sighting.found:
-        return FrameLook(found, sighting.pattern)
+        return FrameLook(found, sighting.other)
     copy = reduced(gray)
     moved = np.nan
     if frame.before is not None and frame.before.shape == copy.shape:
         moved = motion(frame.before, copy, sighting.pixels, gray.shape[1] // copy.shape[1])
-    return FrameLook(found, sighting.pattern, edge_blur(gray, sighting.pixels), moved)
+    return FrameLook(found, sighting.other, edge_blur(gray, sighting.pixels), moved)
 
 
 def settled(

@@ -1,0 +1,173 @@
+"""Views in images of another size than most: named, or with --mixed-sizes made views of the usual size.
+
+A file does not tell which way an image was turned by 90 degrees, and turned the wrong way its lens is upside down: its
+principal point lies on the other side of the middle. So the other views are calibrated, and the way that this lens fits
+clearly better is taken. Where both fit alike, the image is left out.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from camcal.calibrate import intrinsics
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.intrinsics import Calibration
+from camcal.cameras.catalogue import model_named
+from camcal.errors import CamcalError
+from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.targets.board import Board, Detection
+from camcal.targets.mixed_sizes import (
+    CLOCKWISE,
+    COUNTER_CLOCKWISE,
+    TURNED,
+    PixelMap,
+    Size,
+    pixel_map,
+    size_relation,
+    size_words,
+)
+
+OPTION = "--mixed-sizes"
+_MODELS = ("opencv5", "kannala_brandt4")  # of which the one with less noise tells how images were turned
+_CLEARER = 1.5  # times: how much larger the median residual of the other way must be
+_LIMIT = 5.0  # times the noise of the other views: the median residual of a view that fits
+_NAMED = 4  # images in a note
+
+
+@dataclass(frozen=True, eq=False)
+class SameSize:
+    """Views that are all of one size, or without points and with the reason.
+
+    maps: for the images that were made to fit, by name. notes: what was done with images of other sizes, a line each.
+    """
+
+    views: tuple[Detection, ...]
+    maps: Mapping[str, PixelMap] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def alike(self, views: Sequence[Detection]) -> tuple[Detection, ...]:
+        """Return other views of the same images, of their red for example, made to fit as these are."""
+        return tuple(self.maps[view.image].apply(view) if view.image in self.maps else view for view in views)
+
+    def in_files(self, before: Sequence[Detection]) -> tuple[Detection, ...]:
+        """Return the views with the pixels of their files; before: as they were before they were made to fit."""
+        pairs = zip(before, self.views, strict=True)
+        return tuple(old if old.image in self.maps else new for old, new in pairs)
+
+
+def usual_size(views: Sequence[Detection]) -> Size:
+    """Return the size of most views with points, (width, height); (0, 0) if there are none."""
+    sizes = Counter(view.size for view in views if view.found)
+    return max(sizes, key=lambda size: sizes[size], default=(0, 0))
+
+
+def same_size(views: Sequence[Detection], usual: Size, board: Board, *, mixed: bool | None) -> SameSize:
+    """Return the views with points in images of the usual size (width, height); of others their points are dropped.
+
+    mixed: images of half or twice the size, turned by 90 degrees, or a pixel or two off are used all the same; None is
+    no, by a command without that option.
+    """
+    others = [view for view in views if view.found and view.size != usual]
+    maps, reasons = _maps(views, others, usual, board) if mixed else ({}, {})
+    result = []
+    for view in views:
+        if not view.found or view.size == usual:
+            result.append(view)
+        elif view.image in maps:
+            result.append(maps[view.image].apply(view))
+        else:
+            offered = mixed is False and size_relation(view.size, usual) is not None
+            hint = f"; {OPTION} uses it" if offered else ""
+            reason = reasons.get(view.image) or _differs(view, usual) + hint
+            result.append(replace(Detection.nothing(view.image, view.size, reason), orientation=view.orientation))
+    return SameSize(tuple(result), maps, _notes(others, maps, usual, mixed=mixed))
+
+
+def _differs(view: Detection, usual: Size) -> str:
+    """Return in words that a view is of another size, and how the sizes are related if they are."""
+    words = f"image {_words(view.size)} differs from the majority {_words(usual)}"
+    related = size_relation(view.size, usual) is not None
+    return f"{words}: {size_words(view.size, usual)}" if related else words
+
+
+def _words(size: Size) -> str:
+    return f"{size[0]}x{size[1]}"
+
+
+def _notes(
+    others: Sequence[Detection], maps: Mapping[str, PixelMap], usual: Size, *, mixed: bool | None
+) -> tuple[str, ...]:
+    """Return a line for every size that is related to the usual one: whether its images are used, and their names."""
+    named: dict[tuple[bool, Size], list[str]] = defaultdict(list)
+    for view in others:
+        if size_relation(view.size, usual) is not None:
+            named[view.image in maps, view.size].append(Path(view.image).name)
+    notes = []
+    for (used, size), images in named.items():
+        more = f" and {len(images) - _NAMED} more" if len(images) > _NAMED else ""
+        what = f"used with {OPTION}" if used else "not used"
+        hint = f"; {OPTION} uses such images" if mixed is False else ""
+        count = f"{len(images)} image{'s' if len(images) > 1 else ''} of {_words(size)}"
+        words = f"{size_words(size, usual)} (the majority: {_words(usual)})"
+        notes.append(f"{what}: {count}, {words}: {', '.join(images[:_NAMED])}{more}{hint}")
+    return tuple(notes)
+
+
+def _maps(
+    views: Sequence[Detection], others: Sequence[Detection], usual: Size, board: Board
+) -> tuple[dict[str, PixelMap], dict[str, str]]:
+    """Return the maps of images that can be used, and why other ones cannot although their sizes are related."""
+    turned = [view for view in others if size_relation(view.size, usual) == TURNED]
+    maps = {
+        view.image: pixel_map(view.size, usual)
+        for view in others
+        if size_relation(view.size, usual) not in (None, TURNED)
+    }
+    if not turned:
+        return maps, {}
+    fitting = [view for view in views if view.found and view.size == usual]
+    fitting += [maps[view.image].apply(view) for view in others if view.image in maps]
+    lens, failure = _calibrated(fitting, board)
+    reasons = {}
+    for view in turned:
+        found = failure if lens is None else _way(view, usual, lens)
+        if isinstance(found, PixelMap):
+            maps[view.image] = found
+        else:
+            reasons[view.image] = f"{_differs(view, usual)}; {found}"
+    return maps, reasons
+
+
+def _calibrated(views: Sequence[Detection], board: Board) -> tuple[Calibration | None, str]:
+    """Return the calibration of the usual views that leaves the least noise, or why there is none."""
+    shape = ShapeOptions(smooth=True, offsets=False)
+    found, failure = [], ""
+    for name in _MODELS:
+        try:
+            found.append(intrinsics.calibrate(views, board, intrinsics.Options(model_named(name), shape=shape)))
+        except CamcalError as error:
+            failure = f"the way it was turned cannot be told without a calibration of the others: {error.message}"
+    return min(found, key=lambda calibration: calibration.sigma_px, default=None), failure
+
+
+def _way(view: Detection, usual: Size, lens: Calibration) -> PixelMap | str:
+    """Return how a turned view becomes one of the usual size by the way that the lens fits, or why that is unclear."""
+    maps = [pixel_map(view.size, usual, quarter) for quarter in (CLOCKWISE, COUNTER_CLOCKWISE)]
+    points = lens.surface.points()[view.ids]
+    both = [each.apply(view) for each in maps]
+    seen = [Correspondences(one.image, points, one.pixels, one.covariance) for one in both]
+    outcomes = estimate_poses(lens.camera, seen, PoseOptions(intrinsics=False))
+    medians = [
+        np.inf if outcome.value is None else float(np.nanmedian(np.linalg.norm(outcome.value.residuals, axis=1)))
+        for outcome in outcomes
+    ]
+    best, other = sorted(medians)
+    limit = _LIMIT * lens.sigma_px
+    if not best <= limit:
+        return f"turned either way it does not fit the others: median {best:.2f} px (limit {limit:.2f} px)"
+    if other < _CLEARER * best:
+        return f"turned either way it fits the others alike: median {best:.2f} and {other:.2f} px"
+    return maps[medians.index(best)]
