@@ -3,9 +3,14 @@
 import json
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
 from camcal.cli.main import app
+from camcal.formats.camera_file import CameraEntry
+from camcal.tasks.calibration.inspect import camera_lines
 
 CAMERA = """%YAML 1.1
 ---
@@ -87,7 +92,7 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "left: opencv4, 640x480",
         "512.06",  # to the place of its standard deviation
         "fixed",
-        "field of view 65.2° x 51.3°",  # of the pinhole: 2 atan(320 / 500), 2 atan(240 / 500)
+        "field of view horizontal 65.2°, vertical 51.3°",  # of the pinhole: 2 atan(320 / 500), 2 atan(240 / 500)
         "valid up to 36.5° from the axis, up to 401 px from the principal point, inside a polygon of 3 corners",
         "k2 is held by its prior: the data hardly determine it",
         "fit rms 0.214 px, images used 34",
@@ -200,3 +205,10 @@ def test_what_is_no_camera_file_gets_one_clear_line(camcal, tmp_path, content, c
     assert (result.code, result.out) == (code, "")
     assert words in result.err
     assert len(result.err.splitlines()) == 1
+
+
+def test_a_lens_without_rays_at_the_edges_of_the_image_has_no_field_of_view_there():
+    entry = CameraEntry(Camera(model_named("pinhole"), (640, 480), np.array([500.0, 500.0, 320.0, 240.0])))
+    assert list(camera_lines(entry, (1.0, np.nan, np.nan))) == ["field of view horizontal 1.0°"]
+    (line,) = camera_lines(entry, (np.nan, np.nan, np.nan))
+    assert line == "field of view not known: the lens is not valid at the edges of the image"

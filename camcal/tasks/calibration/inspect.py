@@ -87,8 +87,9 @@ def parameter_rows(camera: Camera) -> list[list[str]]:
 
 def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> Iterator[str]:
     """Yield what is known of one camera beside its parameters, a line each."""
-    horizontal, vertical, diagonal = (f"{angle:.1f}°" for angle in field_deg)
-    yield f"field of view {horizontal} x {vertical}, diagonal {diagonal}"
+    names = "horizontal", "vertical", "diagonal"
+    known = [f"{name} {angle:.1f}°" for name, angle in zip(names, field_deg, strict=True) if math.isfinite(angle)]
+    yield "field of view " + (", ".join(known) or "not known: the lens is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
     if entry.held_by_prior:
