@@ -60,13 +60,12 @@ def columns_at(
     """Return the columns of the effects of some names at a state; at states nearby they differ by scale alone."""
     if not names:
         return EffectColumns(np.zeros((2, 0, *present.shape)), np.zeros(0, np.intp))
-    by_point = derivatives.by_point.reshape(2, 3, *present.shape)
     columns = effect_columns(
         problem.board,
         problem.observations.ids,
         problem.observations.pixels,
         derivatives.by_pose().reshape(2, 6, *present.shape),
-        np.einsum("ijvp,vj->ivp", by_point, state.rotations[:, :, 2]),
+        np.moveaxis(derivatives.by_board(state.rotations)[..., 2], 2, 0),
         present,
     )
     return columns.of([index for index, effect in enumerate(EFFECTS) if effect.name in names])

@@ -15,12 +15,11 @@ from camcal.arrays import Array
 from camcal.calibrate.corner_noise import PERIODS, CornerNoise, estimate_noise, period_shares
 from camcal.calibrate.effects import EFFECTS, columns_at
 from camcal.calibrate.noise import FINEST, ViewNoise, clipped, corner_weights, count_of, first_noise, lost, view_noise
-from camcal.calibrate.problem import BoardProblem, Derivatives, State
+from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
 from camcal.calibrate.scales import Scale
 from camcal.calibrate.shape import board_scales, first_scales, offset_std, spent_on_offsets, under, with_terms
 from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equations
 from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
-from camcal.solve.assembly import assemble
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Factors, Step, factorise
@@ -41,7 +40,6 @@ _NEW, _LESS, _LEAST_SHARE, _BACK = 1.0, 0.7, 0.3, 0.5
 _NEAR, _SHORTEST, _TRIALS, _UNSEEN = 0.75, 0.2, 12, 1e-11
 _FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is believed
 _POSING, _GROSS = Stopping(relative_decrease=1e-6, iterations=20), 3.0  # of lost views; σ where an error is gross
-_POSE = 6
 _LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for
 
 
@@ -134,7 +132,7 @@ class _Passes:
         residuals = self._residuals(self.place)
         self.fresh = start is None
         self.noise = start.noise if start else first_noise(self.problem.distances(residuals), present)
-        self.spent = start.posterior.spent if start else np.full(len(present), 6.0)
+        self.spent = start.posterior.spent if start else np.full(len(present), float(POSE))
         self.corners = start.corners if start else None
         self.board = dict(start.board) if start else first_scales()
         self.effect_scales = EffectScales.start(len(present), self.noise.sigma, max(problem.board.extent))
@@ -256,8 +254,7 @@ class _Passes:
         if self.claimed is None or not board.crossed:
             return np.zeros((*shape, 2, len(PERIODS)))
         side = board.pitch if board.checker else (board.marker or board.pitch)
-        by_point = self.place.derivatives.by_point.reshape(2, 3, *shape)
-        axes = side * np.einsum("ijvp,vjk->vpik", by_point, self.place.state.rotations[:, :, :2])
+        axes = side * self.place.derivatives.by_board(self.place.state.rotations)[..., :2]
         return period_shares(axes.reshape(-1, 2, 2)).reshape(*shape, 2, -1)
 
     def _move_points(self) -> float:
@@ -282,15 +279,13 @@ class _Passes:
         state at the end of the whole way, which is their minimum.
         """
         here, effects = self.place, self.columns.values if self.freedom.effects else None
-        blocks = [self.problem.data(here.state, here.derivatives, effects), *self.problem.priors(here.state)]
-        size = _POSE + len(self.columns.effect)
-        equations = assemble(blocks, self.problem.shared, len(self.present), size)
+        equations = self.problem.equations(here.state, here.derivatives, effects)
         if self.freedom.effects:
             self.effect_scales = fit_effects(equations, self.columns, self.effect_scales)
         std = self.effect_scales.std(self.columns.effect)
         factors = factorise(scaled(equations, std))
         step, cost = factors.solve(), self._cost(here, std)
-        step = Step(step.shared, np.concatenate([step.groups[:, :_POSE], std * step.groups[:, _POSE:]], axis=1))
+        step = Step(step.shared, np.concatenate([step.groups[:, :POSE], std * step.groups[:, POSE:]], axis=1))
         promised = cost - (factors.equations.cost - factors.decrease())
         share = 1.0
         for _ in range(_TRIALS):
@@ -305,8 +300,8 @@ class _Passes:
 
     def _towards(self, here: _Place, step: Step, share: float) -> _Place:
         """Return the place a share of the way along a step, whose coefficients of effects are those of its end."""
-        state = self.problem.retract(here.state, Step(share * step.shared, share * step.groups[:, :_POSE]))
-        coefficients = (1 - share) * here.coefficients + share * step.groups[:, _POSE:]
+        state = self.problem.retract(here.state, Step(share * step.shared, share * step.groups[:, :POSE]))
+        coefficients = (1 - share) * here.coefficients + share * step.groups[:, POSE:]
         return _Place(state, self.problem.derivatives(state), coefficients)
 
     def _cost(self, place: _Place, std: Array) -> float:

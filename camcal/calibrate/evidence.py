@@ -8,8 +8,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, Effect, columns_at
 from camcal.calibrate.estimator import Estimate, Views
+from camcal.calibrate.problem import POSE
 from camcal.calibrate.variances import EffectScales, likelihood_gain
-from camcal.solve.assembly import assemble
 from camcal.targets.surface import basis
 
 _VIEWS = 40  # effects that so many views do not show need not be modelled
@@ -66,9 +66,7 @@ def evidence_of_effects(plain: Estimate, views: Views) -> Evidence:
 
     def gain(names: Sequence[str]) -> float:
         columns = columns_at(some, state, derivatives, present, names)
-        blocks = [some.data(state, derivatives, columns.values), *some.priors(state)]
-        equations = assemble(blocks, some.shared, len(chosen), 6 + len(columns.effect))
-        return likelihood_gain(equations, columns, start)
+        return likelihood_gain(some.equations(state, derivatives, columns.values), columns, start)
 
     everything = gain(_NAMES)
     share = float(np.clip((everything - _NOTHING) / (_CERTAIN - _NOTHING), 0, 1))
@@ -105,7 +103,7 @@ def _products(estimate: Estimate, effect: Array, wanted: Effect) -> Array:
     """
     assert estimate.effect_scales is not None
     std = estimate.effect_scales.std(effect)
-    left = estimate.factors.group_covariances()[:, 6:, 6:] * std[:, :, None] * std[:, None]
+    left = estimate.factors.group_covariances()[:, POSE:, POSE:] * std[:, :, None] * std[:, None]
     values, chosen = estimate.coefficients, effect == EFFECTS.index(wanted)
     return np.asarray((values[:, :, None] * values[:, None] + left)[:, chosen][:, :, chosen])
 

@@ -80,19 +80,8 @@ class Fit:
         return self.plain.problem
 
 
-def fit(
-    model: CameraModel,
-    board: Board,
-    observations: Observations,
-    image_size: tuple[int, int],
-    held: Array,
-    guess: Array | None,
-    shape: ShapeOptions,
-    claimed: Array | None = None,
-) -> Fit:
-    """Return the solution of a data set; see `fit_plain` for what it is made of."""
-    views = Views(observations.weights > 0, claimed)
-    plain, turns = fit_plain(model, board, observations, image_size, held, guess, shape, claimed)
+def fit(plain: Estimate, turns: Array, views: Views, image_size: tuple[int, int]) -> Fit:
+    """Return the solution that goes on from the two results of `fit_plain`."""
     estimates = [plain]
     found = evidence_of_effects(plain, views) if plain.converged and len(plain.problem.free) else Evidence()
     for effects in _EFFECTS if found.share > 0 else ():

@@ -44,9 +44,7 @@ class Misfit:
 
 def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array) -> Misfit:
     """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image."""
-    derivatives = problem.derivatives(state)
-    by_point = derivatives.by_point.reshape(2, 3, *present.shape)
-    axes = problem.board.pitch * np.einsum("ijvp,vjk->vpik", by_point, state.rotations[:, :, :2])
+    axes = problem.board.pitch * problem.derivatives(state).by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     return Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)

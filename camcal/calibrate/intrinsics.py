@@ -8,12 +8,13 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
+from camcal.calibrate.estimator import Views
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
 from camcal.calibrate.gross import misfit, require_fit
 from camcal.calibrate.model_choice import Contender, contender
 from camcal.calibrate.noise import REJECTED
-from camcal.calibrate.problem import BoardProblem, Observations, covariances_of
+from camcal.calibrate.problem import POSE, BoardProblem, Observations, covariances_of
 from camcal.calibrate.shape import surface_of
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
@@ -125,7 +126,8 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     observations = Observations.of(usable)
     claimed = covariances_of(usable)
     try:
-        result = fit(options.model, board, observations, size, held, guess, options.shape, claimed)
+        plain, turns = fit_plain(options.model, board, observations, size, held, guess, options.shape, claimed)
+        result = fit(plain, turns, Views(observations.weights > 0, claimed), size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
@@ -243,7 +245,7 @@ def _record(
 
 def _pose_covariances(result: Fit) -> Array:
     """Return the covariances (V, 6, 6) of the poses: weighted means over the estimates, each under the lens's own."""
-    own = [estimate.factors.group_covariances(6, result.covariance) for estimate in result.estimates]
+    own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
 
 

@@ -14,10 +14,13 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import CameraModel
 from camcal.geometry.pose import retract
+from camcal.solve.assembly import assemble
 from camcal.solve.losses import Loss
-from camcal.solve.steps import Block, Jacobian, Step
+from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import basis
+
+POSE = 6  # parameters of a view: tx ty tz rx ry rz
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +113,11 @@ class Derivatives:
     rotated: Array
     valid: Array
 
+    def by_board(self, rotations: Array) -> Array:
+        """Return the derivatives (V, P, 2, 3) by x, y, z of the board; rotations: (V, 3, 3) camera_T_board."""
+        by_point = self.by_point.reshape(2, 3, len(rotations), -1)
+        return np.asarray(np.einsum("ijvp,vjk->vpik", by_point, rotations))
+
     def by_pose(self) -> Array:
         """Return the derivatives (2, 6, M) by tx ty tz rx ry rz."""
         return _pose_jacobian(self.by_point, self.rotated)
@@ -146,7 +154,7 @@ class BoardProblem:
 
     @property
     def groups(self) -> tuple[int, int]:
-        return len(self.observations.ids), 6
+        return len(self.observations.ids), POSE
 
     @cached_property
     def _basis(self) -> Array:
@@ -252,6 +260,12 @@ class BoardProblem:
             weights=weights.ravel() / self.sigma**2,
             loss=self.loss,
         )
+
+    def equations(self, state: State, derivatives: "Derivatives", effects: Array | None = None) -> NormalEquations:
+        """Return the normal equations of the observations and the priors; effects: as `data` has them."""
+        blocks = [self.data(state, derivatives, effects), *self.priors(state)]
+        size = POSE + (0 if effects is None else effects.shape[1])
+        return assemble(blocks, self.shared, len(self.observations.ids), size)
 
     def _points(self, state: State) -> tuple[Array, Array]:
         """Return the board's points rotated and in the camera frame, both (3, V, P)."""

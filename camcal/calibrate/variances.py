@@ -12,9 +12,9 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, EffectColumns
+from camcal.calibrate.problem import POSE
 from camcal.solve.steps import Factors, NormalEquations, Step, factorise
 
-_POSE = 6
 _SHARE_DOF = 4.0  # degrees of freedom of the prior by which a view's variance is that of all views
 _LOG_STD = 3.0  # of the prior of log τ about a third of the noise: wide, it only keeps what is not there from zero
 # Scoring steps: the longest, of logarithms; how many in one linearisation, and how often one is halved; a gain of the
@@ -96,12 +96,12 @@ def posterior(factors: Factors) -> Posterior:
     """Return what the factors of scaled equations leave open."""
     dense = factors.equations.group_products.shape[-1]
     shared = factors.shared_covariance()[:dense, :dense]
-    inverse = factors.inverse_group_root()[:, _POSE:, _POSE:]  # of a lower triangle: zero above
-    coupling = inverse.transpose(0, 2, 1) @ factors.reduced[:, _POSE:, :dense]
+    inverse = factors.inverse_group_root()[:, POSE:, POSE:]  # of a lower triangle: zero above
+    coupling = inverse.transpose(0, 2, 1) @ factors.reduced[:, POSE:, :dense]
     # what is left open of the effects: the traces of their covariances
     effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling @ shared * coupling, axis=(1, 2))
     lens = np.sum(factors.group_information() * shared, axis=(1, 2))
-    return Posterior(shared, _POSE + inverse.shape[-1] - effects + lens)
+    return Posterior(shared, POSE + inverse.shape[-1] - effects + lens)
 
 
 def fit_effects(equations: NormalEquations, columns: EffectColumns, scales: EffectScales) -> EffectScales:
@@ -141,7 +141,7 @@ class _Search:
     def of(cls, equations: NormalEquations, columns: EffectColumns) -> "_Search":
         """Return the search; equations: with columns per unit of the coefficients, without their prior."""
         dense = equations.restricted(np.arange(equations.group_products.shape[-1]))
-        return cls(dense.without_first(_POSE), columns.effect)
+        return cls(dense.without_first(POSE), columns.effect)
 
     def best(self, scales: EffectScales, rounds: int) -> _Point:
         """Return the likeliest scales, or how far as many scoring steps lead."""

@@ -10,7 +10,7 @@ from camcal.calibrate import evidence
 from camcal.calibrate.effects import SMOOTH
 from camcal.calibrate.estimator import Freedom, Views, estimate
 from camcal.calibrate.evidence import evidence_of_effects
-from camcal.calibrate.fit import ShapeOptions, fit
+from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.geometry import rotation as so3
 from camcal.targets.surface import normalised
@@ -80,7 +80,9 @@ def solved(scene, views, shape=None):
     count = len(scene.camera.parameters)
     held = np.full(count, np.nan)
     shape = shape or ShapeOptions(smooth=False)
-    return fit(scene.camera.model, scene.board, Observations.of(views), (1600, 1200), held, None, shape)
+    seen, size = Observations.of(views), (1600, 1200)
+    plain, turns = fit_plain(scene.camera.model, scene.board, seen, size, held, None, shape)
+    return fit(plain, turns, Views(seen.weights > 0), size)
 
 
 def ways(scene, pose):
