@@ -102,15 +102,16 @@ CRITERIA = {criterion.code: criterion for criterion in _ALL}
 class Finding:
     """A criterion that applies: its code, whether it is a failure, and in words what was found and what to do.
 
-    value: what was found, in the criterion's unit.
+    value: what was found, in the criterion's unit. images: those concerned, none where it is all of them.
     """
 
     code: str
     failure: bool
     text: str
     value: float
+    images: tuple[str, ...] = ()
 
 
-def finding(code: str, text: str, value: float) -> Finding:
+def finding(code: str, text: str, value: float, images: tuple[str, ...] = ()) -> Finding:
     """Return the finding of a criterion of the table."""
-    return Finding(code, CRITERIA[code].failure, text, float(value))
+    return Finding(code, CRITERIA[code].failure, text, float(value), images)
