@@ -29,6 +29,7 @@ def findings(file: CameraFile) -> Iterator[Fault]:
             yield from _opening(entry.camera, child(path, "intrinsics"))
             yield from _folding(entry.camera, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
+        yield from _verdict(entry, child(path, "verdict"))
     for name, transform in file.transforms.items():
         distance = float(np.linalg.norm(transform.pose.translation))
         if distance > FAR:
@@ -75,3 +76,9 @@ def _quality(entry: CameraEntry, path: str) -> Iterator[Fault]:
         yield Fault(child(path, "rms_px"), f"{rms:g} px is a poor fit; a good calibration is below {LARGE_RMS:g}")
     if images < FEW_IMAGES:
         yield Fault(child(path, "images_used"), f"{images} images; take {FEW_IMAGES} or more")
+
+
+def _verdict(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    if entry.verdict is not None and not entry.verdict.trustworthy:
+        reasons = " ".join("; ".join(entry.verdict.reasons).split())  # a warning is one line
+        yield Fault(path, f"do not trust this calibration: {reasons or 'no reason is given'}")

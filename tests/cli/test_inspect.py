@@ -12,6 +12,7 @@ from camcal.cli.main import app
 from camcal.formats.camera_file import CameraEntry
 from camcal.tasks.calibration.inspect import camera_lines
 
+UNTRUSTED = "19: cameras.left.verdict: do not trust this calibration: the lower left corner was never seen"
 CAMERA = """%YAML 1.1
 ---
 format: camcal-calibration
@@ -87,7 +88,7 @@ def camcal(capsys):
 
 def test_a_person_reads_everything_that_is_known(camcal, rig):
     result = camcal(rig, "--verbose")
-    assert (result.code, result.err) == (0, "")
+    assert (result.code, result.err) == (0, f"camcal: warning: {rig}:{UNTRUSTED}\n")
     for words in (
         "left: opencv4, 640x480",
         "512.06",  # to the place of its standard deviation
@@ -162,7 +163,7 @@ def test_json_holds_the_file_and_what_follows_from_it(camcal, rig):
     assert payload["schema"] == "camcal/inspect/1"
     assert payload["content"]["cameras"]["left"]["intrinsics"]["fx"] == 512.0625
     assert [len(angles) for angles in payload["field_of_view_deg"].values()] == [3, 3]
-    assert payload["warnings"] == []
+    assert payload["warnings"] == [f"{rig}:{UNTRUSTED}"]
 
 
 def test_json_of_one_value_is_a_document_too(camcal, rig):
@@ -175,7 +176,8 @@ def test_warnings_go_to_stderr_and_into_the_document(camcal, rig, tmp_path):
     odd.write_text(CAMERA.replace("images_used: 34", "images_used: 3"))
     result = camcal(str(odd))
     assert result.code == 0
-    assert result.err == f"camcal: warning: {odd}:17: cameras.left.quality.images_used: 3 images; take 10 or more\n"
+    few = f"camcal: warning: {odd}:17: cameras.left.quality.images_used: 3 images; take 10 or more"
+    assert result.err.splitlines() == [few, f"camcal: warning: {odd}:{UNTRUSTED}"]
     assert "take 10 or more" in json.loads(camcal(str(odd), "--json").out)["warnings"][0]
 
 

@@ -221,16 +221,14 @@ def test_another_view_into_the_same_folder_is_warned_of_and_the_same_view_is_not
     for alpha in (0.0, 0.0, 1.0):
         options = UndistortOptions("lens.yaml#left", [folder / "photos"], folder / "out", view=ViewOptions(alpha=alpha))
         undistort(options, listener)
-    assert len(listener.warnings) == 1
-    assert "replaces the camera of another view" in listener.warnings[0]
+    assert sum("replaces the camera of another view" in warning for warning in listener.warnings) == 1
 
 
 def test_a_pinhole_that_shrinks_the_middle_is_warned_of(folder):
     listener = Listener()
     view = ViewOptions(fov_deg=170)
     undistort(UndistortOptions("lens.yaml#fish", [folder / "photos"], folder / "out", view=view), listener)
-    assert len(listener.warnings) == 1
-    assert "shrinks to" in listener.warnings[0]
+    assert "shrinks to" in listener.warnings[-1]
 
 
 def test_a_fisheye_becomes_a_panorama_that_other_commands_can_read(folder):

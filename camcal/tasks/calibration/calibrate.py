@@ -22,6 +22,7 @@ from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.report.calibration import view_record
+from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
@@ -102,7 +103,8 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
     _require_outputs(options)
-    how = _solver_options(options)
+    guess = _guess(options, progress)
+    how = _solver_options(options, guess)
     seen = board_views(
         options.inputs,
         options.board,
@@ -217,17 +219,22 @@ def _attempt(seen: BoardViews, how: intrinsics.Options) -> Calibration | None:
         return None
 
 
-def _solver_options(options: CalibrateOptions) -> intrinsics.Options:
-    guess = None
-    if options.guess is not None:
-        path, name = split_address(options.guess)
-        guess = native.read_camera(path, name)
+def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
+    if options.guess is None:
+        return None
+    path, name = split_address(options.guess)
+    # a start may be poor; what is held at its value may not
+    file = read_camera_file(path, progress) if options.fix else native.read(path)
+    return native.select(file, name, str(path))
+
+
+def _solver_options(options: CalibrateOptions, guess: CameraEntry | None) -> intrinsics.Options:
     if not 0 <= options.max_rejected <= 1:
         raise InvalidInput(f"--max-rejected {options.max_rejected:g} is not a share between 0 and 1")
     return intrinsics.Options(
         model_named(options.model or DEFAULT_MODEL),
         options.fix,
-        guess,
+        None if guess is None else guess.camera,
         ShapeOptions(smooth=not options.flat_board, offsets=options.free_corners),
         options.max_rejected,
     )

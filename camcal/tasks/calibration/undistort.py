@@ -100,7 +100,7 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     Raises InvalidInput for a view the camera cannot give, or an output that would replace an input; FileError; and
     the first image's error when there is none that could be written.
     """
-    source = read_source(options.camera, options.camera_name)
+    source = read_source(options.camera, options.camera_name, progress)
     media = find_media(options.inputs, recursive=options.recursive)
     outputs = {path: options.output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
     camera_file, mask_file = options.output / CAMERA_FILE, options.output / MASK_FILE

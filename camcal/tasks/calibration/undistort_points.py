@@ -54,7 +54,7 @@ def undistort_points(options: PointsOptions, progress: Progress = SILENT) -> Poi
 
     Raises InvalidInput for a table without u and v, or with something else than numbers in them; FileError.
     """
-    source = read_source(options.camera, options.camera_name)
+    source = read_source(options.camera, options.camera_name, progress)
     output = options.output if options.output.suffix else options.output / options.points.name
     camera_file = None if options.distort else output.with_suffix(".camera.yaml")
     outputs = [output] if camera_file is None else [output, camera_file]

@@ -15,6 +15,7 @@ from camcal.geometry.axes import Axes, change, convention_named, reexpress, reex
 from camcal.geometry.named import NamedTransform, carried
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
+from camcal.run.camera_files import read_camera_file
 from camcal.run.pose_sources import files_of, read_transforms
 from camcal.tasks.frames.transform_output import Output
 
@@ -95,7 +96,7 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
     """
     options.output.require_own(options.sources)
     transforms = read_transforms(options.sources, form_of(options.form), allow_none=True)
-    centres = _principal_points_of(options.sources)
+    centres = _principal_points_of(options.sources, progress)
     if not transforms and not centres:
         raise InsufficientData("there are no transforms and no cameras", where=" ".join(options.sources))
     if options.inverse:
@@ -167,12 +168,12 @@ def _along(transform: NamedTransform, changes: Mapping[str, AxesChange]) -> Name
     return replace(transform, pose=pose, covariance=carried(reexpress_jacobian(change_a), transform.covariance))
 
 
-def _principal_points_of(sources: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _principal_points_of(sources: Sequence[str], progress: Progress) -> dict[str, tuple[float, float]]:
     """Return cx and cy (px) of the cameras of camera files among the sources, which count from pixel centres."""
     found: dict[str, tuple[float, float]] = {}
     for path in dict.fromkeys(files_of(sources)):
         if path.suffix.lower() in _CAMERA_FILES and strict_yaml.load(path).get("format") == native.FORMAT:
-            cameras = {name: entry.camera for name, entry in native.read(path).cameras.items()}
+            cameras = {name: entry.camera for name, entry in read_camera_file(path, progress).cameras.items()}
             found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in cameras.items()}
     return found
 

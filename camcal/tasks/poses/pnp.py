@@ -14,6 +14,7 @@ from camcal.formats.schema import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
+from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.tasks.poses import pnp_remarks
@@ -115,7 +116,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     Raises InvalidInput, FileError, or what kept the first image from a pose if none has one; nothing is written then.
     """
     _check(options)
-    file = _read(options, progress)
+    file = read_camera_file(split_address(options.camera)[0], progress)
     observer = _observer(options, file)
     inverse = _is_inverse(options.pose, observer.frame)
     settings = _settings(options)
@@ -166,13 +167,6 @@ def _check(options: PnpOptions) -> None:
     inputs = [split_address(options.camera)[0], *options.paths]
     inputs += [path for path in (options.points, options.prior and options.prior.path) if path]
     refuse_overwriting([options.output], inputs)
-
-
-def _read(options: PnpOptions, progress: Progress) -> CameraFile:
-    file = native.read(split_address(options.camera)[0])
-    for warning in file.warnings:
-        progress.warn(warning)
-    return file
 
 
 def _observer(options: PnpOptions, file: CameraFile) -> Observer:

@@ -20,6 +20,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.progress import SILENT, Progress, require_all
+from camcal.run.camera_files import read_camera_file
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import split_address
 from camcal.simulate import mosaics
@@ -108,7 +109,7 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     _require_mild(options.shape, board)
     if not 1 <= options.views <= MAX_VIEWS:
         raise InvalidInput(f"{options.views} views: use 1 to {MAX_VIEWS}")
-    camera = _camera(options)
+    camera = _camera(options, progress)
     rng = np.random.default_rng(options.seed)
     poses = views(camera, board, options.views, rng=rng, partial=options.partial)
     corners, truth = observe(camera, board, poses, rng=rng, shape=options.shape)
@@ -128,7 +129,7 @@ def _require_mild(shape: Shape, board: Board) -> None:
         raise InvalidInput(f"the board is bent by {1e3 * deflection:.4g} mm; use at most {1e3 * limit:.4g} mm")
 
 
-def _camera(options: SimulateOptions) -> Camera:
+def _camera(options: SimulateOptions, progress: Progress) -> Camera:
     if options.camera is None:
         if options.name is not None:
             raise InvalidInput(f"--camera {options.name} names one of a camera file, and none is given")
@@ -139,7 +140,7 @@ def _camera(options: SimulateOptions) -> Camera:
     if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
         raise InvalidInput("a camera file says it all: leave out --model, --size, --fov and --distortion")
     path, name = split_address(options.camera)
-    known = native.read_camera(path, options.name or name)
+    known = native.select(read_camera_file(path, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
 
 

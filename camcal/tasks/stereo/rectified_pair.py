@@ -12,6 +12,7 @@ from camcal.formats import native, pair_calibration
 from camcal.formats.camera_file import CameraFile, Transform
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.progress import SILENT, Progress
+from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
 
@@ -98,6 +99,16 @@ def pair_of(
     return RectifiedPair(StereoGeometry(**{"fy": numbers["fx"], **numbers}), sigma)
 
 
+def warn_of_file(address: str | None, progress: Progress) -> None:
+    """Give the warnings of a pair's camera file, for commands that ask for the geometry of every pair anew.
+
+    address: as in `pair_of`. Raises InvalidInput and FileError as `native.read` does.
+    """
+    path = None if address is None else split_address(address)[0]
+    if path is not None and path.suffix.lower() != pair_calibration.SUFFIX:
+        read_camera_file(path, progress)
+
+
 def _of_sidecar(sidecar: Sidecar | None) -> _Source:
     if sidecar is None or sidecar.geometry is None:
         return _Source()
@@ -119,9 +130,7 @@ def _of_file(address: str | None, camera: str | None, size: tuple[int, int], pro
 
 def _of_camera_file(path: Path, name: str | None, size: tuple[int, int], address: str, progress: Progress) -> _Source:
     """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
-    file = native.read(path)
-    for warning in file.warnings:
-        progress.warn(warning)
+    file = read_camera_file(path, progress)
     pair = _pair(file, name)
     left = file.cameras[pair[0]].camera if pair else native.select(file, name, str(path)).camera
     _require_size(left.image_size, size, address)

@@ -28,7 +28,7 @@ from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import BEST, MatchOptions, match_prepared
 from camcal.stereo.matching.preparation import prepare
 from camcal.tasks.stereo.matched_pair import Figures, Limits, MapFiles, MatchedPair, Pair
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair, pair_of
+from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair, pair_of, warn_of_file
 
 TYPES = tuple(suffix[1:] for suffix in maps.SUFFIXES)
 OWN, ONNX = "own", "onnx"
@@ -85,6 +85,7 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     """
     pairs = find_pairs(options.left, options.right, options.recursive)
     outputs = _places(pairs, options)
+    warn_of_file(options.camera_file, progress)
     work = partial(_match_files, options=options, outputs=outputs)
     if len(pairs) == 1:
         outcomes = [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]

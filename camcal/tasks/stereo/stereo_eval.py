@@ -24,7 +24,7 @@ from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
 from camcal.stereo.truth.visibility import seen_by_both, unhidden
 from camcal.tasks.stereo.map_sources import named_file
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, geometry_of
+from camcal.tasks.stereo.rectified_pair import GeometryOptions, geometry_of, warn_of_file
 from camcal.tasks.stereo.truth_pairs import TruthPair, truth_pairs
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
@@ -109,6 +109,7 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
     gates = [read_gate(text) for text in options.gates]
     pairs = truth_pairs(options.files)
     pictures = _pictures(pairs, options.output)
+    warn_of_file(options.camera_file, progress)
     work = partial(_evaluate_pair, options=options, pictures=pictures, progress=progress)
     if len(pairs) == 1:
         outcomes = [Outcome(pairs[0], work(pairs[0]))]
@@ -154,7 +155,7 @@ def _evaluate_pair(
 ) -> PairReport:
     found = disparity.read(files.disparity, options.scale)
     truth = disparity.read(files.truth, options.truth_scale)
-    geometry = _geometry(options, found, (found.sidecar, truth.sidecar), progress)
+    geometry = _geometry(options, found, (found.sidecar, truth.sidecar))
     values, true = found.matched(), truth.matched()
     visible, occlusion = _visible(files, options, true)
     prediction = Prediction(*_predicted(files, found.sidecar, truth.scale, progress))
@@ -169,16 +170,14 @@ def _evaluate_pair(
     return PairReport(files, evaluation, found.scale, truth.scale, occlusion, geometry, picture, remark)
 
 
-def _geometry(
-    options: EvalOptions, found: DisparityMap, sidecars: Iterable[Sidecar | None], progress: Progress
-) -> StereoGeometry | None:
+def _geometry(options: EvalOptions, found: DisparityMap, sidecars: Iterable[Sidecar | None]) -> StereoGeometry | None:
     """Return the geometry that numbers, a camera file or a sidecar give, in this order; None without any."""
     height, width = found.values.shape
     sidecar = next((known for known in sidecars if known and known.geometry), None)
     given = options.geometry
     if options.camera_file is None and sidecar is None and given.numbers():
         given = replace(given, cx=0.0, cy=0.0)  # the depth does not ask for them
-    return geometry_of(given, options.camera_file, (width, height), sidecar, progress)
+    return geometry_of(given, options.camera_file, (width, height), sidecar)
 
 
 def _visible(files: TruthPair, options: EvalOptions, truth: Array) -> tuple[Array, str]:

@@ -10,9 +10,10 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import CameraEntry, CameraFile, Verdict
 from camcal.images.views import PINHOLE, ViewOptions
 from camcal.progress import Progress
+from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
 
 _COMMAND = "camcal undistort"
@@ -20,21 +21,22 @@ _COMMAND = "camcal undistort"
 
 @dataclass(frozen=True, eq=False)
 class SourceCamera:
-    """A camera of a file, its name there, and the lenses of single colours that the file has besides."""
+    """A camera of a file, its name there, the lenses of single colours that the file has besides, and its verdict."""
 
     path: Path
     name: str
     camera: Camera
     channels: Mapping[str, Camera] = field(default_factory=dict)
+    verdict: Verdict | None = None
 
 
-def read_source(address: str, name: str | None) -> SourceCamera:
+def read_source(address: str, name: str | None, progress: Progress) -> SourceCamera:
     """Return the camera of FILE or FILE#NAME; raises InvalidInput if it is not clear which one is meant."""
     path, addressed = split_address(address)
-    file = native.read(path)
+    file = read_camera_file(path, progress)
     wanted = name or addressed
     entry = native.select(file, wanted, str(path))
-    return SourceCamera(path, wanted or next(iter(file.cameras)), entry.camera, entry.channels)
+    return SourceCamera(path, wanted or next(iter(file.cameras)), entry.camera, entry.channels, entry.verdict)
 
 
 def write_view(
@@ -45,14 +47,14 @@ def write_view(
     progress: Progress,
     aligned: Sequence[str] = (),
 ) -> None:
-    """Write the camera of a view; a warning is given if it takes the place of that of another view.
+    """Write the camera of a view, with the verdict on the lens; a warning is given if it replaces that of another view.
 
     aligned: the colours that were drawn through a lens of their own.
     """
     before = _earlier(path)
     origin = {"camera": {"file": source.path.as_posix(), "name": source.name, "sha256": files.sha256(source.path)}}
     block = provenance.build(arguments, None) | origin | ({"aligned_channels": list(aligned)} if aligned else {})
-    native.write(path, CameraFile({source.name: CameraEntry(view)}, provenance=block))
+    native.write(path, CameraFile({source.name: CameraEntry(view, verdict=source.verdict)}, provenance=block))
     if before is not None and not _same(before, view):
         progress.warn(f"{path}: replaces the camera of another view; images of that one no longer fit it")
 
