@@ -1,0 +1,221 @@
+"""The board's shape in the equations: against problems solved without its priors, and against differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observed import make_scene
+
+from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.scales import Scale, scale_of
+from camcal.calibrate.shape import (
+    board_scales,
+    first_scales,
+    odd_terms,
+    offset_std,
+    spent_on_offsets,
+    surface_of,
+    under,
+    with_terms,
+)
+from camcal.solve.steps import factorise
+from camcal.targets.board import Board
+from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, RATIOS, TERMS
+
+BOARD = Board("chessboard", 6, 4, 0.040)
+SIDE = 0.2  # its longer one, m
+LENS = 3
+ODD = ("P3(x)", "P2(x)y", "xP2(y)", "P3(y)")
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """Problem and state of eight views of a bent board whose points are off, three lens parameters free."""
+    rng = np.random.default_rng(3)
+    scene = make_scene(board=BOARD, count=8)
+    observations = Observations.of(scene.observe(4, noise_px=0.2))
+    problem = BoardProblem(
+        scene.camera.model,
+        BOARD,
+        replace(observations, weights=observations.weights * rng.uniform(0.3, 1, observations.weights.shape)),
+        np.arange(LENS),
+        TERMS,
+        offsets=True,
+        sigma=0.2,
+        lens_spread=np.full(9, 3000.0),
+        term_std=2e-4 * rng.uniform(0.5, 2, len(TERMS)),
+        offset_std=np.array([5e-5, 5e-5, 9e-5]),
+    )
+    state = State(
+        np.array(scene.camera.parameters),
+        np.stack([pose.rotation for pose in scene.poses]),
+        np.stack([pose.translation for pose in scene.poses]),
+        2e-4 * rng.normal(size=len(TERMS)),
+        1e-4 * rng.normal(size=(BOARD.count, 3)),
+    )
+    return problem, state
+
+
+def factors_at(problem, state):
+    return factorise(problem.equations(state, problem.derivatives(state)))
+
+
+def solved(problem, state):
+    """The factors of one linearisation and the state at its minimum."""
+    factors = factors_at(problem, state)
+    return factors, problem.retract(state, factors.solve())
+
+
+def said(problem, state, chosen):
+    """What is known of some shared parameters, everything else following: information and vector."""
+    factors, end = solved(problem, state)
+    information = np.linalg.inv(factors.shared_covariance()[np.ix_(chosen, chosen)])
+    values = np.concatenate([end.parameters[:LENS], end.shape, end.offsets.ravel()])
+    return information, information @ values[chosen]
+
+
+def assert_alike(found, information, vector, unit, own):
+    expected = scale_of(unit**2 * information, unit * vector, own.median, own.spread)
+    for name in ("effective", "mean", "std", "present"):
+        # a standard deviation of 1 stands for no prior: a millionth of the information
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-4)
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_the_scale_of_a_class_is_that_of_what_the_data_say_without_its_prior(bent, name):
+    problem, state = bent
+    factors, end = solved(problem, state)
+    own = CLASSES[name]
+    place = np.array([TERMS.index(term) for term in own.terms])
+    std = problem.term_std.copy()
+    std[place] = 1.0
+    data = said(replace(problem, term_std=std), state, LENS + place)
+    unit = 1.0 if own.terms[0] in RATIOS else SIDE
+    assert_alike(board_scales(problem, end, factors)[name], *data, unit, own)
+
+
+@pytest.mark.parametrize(("name", "axes"), [(IN_PLANE, [0, 1]), (OUT_OF_PLANE, [2])])
+def test_the_scale_of_single_points_is_that_of_what_the_data_say_without_their_prior(bent, name, axes):
+    problem, state = bent
+    factors, end = solved(problem, state)
+    place = [LENS + len(TERMS) + 3 * point + axis for point in range(BOARD.count) for axis in axes]
+    std = problem.offset_std.copy()
+    std[axes] = 1.0
+    data = said(replace(problem, offset_std=std), state, np.array(place))
+    assert_alike(board_scales(problem, end, factors)[name], *data, SIDE, CORNER_CLASSES[name])
+
+
+def test_only_what_is_solved_for_has_scales(bent):
+    problem, state = bent
+    flat, plane = replace(problem, terms=(), term_std=None), replace(state, shape=np.zeros(0))
+    factors, end = solved(flat, plane)
+    assert set(board_scales(flat, end, factors)) == {IN_PLANE, OUT_OF_PLANE}
+    assert spent_on_offsets(flat, factors) > spent_on_offsets(problem, solved(problem, state)[0])
+    smooth = replace(problem, offsets=False)
+    factors, end = solved(smooth, state)
+    assert set(board_scales(smooth, end, factors)) == set(CLASSES)
+
+
+def test_offsets_take_the_degrees_of_freedom_by_which_they_follow_the_data(bent):
+    problem, state = bent
+    derivatives, (_, end) = problem.derivatives(state), solved(problem, state)
+    followed = 0.0
+    for index, change in enumerate(np.eye(3 * BOARD.count)):
+        # as if the corners had been seen where the point is, moved by one unit: everything is linear
+        moved = problem.with_points_moved(state, derivatives, -change.reshape(-1, 3)).residuals
+        there = factorise(problem.equations(state, replace(derivatives, residuals=moved))).solve()
+        followed += problem.retract(state, there).offsets.ravel()[index] - end.offsets.ravel()[index]
+    assert 10 < followed < 60
+    assert spent_on_offsets(problem, factors_at(problem, state)) == pytest.approx(followed, rel=1e-6)
+
+
+def test_every_view_pulls_on_the_cubic_terms_as_it_does_by_itself(bent):
+    problem, state = bent
+    pulls, information = odd_terms(problem, state, factors_at(problem, state))
+    assert pulls.shape == (8, 4)
+    terms = np.array([TERMS.index(term) for term in ODD])
+    prior = state.shape[terms] / problem.term_std[terms] ** 2
+    for view, pull in enumerate(pulls):
+        alone = replace(problem, observations=problem.observations.take(np.array([view])))
+        gradient = factors_at(alone, state.take(np.array([view]))).reduced_gradient()
+        np.testing.assert_allclose(pull, gradient[LENS + terms] - prior, rtol=1e-6, atol=1e-6 * np.abs(pulls).max())
+    std = problem.term_std.copy()
+    std[terms] = 1.0
+    expected, _ = said(replace(problem, term_std=std), state, LENS + terms)
+    np.testing.assert_allclose(information, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+
+
+def test_scales_begin_at_the_medians_of_all_classes():
+    found = first_scales()
+    assert set(found) == {*CLASSES, *CORNER_CLASSES}
+    assert found["bow"] == Scale(1e-3, 1e-3, 0.0, 0.5)
+
+
+def test_terms_that_are_known_are_kept_where_all_are_estimated(bent):
+    problem, state = bent
+    some = replace(problem, terms=("shear", "xy"))
+    whole, begun = with_terms(some, replace(state, shape=np.array([3.0, 4.0])))
+    assert whole.terms == TERMS
+    assert {term: value for term, value in zip(TERMS, begun.shape, strict=True) if value} == {"shear": 3.0, "xy": 4.0}
+
+
+def test_priors_are_scales_times_the_longer_side_but_for_ratios(bent):
+    problem, _ = bent
+    scales = {name: Scale(1e-3 * place, 7.0, 7.0, 0.7) for place, name in enumerate(first_scales(), start=1)}
+    found = under(problem, scales)
+    stds = dict(zip(TERMS, found.term_std, strict=True))
+    assert (stds["xy"], stds["P3(y)"]) == pytest.approx((SIDE * 1e-3, SIDE * 2e-3))
+    assert (stds["x/y scale"], stds["shear"], stds["keystone y"]) == pytest.approx((4e-3, 5e-3, SIDE * 6e-3))
+    np.testing.assert_allclose(found.offset_std, SIDE * np.array([7e-3, 7e-3, 8e-3]), rtol=1e-12)
+    np.testing.assert_array_equal(found.offset_std, offset_std(scales, SIDE))
+    none = under(replace(problem, terms=(), offsets=False, term_std=None, offset_std=None), scales)
+    assert none.term_std is None
+    assert none.offset_std is None
+
+
+def test_a_prior_is_never_narrower_than_a_ten_thousandth_of_its_class(bent):
+    scales = {name: replace(own, effective=0.0) for name, own in first_scales().items()}
+    found = under(bent[0], scales)
+    stds = dict(zip(TERMS, found.term_std, strict=True))
+    assert (stds["xy"], stds["shear"]) == pytest.approx((SIDE * 1e-7, 6e-8))
+    np.testing.assert_allclose(found.offset_std, SIDE * 1e-8, rtol=1e-12)
+
+
+def surface(shape, offsets, covariance=None, *, free=False):
+    terms = ("P2(x)", "xy", "P3(y)")
+    problem = BoardProblem(None, BOARD, None, np.arange(2), terms, free, offset_std=np.array([1.0, 2.0, 3e-4]))
+    state = State(np.zeros(4), np.zeros((0, 3, 3)), np.zeros((0, 3)), shape, offsets)
+    covariance = np.zeros((5, 5)) if covariance is None else covariance
+    return surface_of(problem, state, first_scales(), covariance)
+
+
+def test_the_deflection_is_from_the_highest_to_the_lowest_point_over_the_plane_through_all():
+    rng = np.random.default_rng(6)
+    shape, offsets = 1e-3 * rng.normal(size=3), 1e-4 * rng.normal(size=(BOARD.count, 3))
+    points = surface(shape, offsets).points()
+    drawn = BOARD.points()[:, :2]
+    tilts = np.column_stack([np.ones(len(drawn)), drawn])
+    normal = np.linalg.solve(tilts.T @ tilts, tilts.T @ points[:, 2])
+    found = surface(shape, offsets)
+    assert found.deflection == pytest.approx(np.ptp(points[:, 2] - tilts @ normal), rel=1e-9)
+    tilted = offsets + np.column_stack([0 * drawn, 1e-2 * drawn @ [1.0, -2.0] + 5e-3])
+    assert surface(shape, tilted).deflection == pytest.approx(found.deflection, rel=1e-9)
+    assert surface(shape, 0 * offsets).offsets is None
+    assert found.classes["bow"] == (1e-3, 0.0)
+
+
+def test_the_deflection_is_known_as_its_slope_and_the_two_points_say():
+    rng = np.random.default_rng(7)
+    shape, offsets = 1e-3 * rng.normal(size=3), 1e-4 * rng.normal(size=(BOARD.count, 3))
+    root = 1e-4 * rng.normal(size=(5, 5))
+    found = surface(shape, offsets, root @ root.T)
+    length = 1e-6
+    slope = [
+        (surface(shape + step, offsets).deflection - surface(shape - step, offsets).deflection) / (2 * length)
+        for step in length * np.eye(3)
+    ]
+    own = (root @ root.T)[2:, 2:]
+    assert found.deflection_std == pytest.approx(np.sqrt(slope @ own @ slope), rel=1e-6)
+    np.testing.assert_allclose(found.coefficients_std(), np.sqrt(np.diag(own)), rtol=1e-12)
+    points = surface(shape, offsets, root @ root.T, free=True)
+    assert points.deflection_std == pytest.approx(np.sqrt(slope @ own @ slope + 2 * 3e-4**2), rel=1e-6)
