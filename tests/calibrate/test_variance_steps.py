@@ -1,0 +1,105 @@
+"""The priors of the variances of effects, and when the search for them takes another step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mixed_model import VIEWS, columns_of, mixed, moved, scales, slope_and_information
+from scipy.stats import invgamma, norm
+
+from camcal.calibrate import variances
+from camcal.calibrate.variances import EffectScales, fit_effects, likelihood_gain
+
+COUNT = 3 + 3 * VIEWS
+
+
+def prior_density(start):
+    """Of log τ: normal, three wide; of a view's share: inverse χ² of four degrees of freedom about one, by its log."""
+    shares = invgamma(2.0, scale=2.0).logpdf(start.shares) + np.log(start.shares)
+    return norm(np.log(start.typical), 3.0).logpdf(np.log(start.variances)).sum() + shares.sum()
+
+
+def test_variances_are_log_normal_about_the_typical_ones_and_shares_inverse_chi_squared_about_one():
+    start, other = scales(2), scales(3, spread=2.0)
+    expected = prior_density(other) - prior_density(start)
+    assert abs(expected) > 1.0
+    assert other.log_prior() - start.log_prior() == pytest.approx(expected, rel=1e-9)
+
+
+def test_slopes_and_curvatures_are_those_of_the_prior():
+    start, length = scales(4), 1e-4
+
+    def slope(at):
+        return np.concatenate([part.ravel() for part in at.prior_slopes()])
+
+    ways = length * np.eye(COUNT)
+    numeric = [moved(start, way).log_prior() - moved(start, -way).log_prior() for way in ways]
+    np.testing.assert_allclose(slope(start), np.array(numeric) / (2 * length), rtol=1e-6, atol=1e-7)
+    bend = np.array([slope(moved(start, way)) - slope(moved(start, -way)) for way in ways]) / (2 * length)
+    curvatures = np.concatenate([part.ravel() for part in start.prior_curvatures()])
+    np.testing.assert_allclose(-bend, np.diag(curvatures), rtol=1e-6, atol=1e-7)
+
+
+def test_scales_move_by_the_exponentials_of_a_change():
+    start, change = scales(5), np.random.default_rng(5).normal(size=(1 + VIEWS, 3))
+    found, expected = start.moved(change), moved(start, change.ravel())
+    np.testing.assert_allclose(found.variances, expected.variances, rtol=1e-12)
+    np.testing.assert_allclose(found.shares, expected.shares, rtol=1e-12)
+    np.testing.assert_array_equal(found.typical, start.typical)
+
+
+def likeliest(model):
+    start = scales()
+    for _ in range(20):
+        start = fit_effects(model.equations(), columns_of(model), start)
+    slope, information = slope_and_information(model, start)
+    return moved(start, np.linalg.solve(information, slope))
+
+
+def promise(model, start):
+    """What a whole scoring step gains to second order."""
+    slope, information = slope_and_information(model, start)
+    return 0.5 * slope @ np.linalg.solve(information, slope)
+
+
+def test_another_step_is_taken_where_it_promises_a_thousandth_of_a_logarithm():
+    model = mixed(seed=3)
+    end, way = likeliest(model), np.random.default_rng(2).normal(size=COUNT)
+    for wanted, taken in ((0.9e-3, False), (1.1e-3, True)):
+        size = 1e-2
+        for _ in range(3):  # a promise grows with the square of the distance
+            size *= np.sqrt(wanted / promise(model, moved(end, size * way)))
+        start = moved(end, size * way)
+        assert promise(model, start) == pytest.approx(wanted, rel=0.02)
+        found = fit_effects(model.equations(), columns_of(model), start)
+        assert (found is not start) == taken
+
+
+def test_a_linearisation_is_used_for_four_steps(monkeypatch):
+    model = mixed(seed=3)
+    start = EffectScales(np.full(3, 1e-4), np.ones((VIEWS, 3)), np.full(3, 0.1))
+    found = fit_effects(model.equations(), columns_of(model), start)
+    monkeypatch.setattr(variances, "_ROUNDS", 1)
+    steps = [start]
+    for _ in range(5):
+        steps.append(fit_effects(model.equations(), columns_of(model), steps[-1]))
+    np.testing.assert_allclose(found.variances, steps[4].variances, rtol=1e-9)
+    assert np.abs(np.log(steps[4].variances / steps[3].variances)).max() > 0.01
+    assert np.abs(np.log(steps[5].variances / steps[4].variances)).max() > 0.01
+
+
+def test_the_gain_does_not_depend_on_where_the_search_begins():
+    model, shares, typical = mixed(seed=3), np.ones((VIEWS, 3)), np.full(3, 0.1)
+    starts = [EffectScales(size * typical, shares, typical) for size in (1e-6, 1.0, 1e4)]
+    gains = [likelihood_gain(model.equations(), columns_of(model), start) for start in starts]
+    assert np.ptp(gains) < 0.1  # ends where steps promise less than 0.001 of a logarithm, priors included
+
+
+def test_equal_scales_gain_the_same_whatever_their_priors():
+    model, typical = mixed(seed=3), np.full(3, 0.1)
+    start = EffectScales(typical, np.ones((VIEWS, 3)), typical)
+    search = variances._Search.of(model.equations(), columns_of(model))
+    best = search.best(start, 100).scales
+    nothing = replace(best, variances=1e-14 * best.variances)
+    expected = model.restricted(best) - model.restricted(nothing)
+    assert likelihood_gain(model.equations(), columns_of(model), best) == pytest.approx(expected, abs=1e-6)
