@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from camcal.calibrate.problem import State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.simulate.observe import observe
@@ -34,6 +35,17 @@ def make_scene(model="opencv5", board=None, count=25, seed=1, parameters=None, *
     board = board or Board("chessboard", 9, 6, 0.040)
     camera = Camera(model_named(model), SIZE, np.array(parameters or PARAMETERS[model]))
     return Scene(camera, board, tuple(views(camera, board, count, rng=np.random.default_rng(seed), **how)))
+
+
+def true_state(scene, shape=()):
+    """The state at the truth, of a board with these coefficients of its shape."""
+    return State(
+        np.array(scene.camera.parameters),
+        np.stack([pose.rotation for pose in scene.poses]),
+        np.stack([pose.translation for pose in scene.poses]),
+        np.array(shape, dtype=float),
+        np.zeros((scene.board.count, 3)),
+    )
 
 
 def turned(view, board, index):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed import make_scene
+from observed import make_scene, true_state
 
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.calibrate.scales import Scale, scale_of
@@ -46,13 +46,8 @@ def bent():
         term_std=2e-4 * rng.uniform(0.5, 2, len(TERMS)),
         offset_std=np.array([5e-5, 5e-5, 9e-5]),
     )
-    state = State(
-        np.array(scene.camera.parameters),
-        np.stack([pose.rotation for pose in scene.poses]),
-        np.stack([pose.translation for pose in scene.poses]),
-        2e-4 * rng.normal(size=len(TERMS)),
-        1e-4 * rng.normal(size=(BOARD.count, 3)),
-    )
+    state = true_state(scene, 2e-4 * rng.normal(size=len(TERMS)))
+    state = replace(state, offsets=1e-4 * rng.normal(size=(BOARD.count, 3)))
     return problem, state
 
 

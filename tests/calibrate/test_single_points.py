@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed import make_scene
+from observed import make_scene, true_state
 from scipy.linalg import block_diag
 
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, Observations
 from camcal.calibrate.scales import scale_of
 from camcal.calibrate.single_points import PointEquations, point_equations
 from camcal.targets.board import Board
@@ -37,13 +37,7 @@ def seen():
         sigma=SIGMA,
         noise=rng.uniform(0.5, 3, VIEWS),
     )
-    state = State(
-        np.array(scene.camera.parameters),
-        np.stack([pose.rotation for pose in scene.poses]),
-        np.stack([pose.translation for pose in scene.poses]),
-        np.array([1e-3, -2e-3]),
-        1e-3 * rng.normal(size=(POINTS, 3)),
-    )
+    state = replace(true_state(scene, [1e-3, -2e-3]), offsets=1e-3 * rng.normal(size=(POINTS, 3)))
     return problem, state, rng.normal(size=(2, *weights.shape))
 
 
