@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
@@ -16,7 +17,8 @@ HALVINGS = 20  # of a segment across the image: to a millionth of it
 class Fold:
     """Whether the model stops being one-to-one inside the image, and where, both from the principal point.
 
-    radius_px: the nearest place without a ray, inf if there is none. corner_px: the farthest corner of the image.
+    radius_px: the nearest place without a ray, inf if there is none. corner_px: the farthest corner of the image, or
+    place of its image circle.
     """
 
     folds: bool
@@ -24,14 +26,16 @@ class Fold:
     corner_px: float
 
 
-def folds_inside(camera: Camera) -> Fold:
-    """Return where the model stops being one-to-one on the way from the principal point to the image's border."""
-    return rim(camera)[1]
+def folds_inside(camera: Camera, circle: ImageCircle | None = None) -> Fold:
+    """Return where the model stops being one-to-one on the way from the principal point to the image's border, or to
+    its image circle.
+    """
+    return rim(camera, circle=circle)[1]
 
 
-def valid_block(camera: Camera) -> dict[str, float]:
-    """Return max_theta_deg and max_radius_px: how far from the axis the model holds, the image's corner at most."""
-    border, fold = rim(camera)
+def valid_block(camera: Camera, circle: ImageCircle | None = None) -> dict[str, float]:
+    """Return max_theta_deg and max_radius_px: how far from the axis the model holds, as far as there is an image."""
+    border, fold = rim(camera, circle=circle)
     rays = camera.unproject(border).directions
     theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     return {
@@ -40,11 +44,12 @@ def valid_block(camera: Camera) -> dict[str, float]:
     }
 
 
-def field_of_view(camera: Camera) -> tuple[float, float, float]:
+def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[float, float, float]:
     """Return the horizontal, vertical and diagonal field of view (rad), to the outer edges of the pixels.
 
-    Horizontal and vertical are taken through the middle of the image, the diagonal is the larger of the two; NaN
-    where the model has no ray for an edge. Lenses beyond 180° are counted in full.
+    Horizontal and vertical are taken through the middle of the image, the diagonal is the larger of the two; to the
+    image circle where it ends before the image. NaN where the model has no ray for an edge. Lenses beyond 180° are
+    counted in full.
     """
     width, height = camera.image_size
     left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
@@ -57,7 +62,9 @@ def field_of_view(camera: Camera) -> tuple[float, float, float]:
             [[right, top], [left, bottom]],
         ]
     )
-    rays = camera.unproject(ends.reshape(-1, 2)).directions.reshape(4, 2, 3)
+    edges = ends.reshape(-1, 2)
+    edges = edges if circle is None else circle.clipped(np.array([middle_x, middle_y]), edges)
+    rays = camera.unproject(edges).directions.reshape(4, 2, 3)
     horizontal, vertical, falling, rising = _openings(rays).tolist()
     return horizontal, vertical, float(np.maximum(falling, rising))
 
@@ -71,12 +78,14 @@ def _openings(rays: Array) -> Array:
     return np.asarray(angles[:, 1] - angles[:, 0])
 
 
-def rim(camera: Camera, per_edge: int = PER_EDGE) -> tuple[Array, Fold]:
-    """Return the farthest pixels (4 · per_edge, 2) with a ray on the way from the principal point to the border.
+def rim(camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = None) -> tuple[Array, Fold]:
+    """Return the farthest pixels (4 · per_edge, 2) with a ray on the way from the principal point to the border, or to
+    the image circle where it ends before that.
 
     The second is where the model folds on the way.
     """
     border, centre = _border(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
+    border = border if circle is None else circle.clipped(centre, border)
     folded = ~camera.unproject(border).valid
     reach = border[folded] - centre
     low, high = np.zeros((len(reach), 1)), np.ones((len(reach), 1))

@@ -107,6 +107,7 @@ def calibrate(
     from camcal.report.calibration import as_data, contenders_data, uncertainty_data
     from camcal.tasks.calibration.calibrate import CalibrateOptions, channel_data
     from camcal.tasks.calibration.calibrate import calibrate as run
+    from camcal.tasks.calibration.image_circle_of_views import circle_document
     from camcal.tasks.calibration.photographs import Reading
     from camcal.tasks.calibration.video_frames import FrameOptions
     from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -151,7 +152,8 @@ def calibrate(
         frames = [frame_data(record) for record in report.frames]
         said = {"frames": frames, "notes": report.notes, "failed": report.failed}
         lenses = {"channels": channel_data(report.channels)} if report.channels else {}
-        numbers = {**as_data(report.calibration), "uncertainty": uncertainty_data(report.uncertainty)}
+        circle = {"image_circle": circle_document(report.file.cameras[name].image_circle)}
+        numbers = {**as_data(report.calibration), "uncertainty": uncertainty_data(report.uncertainty), **circle}
         show.document("calibrate", {"output": output, **numbers, **verdict, **said, **lenses})
     elif not quiet:
         _show(report, output, verbose)

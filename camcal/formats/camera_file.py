@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from camcal.arrays import Array, readonly
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import valid_block
 from camcal.geometry.pose import Pose
@@ -18,24 +19,24 @@ class ValidRegion:
     """Where a camera may be trusted; a limit that is None is not known.
 
     max_theta: angle from the optical axis, rad. max_radius_px: distance from the principal point.
-    polygon: (N, 2) pixels around the region that was observed.
+    polygon: (N, 2) pixels around the region that was observed. image_circle: what the lens lights of the image, None
+    where none was found; it is not masked then.
     """
 
     max_theta: float | None = None
     max_radius_px: float | None = None
     polygon: Array | None = None
+    image_circle: ImageCircle | None = None
 
     def __post_init__(self) -> None:
         if self.polygon is not None:
             object.__setattr__(self, "polygon", readonly(self.polygon, (None, 2), "polygon"))
 
     @classmethod
-    def of(cls, camera: Camera, reach_px: float = math.inf) -> "ValidRegion":
-        """Return how far a camera's model is one-to-one within its image; reach_px: how far from the principal point
-        the lens forms an image.
-        """
-        limits = valid_block(camera)
-        return cls(math.radians(limits["max_theta_deg"]), min(limits["max_radius_px"], reach_px))
+    def of(cls, camera: Camera, circle: ImageCircle | None = None) -> "ValidRegion":
+        """Return how far a camera's model is one-to-one within its image, or within its image circle."""
+        limits = valid_block(camera, circle)
+        return cls(math.radians(limits["max_theta_deg"]), limits["max_radius_px"], image_circle=circle)
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,11 @@ class CameraEntry:
     channels: Mapping[str, Camera] = field(default_factory=dict)
     held_by_prior: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def image_circle(self) -> ImageCircle | None:
+        """What the lens lights of the image, None where that is not known."""
+        return self.valid.image_circle if self.valid is not None else None
 
 
 @dataclass(frozen=True, eq=False)

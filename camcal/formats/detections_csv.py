@@ -1,6 +1,7 @@
 """Detections as a CSV that anyone can write by hand or from another tool.
 
     # camcal-detections 1 board=charuco:9x7:30mm:22mm:DICT_5X5_100
+    # image_circle 640,480,319.5,239.5,228.25
     image,width,height,id,u,v
     a.png,640,480,0,101.25,88.5
     # none b.png,640,480,no board found
@@ -8,7 +9,9 @@
 The first line may be left out. The columns may stand in any order; camera, orientation (the EXIF tag) and suu, suv,
 svv (covariance, px²) may be added. id = row · columns + column of the inner corner; pixel (0, 0) is the centre of the
 top-left pixel. A '# none' line keeps an image that yielded nothing in its place: image, width, height, reason, then
-camera and orientation where they are known. Numbers are written so that they are read back bit for bit.
+camera and orientation where they are known. A '# image_circle' line says which disc of the image the lens lights:
+width and height of the image, u and v of the centre, radius, pixels, then camera where it is known. Numbers are written
+so that they are read back bit for bit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,14 +21,16 @@ from pathlib import Path
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.formats.board_text import short_form
-from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
+from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.targets.board import Board, Detection, Detections, parse_board
 
 MAGIC = "# camcal-detections"
 VERSION = "1"
 NONE = "# none "
+CIRCLE = "# image_circle "
 COLUMNS = ("image", "width", "height", "id", "u", "v")
 COVARIANCE = ("suu", "suv", "svv")
 OPTIONAL = ("camera", "orientation", *COVARIANCE)
@@ -44,7 +49,7 @@ def read(path: Path, board: Board | None = None) -> Detections:
     views = [*nothing, *_views(Table.from_csv(str(path), lines, COLUMNS, OPTIONAL), board)]
     views.sort(key=lambda view: view[0])
     _refuse_repeats(str(path), views)
-    return Detections(board, tuple(view for _, view in views))
+    return Detections(board, tuple(view for _, view in views), _circles(str(path), lines))
 
 
 def _board(path: str, first: str, given: Board | None) -> Board | None:
@@ -87,6 +92,33 @@ def _nothing(path: str, number: int, line: str) -> Detection:
     size, orientation = _sizes(table)[0], int(table.integers("orientation", 1, 8)[0])
     view = Detection.nothing(cells[0], (int(size[0]), int(size[1])), cells[3] or "nothing found")
     return replace(view, camera=cells[4], orientation=orientation)
+
+
+def _circles(path: str, lines: Lines) -> dict[str, ImageCircle]:
+    """Return the image circles by the names of their cameras."""
+    circles: dict[str, ImageCircle] = {}
+    for number, line in lines:
+        if line.startswith(CIRCLE):
+            camera, circle = _circle(path, number, line)
+            if circles.setdefault(camera, circle) is not circle:
+                raise InvalidInput(
+                    f"a second image circle{f' of {camera}' if camera else ''}", where=f"{path}:{number}"
+                )
+    return circles
+
+
+def _circle(path: str, number: int, line: str) -> tuple[str, ImageCircle]:
+    """Return the camera and the image circle of a '# image_circle' line."""
+    cells = csv_rows(path, [(number, line.removeprefix(CIRCLE))])[0]
+    if not 5 <= len(cells) <= 6:
+        raise InvalidInput(f"{CIRCLE}needs WIDTH,HEIGHT,U,V,RADIUS[,CAMERA]", where=f"{path}:{number}")
+    names = ("width", "height", "u", "v", "radius")
+    table = Table(path, {name: [text] for name, text in zip(names, cells[:5], strict=True)}, [number])
+    width, height = _sizes(table)[0].tolist()
+    u, v, radius = (float(table.numbers(name)[0]) for name in names[2:])
+    if radius <= 0:
+        raise InvalidInput(f"radius {radius:g} px is not positive", where=f"{path}:{number}")
+    return "".join(cells[5:]), ImageCircle((width, height), (u, v), radius)
 
 
 def _views(table: Table, board: Board | None) -> list[Placed]:
@@ -217,7 +249,8 @@ def text(detections: Detections) -> str:
     turned = any(view.orientation != 1 for view in views)
     measured = any(view.covariance is not None for view in views)
     names = [*COLUMNS, *["camera"] * cameras, *["orientation"] * turned, *(COVARIANCE if measured else ())]
-    lines = [_first_line(detections.board), ",".join(names)]
+    circles = [_circle_line(camera, circle) for camera, circle in detections.circles.items()]
+    lines = [_first_line(detections.board), *circles, ",".join(names)]
     for view in views:
         tail = f",{cell(view.camera)}" * cameras + f",{view.orientation}" * turned
         lines += _rows(view, tail, measured=measured) if view.found else [_none_line(view)]
@@ -229,6 +262,11 @@ def _first_line(board: Board | None) -> str:
         return f"{MAGIC} {VERSION}"
     marker = f" first_marker_id={board.first_marker}" if board.first_marker else ""
     return f"{MAGIC} {VERSION} board={short_form(replace(board, first_marker=0))}{marker}"
+
+
+def _circle_line(camera: str, circle: ImageCircle) -> str:
+    numbers = ",".join(map(repr, (*circle.image_size, *circle.centre, circle.radius)))
+    return CIRCLE + numbers + (f",{cell(camera)}" if camera else "")
 
 
 def _rows(view: Detection, tail: str, *, measured: bool) -> Iterator[str]:

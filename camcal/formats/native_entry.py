@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal.cameras.catalogue import MODELS
+from camcal.cameras.image_circle import ImageCircle
 from camcal.formats import native_lens
 from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text
@@ -17,6 +18,7 @@ VALID: Mapping[str, Check] = {
     "max_theta_deg": number(0, 180),
     "max_radius_px": number(above=0),
     "polygon": items(items(number(), 2)),
+    "image_circle": mapping({"centre_px": items(number(), 2), "radius_px": number(above=0)}),
 }
 SENSOR: Mapping[str, Check] = {
     "pixel_pitch_um": number(above=0),
@@ -73,7 +75,7 @@ def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str,
     channels = {name: native_lens.read(lens, model, size, folder)[0] for name, lens in data.get("channels", {}).items()}
     return CameraEntry(
         camera,
-        valid=_read_valid(data["valid"]) if "valid" in data else None,
+        valid=_read_valid(data["valid"], size) if "valid" in data else None,
         projection=tuple(map(_read_projection, data.get("uncertainty", {}).get("projection", ()))),
         quality=data.get("quality", {}),
         noise=Noise(**data["noise"]) if "noise" in data else None,
@@ -85,9 +87,14 @@ def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str,
     ), unknown
 
 
-def _read_valid(data: Mapping[str, Any]) -> ValidRegion:
+def _read_valid(data: Mapping[str, Any], image_size: tuple[int, int]) -> ValidRegion:
     theta = math.radians(data["max_theta_deg"]) if "max_theta_deg" in data else None
-    return ValidRegion(theta, data.get("max_radius_px"), data.get("polygon"))
+    known = data.get("image_circle")
+    circle = None
+    if known is not None:
+        x, y = map(float, known["centre_px"])
+        circle = ImageCircle(image_size, (x, y), float(known["radius_px"]))
+    return ValidRegion(theta, data.get("max_radius_px"), data.get("polygon"), circle)
 
 
 def _read_projection(data: Mapping[str, Any]) -> ProjectionStd:
@@ -119,8 +126,10 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
 
 
 def _valid_block(valid: ValidRegion) -> dict[str, Any]:
+    circle = valid.image_circle
     return {
         "max_theta_deg": None if valid.max_theta is None else math.degrees(valid.max_theta),
         "max_radius_px": valid.max_radius_px,
         "polygon": None if valid.polygon is None else valid.polygon.tolist(),
+        "image_circle": None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius},
     }

@@ -26,8 +26,8 @@ def findings(file: CameraFile) -> Iterator[Fault]:
         yield from _principal_point(entry.camera, child(path, "intrinsics"))
         yield from _aspect(entry.camera, child(path, "intrinsics"))
         if entry.camera.model not in panoramic.MODELS:  # a view, not a lens: it may show all around
-            yield from _opening(entry.camera, child(path, "intrinsics"))
-            yield from _folding(entry.camera, child(path, "distortion"))
+            yield from _opening(entry, child(path, "intrinsics"))
+            yield from _folding(entry, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
         yield from _verdict(entry, child(path, "verdict"))
     for name, transform in file.transforms.items():
@@ -56,18 +56,19 @@ def _aspect(camera: Camera, path: str) -> Iterator[Fault]:
         yield Fault(path, f"fx/fy = {ratio:.3g}: anamorphic or stretched video? check the display aspect ratio")
 
 
-def _opening(camera: Camera, path: str) -> Iterator[Fault]:
-    horizontal = math.degrees(field_of_view(camera)[0])
+def _opening(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    horizontal = math.degrees(field_of_view(entry.camera, entry.image_circle)[0])
     if horizontal < FIELD_DEG[0] or horizontal > FIELD_DEG[1]:
         text = f"horizontal field of view {horizontal:.3g}°: are the focal length and image_size of one resolution?"
         yield Fault(child(path, "fx"), text)
 
 
-def _folding(camera: Camera, path: str) -> Iterator[Fault]:
-    fold = folds_inside(camera)
+def _folding(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    fold = folds_inside(entry.camera, entry.image_circle)
     if fold.folds:
         limit = f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre"
-        yield Fault(path, f"{limit}; the image corner is at {fold.corner_px:.0f} px")
+        end = "image corner is at" if entry.image_circle is None else "image circle reaches to"
+        yield Fault(path, f"{limit}; the {end} {fold.corner_px:.0f} px")
 
 
 def _quality(entry: CameraEntry, path: str) -> Iterator[Fault]:

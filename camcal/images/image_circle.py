@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.opencv import resized
 
@@ -41,18 +42,14 @@ _CORNERS = tuple((rows, columns) for rows in _ENDS for columns in _ENDS)
 
 
 @dataclass(frozen=True)
-class ImageCircle:
-    """The image circle of a camera.
+class MeasuredCircle(ImageCircle):
+    """An image circle as it was measured.
 
-    image_size: (width, height) px. centre: (x, y) px, (0, 0) is the centre of the top-left pixel. radius: px.
     visible_arc: rad of the circle that lie inside the image. supported: share of them along which the outline of the
     bright region is within 3 % of the radius from the circle. rms: px, distances of the outline points that the circle
     is fitted to. dark_outside: share of the image's pixels beyond 1.03 radii that are dark. dark_corners: of the image.
     """
 
-    image_size: tuple[int, int]
-    centre: tuple[float, float]
-    radius: float
     visible_arc: float
     supported: float
     rms: float
@@ -84,7 +81,15 @@ class ImageCircleSearch:
         reduced = resized(image, _scale(image.shape))
         self._brightest = reduced if self._brightest is None else np.maximum(self._brightest, reduced)
 
-    def result(self) -> ImageCircle | None:
+    @property
+    def ruled_out(self) -> bool:
+        """Whether there is no image circle, whatever further images show: what is bright stays bright."""
+        if self._brightest is None:
+            return False
+        brightest_possible = float(np.iinfo(self._brightest.dtype).max)
+        return bool(np.percentile(self._brightest, _RANGE[0]) > _DARK * brightest_possible)
+
+    def result(self) -> MeasuredCircle | None:
         """Return the image circle; None if the images so far, or no images, show none."""
         circle = None if self._brightest is None else _found(self._brightest.astype(float))
         if circle is None:
@@ -100,7 +105,7 @@ class ImageCircleSearch:
         )
 
 
-def find_image_circle(images: Iterable[Array]) -> ImageCircle | None:
+def find_image_circle(images: Iterable[Array]) -> MeasuredCircle | None:
     """Return the image circle of a camera's images (H, W) uint8 or uint16, all of one size; None if they show none.
 
     Every image is used; see `evenly_spaced` for those worth reading. Raises InvalidInput as `ImageCircleSearch.add`.
@@ -121,7 +126,7 @@ def _scale(shape: tuple[int, ...]) -> float:
     return min(1.0, max(_WIDTH / shape[1], 1 / shape[0]))
 
 
-def _found(brightest: Array) -> ImageCircle | None:
+def _found(brightest: Array) -> MeasuredCircle | None:
     """Return the image circle of an image (h, w) in its own pixels: of those accepted the best supported one."""
     low, high = np.percentile(brightest, _RANGE)
     if high - low < _LEAST_RANGE or low > _DARK * high:
@@ -131,7 +136,7 @@ def _found(brightest: Array) -> ImageCircle | None:
     return max(accepted, key=lambda circle: circle.supported, default=None)
 
 
-def _is_image_circle(circle: ImageCircle) -> bool:
+def _is_image_circle(circle: MeasuredCircle) -> bool:
     return (
         circle.visible_arc >= _LEAST_ARC
         and circle.supported >= _LEAST_SUPPORTED
@@ -140,7 +145,7 @@ def _is_image_circle(circle: ImageCircle) -> bool:
     )
 
 
-def _at_threshold(brightest: Array, threshold: float) -> ImageCircle | None:
+def _at_threshold(brightest: Array, threshold: float) -> MeasuredCircle | None:
     """Return the circle that fits the outline of the bright region of an image (h, w) best, whatever it is."""
     points = _outline(brightest, threshold)
     start = _best_of_triplets(points, brightest.shape)
@@ -238,7 +243,7 @@ def _fitted(points: Array, circle: Array, shape: tuple[int, ...]) -> Array | Non
     return circle
 
 
-def _described(circle: Array, points: Array, brightest: Array, threshold: float) -> ImageCircle:
+def _described(circle: Array, points: Array, brightest: Array, threshold: float) -> MeasuredCircle:
     """Return a circle (3,) with the measures that tell an image circle, of an outline (N, 2) in an image (h, w)."""
     deviations = _deviations(points, circle[None])[0]
     fitted = deviations[np.abs(deviations) < _TOLERANCE]
@@ -249,7 +254,7 @@ def _described(circle: Array, points: Array, brightest: Array, threshold: float)
     rows, columns = np.indices(brightest.shape)
     radii = np.hypot(columns - circle[0], rows - circle[1]) / circle[2]
     outside = brightest[radii > 1 + _RIM]
-    return ImageCircle(
+    return MeasuredCircle(
         image_size=(brightest.shape[1], brightest.shape[0]),
         centre=(float(circle[0]), float(circle[1])),
         radius=float(circle[2]),

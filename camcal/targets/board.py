@@ -6,11 +6,13 @@ An AprilGrid has Kalibr's numbering and frame: the corners of its tags, id = 4 Â
 tags along a row to the right, rows upwards, corners from the lower left counter-clockwise, y up, z out of the board.
 """
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.cameras.image_circle import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.targets.boards import layouts
 from camcal.targets.boards.short_forms import fields_of
@@ -168,9 +170,9 @@ def _require_counts(board: Board) -> None:
 
 def _require_own_fields(board: Board) -> None:
     allowed = BOARD_TYPES[board.type].own | {"type", "columns", "rows", "square"}
-    for field in fields(board):
-        if field.name not in allowed and getattr(board, field.name) != field.default:
-            raise InvalidInput(f"a board of type {board.type} has no {field.name}")
+    for item in fields(board):
+        if item.name not in allowed and getattr(board, item.name) != item.default:
+            raise InvalidInput(f"a board of type {board.type} has no {item.name}")
 
 
 def _require_lengths(board: Board) -> None:
@@ -218,10 +220,14 @@ class Detection:
 
 @dataclass(frozen=True)
 class Detections:
-    """What was found in a set of images, in their order, and the board that was looked for (None: unknown)."""
+    """What was found in a set of images, in their order, and the board that was looked for (None: unknown).
+
+    circles: the image circles of cameras by their names, as far as they were measured.
+    """
 
     board: Board | None
     views: tuple[Detection, ...]
+    circles: Mapping[str, ImageCircle] = field(default_factory=dict)
 
 
 def parse_board(text: str) -> Board:

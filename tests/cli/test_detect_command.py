@@ -42,7 +42,17 @@ def test_json_is_one_document_with_its_schema_first(run, folder, tmp_path):
     code, out, _ = run("detect", folder, "-b", "chessboard:6x5:25mm", "-o", output, "--jobs", 1, "--json")
     told = json.loads(out)
     assert code == 0
-    assert list(told) == ["schema", "output", "board", "images", "frames", "notes", "failed", "pictures"]
+    assert list(told) == [
+        "schema",
+        "output",
+        "board",
+        "image_circle",
+        "images",
+        "frames",
+        "notes",
+        "failed",
+        "pictures",
+    ]
     assert told["schema"] == "camcal/detect/1"
     assert told["images"][0] == {
         "image": f"{folder}/board.png", "image_size": [320, 240], "corners": 30, "reason": None, "orientation": 1,

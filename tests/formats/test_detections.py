@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from camcal.cameras.image_circle import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import detections, detections_csv
 from camcal.targets.board import Detection, Detections, parse_board
@@ -19,10 +20,12 @@ a.png,640,480,1,120.5,50.5
 # none b.png,640,480,no board found
 c.png,640,480,11,300.0,200.0
 """
+CIRCLE = "# image_circle 640,480,319.5,239.5,228.125"
 
 
 def assert_same(found: Detections, expected: Detections) -> None:
     assert found.board == expected.board
+    assert found.circles == expected.circles
     assert len(found.views) == len(expected.views)
     for one, other in zip(found.views, expected.views, strict=True):
         for name in ("image", "size", "camera", "reason", "orientation"):
@@ -186,6 +189,9 @@ ROW_FAULTS = {
     '"a"b.png,640,480,0,1,1\n': "not a CSV row, a quote is wrong",
     "# none a.png,640,480\n": "# none needs IMAGE,WIDTH,HEIGHT,REASON[,CAMERA[,ORIENTATION]]",
     "# none a.png,640,x,no board\n": "height: 'x' is not a whole number",
+    "# image_circle 640,480,319.5,239.5\n": "# image_circle needs WIDTH,HEIGHT,U,V,RADIUS[,CAMERA]",
+    "# image_circle 640,480,319.5,nan,200\n": "v: nan is not finite",
+    "# image_circle 640,480,319.5,239.5,0\n": "radius 0 px is not positive",
     "a.png,640,480,3,9,9\na.png,640,480,4,9,9\na.png,640,480,3,8,8\n": "image 'a.png': id 3 stands twice",
     "a.png,640,480,3,9,9\na.png,640,480,4,9,9\na.png,640,481,5,8,8\n": (
         "image 'a.png': size 640 x 481 here, 640 x 480 at line 3"
@@ -229,6 +235,27 @@ def test_a_covariance_is_given_for_a_whole_image_or_not_at_all(tmp_path):
 def test_an_image_is_named_in_one_way(tmp_path):
     head = "image,width,height,id,u,v\n# none a.png,640,480,blurred\n"
     assert fault(tmp_path, head + "a.png,640,480,0,1,1\n") == "d.csv:3: image 'a.png' is already named at line 2"
+
+
+def test_image_circles_come_back_bit_for_bit_by_the_names_of_their_cameras(tmp_path):
+    circles = {
+        "": ImageCircle((640, 480), (319.1234567890123, 239.5), 228.1),
+        "left, upper": ImageCircle((720, 640), (1 / 3, 2 / 3), 200.0),
+    }
+    written = Detections(None, read_text(tmp_path, GOOD).views, circles)
+    detections.write(tmp_path / "d.csv", written)
+    assert_same(detections.read(tmp_path / "d.csv"), written)
+
+
+def test_a_circle_may_stand_on_any_line(tmp_path):
+    expected = {"": ImageCircle((640, 480), (319.5, 239.5), 228.125)}
+    assert read_text(tmp_path, f"{GOOD}{CIRCLE}\n").circles == expected
+    assert read_text(tmp_path, f"{CIRCLE}\nimage,width,height,id,u,v\na.png,640,480,0,1,1\n").circles == expected
+    assert read_text(tmp_path, GOOD).circles == {}
+
+
+def test_two_circles_of_one_camera_are_refused(tmp_path):
+    assert fault(tmp_path, f"{GOOD}{CIRCLE}\n{CIRCLE}\n").startswith("d.csv:8: a second image circle")
 
 
 def test_a_name_with_a_line_break_cannot_be_written(tmp_path):

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.cameras.catalogue import MODELS
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import native
@@ -47,6 +48,7 @@ RIG = f"""{GOOD}{RIGHT}transforms:
     R: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     t: [-0.11, 0.0, 0.0]
 """
+CIRCLE = ImageCircle((640, 480), (322.25, 238.5), 310.125)
 TWELVE_DIGITS = 5.1e-12  # half a unit of the twelfth digit, and the rounding of its decimal text
 
 
@@ -84,7 +86,7 @@ def full_file(rng) -> CameraFile:
     red = Camera(model, (640, 480), np.array(parameters) * 1.0001)
     left = CameraEntry(
         lens,
-        valid=ValidRegion(0.65, 412.5, np.array([[0.5, 1.5], [600.0, 2.0], [300.0, 470.0]])),
+        valid=ValidRegion(0.65, 412.5, np.array([[0.5, 1.5], [600.0, 2.0], [300.0, 470.0]]), CIRCLE),
         projection=(
             ProjectionStd({"median_px": 0.02, "max_px": 0.3}, 1.5),
             ProjectionStd({"rms_px": 0.05, "max_px": 0.2, "inside_rms_px": 0.03, "inside_max_px": 0.1}),
@@ -146,6 +148,7 @@ def test_everything_written_is_read_back_to_twelve_digits(tmp_path):
     assert (left.quality, left.sensor, left.extra) == (expected.quality, expected.sensor, expected.extra)
     assert math.isclose(left.valid.max_theta, 0.65, rel_tol=1e-11)  # through degrees at 12 digits
     np.testing.assert_array_equal(left.valid.polygon, expected.valid.polygon)
+    assert left.image_circle == CIRCLE
     step, wanted = found.transforms["right_T_left"], file.transforms["right_T_left"]
     np.testing.assert_allclose(step.pose.matrix(), wanted.pose.matrix(), rtol=TWELVE_DIGITS)
     np.testing.assert_allclose(step.covariance, wanted.covariance, rtol=TWELVE_DIGITS)
@@ -398,6 +401,15 @@ def test_there_is_one_path_between_two_frames(saved):
     assert faults(saved(RIG + further)) == [f"left.yaml:23: {expected}"]
 
 
+def test_a_lens_that_folds_outside_of_its_image_circle_is_not_warned_of(saved):
+    folding = GOOD.replace("k1: -0.28", "k1: -0.9")
+    valid = "    valid: {image_circle: {centre_px: [367.0, 248.0], radius_px: 150.0}}\n    model:"
+    assert any("not invertible" in warning for warning in native.read(saved(folding)).warnings)
+    assert native.read(saved(folding.replace("    model:", valid, 1))).warnings == ()
+    wider = folding.replace("    model:", valid.replace("150.0", "300.0"), 1)
+    assert "the image circle reaches to" in native.read(saved(wider)).warnings[0]
+
+
 def test_free_frames_may_have_names_of_their_own(saved):
     step = RIG.partition("transforms:\n")[2]
     names = ("lidar_T_left", "left2_T_right", "world_T_lidar")
@@ -409,6 +421,11 @@ def test_free_frames_may_have_names_of_their_own(saved):
     ("block", "expected"),
     [
         ("    valid: {max_theta_deg: 200.0}\n", "valid.max_theta_deg: 200.0 is outside [0, 180]"),
+        ("    valid: {image_circle: {radius_px: 300.0}}\n", "valid.image_circle: missing key 'centre_px'"),
+        (
+            "    valid: {image_circle: {centre_px: [1.0, 2.0], radius_px: 0.0}}\n",
+            "image_circle.radius_px: 0.0 must be > 0",
+        ),
         ("    quality: {rms: 0.2}\n", "quality.rms: unknown key. Did you mean 'rms_px'?"),
         ("    noise: {degrees_of_freedom: 10}\n", "noise: missing key 'sigma_px'"),
         ("    verdict: {trustworthy: maybe}\n", "verdict.trustworthy: 'maybe' is not true or false"),

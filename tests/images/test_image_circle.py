@@ -212,3 +212,20 @@ def test_images_are_chosen_evenly_from_the_first_to_the_last(count):
     assert chosen[-1:] == ([count - 1] if count else [])
     steps = {after - before for before, after in itertools.pairwise(chosen)}
     assert not steps or max(steps) - min(steps) <= 1
+
+
+def test_bright_images_rule_a_circle_out_and_lit_discs_do_not():
+    search = ImageCircleSearch()
+    assert not search.ruled_out
+    for image in photographs((640, 480), (320.0, 240.0), 200.0):
+        search.add(image)
+        assert not search.ruled_out
+    search.add(np.full((480, 640), 60, np.uint8))
+    assert search.ruled_out
+    assert search.result() is None
+
+
+def test_dark_images_rule_nothing_out():
+    search = ImageCircleSearch()
+    search.add(np.full((480, 640), 50, np.uint8))  # beside 255 that others may bring it is dark
+    assert not search.ruled_out

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
-from math import inf
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +14,8 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict
@@ -27,7 +28,7 @@ from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
-from camcal.tasks.calibration.image_reach import image_reach
+from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, Selection, select
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
 from camcal.tasks.calibration.second_look import renumbered, second_look
@@ -118,10 +119,12 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         mixed_sizes=options.mixed_sizes,
     )
     looks_again = _looks_again(options, seen)
+    seen = seen if seen.table else replace(seen, detections=with_circle(seen.detections, seen.films, options.reading))
+    circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
-    selection = _solve(seen, how, options.model is None)
+    selection = _solve(seen, how, options.model is None, circle)
     calibration, remarks = selection.calibration, selection.remarks
     progress.finish()
     if looks_again:
@@ -130,17 +133,16 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         if options.save_detections:
             detections.write(options.save_detections, seen.detections)
     channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
-    reach_px = image_reach(calibration.camera, seen, options.reading)
-    advice = advise(calibration, reach_px)
+    advice = advise(calibration, folds_inside(calibration.camera, circle).corner_px)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels)
-    file = camera_file(calibration, uncertainty, advice, options, channels, reach_px)
+    file = camera_file(calibration, uncertainty, advice, options, channels, circle)
     native.write(options.output, file)
     return CalibrateReport(
         calibration,
         uncertainty,
         advice,
         file,
-        seen.notes + remarks,
+        seen.notes + circle_notes(circle) + remarks,
         seen.failed,
         channels,
         seen.frames,
@@ -205,10 +207,10 @@ def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) 
     return Channel(lens, aberration(calibration.camera, lens))
 
 
-def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool) -> Selection:
+def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool, circle: ImageCircle | None) -> Selection:
     """Return the calibration; `choose`: with the lens model that predicts views best."""
     if choose:
-        return select(seen.detections.views, seen.board, how)
+        return select(seen.detections.views, seen.board, how, circle)
     return Selection(intrinsics.calibrate(seen.detections.views, seen.board, how))
 
 
@@ -246,15 +248,15 @@ def camera_file(
     advice: Advice,
     options: CalibrateOptions,
     channels: Mapping[str, Channel] = MappingProxyType({}),
-    reach_px: float = inf,
+    circle: ImageCircle | None = None,
 ) -> CameraFile:
     """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
 
-    reach_px: how far from the principal point the lens forms an image.
+    circle: the image circle, where there is one.
     """
     entry = CameraEntry(
         calibration.camera,
-        valid=ValidRegion.of(calibration.camera, reach_px),
+        valid=ValidRegion.of(calibration.camera, circle),
         projection=(ProjectionStd.of(uncertainty),),
         quality=quality_figures(calibration),
         noise=Noise(calibration.sigma_px, calibration.freedom),

@@ -15,6 +15,7 @@ from camcal.targets.board import CHARUCO, Board, Detection, Detections
 from camcal.targets.detect import require_findable
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks
 from camcal.tasks.calibration.corner_drawing import draw, pictures
+from camcal.tasks.calibration.image_circle_of_views import circle_document, circle_notes, with_circle
 from camcal.tasks.calibration.image_detection import Seen, detect_file, search
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, require_colours
@@ -118,11 +119,19 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     sized = same_size(before, size, board, mixed=options.mixed_sizes)
     views = sized.views
     mixed = (MIXED,) if any(item.demosaiced for item in seen) else ()
+    result = Detections(board, views)
     if options.output is not None:
-        detections.write(options.output, Detections(board, views))
+        result = with_circle(result, films, options.reading)
+        detections.write(options.output, result)
     return DetectReport(
-        Detections(board, views),
-        remarks(views, board, options.board) + sized.notes + mixed + tuple(summary(film, records) for film in films),
+        result,
+        (
+            *remarks(views, board, options.board),
+            *sized.notes,
+            *circle_notes(result.circles.get("")),
+            *mixed,
+            *(summary(film, records) for film in films),
+        ),
         tuple(map(str, errors)),
         {colour: sized.alike([item.colours[colour] for item in seen]) for colour in (seen[0].colours if seen else ())},
         records,
@@ -198,6 +207,7 @@ def document(report: DetectReport, output: Path | None) -> dict[str, Any]:
     return {
         "output": None if output is None else output.as_posix(),
         "board": boards.block(report.detections.board) if report.detections.board else None,
+        "image_circle": circle_document(report.detections.circles.get("")),
         "images": [
             {
                 "image": view.image,

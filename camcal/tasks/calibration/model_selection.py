@@ -9,6 +9,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.intrinsics import Calibration, compare_models
 from camcal.calibrate.model_choice import GAIN, Contender, chosen
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.validity import folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.quality.projection_uncertainty import projection_uncertainty
@@ -31,9 +32,11 @@ class Selection:
     remarks: tuple[str, ...] = ()
 
 
-def select(views: Sequence[Detection], board: Board, options: intrinsics.Options) -> Selection:
+def select(
+    views: Sequence[Detection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+) -> Selection:
     """Return the calibration with the lens model that predicts views best, DEFAULT_MODEL unless another one is clearly
-    better; options.model does not matter.
+    better; options.model does not matter. circle: the image circle, outside of which no lens need be invertible.
 
     Raises InsufficientData, InvalidInput or NotConverged where no model leads to a calibration.
     """
@@ -52,7 +55,7 @@ def select(views: Sequence[Detection], board: Board, options: intrinsics.Options
             return replace(
                 selection, remarks=(f"lens model {own.name} is used: {first.name} fails ({failure.message})",)
             )
-        return _without_fold(selection, views, board, options)
+        return _without_fold(selection, views, board, options, circle)
     raise failure or NotConverged("no lens model was found")
 
 
@@ -67,20 +70,26 @@ def _compared(views: Sequence[Detection], board: Board, options: intrinsics.Opti
 
 
 def _without_fold(
-    selection: Selection, views: Sequence[Detection], board: Board, options: intrinsics.Options
+    selection: Selection,
+    views: Sequence[Detection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None,
 ) -> Selection:
-    """Return the selection, with a model that is invertible in the whole image where one predicts about as well and is
-    known there: a lens that might be anything in the corners is no better than one that is not invertible.
+    """Return the selection, with a model that is invertible in the whole image, or image circle, where one predicts
+    about as well and is known there: a lens that might be anything in the corners is no better than one that is not
+    invertible.
     """
     taken = selection.calibration.camera.model.name
     best = max(own.score for own in selection.contenders)
     near = [own for own in selection.contenders if own.score >= best - GAIN and own.name != taken]
-    for own in sorted(near, key=lambda own: -own.score) if folds_inside(selection.calibration.camera).folds else ():
+    folds = folds_inside(selection.calibration.camera, circle).folds
+    for own in sorted(near, key=lambda own: -own.score) if folds else ():
         try:
             calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
         except _FAILURES:
             continue
-        if not folds_inside(calibration.camera).folds and _known_everywhere(calibration):
+        if not folds_inside(calibration.camera, circle).folds and _known_everywhere(calibration):
             remark = f"{own.name} is used: {taken} predicts as well, but is not invertible in the whole image"
             return Selection(calibration, selection.contenders, (remark,))
     return replace(selection, remarks=_words(selection))

@@ -1,0 +1,85 @@
+"""The image circle of a camera, measured from some of the images in which a board was searched."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
+from camcal.errors import CamcalError
+from camcal.formats.camera_file import CameraEntry
+from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
+from camcal.targets.board import Detection, Detections
+from camcal.tasks.calibration.mixed_sizes import usual_size
+from camcal.tasks.calibration.photographs import Reading, read_photograph
+from camcal.tasks.calibration.video_frames import Film
+
+
+def with_circle(detections: Detections, films: Sequence[Film], reading: Reading) -> Detections:
+    """Return what was found in images of one camera without a name with its image circle, if the images show one.
+
+    films: the videos that frames among the images are from. Some images are read once more, until it is clear that
+    there is no circle.
+    """
+    circle = _measured(detections.views, films, reading)
+    return detections if circle is None else replace(detections, circles={"": circle})
+
+
+def known_circle(detections: Detections, guess: CameraEntry | None) -> ImageCircle | None:
+    """Return the image circle that goes with detections of one camera, or else with a camera file's entry of it.
+
+    None if neither has one, or it is of images of another size.
+    """
+    cameras = {view.camera for view in detections.views}
+    circle = detections.circles.get(cameras.pop()) if len(cameras) == 1 else None
+    if circle is None and guess is not None:
+        circle = guess.image_circle
+    return circle if circle is not None and circle.image_size == usual_size(detections.views) else None
+
+
+def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
+    """Return what is to be said of an image circle."""
+    if circle is None:
+        return ()
+    x, y = circle.centre
+    return (f"image circle of radius {circle.radius:.1f} px around ({x:.1f}, {y:.1f})",)
+
+
+def circle_document(circle: ImageCircle | None) -> dict[str, Any] | None:
+    """Return an image circle as plain data for --json."""
+    return None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius}
+
+
+def _measured(views: Sequence[Detection], films: Sequence[Film], reading: Reading) -> ImageCircle | None:
+    """Return the image circle that images show; None for one that points of a board lie outside of, where there must
+    be light.
+    """
+    size = usual_size(views)
+    fitting = [view for view in views if view.size == size]
+    names = [fitting[index].image for index in evenly_spaced(len(fitting), MOST_IMAGES)]
+    search = ImageCircleSearch()
+    for gray in _images(names, films, reading):
+        if gray.shape[::-1] != size:  # of the file; the view was made to fit
+            continue
+        search.add(gray)
+        if search.ruled_out:
+            return None
+    found = search.result()
+    if found is None or not all(found.contains(view.pixels).all() for view in fitting):
+        return None
+    return ImageCircle(found.image_size, found.centre, found.radius)
+
+
+def _images(names: Sequence[str], films: Sequence[Film], reading: Reading) -> Iterator[Array]:
+    """Yield the gray images (H, W) of that name that can be read, frames of films last."""
+    filmed = frozenset(name for film in films for name in film.names)
+    for name in names:
+        if name in filmed:
+            continue
+        try:
+            yield read_photograph(Path(name), reading).gray
+        except CamcalError:  # gone since
+            continue
+    for film in films:
+        yield from (frame.image.pixels for frame in film.only(frozenset(names)).frames())
