@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 
 LONGEST_SIDE = 32766  # pixels of a map are counted in 16 bits by OpenCV
@@ -20,11 +21,15 @@ ACCURACY = 2e-4  # px, at the middle of a cell, where a cubic is farthest off
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The way from pixels of a view to pixels of a camera; source_R_view (3, 3) turns the view's rays, if given."""
+    """The way from pixels of a view to pixels of a camera.
+
+    source_R_view: (3, 3) turns the view's rays, if given. circle: of the camera; there is no source outside of it.
+    """
 
     source: Camera
     view: Camera
     source_R_view: Array | None = None
+    circle: ImageCircle | None = None
 
     def positions(self, x: Array, y: Array) -> Array:
         """Return the source pixels (2, ...) of view pixels x, y, broadcast against each other; NaN where none is."""
@@ -32,7 +37,10 @@ class Trace:
         rays = self.view.unproject(np.column_stack([x.ravel(), y.ravel()])).directions
         if self.source_R_view is not None:
             rays = rays @ self.source_R_view.T
-        return self.source.project(rays).pixels.T.reshape(2, *x.shape)
+        pixels = self.source.project(rays).pixels
+        if self.circle is not None:
+            pixels = np.where(self.circle.contains(pixels)[:, None], pixels, np.nan)
+        return pixels.T.reshape(2, *x.shape)
 
 
 def exact_bands(trace: Trace) -> Iterator[tuple[slice, Array]]:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.images.lattice import LONGEST_SIDE, Trace, bands, exact_bands
@@ -114,9 +115,16 @@ class Maps:
         return (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND))
 
 
-def build_maps(source: Camera, view: Camera, interpolation: str = "linear", source_R_view: Array | None = None) -> Maps:
+def build_maps(
+    source: Camera,
+    view: Camera,
+    interpolation: str = "linear",
+    source_R_view: Array | None = None,
+    circle: ImageCircle | None = None,
+) -> Maps:
     """Return the maps from images of `source` to `view`; source_R_view (3, 3): the view's axes in the source's frame.
 
+    circle: the source's image circle; what would come from outside of it has no source.
     Positions are good to 1e-3 px; for nearest-truncate they are the model's own, so that a textbook's loop over all
     pixels gives the same image.
     Raises InvalidInput for an unknown interpolation or an image with a side of 32 767 pixels or more.
@@ -126,7 +134,8 @@ def build_maps(source: Camera, view: Camera, interpolation: str = "linear", sour
     for size in (source.image_size, view.image_size):
         if max(size) > LONGEST_SIDE:
             raise InvalidInput(f"{size[0]}x{size[1]} has a side of more than {LONGEST_SIDE} pixels, which is the limit")
-    trace = Trace(source, view, None if source_R_view is None else readonly(source_R_view, (3, 3), "source_R_view"))
+    turn = None if source_R_view is None else readonly(source_R_view, (3, 3), "source_R_view")
+    trace = Trace(source, view, turn, circle)
     width, height = view.image_size
     x, y = np.empty((2, height, width), np.float32)
     for rows, band in exact_bands(trace) if interpolation == NEAREST_TRUNCATE else bands(trace):

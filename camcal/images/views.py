@@ -8,6 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras import panoramic
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import rim
 from camcal.errors import InvalidInput
@@ -67,8 +68,8 @@ class ViewOptions:
             _check_fov(self.projection, self.fov_deg)
 
 
-def make_view(camera: Camera, options: ViewOptions) -> Camera:
-    """Return the camera of the view, looking along the same axis.
+def make_view(camera: Camera, options: ViewOptions, circle: ImageCircle | None = None) -> Camera:
+    """Return the camera of the view, looking along the same axis; circle: the camera's image circle.
 
     Raises InvalidInput if a pinhole is to hold what it cannot, with the projections that can.
     """
@@ -76,16 +77,17 @@ def make_view(camera: Camera, options: ViewOptions) -> Camera:
     if options.keep_k:
         return _kept(camera, size)
     if options.projection == PINHOLE and options.fov_deg is None:
-        return _cropped(camera, options.alpha or 0.0, size, stretch=options.stretch)
-    return _spanning(camera, options.projection, options.fov_deg, size)
+        return _cropped(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
+    return _spanning(camera, circle, options.projection, options.fov_deg, size)
 
 
-def seen_across(camera: Camera) -> float:
+def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
     """Return the angle (rad) a lens sees across the middle of its image: twice the larger side of its axis."""
     ends = np.array([[0.0, camera.value("cy")], [camera.image_size[0] - 1.0, camera.value("cy")]])
+    ends = ends if circle is None else circle.clipped(np.array([camera.value("cx"), camera.value("cy")]), ends)
     angles = _angles(camera.unproject(ends).directions)
-    if not np.isfinite(angles).any():  # the image circle ends before the image does
-        angles = _angles(_outline(camera))
+    if not np.isfinite(angles).any():  # the lens model ends before the image does
+        angles = _angles(_outline(camera, circle))
     return float(2 * np.nanmax(angles))
 
 
@@ -96,9 +98,12 @@ def _kept(camera: Camera, size: tuple[int, int]) -> Camera:
     return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
 
 
-def _spanning(camera: Camera, projection: str, fov_deg: float | None, size: tuple[int, int]) -> Camera:
+def _spanning(
+    camera: Camera, circle: ImageCircle | None, projection: str, fov_deg: float | None, size: tuple[int, int]
+) -> Camera:
     """Return the view that spans the field of view from edge to edge, or what the lens sees across."""
-    fov = np.radians(fov_deg if fov_deg is not None else min(_WIDEST[projection], np.degrees(seen_across(camera))))
+    seen_deg = min(_WIDEST[projection], np.degrees(seen_across(camera, circle))) if fov_deg is None else fov_deg
+    fov = np.radians(seen_deg)
     half_width = {
         PINHOLE: np.tan(fov / 2),
         "cylinder": fov / 2,
@@ -109,11 +114,13 @@ def _spanning(camera: Camera, projection: str, fov_deg: float | None, size: tupl
     return Camera(model, size, model.start(size, size[0] / 2 / half_width))
 
 
-def _cropped(camera: Camera, alpha: float, size: tuple[int, int], *, stretch: bool) -> Camera:
+def _cropped(
+    camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool
+) -> Camera:
     """Return the pinhole between the largest crop without an empty pixel and the smallest frame around all pixels."""
     shape = (size[0] - 1) / (size[1] - 1) * camera.value("fy") / camera.value("fx")
     # The ends of an elongated crop fall between samples of the outline unless there are more of them.
-    rays = _outline(camera, _PER_EDGE * min(_DENSEST, 1 + int(max(shape, 1 / shape) / 8)))
+    rays = _outline(camera, circle, _PER_EDGE * min(_DENSEST, 1 + int(max(shape, 1 / shape) / 8)))
     widest = 2 * float(_angles(rays).max())
     in_front = _angles(rays) < _WIDEST_PINHOLE / 2
     if not in_front.any() or (alpha > 0 and not in_front.all()):
@@ -122,29 +129,28 @@ def _cropped(camera: Camera, alpha: float, size: tuple[int, int], *, stretch: bo
     inner = largest_box(outline, None if stretch else shape)
     if not _angles(np.append(inner[2:], 1.0)[None])[0] < _WIDEST_PINHOLE / 2:
         _refuse_pinhole(widest)
-    inner = _without_empty_pixels(camera, inner, size)
+    inner = _without_empty_pixels(camera, circle, inner, size)
     outer = enclosing_box(outline, None if stretch else shape)
     return _filled((1 - alpha) * inner + alpha * outer, size)
 
 
-def _without_empty_pixels(camera: Camera, box: Array, size: tuple[int, int]) -> Array:
+def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array, size: tuple[int, int]) -> Array:
     """Return the box, shrunk about its middle until every pixel of its view has a source: the outline is sampled."""
     middle = (box[:2] + box[2:]) / 2
     for shrink in _SHRINKS:
         smaller = np.tile(middle, 2) + (1 - shrink) * (box - np.tile(middle, 2))
-        if _is_full(camera, _filled(smaller, size)):
+        if _is_full(Trace(camera, _filled(smaller, size), circle=circle)):
             return smaller
     raise InvalidInput("no crop of {}x{} without an empty pixel was found; use --keep-k or --fov".format(*size))
 
 
-def _is_full(camera: Camera, view: Camera) -> bool:
+def _is_full(trace: Trace) -> bool:
     """Return whether the pixels along the edges of a view, and a grid between them, all have a source."""
-    width, height = view.image_size
-    trace = Trace(camera, view)
+    width, height = trace.view.image_size
     across, down = np.arange(width), np.arange(height)
     grid = np.linspace(0, width - 1, _CHECKED), np.linspace(0, height - 1, _CHECKED)[:, None]
     edges = (across, np.array([[0], [height - 1]])), (np.array([0, width - 1]), down[:, None])
-    last = np.array(camera.image_size)[:, None, None] - 1
+    last = np.array(trace.source.image_size)[:, None, None] - 1
     positions = (trace.positions(x, y) for x, y in (grid, *edges))
     return all(bool(((where >= 0) & (where <= last)).all()) for where in positions)
 
@@ -155,9 +161,9 @@ def _filled(box: Array, size: tuple[int, int]) -> Camera:
     return Camera(model_named(PINHOLE), size, np.concatenate([focal, -box[:2] * focal]))
 
 
-def _outline(camera: Camera, per_edge: int = _PER_EDGE) -> Array:
+def _outline(camera: Camera, circle: ImageCircle | None, per_edge: int = _PER_EDGE) -> Array:
     """Return unit rays (N, 3) around all that the camera sees."""
-    rays = camera.unproject(rim(camera, per_edge)[0])
+    rays = camera.unproject(rim(camera, per_edge, circle)[0])
     return np.asarray(rays.directions[rays.valid])
 
 

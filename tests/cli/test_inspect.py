@@ -214,3 +214,26 @@ def test_a_lens_without_rays_at_the_edges_of_the_image_has_no_field_of_view_ther
     assert list(camera_lines(entry, (1.0, np.nan, np.nan))) == ["field of view horizontal 1.0°"]
     (line,) = camera_lines(entry, (np.nan, np.nan, np.nan))
     assert line == "field of view not known: the lens is not valid at the edges of the image"
+
+
+def test_the_image_circle_is_shown_and_ends_the_field_of_view(camcal, tmp_path):
+    lens = """format: camcal-calibration
+version: 1
+cameras:
+  fish:
+    image_size: [640, 720]
+    model: kannala_brandt4
+    intrinsics: {fx: 200.0, fy: 200.0, cx: 319.5, cy: 319.5}
+    distortion: {k1: -0.01, k2: 0.0, k3: 0.0, k4: 0.0}
+"""
+    (tmp_path / "fish.yaml").write_text(lens.replace("-0.01", "-0.1"))
+    without = camcal(str(tmp_path / "fish.yaml"))
+    (tmp_path / "fish.yaml").write_text(
+        lens + "    valid: {image_circle: {centre_px: [319.5, 319.5], radius_px: 300.25}}\n"
+    )
+    result = camcal(str(tmp_path / "fish.yaml"))
+    assert (result.code, result.err) == (0, "")
+    assert "image circle of radius 300.2 px around (319.5, 319.5)" in result.out
+    assert "field of view horizontal 176.2°" in result.out  # 2 · 1.538 rad: θ - 0.01 θ³ = 300.25 / 200
+    assert "nan" not in without.out + without.err + result.out + result.err
+    assert camcal(str(tmp_path / "fish.yaml"), "--get", "cameras.fish.valid.image_circle.radius_px").out == "300.25\n"

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import native
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.views import ViewOptions
 from camcal.tasks.calibration.undistort_points import PointsOptions, move_pixels, undistort_points
 
@@ -102,3 +103,16 @@ def test_the_table_itself_is_not_overwritten(folder):
         with pytest.raises(InvalidInput, match="is an input and is not overwritten"):
             run(folder, "u,v\n1,2\n", output=output)
     assert (folder / "points.csv").read_text() == "u,v\n1,2\n"
+
+
+def test_pixels_outside_of_the_image_circle_have_no_place_either_way(folder):
+    entry = CameraEntry(FISHEYE, valid=ValidRegion(image_circle=ImageCircle((640, 480), (320.0, 240.0), 150.0)))
+    native.write(folder / "circle.yaml", CameraFile({"fish": entry}))
+    view = ViewOptions(projection="stereographic", fov_deg=200.0)
+    report = run(folder, "u,v\n320,389\n320,391\n", "circle.yaml", view=view)
+    assert report.lost == 1
+    assert rows(folder / "moved.csv")[2] == ["", ""]
+    back = run(folder, "u,v\n320,240\n320,10\n", "circle.yaml", "back.csv", view=view, distort=True)
+    # 10 px is 1.4 rad from the axis in the view, 210 px from the centre of the image
+    assert rows(folder / "back.csv")[2] == ["", ""]
+    assert back.lost == 1

@@ -6,10 +6,11 @@ import pytest
 from PIL import Image as Pillow
 
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import native
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.image import Image
 from camcal.images.load import load
 from camcal.images.remap import build_maps
@@ -19,6 +20,7 @@ from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 
 SIZE = (120, 80)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([90.0, 91, 61, 39, -0.25, 0.06, 1e-3, -1e-3, 0]))
+CIRCLE = ImageCircle(SIZE, (60.0, 40.0), 27.0)
 FISHEYE = Camera(model_named("kannala_brandt4"), SIZE, np.array([30.0, 30, 60, 40, 0, 0, 0, 0]))
 
 
@@ -214,6 +216,41 @@ def test_a_camera_file_of_somebody_else_is_kept(folder):
         with pytest.raises(InvalidInput, match="was not written by 'camcal undistort' and is kept"):
             run(folder)
         assert (folder / "out" / "camera.yaml").read_text() == content
+
+
+def test_what_lies_outside_of_the_image_circle_is_masked(folder):
+    entry = CameraEntry(FISHEYE, valid=ValidRegion(image_circle=CIRCLE))
+    native.write(folder / "circle.yaml", CameraFile({"fish": entry}))
+    view = ViewOptions(projection="stereographic", fov_deg=170.0)
+    report = run(folder, "photos/1.png", camera="circle.yaml", view=view, mask=True, border=(200.0,))
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    rays = report.view.unproject(np.column_stack([x.ravel(), y.ravel()])).directions
+    apart = np.hypot(*(FISHEYE.project(rays).pixels - CIRCLE.centre).T).reshape(SIZE[::-1])
+    clear = np.abs(apart - CIRCLE.radius) > 0.01  # the maps are good to 1e-3 px
+    mask = load(folder / "out" / "valid_mask.png").pixels
+    np.testing.assert_array_equal(mask[clear] == 255, apart[clear] < CIRCLE.radius)
+    assert 0.3 < report.valid < 0.7
+    assert (load(folder / "out" / "1.png").pixels[mask == 0] == 200).all()
+
+
+def test_the_crop_and_the_field_of_view_end_at_the_image_circle(folder):
+    entry = CameraEntry(FISHEYE, valid=ValidRegion(image_circle=CIRCLE))
+    native.write(folder / "circle.yaml", CameraFile({"fish": entry}))
+    cropped = run(folder, camera="circle.yaml")
+    assert cropped.valid == 1
+    assert cropped.view.value("fx") > run(folder, camera="lens.yaml#fish", output="other").view.value("fx")
+    spanning = run(folder, camera="circle.yaml", output="wide", view=ViewOptions(projection="cylinder"))
+    assert SIZE[0] / spanning.view.value("fx") == pytest.approx(2 * 27 / 30, rel=0.01)  # of an equidistant lens
+
+
+def test_a_resized_camera_has_its_image_circle_resized(folder):
+    save(folder / "large.png", picture(1, (240, 160)))
+    entry = CameraEntry(FISHEYE, valid=ValidRegion(image_circle=CIRCLE))
+    native.write(folder / "circle.yaml", CameraFile({"fish": entry}))
+    view = ViewOptions(projection="stereographic", fov_deg=170.0)
+    usual = run(folder, "photos/1.png", camera="circle.yaml", view=view)
+    large = run(folder, "large.png", camera="circle.yaml", output="large", view=view, rescale=True)
+    assert large.valid == pytest.approx(usual.valid, abs=0.01)  # by the pixels along the circle
 
 
 def test_another_view_into_the_same_folder_is_warned_of_and_the_same_view_is_not(folder):

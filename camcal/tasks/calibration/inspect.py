@@ -16,6 +16,7 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.schema import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
 from camcal.targets.surface import CLASSES, RATIOS, Surface
+from camcal.tasks.calibration.image_circle_of_views import circle_notes
 
 
 @dataclass(frozen=True)
@@ -45,11 +46,11 @@ def inspect(options: InspectOptions) -> Inspection:
     if options.camera is not None:
         native.select(file, options.camera, str(options.path))
     names = list(file.cameras) if options.camera is None else [options.camera]
-    return Inspection(document, file, {name: _field_deg(file.cameras[name].camera) for name in names})
+    return Inspection(document, file, {name: _field_deg(file.cameras[name]) for name in names})
 
 
-def _field_deg(camera: Camera) -> tuple[float, float, float]:
-    horizontal, vertical, diagonal = np.degrees(field_of_view(camera)).tolist()
+def _field_deg(entry: CameraEntry) -> tuple[float, float, float]:
+    horizontal, vertical, diagonal = np.degrees(field_of_view(entry.camera, entry.image_circle)).tolist()
     return horizontal, vertical, diagonal
 
 
@@ -92,6 +93,7 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     yield "field of view " + (", ".join(known) or "not known: the lens is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
+    yield from circle_notes(entry.image_circle)
     if entry.held_by_prior:
         yield held_by_prior_words(entry.held_by_prior)
     if entry.quality:

@@ -109,9 +109,9 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     require_own(camera_file)
     if options.rescale:
         source = _rescaled(source, media)
-    view = make_view(source.camera, options.view)
+    view = make_view(source.camera, options.view, source.circle)
     _warn_of_shrinking(source.camera, view, progress)
-    maps = build_maps(source.camera, view, options.interpolation)
+    maps = build_maps(source.camera, view, options.interpolation, circle=source.circle)
     lenses = source.channels if options.align_channels else {}
     maps = align_channels(maps, lenses, view) if lenses else maps
     advice = ": if it was resized, not cropped, give --rescale"
@@ -151,7 +151,7 @@ def _suffix(source: Path, kind: str | None) -> str:
 
 
 def _rescaled(source: SourceCamera, media: Media) -> SourceCamera:
-    """Return the camera and its channels for images of the size of the first one that can be read."""
+    """Return the camera, its channels and its image circle for images of the size of the first one that can be read."""
     size, usual = _first_size(media), source.camera.image_size
     if size is None or size == usual:
         return source
@@ -164,7 +164,8 @@ def _rescaled(source: SourceCamera, media: Media) -> SourceCamera:
         return Camera(camera.model, size, camera.model.rescale(camera.parameters, scale, (0.0, 0.0)))
 
     channels = {colour: resized(lens) for colour, lens in source.channels.items()}
-    return replace(source, camera=resized(source.camera), channels=channels)
+    circle = None if source.circle is None else source.circle.resized(size)
+    return replace(source, camera=resized(source.camera), channels=channels, circle=circle)
 
 
 def _first_size(media: Media) -> tuple[int, int] | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
@@ -61,10 +62,13 @@ def undistort_points(options: PointsOptions, progress: Progress = SILENT) -> Poi
     refuse_overwriting(outputs, [source.path, options.points])
     if camera_file is not None:
         require_own(camera_file)
-    view = make_view(source.camera, options.view)
+    view = make_view(source.camera, options.view, source.circle)
     table = _read(options.points)
     pixels = np.column_stack([table.numbers_or_empty(name) for name in _PIXEL])
-    moved = move_pixels(view, source.camera, pixels) if options.distort else move_pixels(source.camera, view, pixels)
+    if options.distort:
+        moved = _lit(move_pixels(view, source.camera, pixels), source.circle)
+    else:
+        moved = move_pixels(source.camera, view, _lit(pixels, source.circle))
     files.write_text(output, _text(table, moved))
     if camera_file is not None:
         arguments = ["undistort", options.camera, "--points", str(options.points)]
@@ -76,6 +80,11 @@ def undistort_points(options: PointsOptions, progress: Progress = SILENT) -> Poi
 def move_pixels(source: Camera, target: Camera, pixels: Array) -> Array:
     """Return the pixels (N, 2) of `target` that look along the rays of pixels (N, 2) of `source`; NaN where none do."""
     return target.project(source.unproject(pixels).directions).pixels
+
+
+def _lit(pixels: Array, circle: ImageCircle | None) -> Array:
+    """Return the pixels (N, 2) with NaN for those outside of the image circle."""
+    return pixels if circle is None else np.where(circle.contains(pixels)[:, None], pixels, np.nan)
 
 
 def _read(path: Path) -> Table:

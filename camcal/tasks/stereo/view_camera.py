@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from camcal import files
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
@@ -21,12 +22,13 @@ _COMMAND = "camcal undistort"
 
 @dataclass(frozen=True, eq=False)
 class SourceCamera:
-    """A camera of a file, its name there, the lenses of single colours that the file has besides, and its verdict."""
+    """A camera of a file, its name there, the lenses of single colours and what else is known of it."""
 
     path: Path
     name: str
     camera: Camera
     channels: Mapping[str, Camera] = field(default_factory=dict)
+    circle: ImageCircle | None = None
     verdict: Verdict | None = None
 
 
@@ -36,7 +38,9 @@ def read_source(address: str, name: str | None, progress: Progress) -> SourceCam
     file = read_camera_file(path, progress)
     wanted = name or addressed
     entry = native.select(file, wanted, str(path))
-    return SourceCamera(path, wanted or next(iter(file.cameras)), entry.camera, entry.channels, entry.verdict)
+    return SourceCamera(
+        path, wanted or next(iter(file.cameras)), entry.camera, entry.channels, entry.image_circle, entry.verdict
+    )
 
 
 def write_view(
