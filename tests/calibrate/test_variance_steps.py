@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mixed_model import VIEWS, columns_of, mixed, moved, scales, slope_and_information
+from mixed_model import VIEWS, columns_of, mixed, moved, scales, slope_and_information, unlikeliness
 from scipy.stats import invgamma, norm
 
 from camcal.calibrate import variances
@@ -73,6 +73,27 @@ def test_another_step_is_taken_where_it_promises_a_thousandth_of_a_logarithm():
         assert promise(model, start) == pytest.approx(wanted, rel=0.02)
         found = fit_effects(model.equations(), columns_of(model), start)
         assert (found is not start) == taken
+
+
+@pytest.mark.parametrize("factor", [8.0, -1.0])
+def test_a_step_that_leads_too_far_is_shortened_and_one_that_leads_astray_is_not_taken(monkeypatch, factor):
+    model, start, step = mixed(seed=3), scales(), variances._Search.step
+
+    def too_far(self, point):
+        change, promised = step(self, point)
+        return factor * change, abs(factor) * promised
+
+    monkeypatch.setattr(variances, "_ROUNDS", 1)
+    straight = fit_effects(model.equations(), columns_of(model), start)
+    monkeypatch.setattr(variances._Search, "step", too_far)
+    found = fit_effects(model.equations(), columns_of(model), start)
+    change, whole = (np.log(end.variances / start.variances) for end in (found, straight))
+    if factor < 0:
+        np.testing.assert_array_equal(change, 0)
+    else:
+        assert unlikeliness(model, found) < unlikeliness(model, start)
+        np.testing.assert_allclose(change / change[0], whole / whole[0], rtol=1e-9)
+        assert 0.1 < change[0] / whole[0] < 5
 
 
 def test_a_linearisation_is_used_for_four_steps(monkeypatch):
