@@ -10,7 +10,7 @@ from camcal.targets.board import Board, Detection
 
 MIN_VIEWS = 3
 MIN_CORNERS = 6
-_SAME_VIEW_PX = 0.02  # detectors differ by more than this between two frames of a still camera
+SAME_VIEW_PX = 0.02  # detectors differ by more than this between two frames of a still camera
 _MIN_TILT_SPREAD = np.radians(5.0)
 _MAX_FOCAL_ERROR = 0.05
 
@@ -20,11 +20,11 @@ def reason_unusable(view: Detection, board: Board) -> str | None:
     if not view.found:
         return view.reason or "no board found"
     if len(view.ids) < MIN_CORNERS:
-        return f"only {len(view.ids)} corners, {MIN_CORNERS} are needed"
+        return f"only {len(view.ids)} corners, {MIN_CORNERS} are needed: show more of the board"
     places = board.points()[view.ids, :2] / board.pitch
     x, y = (places - places.mean(axis=0)).T
     if (x @ x) * (y @ y) - (x @ y) ** 2 < 1e-6:
-        return "all corners are on one line of the board"
+        return "all corners are on one line of the board: show more of it"
     return None
 
 
@@ -39,10 +39,10 @@ def repeated(views: Sequence[Detection]) -> dict[int, int]:
         indices, pixels = np.array([index for index, _ in table]), np.stack([pixels for _, pixels in table])
         # repeats agree in their first corner, so only neighbours in its order need a closer look
         rank = np.argsort(pixels[:, 0, 0], kind="stable")
-        ends = np.searchsorted(pixels[rank, 0, 0], pixels[rank, 0, 0] + _SAME_VIEW_PX)
+        ends = np.searchsorted(pixels[rank, 0, 0], pixels[rank, 0, 0] + SAME_VIEW_PX)
         for place in np.flatnonzero(ends > np.arange(len(rank)) + 1):
             near = rank[place + 1 : ends[place]]
-            same = near[np.abs(pixels[near] - pixels[rank[place]]).max(axis=(1, 2)) < _SAME_VIEW_PX]
+            same = near[np.abs(pixels[near] - pixels[rank[place]]).max(axis=(1, 2)) < SAME_VIEW_PX]
             for pair in (np.sort(indices[[rank[place], other]]) for other in same):
                 result[int(pair[1])] = min(int(pair[0]), result.get(int(pair[1]), int(pair[0])))
     return result
@@ -54,8 +54,8 @@ def require_views(usable: int, total: int, repeats: int) -> None:
         aside = f" ({repeats} more repeat one of them)" if repeats else ""
         raise InsufficientData(
             f"{usable} usable view{'s' * (usable != 1)}{aside} of {total}, at least {MIN_VIEWS} different ones are "
-            "needed; "
-            "take more images with the board tilted in different directions"
+            "needed; take more images with the board tilted in different directions (camcal detect lists why others "
+            "are not used)"
         )
 
 

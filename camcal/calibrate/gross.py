@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.several_cameras import TwoCameras
 from camcal.errors import InsufficientData
 
 # A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the median corner
@@ -15,6 +16,9 @@ _GROSS_PX, _GROSS_SHARE = 1.0, 0.04
 _MEDIAN_PX, _MEDIAN_SHARE = 0.5, 0.02
 _WRONG_VIEW = 0.5  # of its corners
 _NAMED = 5  # images
+# Corner errors with one lens over those with two, beyond which two cameras are the reason: 2 of the smallest that is
+# told, corners that are wrong by a share of a square are wrong by more.
+_TWO_CAMERAS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +34,11 @@ class Misfit:
         """Which corners (V, P) are wrong."""
         limit = np.maximum(_GROSS_PX, _GROSS_SHARE * self.sides)[:, None]
         return np.asarray(self.present & (self.distances > limit))
+
+    @property
+    def medians(self) -> Array:
+        """The median (V,) of the distances in every view."""
+        return np.array([np.median(row[mask]) for row, mask in zip(self.distances, self.present, strict=True)])
 
     @property
     def median_px(self) -> float:
@@ -50,9 +59,17 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array
     return Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
 
 
-def require_fit(found: Misfit, images: Sequence[str], most: float, model: str) -> None:
+def require_one_camera(cameras: TwoCameras | None, how: str = "the views do not fit together") -> None:
+    """Raise InsufficientData where views are clearly those of two cameras; how: what is wrong, in words."""
+    if cameras is not None and cameras.ratio >= _TWO_CAMERAS:
+        raise InsufficientData(f"{how}: {cameras.words}")
+
+
+def require_fit(
+    found: Misfit, images: Sequence[str], most: float, model: str, cameras: TwoCameras | None = None
+) -> None:
     """Raise InsufficientData where more than a share `most` of the corners are wrong, or the typical one is; images:
-    the names of the views.
+    the names of the views. cameras: the groups that they may fall into.
     """
     gross, total = found.gross, int(found.present.sum())
     share = float(gross.sum()) / total
@@ -64,6 +81,7 @@ def require_fit(found: Misfit, images: Sequence[str], most: float, model: str) -
     )
     if np.isfinite(found.median_px):
         how += f", the median by {found.median_px:.2g} px (limit {found.median_limit_px:.2g} px)"
+    require_one_camera(cameras, how)
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
     if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():
         names = [images[index] for index in np.flatnonzero(wrong)[:_NAMED]]

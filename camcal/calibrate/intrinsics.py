@@ -7,21 +7,32 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.calibrate.degeneracy import reason_unusable, repeated, require_focal, require_tilts, require_views
+from camcal.calibrate.degeneracy import (
+    MIN_VIEWS,
+    SAME_VIEW_PX,
+    reason_unusable,
+    repeated,
+    require_focal,
+    require_tilts,
+    require_views,
+)
 from camcal.calibrate.estimator import Views
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
-from camcal.calibrate.gross import misfit, require_fit
+from camcal.calibrate.gross import misfit, require_fit, require_one_camera
 from camcal.calibrate.model_choice import Contender, contender
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem, Observations, covariances_of
+from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
+from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
-from camcal.geometry.pose import Pose
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
+
+__all__ = ["Calibration", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
 
 # Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
 # that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
@@ -33,7 +44,8 @@ class Options:
     """How to calibrate: the lens model, what to hold, where to start, how free the board is.
 
     fixed: lens parameters to hold, at the guess's value or else at the model's start (0 for coefficients).
-    max_rejected: the share of corners that may be wrong (see gross.py) before the result is refused.
+    max_rejected: the share of corners that may be wrong (see gross.py) before the result is refused. named_groups:
+    groups of images each of which may be another camera's, by their names.
     """
 
     model: CameraModel
@@ -41,41 +53,7 @@ class Options:
     guess: Camera | None = None
     shape: ShapeOptions = field(default_factory=ShapeOptions)
     max_rejected: float = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What became of one image. reason: why it is not used, None if it is. turned: the symmetry of the board
-    (see Board.symmetries) by which its ids were exchanged. rms_px is over the kept corners, per point.
-    """
-
-    image: str
-    points: int
-    kept: int = 0
-    rms_px: float | None = None
-    camera_T_board: Pose | None = None
-    pose_covariance: Array | None = None
-    turned: int = 0
-    reason: str | None = None
-
-    @property
-    def used(self) -> bool:
-        return self.reason is None
-
-
-@dataclass(frozen=True, eq=False)
-class RejectedCorner:
-    """A corner that was measured but not believed; residual: projected minus observed, px."""
-
-    image: str
-    id: int
-    pixel: Array
-    residual: Array
-
-    @property
-    def distance(self) -> float:
-        """The length of the residual in pixels; NaN where the lens cannot take the corner."""
-        return float(np.hypot(*self.residual))
+    named_groups: tuple[frozenset[str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +66,8 @@ class Calibration:
     floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given.
     held_by_prior: lens parameters that the data hardly determine: their prior does.
     noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
-    covariance counts the errors within views as well. within_views: what these errors are.
+    covariance counts the errors within views as well. within_views: what these errors are. two_cameras: the groups
+    that the views may fall into, each with a lens of its own, None where nothing speaks for any.
     """
 
     camera: Camera
@@ -107,6 +86,7 @@ class Calibration:
     held_by_prior: tuple[str, ...] = ()
     noise_covariance: Array | None = None
     within_views: WithinViews = field(default_factory=WithinViews)
+    two_cameras: TwoCameras | None = None
 
     @property
     def used(self) -> tuple[View, ...]:
@@ -133,10 +113,17 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"
         ) from error
+    present, images = observations.weights > 0, [view.image for view in usable]
+    cameras = two_cameras(plain, present, images, size, options.shape, options.named_groups)
     if not result.plain.converged:
-        require_tilts(result.state.rotations)  # the likeliest cause, and a better thing to say
-        raise NotConverged(f"the calibration did not settle in {result.plain.passes} passes")
-    return _record(result, detections, reasons, size, options, observations.weights > 0)
+        # the likeliest causes, and better things to say
+        require_one_camera(cameras)
+        require_tilts(result.state.rotations)
+        raise NotConverged(
+            f"the calibration did not settle in {result.plain.passes} passes: use a --model with fewer coefficients, "
+            "add views, or give a --guess"
+        )
+    return _record(result, detections, reasons, size, options, present, cameras)
 
 
 def compare_models(
@@ -171,11 +158,13 @@ def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, i
     size = sizes.most_common(1)[0][0]
     for index, view in enumerate(detections):
         if reasons[index] is None and view.size != size:
-            reasons[index] = f"image {view.size[0]}x{view.size[1]} differs from the others' {size[0]}x{size[1]}"
+            reasons[index] = (
+                f"image {view.size[0]}x{view.size[1]} differs from the others' {size[0]}x{size[1]}: see --mixed-sizes"
+            )
     usable = [index for index, reason in enumerate(reasons) if reason is None]
     repeats = repeated([detections[index] for index in usable])
     for index, first in repeats.items():
-        reasons[usable[index]] = f"repeats {detections[usable[first]].image}"
+        reasons[usable[index]] = f"repeats {detections[usable[first]].image} (all corners within {SAME_VIEW_PX:g} px)"
     require_views(len(usable) - len(repeats), len(detections), len(repeats))
     return size, reasons
 
@@ -207,28 +196,31 @@ def _record(
     size: tuple[int, int],
     options: Options,
     present: Array,
+    cameras: TwoCameras | None,
 ) -> Calibration:
     problem, state, plain = result.problem, result.state, result.plain
     residuals = problem.residuals(state)
     # the solver may pass the edge of the lens's domain; what it leaves beyond has no residual to count
     kept = (problem.observations.weights >= REJECTED) & np.isfinite(residuals).all(axis=0)
     used = np.asarray(kept.any(axis=1))
-    require_views(int(used.sum()), len(detections), 0)
-    require_tilts(state.rotations[used])
     images = [view.image for view, reason in zip(detections, reasons, strict=True) if reason is None]
-    require_fit(misfit(problem, state, residuals, present), images, options.max_rejected, options.model.name)
+    found = misfit(problem, state, residuals, present)
+    if used.sum() >= MIN_VIEWS:
+        require_tilts(state.rotations[used])
+    require_fit(found, images, options.max_rejected, options.model.name, cameras)
+    require_views(int(used.sum()), len(detections), 0)
     covariance = result.covariance
     camera = _camera(result, size, covariance)
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
     for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
         require_focal(camera.value(focal), camera.std(focal) or 0.0)
-    views = _views(result, detections, reasons, _pose_covariances(result), residuals, kept)
+    views = view_records(result, detections, reasons, _pose_covariances(result), residuals, kept, found.medians)
     return Calibration(
         camera,
         problem.board,
         surface_of(problem, state, plain.board, covariance),
         views,
-        _rejected(result, detections, reasons, present & ~kept, residuals),
+        rejected_corners(result, detections, reasons, present & ~kept, residuals),
         plain.noise.sigma,
         max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
         float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
@@ -240,6 +232,7 @@ def _record(
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
         within_views=result.errors,
+        two_cameras=cameras,
     )
 
 
@@ -266,54 +259,6 @@ def _camera(result: Fit, size: tuple[int, int], covariance: Array) -> Camera:
     full[np.ix_(free, free)] = covariance[: len(free), : len(free)]
     fixed = tuple(name for index, name in enumerate(names) if index not in free)
     return Camera(problem.model, size, result.state.parameters, full, fixed)
-
-
-def _views(
-    result: Fit,
-    detections: Sequence[Detection],
-    reasons: list[str | None],
-    covariances: Array,
-    residuals: Array,
-    kept: Array,
-) -> tuple[View, ...]:
-    squared = np.where(kept, np.nansum(residuals**2, axis=0), 0.0)
-    views, row = [], 0
-    for detection, reason in zip(detections, reasons, strict=True):
-        if reason is not None:
-            views.append(View(detection.image, len(detection.ids), reason=reason))
-            continue
-        count = int(kept[row].sum())
-        view = View(
-            detection.image,
-            len(detection.ids),
-            count,
-            float(np.sqrt(squared[row].sum() / count)) if count else None,
-            Pose(result.state.rotations[row], result.state.translations[row]),
-            readonly(covariances[row], (6, 6), "pose covariance"),
-            int(result.turns[row]),
-        )
-        views.append(view if count else replace(view, camera_T_board=None, pose_covariance=None, reason=ALL_REJECTED))
-        row += 1
-    return tuple(views)
-
-
-ALL_REJECTED = "does not fit the other views (its corners count for less than a third each)"
-
-
-def _rejected(
-    result: Fit, detections: Sequence[Detection], reasons: list[str | None], lost: Array, residuals: Array
-) -> tuple[RejectedCorner, ...]:
-    images = [detection.image for detection, reason in zip(detections, reasons, strict=True) if reason is None]
-    observations = result.problem.observations
-    return tuple(
-        RejectedCorner(
-            images[view],
-            int(observations.ids[view, point]),
-            observations.pixels[:, view, point],
-            residuals[:, view, point],
-        )
-        for view, point in np.argwhere(lost)
-    )
 
 
 def _correlations(names: tuple[str, ...], covariance: Array) -> dict[tuple[str, str], float]:

@@ -34,6 +34,11 @@ class ViewNoise:
     views: Array
 
 
+def median_limit(noise: ViewNoise) -> float:
+    """Return the median length, px, of a view's residuals beyond which all of its corners are rejected."""
+    return float(noise.sigma * np.sqrt(_VIEW_CUT * (1 / REJECTED - 1) ** (1 / 3)) * _RAYLEIGH_MEDIAN)
+
+
 def _weight(squared: Array) -> Array:
     return np.asarray(1 / (1 + (squared / _CUT) ** 3))
 

@@ -1,5 +1,6 @@
 """What is weak about a calibration, in plain words, and whether it must not be trusted: criteria.py, applied."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf
@@ -7,7 +8,7 @@ from math import inf
 import numpy as np
 
 from camcal.calibrate.degeneracy import tilt_spread
-from camcal.calibrate.intrinsics import ALL_REJECTED, Calibration
+from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import folds_inside
 from camcal.quality.coverage import coverage, radial_trend
 from camcal.quality.criteria import CRITERIA, Finding, finding
@@ -15,6 +16,7 @@ from camcal.targets.boards.types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
 _FEW_FOR_SCATTER = 6  # views
+_MOSTLY, _NAMED = 0.5, 5  # of a view's corners; images
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ def advise(calibration: Calibration, reach_px: float = inf) -> Advice:
 
     reach_px: how far from the principal point the lens forms an image, where that is less than to the image's corner.
     """
-    parts = (_lens_model, _focal_length, _views, _coverage, _noise, _within_views, _plausible, _board)
+    parts = (_cameras, _lens_model, _focal_length, _views, _coverage, _noise, _within_views, _plausible, _board)
     findings = (found for part in parts for found in part(calibration))
     return Advice((*_fold(calibration, reach_px), *findings))
 
@@ -61,8 +63,17 @@ def _fold(calibration: Calibration, reach_px: float) -> Iterator[Finding]:
         text = f"distortion is not invertible {where}: use fewer coefficients or cover the corners"
         yield finding("not_invertible", text, fold.radius_px / outermost)
     else:
-        text = f"the lens is not known {where}: pixels there are masked; board views there would tell"
+        text = f"the lens is not known {where}: pixels there are masked; add views with the board there"
         yield finding("partly_invertible", text, fold.radius_px / fold.corner_px)
+
+
+def _cameras(calibration: Calibration) -> Iterator[Finding]:
+    found = calibration.two_cameras
+    if found is None:
+        return
+    code = "several_cameras_by_name" if found.by_name else "several_cameras"
+    if found.ratio > _limit(code) and found.other_px > CRITERIA[code].floor_px:
+        yield finding(code, f"the views are of {found.words}", found.ratio)
 
 
 def _lens_model(calibration: Calibration) -> Iterator[Finding]:
@@ -90,35 +101,51 @@ def _focal_length(calibration: Calibration) -> Iterator[Finding]:
 def _views(calibration: Calibration) -> Iterator[Finding]:
     views = calibration.used
     if len(views) < _limit("few_views"):
-        text = f"{len(views)} views are few; 15 to 40 in varied positions are better"
+        text = f"{len(views)} views are few: take 15 to 40 in varied positions"
         yield finding("few_views", text, len(views))
     spread = np.degrees(tilt_spread(np.stack([view.camera_T_board.rotation for view in views if view.camera_T_board])))
     if spread < _limit("tilt"):
-        text = f"the board was tilted by {spread:.0f}° at most; 30° to 45° determine the focal length"
+        text = (
+            f"the board was tilted by {spread:.0f}° at most: tilt it by 30° to 45°, which determines the focal length"
+        )
         yield finding("tilt", text, spread)
 
 
 def _coverage(calibration: Calibration) -> Iterator[Finding]:
     seen = coverage(calibration)
     if seen.reach < _limit("extrapolated"):
-        text = f"no corners beyond {100 * seen.reach:.0f} % of the image diagonal: distortion is extrapolated there"
+        text = (
+            f"no corners beyond {100 * seen.reach:.0f} % of the image diagonal: distortion is extrapolated there; add "
+            "views with the board in the corners of the image"
+        )
         yield finding("extrapolated", text, seen.reach)
     elif seen.cells < _limit("coverage"):
-        text = f"only {100 * seen.cells:.0f} % of the image was covered by the board"
+        text = (
+            f"only {100 * seen.cells:.0f} % of the image was covered by the board: add views with it in the other parts"
+        )
         yield finding("coverage", text, seen.cells)
 
 
 def _noise(calibration: Calibration) -> Iterator[Finding]:
     if calibration.sigma_px > _limit("noise"):
         text = (
-            f"corners scatter by {calibration.sigma_px:.2f} px, where 0.1 px is usual: "
-            "blur, a wrong lens model or a wrong board"
+            f"corners scatter by {calibration.sigma_px:.2f} px, where 0.1 px is usual: use sharper images, and check "
+            "--board and --model"
         )
         yield finding("noise", text, calibration.sigma_px)
-    total = sum(view.points for view in calibration.views if view.kept or view.reason == ALL_REJECTED)
+    total = sum(view.points for view in calibration.views if view.used or view.rejected)
     if calibration.rejected and len(calibration.rejected) > _limit("rejected") * total:
         share = len(calibration.rejected) / total
-        yield finding("rejected", f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected", share)
+        yield finding("rejected", _rejected_words(calibration, share), share)
+
+
+def _rejected_words(calibration: Calibration, share: float) -> str:
+    """Return which corners are rejected and what to do: views that lost most of theirs are best left out."""
+    lost = Counter(corner.image for corner in calibration.rejected)
+    worst = [view.image for view in calibration.views if lost[view.image] > _MOSTLY * max(view.points, 1)]
+    more = f" and {len(worst) - _NAMED} more" if len(worst) > _NAMED else ""
+    remedy = f"leave out {', '.join(worst[:_NAMED])}{more}" if worst else "look at them with camcal detect --draw"
+    return f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected: {remedy}"
 
 
 def _within_views(calibration: Calibration) -> Iterator[Finding]:
@@ -143,14 +170,17 @@ def _plausible(calibration: Calibration) -> Iterator[Finding]:
     focal = camera.value("fx"), camera.value("fy")
     excess = max(focal) / min(focal) - 1
     if excess > _limit("focal_ratio"):
-        text = f"fx and fy differ by {100 * excess:.0f} %: were the images resized without their proportions?"
+        text = (
+            f"fx and fy differ by {100 * excess:.0f} %: use images that were not resized, or in proportion, and "
+            "check that the board's squares are square"
+        )
         yield finding("focal_ratio", text, excess)
     size = np.array(camera.image_size)
     offset = np.abs(np.array([camera.value("cx"), camera.value("cy")]) - (size - 1) / 2) / size
     if offset.max() > _limit("principal_point"):
         text = (
             f"the principal point is {100 * offset.max():.0f} % of the image size from its middle: "
-            "a cropped image, or views that do not determine it"
+            "if the image is not cropped, add views tilted by 20° to 45° about both axes"
         )
         yield finding("principal_point", text, offset.max())
 
@@ -159,12 +189,14 @@ def _board(calibration: Calibration) -> Iterator[Finding]:
     surface, board = calibration.surface, calibration.board
     if board.square is None:
         yield finding(
-            "unit", f"the {BOARD_TYPES[board.type].element}'s size is unknown: every length is in squares", 0.0
+            "unit",
+            f"the {BOARD_TYPES[board.type].element}'s size is unknown, lengths are in squares: give it with --board",
+            0.0,
         )
     share = surface.deflection / max(board.extent)
     if surface.deflection > 3 * surface.deflection_std and share > _limit("bent_board"):
         millimetres = f"{1e3 * surface.deflection:.2f} mm" if board.unit == "m" else f"{surface.deflection:.3f} squares"
-        text = f"the board is bent by {millimetres}: accounted for, but a stiffer board is better"
+        text = f"the board is bent by {millimetres}: accounted for, but use a stiffer board"
         yield finding("bent_board", text, share)
     for (term, focal), value in calibration.correlations.items():
         if abs(value) > _limit("correlation"):

@@ -69,4 +69,4 @@ def test_the_corners_of_tags_in_one_row_lie_on_no_line():
 )
 def test_points_on_one_line_are_refused_for_all_types(form, ids):
     view = Detection("a.png", (640, 480), np.array(ids), np.zeros((len(ids), 2)))
-    assert reason_unusable(view, parse_board(form)) == "all corners are on one line of the board"
+    assert reason_unusable(view, parse_board(form)) == "all corners are on one line of the board: show more of it"

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, Options, RejectedCorner, calibrate
+from camcal.calibrate.several_cameras import TwoCameras
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
@@ -96,6 +97,13 @@ def covering(calibration, share):
     cells = np.arange(round(80 * share))
     pixels = np.column_stack([(cells % 10 + 0.5) * WIDTH / 10, (cells // 10 + 0.5) * HEIGHT / 8])
     return replace(calibration, pixels=pixels, residuals=0 * pixels)
+
+
+def of_two_cameras(calibration, ratio, by_name=False, other_px=0.5):
+    """Views of which the last five are said to be another camera's, clear by a ratio."""
+    images = [view.image for view in calibration.views]
+    groups = tuple(images[:-5]), tuple(images[-5:])
+    return replace(calibration, two_cameras=TwoCameras(groups, by_name, ratio, 0.1, other_px, (1200.0, 1250.0)))
 
 
 def rejecting(calibration, share):
@@ -194,30 +202,67 @@ EXAMPLES = (
         value=0.0078,
     ),
     Example(
+        "several_cameras",
+        of_two_cameras,
+        1.37,
+        1.43,
+        r"views are of two cameras.*15 views \(view0000.png, .* and 12 more\) and 5 views \(view0015.png.* fx 1200 and "
+        r"1250 px; .* off by 0\.5 px \(median\), with their own by 0\.1 px: calibrate each group by itself",
+    ),
+    Example(
+        "several_cameras",  # however clear, lenses that differ by so little may be mixed
+        lambda good, px: of_two_cameras(good, 3.0, other_px=px),
+        0.019,
+        0.021,
+        r"off by 0\.021 px",
+        value=3.0,
+    ),
+    Example(
+        "several_cameras_by_name",
+        lambda good, ratio: of_two_cameras(good, ratio, by_name=True),
+        1.17,
+        1.23,
+        r"views are of two cameras, .*: calibrate each group by itself",
+    ),
+    Example(
+        "several_cameras_by_name",
+        lambda good, px: of_two_cameras(good, 3.0, by_name=True, other_px=px),
+        0.019,
+        0.021,
+        r"off by 0\.021 px",
+        value=3.0,
+    ),
+    Example(
         "partly_invertible",
         lambda good, share: folding(reaching(good, 800), share * CORNER),
         0.998,
         0.98,
-        r"not known beyond 979 px .* image corner is at 999 px: pixels there are masked; board views there would tell",
+        r"not known beyond 979 px .* corner is at 999 px: pixels there are masked; add views with the board there",
     ),
-    Example("few_views", with_views, 10, 9, r"9 views are few; 15 to 40 in varied positions"),
-    Example("tilt", tilted, 15.6, 14.4, r"tilted by 14° at most; 30° to 45° determine the focal length"),
+    Example("few_views", with_views, 10, 9, r"9 views are few: take 15 to 40 in varied positions"),
+    Example("tilt", tilted, 15.6, 14.4, r"tilted by 14° at most: tilt it by 30° to 45°"),
     Example(
         "extrapolated",  # the distance is that to the outer edge of the corner pixel
         lambda good, share: reaching(good, share * math.hypot(WIDTH, HEIGHT) / 2),
         0.81,
         0.79,
-        r"no corners beyond 79 % .*extrapolated there",
+        r"no corners beyond 79 % .*extrapolated there; add views with the board in the corners",
     ),
-    Example("coverage", covering, 48 / 80, 47 / 80, r"only 59 % of the image was covered by the board"),
+    Example("coverage", covering, 48 / 80, 47 / 80, r"only 59 % of the image was covered by the board: add views"),
     Example(
         "noise",
         lambda good, px: replace(good, sigma_px=px),
         0.49,
         0.52,
-        r"scatter by 0\.52 px, where 0\.1 px is usual: blur, a wrong lens model or a wrong board",
+        r"scatter by 0\.52 px, where 0\.1 px is usual: use sharper images, and check --board and --model",
     ),
-    Example("rejected", rejecting, 21 / CORNERS, 23 / CORNERS, r"23 corners \(2\.1 %\) rejected"),
+    Example(
+        "rejected",
+        rejecting,
+        21 / CORNERS,
+        23 / CORNERS,
+        r"23 corners \(2\.1 %\) rejected: look at them with camcal detect --draw",
+    ),
     Example(
         "rolling_shutter",
         lambda good, px: replace(good, within_views=WithinViews(1.0, rolling_px=(px, 9.0))),
@@ -238,7 +283,7 @@ EXAMPLES = (
         lambda good, share: lens(good, fx=FOCAL * (1 + share), fy=FOCAL),
         0.045,
         0.058,
-        r"fx and fy differ by 6 %: were the images resized",
+        r"fx and fy differ by 6 %: use images that were not resized",
     ),
     Example(
         "focal_ratio",
@@ -252,7 +297,7 @@ EXAMPLES = (
         lambda good, share: lens(good, cx=MIDDLE[0] + share * WIDTH),
         0.145,
         0.156,
-        r"principal point is 16 % of the image size from its middle: a cropped image",
+        r"principal point is 16 % of the image size from its middle: if the image is not cropped, add views tilted",
     ),
     Example(
         "principal_point",
@@ -266,10 +311,10 @@ EXAMPLES = (
         lambda good, square: replace(good, board=replace(BOARD, square=square)),
         0.04,
         None,
-        r"the square's size is unknown: every length is in squares",
+        r"the square's size is unknown, lengths are in squares: give it with --board",
         value=0.0,
     ),
-    Example("bent_board", bent, 0.0019, 0.0021, r"bent by 0\.67 mm: accounted for, but a stiffer board is better"),
+    Example("bent_board", bent, 0.0019, 0.0021, r"bent by 0\.67 mm: accounted for, but use a stiffer board"),
     Example(
         "bent_board",  # as clear as three standard deviations
         lambda good, stds: bent(good, 0.003, stds),
@@ -316,8 +361,9 @@ def test_every_criterion_has_an_example():
     assert all(code == criterion.code for code, criterion in CRITERIA.items())
 
 
-def test_a_lens_that_is_not_known_where_it_was_used_is_a_failure_the_rest_are_warnings(good):
+def test_a_lens_that_is_not_known_where_it_was_used_or_not_one_is_a_failure_the_rest_are_warnings(good):
     failures = {"not_invertible", "lens_model", "focal_length", "focal_length_few_views"}
+    failures |= {"several_cameras", "several_cameras_by_name"}
     assert {code for code, criterion in CRITERIA.items() if criterion.failure} == failures
     weak = replace(with_views(good, 9), sigma_px=0.6)
     assert advise(weak).trustworthy
@@ -358,6 +404,36 @@ def test_models_that_were_tried_are_not_proposed(good):
     wide = replace(good, camera=Camera(fisheye, SIZE, np.array(parameters)))
     text = by_code(pointing(wide, 1.0))["lens_model"].text
     assert "kannala_brandt4 does not describe this lens; try --model opencv8 or kannala_brandt5t" in text
+
+
+def test_views_that_lost_most_of_their_corners_are_named(good):
+    def lost(image, count):
+        return (RejectedCorner(image, 3, np.zeros(2), np.array([3.0, 4.0])),) * count
+
+    names = [view.image for view in good.views]
+    half, more = BOARD.count // 2, BOARD.count // 2 + 1
+    text = by_code(replace(good, rejected=lost(names[3], half) + lost(names[5], more)))["rejected"].text
+    assert text.endswith(f"rejected: leave out {names[5]}")
+    many = tuple(corner for name in names[:7] for corner in lost(name, more))
+    text = by_code(replace(good, rejected=many))["rejected"].text
+    assert text.endswith(f"rejected: leave out {', '.join(names[:5])} and 2 more")
+
+
+def test_views_rejected_whole_count_among_the_corners_others_that_are_not_used_do_not(good):
+    def share(**change):
+        unused = [replace(view, camera_T_board=None, kept=0, **change) for view in good.views[:10]]
+        return by_code(replace(rejecting(good, 0.1), views=(*unused, *good.views[10:])))["rejected"].value
+
+    assert share(reason="does not fit", rejected=True) == pytest.approx(0.1, rel=0.01)
+    assert share(reason="no board found") == pytest.approx(0.2, rel=0.01)
+
+
+def test_every_finding_says_what_to_do(good):
+    """Each sentence has an imperative: what was measured alone helps no one."""
+    verbs = r"\b(add|use|take|tilt|turn|try|give|check|leave out|look at|calibrate|hold|cover)\b"
+    for example in EXAMPLES:
+        text = by_code(example.change(good, example.found))[example.code].text
+        assert re.search(verbs, text), text
 
 
 def test_lengths_of_a_board_of_unknown_size_are_in_squares(good):

@@ -1,0 +1,262 @@
+"""Views of two cameras in one input: do the views fall into two groups that each have a lens of their own?
+
+A screen that costs little says where to look. From one linearisation it is known how the corners of every view follow a
+change of the lens, its pose eliminated; views are sorted into two groups, each view to that of two changes of the lens
+that suits it better, in turn. Only where two lenses explain the corners much better than one are both estimated. They
+are judged by views that they were not estimated from: in one step, the jackknife's, every view is left out of its own
+group, so that a small group gains nothing by following its corners.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.estimator import Estimate
+from camcal.calibrate.fit import ShapeOptions, fit_plain
+from camcal.calibrate.noise import FINEST
+from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.view_quadratics import ViewQuadratics, view_quadratics
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.losses import Cauchy
+from camcal.solve.steps import SingularError
+
+LEAST_VIEWS = 3  # of a group: fewer do not hold a lens
+# Gain of the log likelihood by a second lens in the screen, nat per coordinate of the smaller group, by which lenses
+# are estimated: 20 of 24 real sets of one camera are below the first, all of 23 mixtures of similar cameras above it.
+# The second holds for groups by file names, which are not chosen to make it large.
+_SUSPICIOUS, _SUSPICIOUS_BY_NAME = 0.4, 0.15
+_DIRECTIONS = 3  # of the views' scores, along each of which their signs are tried as groups
+_ROUNDS, _SORTINGS = 20, 3
+_LOSS = Cauchy(3.0)
+_POSING = Stopping(relative_decrease=1e-6, iterations=20)
+_SOLVING = Stopping(relative_decrease=1e-6, iterations=30)
+_REACH = 20.0  # px: what a corner is off by at most, or without an image
+_LISTED = 3  # images of a group
+_PREFERRED = 1.5  # times clearer must groups be that are told apart by their lenses, where names suggest others
+_FAILURES = (InsufficientData, InvalidInput, SingularError, np.linalg.LinAlgError)
+
+
+@dataclass(frozen=True, eq=False)
+class TwoCameras:
+    """Two groups of views whose lenses differ.
+
+    groups: their images, the larger one's first. by_name: whether they were told apart by their names. ratio: errors
+    of corners with the lens of all views, and with that of the other group, over those with the lens of their own
+    group, the view left out: the least of these, each less its standard error. own_px, other_px: the median error of
+    the smaller group's corners with the lens of their own and with that of the larger group. focal_px: fx of both.
+    """
+
+    groups: tuple[tuple[str, ...], tuple[str, ...]]
+    by_name: bool
+    ratio: float
+    own_px: float
+    other_px: float
+    focal_px: tuple[float, float]
+
+    @property
+    def words(self) -> str:
+        """What was found and what to do."""
+        larger, smaller = (f"{len(images)} views ({_listed(images)})" for images in self.groups)
+        focal = " and ".join(f"{value:.0f}" for value in self.focal_px)
+        return (
+            f"two cameras, or one whose zoom or focus was changed: {larger} and {smaller} have lenses of their own, fx "
+            f"{focal} px; with the lens of the former, corners of the latter are off by {self.other_px:.2g} px "
+            f"(median), with their own by {self.own_px:.2g} px: calibrate each group by itself"
+        )
+
+
+def _listed(images: Sequence[str]) -> str:
+    more = f" and {len(images) - _LISTED} more" if len(images) > _LISTED else ""
+    return ", ".join(images[:_LISTED]) + more
+
+
+def two_cameras(
+    plain: Estimate,
+    present: Array,
+    images: Sequence[str],
+    image_size: tuple[int, int],
+    shape: ShapeOptions,
+    named: Sequence[frozenset[str]] = (),
+) -> TwoCameras | None:
+    """Return the two groups that views fall into, None where nothing speaks for them; how clear it is, `ratio` says.
+
+    plain: an estimate of all views. present: (V, P) the corners that there are. images: (V,) names of the views.
+    named: groups of images by their names, each of which may be another camera's.
+    """
+    if not len(plain.problem.free) or len(images) < 2 * LEAST_VIEWS:
+        return None
+    found = view_quadratics(*_bare(plain, present))
+    groups = [np.array([image in group for image in images]) for group in named]
+    by_name = _likeliest(found, [_smaller(group) for group in groups], _SUSPICIOUS_BY_NAME)
+    by_lens = _likeliest(found, [_sorted_apart(found, group) for group in _starts(found)], _SUSPICIOUS)
+    if by_name is not None and (by_lens is None or (by_name == by_lens).all()):
+        by_lens = None
+    results = [
+        _compared(plain, present, images, image_size, shape, group, by_name=is_named)
+        for group, is_named in ((by_name, True), (by_lens, False))
+        if group is not None
+    ]
+    clearest = (result for result in results if result is not None)
+    return max(clearest, key=lambda own: own.ratio * (_PREFERRED if own.by_name else 1.0), default=None)
+
+
+def _bare(plain: Estimate, present: Array) -> tuple[BoardProblem, State]:
+    """Return lens and poses alone with the board as it was estimated, all corners that there are counting alike."""
+    problem, state, seen = plain.problem, plain.state, plain.problem.observations
+    bare = replace(
+        problem,
+        observations=Observations(seen.ids, seen.pixels, present.astype(float)),
+        terms=(),
+        offsets=False,
+        points=problem.board_points(state),
+        noise=None,
+        sigma=1.0,
+        loss=None,
+    )
+    return bare, replace(state, shape=np.zeros(0), offsets=0 * state.offsets)
+
+
+def _starts(found: ViewQuadratics) -> list[Array]:
+    """Return groups (V,) to begin with: by the signs of the views' scores along their main directions, and by misfit at
+    the largest step between views in the order of theirs.
+    """
+    scores = found.scores()
+    directions = np.linalg.eigh(scores.T @ scores)[1][:, ::-1].T[:_DIRECTIONS]
+    misfits = np.log(found.costs(found.best(np.ones(len(scores)))) / np.maximum(found.count, 1))
+    order = np.argsort(misfits)
+    steps = np.diff(misfits[order])[LEAST_VIEWS - 1 : len(order) - LEAST_VIEWS]
+    misfitting = np.zeros(len(order), bool)
+    misfitting[order[LEAST_VIEWS + int(np.argmax(steps)) :]] = True
+    return [group for group in (*(scores @ own > 0 for own in directions), misfitting) if _large_enough(group)]
+
+
+def _sorted_apart(found: ViewQuadratics, group: Array) -> Array:
+    """Return the smaller of the groups (V,) that views end in when each goes to the lens that suits it better."""
+    for _ in range(_ROUNDS):
+        without, with_it = (found.costs(found.best(members)) for members in (~group, group))
+        following = with_it < without
+        if not _large_enough(following) or (following == group).all():
+            break
+        group = following
+    return _smaller(group)
+
+
+def _smaller(group: Array) -> Array:
+    return group if group.sum() <= len(group) / 2 else ~group
+
+
+def _large_enough(group: Array) -> bool:
+    return bool(min(group.sum(), (~group).sum()) >= LEAST_VIEWS)
+
+
+def _likeliest(found: ViewQuadratics, groups: Sequence[Array], least: float) -> Array | None:
+    """Return that of some groups (V,) for which a second lens gains most, None where that is less than `least`."""
+    gains = [(found.gain(group), index) for index, group in enumerate(groups) if _large_enough(group)]
+    gain, index = max(gains, default=(0.0, 0))
+    return groups[index] if gain > least else None
+
+
+def _compared(
+    plain: Estimate,
+    present: Array,
+    images: Sequence[str],
+    image_size: tuple[int, int],
+    shape: ShapeOptions,
+    smaller: Array,
+    *,
+    by_name: bool,
+) -> TwoCameras | None:
+    """Return what the lenses of both groups say, estimated each from its own views; None where one has none."""
+    everything = _Lens(*_bare(plain, present))
+    for _ in range(1 if by_name else _SORTINGS):
+        try:
+            larger = _lens_of(plain, present, image_size, np.flatnonzero(~smaller), shape)
+            # on the board of the larger group: three views do not tell its shape from that of the lens
+            own = _lens_of(plain, present, image_size, np.flatnonzero(smaller), shape, larger.problem.points)
+        except _FAILURES:
+            return None
+        ratios, moved = [], np.zeros(len(smaller), bool)
+        for members, lens, other in ((~smaller, larger, own), (smaller, own, larger)):
+            quadratics = view_quadratics(lens.problem, lens.state)
+            left_out = quadratics.left_out()
+            by_all, by_other = (_costs(each, lens, quadratics.weights) for each in (everything, other))
+            ratios.append([_ratio(costs, left_out, quadratics.count) for costs in (by_all, by_other)])
+            moved[members] = by_other < quadratics.constant
+        if not moved.any() or not _large_enough(smaller ^ moved):
+            break
+        smaller = _smaller(smaller ^ moved)
+    joint, other_lens = np.array(ratios).T
+    own_px, other_px = (
+        float(np.median(_distances(lens, own)[own.problem.observations.weights > 0])) for lens in (own, larger)
+    )
+    first, second = (tuple(np.array(images)[group].tolist()) for group in (~smaller, smaller))
+    focal_px = float(larger.state.parameters[0]), float(own.state.parameters[0])
+    ratio = float(min(joint.max(), other_lens.min()))
+    return TwoCameras((first, second), by_name, ratio, own_px, other_px, focal_px)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """A lens, with the board that it was estimated with, and views in their poses under it."""
+
+    problem: BoardProblem
+    state: State
+
+
+def _lens_of(
+    plain: Estimate,
+    present: Array,
+    image_size: tuple[int, int],
+    views: Array,
+    shape: ShapeOptions,
+    points: Array | None = None,
+) -> _Lens:
+    """Return the lens that some views alone give; points: (C, 3) those of the board, None: estimated as well."""
+    problem, seen = plain.problem, plain.problem.observations
+    observations = Observations(seen.ids[views], seen.pixels[:, views], present[views].astype(float))
+    held = plain.state.parameters.copy()
+    held[problem.free] = np.nan
+    how = shape if points is None else ShapeOptions(smooth=False, offsets=False)
+    found, _ = fit_plain(problem.model, problem.board, observations, image_size, held, None, how, brief=True)
+    bare, state = _bare(found, present[views])
+    if points is not None:
+        robust = replace(bare, points=points, sigma=found.noise.sigma, loss=_LOSS)
+        bare, state = replace(bare, points=points), minimise(robust.within_domain(state), state, _SOLVING).state
+    return _Lens(bare, state)
+
+
+def _posed(lens: _Lens, views: _Lens, weights: Array) -> tuple[BoardProblem, State]:
+    """Return the views of one lens, posed anew under another one, with the weights (V, P) of their corners."""
+    problem = replace(
+        views.problem,
+        free=np.zeros(0, np.intp),
+        points=lens.problem.points,
+        observations=replace(views.problem.observations, weights=weights),
+        lens_spread=None,
+    )
+    state = replace(views.state, parameters=lens.state.parameters)
+    return problem, minimise(problem.within_domain(state), state, _POSING).state
+
+
+def _costs(lens: _Lens, views: _Lens, weights: Array) -> Array:
+    """Return the squared residuals (V,) of views under another lens."""
+    problem, state = _posed(lens, views, weights)
+    squared = np.nan_to_num(np.sum(problem.residuals(state) ** 2, axis=0), nan=np.inf)
+    return np.asarray(np.sum(weights * np.minimum(squared, _REACH**2), axis=1))
+
+
+def _distances(lens: _Lens, views: _Lens) -> Array:
+    """Return how far the corners (V, P) of views are off under a lens, px."""
+    problem, state = _posed(lens, views, views.problem.observations.weights)
+    return np.asarray(np.nan_to_num(np.hypot(*problem.residuals(state)), nan=np.inf))
+
+
+def _ratio(costs: Array, left_out: Array, count: Array) -> float:
+    """Return the ratio of corner errors of views, their geometric mean less its standard error: what a single view says
+    may be chance, or that it was blurred.
+    """
+    logs = 0.5 * np.log(np.maximum(costs, FINEST**2 * count) / left_out)
+    return float(np.exp(np.mean(logs) - np.std(logs, ddof=1) / np.sqrt(len(logs))))

@@ -1,0 +1,155 @@
+"""Two cameras in one input: which views are whose, how clear it is, and what is no second camera.
+
+The limits of the verdict are those of quality/criteria.py; here is what the ratio comes out as on either side.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observed import make_scene, turned
+
+from camcal.calibrate import several_cameras, view_quadratics
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.gross import require_one_camera
+from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.several_cameras import TwoCameras
+from camcal.cameras.catalogue import model_named
+from camcal.errors import InsufficientData
+from camcal.quality.advise import advise
+from camcal.targets.board import Board
+
+MODEL = model_named("opencv5")
+FIRST = [1200.0, 1203.0, 805.0, 590.0, -0.12, 0.06, 0.0005, -0.0003, 0.01]
+FLAT = ShapeOptions(smooth=False, offsets=False)
+CLEAR, CLEAR_BY_NAME = 1.4, 1.2
+
+
+def views_of(letter, count, seed, focal=1200.0, centre=(805.0, 590.0), board=None, noise_px=0.1):
+    """Views by a camera of this focal length and principal point, px, in a folder of their own."""
+    parameters = [focal, focal * 1.0025, *centre, *FIRST[4:]]
+    scene = make_scene(board=board, count=count, seed=seed, parameters=parameters)
+    return [replace(view, image=f"{letter}/{view.image}") for view in scene.observe(seed, noise_px=noise_px)]
+
+
+def mixed(larger, smaller, focal, centre=(793.0, 606.0)):
+    return views_of("a", larger, 1) + views_of("b", smaller, 2, focal, centre)
+
+
+def found_in(views, groups=(), board=None, shape=FLAT):
+    board = board or make_scene(count=1).board
+    return calibrate(views, board, Options(MODEL, shape=shape, max_rejected=1.0, named_groups=groups))
+
+
+def folders(found):
+    return tuple({image[0] for image in group} for group in found.groups)
+
+
+@pytest.mark.parametrize(
+    ("larger", "smaller", "focal"), [(17, 3, 1215.0), (10, 10, 1215.0), (12, 5, 1250.0), (10, 9, 1400.0)]
+)
+def test_views_of_two_cameras_are_told_apart_one_by_one(larger, smaller, focal):
+    found = found_in(mixed(larger, smaller, focal)).two_cameras
+    assert found.ratio > CLEAR
+    assert sorted(map(len, found.groups)) == sorted((larger, smaller))
+    assert folders(found) in (({"a"}, {"b"}), ({"b"}, {"a"}))
+    assert sorted(found.focal_px) == pytest.approx([1200.0, focal], rel=0.005)
+    assert found.own_px < 0.15 < found.other_px  # noise of 0.1 px has a median length of 0.12 px
+    assert not found.by_name
+
+
+def test_the_verdict_names_both_groups(scene):
+    advice = advise(found_in(mixed(12, 5, 1215.0)))
+    assert not advice.trustworthy
+    (finding,) = [own for own in advice.findings if own.code == "several_cameras"]
+    assert "12 views (a/view0000.png, a/view0001.png, a/view0002.png and 9 more)" in finding.text
+    assert "5 views (b/view0000.png" in finding.text
+    assert finding.text.endswith("calibrate each group by itself")
+
+
+@pytest.mark.parametrize("focal", [600.0, 2400.0])
+def test_lenses_so_different_that_nothing_fits_end_without_a_result_and_both_groups_are_named(focal):
+    views = mixed(12, 6, focal)
+    with pytest.raises(InsufficientData, match=r"corners.*are off.*two cameras, or one whose zoom") as refused:
+        calibrate(views, make_scene(count=1).board, Options(MODEL, shape=FLAT))
+    assert "12 views (a/view0000.png" in refused.value.message
+    assert "6 views (b/view0000.png" in refused.value.message
+    assert refused.value.message.endswith("calibrate each group by itself")
+
+
+@pytest.mark.parametrize(("ratio", "refused"), [(1.95, False), (2.05, True)])
+def test_views_are_refused_for_two_cameras_where_these_are_clear(ratio, refused):
+    cameras = TwoCameras(
+        (("a.png",), ("b.png",)), by_name=False, ratio=ratio, own_px=0.1, other_px=9.0, focal_px=(1, 2)
+    )
+    if refused:
+        with pytest.raises(InsufficientData, match=r"1 views \(a\.png\) and 1 views \(b\.png\)"):
+            require_one_camera(cameras)
+    else:
+        require_one_camera(cameras)
+    require_one_camera(None)
+
+
+def test_cameras_that_differ_little_are_told_by_their_names_where_their_lenses_do_not_tell_them():
+    views = mixed(10, 10, 1205.0, (794.0, 604.0))
+    assert not {"several_cameras", "several_cameras_by_name"} & codes(views)
+    named = (frozenset(view.image for view in views if view.image[0] == "b"),)
+    assert "several_cameras_by_name" in codes(views, named)
+
+
+def codes(views, groups=()):
+    return {own.code for own in advise(found_in(views, groups)).findings}
+
+
+@pytest.mark.parametrize("count", [6, 10, 30])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_views_of_one_camera_are_not_looked_at_twice(monkeypatch, count, seed):
+    """Estimating lenses of groups costs as much as a calibration; the screen leaves it out."""
+    monkeypatch.setattr(several_cameras, "_compared", lambda *given, **how: pytest.fail("a group has been estimated"))
+    views = views_of("a", count, seed)
+    halves = (frozenset(view.image for view in views[::2]), frozenset(view.image for view in views[: count // 2]))
+    assert found_in(views, halves).two_cameras is None
+
+
+def test_wrong_corners_and_views_are_no_second_camera(scene):
+    rng = np.random.default_rng(5)
+    views = list(scene.observe(3, noise_px=0.1, outliers=0.03))
+    views[:4] = [replace(view, ids=rng.permutation(view.ids)) for view in views[:4]]
+    calibration = calibrate(views, scene.board, Options(MODEL, shape=FLAT, max_rejected=0.5))
+    assert calibration.two_cameras is None or calibration.two_cameras.ratio < CLEAR_BY_NAME
+
+
+def test_noisy_views_are_no_second_camera(scene):
+    views = list(scene.observe(3, noise_px=0.1))
+    views[:8] = scene.observe(4, noise_px=1.0)[:8]
+    found = found_in(views, (frozenset(view.image for view in views[:8]),)).two_cameras
+    assert found is None or found.ratio < CLEAR_BY_NAME
+
+
+def test_the_bend_of_a_board_and_views_numbered_from_its_other_end_are_no_second_camera(even_scene):
+    views = even_scene.observe(2, noise_px=0.1)
+    views = [turned(view, even_scene.board, index % 2) for index, view in enumerate(views)]
+    found = found_in(views, board=even_scene.board, shape=ShapeOptions()).two_cameras
+    assert found is None or found.ratio < CLEAR_BY_NAME
+
+
+def test_two_views_are_no_group():
+    assert found_in(mixed(12, 2, 1400.0)).two_cameras is None
+    assert found_in(mixed(3, 2, 1400.0)[:5]).two_cameras is None
+
+
+def test_a_lens_that_is_given_is_not_looked_for(scene):
+    camera = scene.camera
+    known = Options(MODEL, fixed=MODEL.parameter_names, guess=camera, shape=FLAT, max_rejected=1.0)
+    assert calibrate(mixed(10, 5, 1215.0), scene.board, known).two_cameras is None
+
+
+def test_a_large_board_of_many_views_is_taken_in_parts(monkeypatch):
+    """Parts of the views give what all of them give at once."""
+    board = Board("chessboard", 9, 6, 0.040)
+    views = mixed(12, 5, 1250.0)
+    whole = found_in(views, board=board).two_cameras
+    monkeypatch.setattr(view_quadratics, "_CHUNK", 4)
+    parts = found_in(views, board=board).two_cameras
+    assert parts.groups == whole.groups
+    assert parts.ratio == pytest.approx(whole.ratio, rel=1e-9)
