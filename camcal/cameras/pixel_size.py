@@ -3,6 +3,7 @@
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 
 _HALF = 0.25  # px to either side of a pixel's centre: derivatives to 1e-6, and corners stay inside the image
@@ -23,14 +24,16 @@ def pixel_sizes(camera: Camera, pixels: Array, distance: float) -> Array:
     return np.asarray(np.sqrt(np.abs(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0])))
 
 
-def field_size(camera: Camera, distance: float) -> tuple[float, float]:
+def field_size(camera: Camera, distance: float, circle: ImageCircle | None = None) -> tuple[float, float]:
     """Return width and height (m) of what the middle row and column of the image see at a distance along the axis.
 
-    To the outer edges of the pixels; NaN where an edge has no ray or the field reaches 180°.
+    To the outer edges of the pixels, or to the image circle where it ends before them; NaN where there is no ray or the
+    field reaches 180°.
     """
     width, height = camera.image_size
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     ends = np.array([[-0.5, middle_y], [width - 0.5, middle_y], [middle_x, -0.5], [middle_x, height - 0.5]])
+    ends = ends if circle is None else circle.clipped(np.array([middle_x, middle_y]), ends)
     left, right, top, bottom = _on_plane(camera.unproject(ends).directions, distance)
     return float(np.linalg.norm(right - left)), float(np.linalg.norm(bottom - top))
 

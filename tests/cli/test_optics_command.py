@@ -5,7 +5,14 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.model import Camera
+from camcal.formats import native
+from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 
 SAMPLES = Path(__file__).parents[2] / "sample_configs"
 WEBCAM = SAMPLES / "cameras" / "webcam.yaml"
@@ -349,3 +356,16 @@ def test_what_makes_no_sense_is_refused_in_one_line(run, tmp_path, monkeypatch, 
 
 def test_a_missing_camera_file_is_a_file_error(run, tmp_path):
     assert run("optics", tmp_path / "none.yaml")[0] == 3
+
+
+def test_the_field_of_view_of_a_camera_file_ends_at_its_image_circle(run, tmp_path):
+    lens = Camera(model_named("kannala_brandt4"), (640, 480), np.array([150.0, 150, 319.5, 239.5, 0, 0, 0, 0]))
+    circle = ImageCircle((640, 480), (319.5, 239.5), 210.0)
+    path = tmp_path / "fish.yaml"
+    native.write(path, CameraFile({"fish": CameraEntry(lens, valid=ValidRegion(image_circle=circle))}))
+    code, out, err = run("optics", path, "--distance", 2, "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "")
+    np.testing.assert_allclose(list(found["field_of_view"].values()), np.degrees(420 / 150))  # of an equidistant lens
+    at = found["distances"][0]
+    np.testing.assert_allclose([at["width_m"], at["height_m"]], 4 * np.tan(210 / 150))

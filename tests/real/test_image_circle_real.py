@@ -11,6 +11,11 @@ import pytest
 
 from camcal.images.image_circle import ImageCircleSearch, evenly_spaced
 from camcal.images.load import load_gray
+from camcal.images.views import ViewOptions
+from camcal.targets.board import parse_board
+from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
+from camcal.tasks.calibration.detect import DetectOptions, detect_images
+from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 
 # principal points px: the first as published with the set, the others calibrated with cv2.fisheye from its images
 FISHEYES = {
@@ -58,3 +63,26 @@ def test_photographs_of_other_lenses_have_no_circle_neither_together_nor_alone(c
         assert search.result() is None, folder
     if not searches:
         pytest.skip(f"no photographs in {category}")
+
+
+def test_a_calibration_from_the_table_of_a_fisheye_knows_its_circle_and_its_views_end_there(real_data, tmp_path):
+    images = sorted((real_data / "fisheye" / "boofcv-theta-chess").glob("*.jpg"))
+    if not images:
+        pytest.skip("no fisheye/boofcv-theta-chess")
+    table = tmp_path / "corners.csv"
+    options = DetectOptions(images, parse_board("chessboard:6x4:30mm"), table, jobs=1)
+    circle = detect_images(options).detections.circles[""]
+    report = calibrate(CalibrateOptions((str(table),), tmp_path / "camera.yaml", model="kannala_brandt4"))
+    assert report.file.cameras["camera"].image_circle == circle
+    assert report.advice.trustworthy
+    view = ViewOptions(projection="stereographic", fov_deg=250.0)
+    drawn = undistort(
+        UndistortOptions(
+            str(tmp_path / "camera.yaml"), images[:1], tmp_path / "view", view=view, mask=True, format="png"
+        )
+    )
+    disc = 2 * drawn.view.value("fx") * np.tan(np.radians(108) / 2)  # the model ends before the circle, at 107 to 109°
+    assert drawn.valid == pytest.approx(np.pi * disc**2 / np.prod(drawn.view.image_size), rel=0.05)
+    mask, shown = load_gray(tmp_path / "view" / "valid_mask.png"), load_gray(drawn.outcomes[0].value.output)
+    assert mask.mean() / 255 == pytest.approx(drawn.valid)
+    assert (shown[mask == 0] == 0).all()

@@ -101,9 +101,9 @@ class AtDistance:
 
 
 def field(setup: Setup) -> FieldOfView | None:
-    """Return the field of view: to the outer edges of the image, None without a lens and a sensor."""
+    """Return the field of view: to the outer edges of the image, or to its circle; None without a lens and a sensor."""
     if setup.measured and setup.camera is not None:
-        return FieldOfView(*field_of_view(setup.camera))
+        return FieldOfView(*field_of_view(setup.camera, setup.lit))
     distance, sides = setup.principal_distance, setup.sensor
     if distance is None or sides is None:
         return None
@@ -205,7 +205,7 @@ def at_distance(setup: Setup, distance: float) -> AtDistance:
 
 def _field_size(setup: Setup, distance: float) -> tuple[float | None, float | None]:
     if setup.camera is not None:
-        return field_size(setup.camera, distance)
+        return field_size(setup.camera, distance, setup.lit)
     principal, sides = setup.principal_distance, setup.sensor
     if principal is None or sides is None:
         return None, None

@@ -7,6 +7,7 @@ from functools import cached_property
 from math import inf, isfinite
 
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.cameras.pixel_size import field_size
 from camcal.errors import InvalidInput
@@ -99,14 +100,16 @@ def _is_possible(value: float) -> bool:
 class Setup:
     """A lens, its sensor and its use; what is None cannot be known from what was given. Lengths in metres.
 
-    camera: of a file if `measured`, else a pinhole that follows from the rest. sensor: width and height.
-    solved: the length that --solve asked for. sources: where the numbers of that name come from, if not from options.
+    camera: of a file if `measured`, else a pinhole that follows from the rest. lit: the file's image circle, px.
+    sensor: width and height. solved: the length that --solve asked for. sources: where the numbers of that name come
+    from, if not from options.
     warnings, notes: what a user should know of them.
     """
 
     options: OpticsOptions
     camera: Camera | None = None
     measured: bool = False
+    lit: ImageCircle | None = None
     focal: float | None = None
     focus: float | None = None
     sensor: tuple[float, float] | None = None
@@ -168,6 +171,7 @@ def _with_camera(setup: Setup, address: str) -> Setup:
         setup,
         camera=entry.camera,
         measured=True,
+        lit=entry.image_circle,
         size=size,
         pitch=pitch,
         sources=sources,
@@ -215,7 +219,7 @@ def _solved(setup: Setup) -> Setup:
     if getattr(setup, known) is not None or (setup.measured and wanted != "wd"):
         raise InvalidInput(f"--solve {wanted} finds what {option} says{' or the camera file' * setup.measured}")
     if setup.measured and setup.camera is not None:
-        across = field_size(setup.camera, 1.0)[0]
+        across = field_size(setup.camera, 1.0, setup.lit)[0]
         if not isfinite(across):
             raise InvalidInput("--solve wd: the lens sees 180° or more, and no width fills its image")
         return _at_focus(setup, width / across)
