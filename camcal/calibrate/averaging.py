@@ -26,6 +26,7 @@ _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told f
 # Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
 # view determines something all but alone.
 _SAFETY = 3.0
+_FEW = 7.0  # views that hardly show what errors they share
 
 
 def influence(estimate: Estimate) -> Array:
@@ -98,14 +99,17 @@ def covariance_of(
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
     than the estimates claim. Its shape is that of the same scatter, which G views determine in as many directions only,
-    drawn towards the claimed one as by D further views.
+    drawn towards the claimed one as by D further views. Where errors within views are not believed in, the claimed one
+    is right and CR3 too large, unless the views are too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
     scatter = _scatter(estimates, left_out, metric, weights, believed)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
     claimed_px, scatter_px = (float(np.sum(own[:lens, :lens] * metric)) for own in (claimed, scatter))
     mixed = (views * scatter + size * scatter_px / claimed_px * claimed) / (views + size)
-    return np.asarray(mixed * max(claimed_px / scatter_px, 1.0))
+    mixed *= max(claimed_px / scatter_px, 1.0)
+    doubted = believed + (1 - believed) * min((_FEW / views) ** 2, 1.0)
+    return np.asarray(doubted * mixed + (1 - doubted) * claimed)
 
 
 def _scatter(

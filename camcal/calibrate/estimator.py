@@ -22,7 +22,7 @@ from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equa
 from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import Factors, Step, factorise
+from camcal.solve.steps import Factors, Step, factorise, lowest_along
 
 # Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
 _LEAST, _MOST, _BRIEF = 2, 60, 10
@@ -290,9 +290,7 @@ class _Passes:
         share = 1.0
         for _ in range(_TRIALS):
             self.place = self._towards(here, step, share)
-            # the parabola through both costs whose slope is the promised one has its minimum there
-            rise = self._cost(self.place, std) - cost + 2 * promised * share
-            best = promised * share**2 / rise if rise > 0 else share
+            best = lowest_along(promised, share, self._cost(self.place, std) - cost)
             if best > _NEAR * share or promised < _UNSEEN * cost:
                 break
             share = max(best, _SHORTEST * share)

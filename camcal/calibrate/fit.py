@@ -147,8 +147,10 @@ def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array
     left_out = [influence(own) for own in estimates]
     metric = image_metric(_displacements(plain, image_size))
     weights = weights_of(left_out, metric, errors.share)
-    state = averaged([own.state for own in estimates], weights)
-    state = replace(state, **_posed_again(plain.problem, state))
+    state = plain.state
+    if len(estimates) > 1:
+        state = averaged([own.state for own in estimates], weights)
+        state = replace(state, **_posed_again(plain.problem, state))
     covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
     return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared, errors)
 

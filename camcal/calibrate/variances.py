@@ -13,13 +13,16 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, EffectColumns
 from camcal.calibrate.problem import POSE
-from camcal.solve.steps import Factors, NormalEquations, Step, factorise
+from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
 
 _SHARE_DOF = 4.0  # degrees of freedom of the prior by which a view's variance is that of all views
 _LOG_STD = 3.0  # of the prior of log τ about a third of the noise: wide, it only keeps what is not there from zero
-# Scoring steps: the longest, of logarithms; how many in one linearisation, and how often one is halved; a gain of the
-# log likelihood that is not worth another.
-_LONGEST, _ROUNDS, _MANY_ROUNDS, _HALVINGS, _SETTLED = 2.0, 4, 30, 5, 1e-3
+# Scoring steps: the longest, of logarithms; how many in one linearisation; a gain of the log likelihood that is not
+# worth another. Where effects are not seen the likelihood is more curved than expected and full steps overshoot: a step
+# is as long as the likelihood along it is highest. How near to that is near enough, trials, and how much shorter one
+# may be than the one before.
+_LONGEST, _ROUNDS, _MANY_ROUNDS, _SETTLED = 2.0, 4, 30, 1e-3
+_NEAR, _TRIALS, _SHORTEST = 0.75, 5, 0.2
 _NOTHING = 1e-12  # times a variance: as if there were no effect
 
 
@@ -150,12 +153,14 @@ class _Search:
             change, promised = self.step(here)
             if promised < _SETTLED:
                 break
-            for _ in range(_HALVINGS):
-                there = self.at(here.scales.moved(change))
-                if there.unlikeliness <= here.unlikeliness:
+            share = 1.0
+            for _ in range(_TRIALS):
+                there = self.at(here.scales.moved(share * change))
+                best = lowest_along(promised, share, there.unlikeliness - here.unlikeliness)
+                if best > _NEAR * share:
                     break
-                change = change / 2
-            else:
+                share = max(best, _SHORTEST * share)
+            if there.unlikeliness > here.unlikeliness:
                 break
             here = there
         return here
@@ -186,5 +191,5 @@ class _Search:
         gradient = score.sum(axis=0) + slope
         change = np.linalg.solve(reduced, gradient - (information @ gone[:, :, -1:]).sum(axis=0)[:, 0])
         shares = gone[:, :, -1] - gone[:, :, :-1] @ change
-        promised = 0.5 * float(gradient @ change + np.sum((score + own_slope) * shares))
-        return np.clip(np.concatenate([change[None], shares]), -_LONGEST, _LONGEST), promised
+        change = np.clip(np.concatenate([change[None], shares]), -_LONGEST, _LONGEST)
+        return change, 0.5 * float(gradient @ change[0] + np.sum((score + own_slope) * change[1:]))

@@ -1,13 +1,15 @@
 """Normal equations of residual blocks, summed up in arrow form: group by group, and what all of them share."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
+
+_PART_ROWS = 4000  # of a block at a time
 
 
 def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int) -> NormalEquations:
@@ -25,7 +27,8 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
         np.zeros((groups, dense, dense)),
     )
     for block in blocks:
-        total.add(block)
+        for part, where in _parts(block):
+            total.add(part, where)
     # a group that no residual depends on stays where it is
     total.group_group[~total.group_group.any(axis=(1, 2))] = np.eye(group_size)
     return NormalEquations(
@@ -52,7 +55,8 @@ class _Sums:
     group_gradients: Array
     group_products: Array
 
-    def add(self, block: Block) -> None:
+    def add(self, block: Block, where: slice | Array) -> None:
+        """Add a block whose runs of rows belong to the groups `where`."""
         weights = self._weigh(block)
         dense = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 1]
         sparse = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 2]
@@ -63,11 +67,11 @@ class _Sums:
         rows = _rows([*parts, block.residuals[..., None]], np.sqrt(weights))
         size = 0 if block.group is None else block.group.shape[-1]
         if block.rows_per_group:
-            self._add_grouped(block, rows, size, columns)
+            self._add_grouped(block, where, rows, size, columns)
         else:
             self._add_ungrouped(rows, columns)
         for jacobian in sparse:
-            self._add_sparse(block, jacobian, rows, size, columns, weights)
+            self._add_sparse(block, where, jacobian, rows, size, columns, weights)
         for first, second in combinations(sparse, 2):
             self._add_cross(first, second, weights)
 
@@ -82,20 +86,19 @@ class _Sums:
         self.cost += 0.5 * float(block.loss.cost(squared).sum())
         return np.asarray(weights * block.loss.weight(squared))
 
-    def _add_grouped(self, block: Block, rows: Array, size: int, columns: Array) -> None:
+    def _add_grouped(self, block: Block, where: slice | Array, rows: Array, size: int, columns: Array) -> None:
         dimension, count, length = rows.shape
         runs = rows.reshape(dimension, count, length // block.rows_per_group, block.rows_per_group)
         stacked = runs.transpose(0, 2, 1, 3)
         gram = np.asarray(sum(run @ run.transpose(0, 2, 1) for run in stacked))
-        where = slice(None) if block.groups is None else block.groups
         group, shared, residual = slice(0, size), slice(size, count - 1), count - 1
         gradients = gram[:, shared, residual]
         _add_at(self.group_group, where, gram[:, group, group])
         _add_at(self.group_gradient, where, gram[:, group, residual])
         if isinstance(where, slice):
             span = _span(columns)
-            self.group_shared[:, :, span] += gram[:, group, shared]
-            self.group_gradients[:, span] += gradients
+            self.group_shared[where, :, span] += gram[:, group, shared]
+            self.group_gradients[where, span] += gradients
         else:
             np.add.at(
                 self.group_shared, (where[:, None, None], np.arange(size)[:, None], columns), gram[:, group, shared]
@@ -113,19 +116,28 @@ class _Sums:
         self.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
 
     def _add_sparse(
-        self, block: Block, jacobian: Jacobian, rows: Array, size: int, columns: Array, weights: Array
+        self,
+        block: Block,
+        where: slice | Array,
+        jacobian: Jacobian,
+        rows: Array,
+        size: int,
+        columns: Array,
+        weights: Array,
     ) -> None:
         """Add a Jacobian whose columns differ from row to row."""
         own = _rows([jacobian.values], np.sqrt(weights))
-        places = _repeated(block, jacobian)
-        if places is None:
-            self._add_scattered(block, jacobian, own, rows, size, columns)
+        places = _repeated(block, jacobian) if isinstance(where, slice) else None
+        if places is None or not isinstance(where, slice):
+            self._add_scattered(block, where, jacobian, own, rows, size, columns)
         else:
-            self._add_repeated(places, own, rows, size, columns)
+            self._add_repeated(where, places, own, rows, size, columns)
 
-    def _add_repeated(self, places: Sequence[slice], own: Array, rows: Array, size: int, columns: Array) -> None:
+    def _add_repeated(
+        self, where: slice, places: Sequence[slice], own: Array, rows: Array, size: int, columns: Array
+    ) -> None:
         """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
-        shape = len(self.group_shared), -1
+        shape = where.stop - where.start, -1
         own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
         for axis, place in enumerate(places):
             products = sum(first * second for first, second in zip(own[:, axis], rows, strict=True))
@@ -133,13 +145,20 @@ class _Sums:
             self.shared_gradient[place] += total[-1]
             self.shared_shared[place, columns] += total[size:-1].T
             self.shared_shared[columns, place] += total[size:-1]
-            self.group_gradients[:, place] += products[-1]
-            self.group_shared[:, :, place] += products[:size].swapaxes(0, 1)
+            self.group_gradients[where, place] += products[-1]
+            self.group_shared[where, :, place] += products[:size].swapaxes(0, 1)
             for other, across in zip(np.einsum("dgp,dlgp->lp", own[:, axis], own), places, strict=True):
                 np.einsum("ii->i", self.shared_shared[place, across])[:] += other
 
     def _add_scattered(
-        self, block: Block, jacobian: Jacobian, own: Array, rows: Array, size: int, columns: Array
+        self,
+        block: Block,
+        where: slice | Array,
+        jacobian: Jacobian,
+        own: Array,
+        rows: Array,
+        size: int,
+        columns: Array,
     ) -> None:
         """Add a Jacobian with any columns, by scattered sums."""
         at, shared = jacobian.columns.T, len(self.shared_gradient)
@@ -152,7 +171,7 @@ class _Sums:
         self.shared_shared += cross + cross.T
         if block.rows_per_group:
             runs = np.arange(own.shape[-1]) // block.rows_per_group
-            group = runs if block.groups is None else block.groups[runs]
+            group = runs + where.start if isinstance(where, slice) else where[runs]
             _scatter(self.group_gradients, group * shared + at, products[:, -1])
             index = (group * size + np.arange(size)[:, None])[None] * shared + at[:, None]
             _scatter(self.group_shared, index, products[:, :size])
@@ -164,6 +183,32 @@ class _Sums:
         cross = np.zeros((shared, shared))
         _scatter(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
         self.shared_shared += cross + cross.T
+
+
+def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:
+    """Return a block in parts of whole groups that fit the processor's caches, and the groups of each."""
+    length = block.rows_per_group
+    if not length or block.groups is not None:
+        yield block, slice(0, 0) if block.groups is None else block.groups
+        return
+    groups = len(block.residuals) // length
+    step = max(_PART_ROWS // length, 1)
+    for first in range(0, groups, step):
+        where = slice(first, min(first + step, groups))
+        rows = slice(where.start * length, where.stop * length)
+        part = replace(
+            block,
+            residuals=block.residuals[rows],
+            shared=tuple(_rows_of(jacobian, rows) for jacobian in block.shared),
+            group=None if block.group is None else block.group[rows],
+            weights=None if block.weights is None else block.weights[rows],
+        )
+        yield part, where
+
+
+def _rows_of(jacobian: Jacobian, rows: slice) -> Jacobian:
+    columns = jacobian.columns if jacobian.columns.ndim == 1 else jacobian.columns[rows]
+    return Jacobian(jacobian.values[rows], columns)
 
 
 def _span(columns: Array) -> slice | Array:
@@ -178,7 +223,7 @@ def _repeated(block: Block, jacobian: Jacobian) -> list[slice] | None:
     same in every run, else None.
     """
     length = block.rows_per_group
-    if length < 2 or block.groups is not None:
+    if length < 2:
         return None
     run = jacobian.columns[:length]
     steps = np.diff(run, axis=0)

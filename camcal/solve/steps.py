@@ -207,3 +207,13 @@ def factorise(equations: NormalEquations) -> Factors:
     except np.linalg.LinAlgError as error:
         raise SingularError(str(error)) from error
     return Factors(group_root, reduced, root, equations)
+
+
+def lowest_along(promised: float, share: float, change: float) -> float:
+    """Return the share of a step at which the cost along it is lowest, by the parabola through two of its places.
+
+    promised: by how much the cost falls over the whole step if it is quadratic, half the slope at its start. change: of
+    the cost after `share` of the step. The share itself where the cost curves downwards.
+    """
+    rise = change + 2 * promised * share
+    return promised * share**2 / rise if rise > 0 else share
