@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.images.lattice import STEP, Trace, bands, exact_bands
@@ -43,6 +44,19 @@ every_pair = pytest.mark.parametrize(("source", "view"), PAIRS.values(), ids=PAI
 
 def whole(parts):
     return np.concatenate([band for _, band in parts], axis=1)
+
+
+@pytest.mark.parametrize("radius", [30.0, 120.0, 199.0, 300.0])
+@pytest.mark.parametrize("name", ["panorama", "cylinder"])
+def test_nothing_comes_from_outside_of_the_image_circle(name, radius):
+    source, view = PAIRS[name]
+    circle = ImageCircle(source.image_size, (243.0, 206.0), radius)
+    exact = whole(exact_bands(Trace(source, view)))
+    within = radius - np.hypot(exact[0] - 243.0, exact[1] - 206.0)  # px, NaN where there is no ray
+    inside = ((exact >= 0) & (exact <= np.array(source.image_size)[:, None, None] - 1)).all(axis=0) & (within > 0)
+    clear = ~(np.abs(within) < 1e-3)  # as good as positions are
+    clear &= ~(np.abs(exact - np.rint(exact)) < 1e-2).any(axis=0)  # and on the border of the image
+    np.testing.assert_array_equal(build_maps(source, view, circle=circle).valid()[clear], inside[clear])
 
 
 @every_pair

@@ -21,6 +21,7 @@ from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
 from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
 from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
 from camcal.tasks.calibration.photographs import AS_IMAGES
+from camcal.tasks.calibration.video_frames import Film
 
 SIZE = (400, 300)
 CENTRE, RADIUS = (203.0, 148.0), 140.0
@@ -104,6 +105,17 @@ def test_images_that_are_gone_or_of_another_size_are_left_out(folder):
     photograph(folder / "0.png", 0, size=(200, 150))  # its view was made to fit
     (folder / "gone.png").touch()
     assert_is_the_circle(with_circle(seen_in(folder, np.array([CENTRE])), (), AS_IMAGES).circles[""])
+
+
+def test_frames_of_videos_show_the_circle_too(folder):
+    path = folder / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, SIZE)
+    for image in sorted(folder.glob("*.png")):
+        writer.write(cv2.imread(str(image)))
+    writer.release()
+    film = Film(path, 3, (0, 1, 2))
+    seen = Detections(BOARD, tuple(Detection(name, SIZE, np.array([0]), np.array([CENTRE])) for name in film.names))
+    assert_is_the_circle(with_circle(seen, (film,), AS_IMAGES).circles[""])
 
 
 @pytest.fixture(scope="module")
