@@ -13,7 +13,7 @@ CLAIMED = np.diag([1.0, 2.0])
 
 
 def covariance(views, believed):
-    """Return the covariance by views whose scatter is ten times what is claimed, and the one that is believed in full."""
+    """Return the covariance by views whose scatter is ten times what is claimed, and that believed in full."""
     problem = SimpleNamespace(free=np.arange(LENS), terms=(), term_std=None, lens_spread=None)
     state = State(np.zeros(LENS), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     estimates = [SimpleNamespace(problem=problem, state=state, posterior=SimpleNamespace(shared=CLAIMED))]
