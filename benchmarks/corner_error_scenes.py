@@ -288,7 +288,9 @@ def scene(name: str, count: int, seed: int, cameras: tuple[str, ...] = tuple(CAM
     points = scenario.board(board, np.random.default_rng([seed, _BOARD]))
     views, shots, corners, covariances = [], [], [], []
     for index in range(count):
-        rotation, translation = _pose(setting, board, index % 5 in (1, 3), np.random.default_rng([seed, _POSE, index]))
+        rotation, translation = held_by_hand(
+            setting, board, index % 5 in (1, 3), np.random.default_rng([seed, _POSE, index])
+        )
         effect = np.random.default_rng([seed, _EFFECT, index])
         place = index / max(count - 1, 1)
         shot = Shot(setting.camera, board, points, rotation, translation, place, index, effect)
@@ -296,7 +298,7 @@ def scene(name: str, count: int, seed: int, cameras: tuple[str, ...] = tuple(CAM
         noise = np.random.default_rng([seed, _NOISE, index]).normal(size=(board.count, 2))
         errors, covariance = scenario.errors(shot, noise, std)
         exact = scenario.image(shot)
-        ids = np.flatnonzero(_inside(setting.camera, exact))
+        ids = np.flatnonzero(inside(setting.camera, exact))
         pixels = exact + errors
         stated = (scenario.claimed * claimed * std[ids, None, None]) ** 2 * np.eye(2)
         seen = pixels + _outliers(board.count, scenario.outliers, np.random.default_rng([seed, _OUTLIER, index]))
@@ -321,13 +323,24 @@ def _outliers(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
     return np.where(hit, OUTLIER, 0.0)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _inside(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+def inside(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """Return the mask of pixels (N, 2) in the image with its margin; NaN are outside."""
     return ((pixels >= MARGIN) & (pixels <= np.array(camera.image_size) - 1 - MARGIN)).all(axis=1)
 
 
-def _pose(setting: Setting, board: Board, cut: bool, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return a rotation and a translation camera_T_board with the board in the image, or enough of it if `cut`."""
+def held_by_hand(
+    setting: Setting,
+    board: Board,
+    cut: bool,
+    rng: np.random.Generator,
+    tilt: float = TILT,
+    *,
+    parallel: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a rotation and a translation camera_T_board with the board in the image, or enough of it if `cut`.
+
+    tilt: the largest about either axis, from where the board faces the camera or, if `parallel`, the image plane.
+    """
     camera, points = setting.camera, board.points()
     centre = np.array([*board.extent, 0.0]) / 2
     low, high = setting.fill
@@ -336,12 +349,13 @@ def _pose(setting: Setting, board: Board, cut: bool, rng: np.random.Generator) -
     attempt = 0
     while True:
         aim = rng.random(2) * (np.array(camera.image_size) - 1)
-        tilts, roll = rng.uniform(-TILT, TILT, 2), rng.uniform(-np.pi, np.pi)
+        tilts, roll = rng.uniform(-tilt, tilt, 2), rng.uniform(-np.pi, np.pi)
         ray = camera.unproject(aim[None]).directions[0]
         across = np.cross([0.0, 0.0, 1.0], ray)
         sine = np.linalg.norm(across)
         facing = so3.exp(across / sine * np.arctan2(sine, ray[2]))
         lean = so3.exp(np.array([tilts[0], 0, 0])) @ so3.exp(np.array([0, tilts[1], 0]))
+        facing = np.eye(3) if parallel else facing
         rotation = facing @ lean @ so3.exp(np.array([0, 0, roll]))
         attempt += 1
         scale = SHRINK ** (attempt // ATTEMPTS)
@@ -349,6 +363,6 @@ def _pose(setting: Setting, board: Board, cut: bool, rng: np.random.Generator) -
         translation = distance * ray - rotation @ centre
         places = points @ rotation.T + translation
         obliquity = places @ rotation[:, 2] / np.linalg.norm(places, axis=1)
-        shown = _inside(camera, camera.project(places).pixels)
+        shown = inside(camera, camera.project(places).pixels)
         if shown.mean() >= needed and (obliquity > np.cos(STEEPEST)).all():
             return rotation, translation

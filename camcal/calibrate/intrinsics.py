@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.degeneracy import (
     MIN_VIEWS,
     SAME_VIEW_PX,
@@ -67,7 +68,8 @@ class Calibration:
     held_by_prior: lens parameters that the data hardly determine: their prior does.
     noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
     covariance counts the errors within views as well. within_views: what these errors are. two_cameras: the groups
-    that the views may fall into, each with a lens of its own, None where nothing speaks for any.
+    that the views may fall into, each with a lens of its own, None where nothing speaks for any. between_views: what
+    differs between views and ought to be the same.
     """
 
     camera: Camera
@@ -86,6 +88,7 @@ class Calibration:
     held_by_prior: tuple[str, ...] = ()
     noise_covariance: Array | None = None
     within_views: WithinViews = field(default_factory=WithinViews)
+    between_views: BetweenViews = field(default_factory=BetweenViews)
     two_cameras: TwoCameras | None = None
 
     @property
@@ -232,6 +235,7 @@ def _record(
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
         within_views=result.errors,
+        between_views=between_views(result.estimates, present, images),
         two_cameras=cameras,
     )
 

@@ -7,9 +7,9 @@ from math import inf
 
 import numpy as np
 
-from camcal.calibrate.degeneracy import tilt_spread
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import folds_inside
+from camcal.quality.between_views import between_views
 from camcal.quality.coverage import coverage, radial_trend
 from camcal.quality.criteria import CRITERIA, Finding, finding
 from camcal.targets.boards.types import BOARD_TYPES
@@ -43,7 +43,18 @@ def advise(calibration: Calibration, reach_px: float = inf) -> Advice:
 
     reach_px: how far from the principal point the lens forms an image, where that is less than to the image's corner.
     """
-    parts = (_cameras, _lens_model, _focal_length, _views, _coverage, _noise, _within_views, _plausible, _board)
+    parts = (
+        _cameras,
+        _lens_model,
+        _focal_length,
+        _views,
+        _coverage,
+        _noise,
+        _within_views,
+        between_views,
+        _plausible,
+        _board,
+    )
     findings = (found for part in parts for found in part(calibration))
     return Advice((*_fold(calibration, reach_px), *findings))
 
@@ -103,12 +114,6 @@ def _views(calibration: Calibration) -> Iterator[Finding]:
     if len(views) < _limit("few_views"):
         text = f"{len(views)} views are few: take 15 to 40 in varied positions"
         yield finding("few_views", text, len(views))
-    spread = np.degrees(tilt_spread(np.stack([view.camera_T_board.rotation for view in views if view.camera_T_board])))
-    if spread < _limit("tilt"):
-        text = (
-            f"the board was tilted by {spread:.0f}° at most: tilt it by 30° to 45°, which determines the focal length"
-        )
-        yield finding("tilt", text, spread)
 
 
 def _coverage(calibration: Calibration) -> Iterator[Finding]:

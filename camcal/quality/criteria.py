@@ -74,6 +74,24 @@ _ALL = (
         floor_px=0.02,
     ),
     Criterion(
+        "focal_change",
+        True,
+        3.6,
+        "standard deviations",
+        "the focal length changes from one view on, or drifts: how far beyond chance; the floor is the change in the "
+        "corner of the image",
+        _SETS,
+        floor_px=0.5,
+    ),
+    Criterion(
+        "parallel_views",
+        True,
+        0.003,
+        "focal length",
+        "the standard deviation of the focal length where the board was never tilted by more than 15 degrees",
+        _SETS,
+    ),
+    Criterion(
         "partly_invertible",
         False,
         0.99,
@@ -98,6 +116,36 @@ _ALL = (
         _SETS,
     ),
     Criterion("board_bends", False, 2e-4, "board's longer side", "RMS height by which the board bends", _SETS),
+    Criterion(
+        "focal_varies",
+        False,
+        3.0,
+        "standard deviations",
+        "the focal length of single views differs, or varies from view to view, or a change of it is less clear than "
+        "that of focal_change",
+        _SETS,
+        floor_px=2.5,
+    ),
+    Criterion(
+        "two_boards",
+        False,
+        3.7,
+        "standard deviations",
+        "the board changes from one view on: how far beyond chance; the floor is the RMS distance of its corners where "
+        "they, not its proportions, show it",
+        _SETS,
+        floor_px=0.08,
+    ),
+    Criterion(
+        "motion_blur",
+        False,
+        4.0,
+        "ratio of variances",
+        "corners of a view scatter in one direction by more than this against across, and against a typical view; the "
+        "floor is their standard deviation",
+        _SETS,
+        floor_px=0.1,
+    ),
     Criterion("board_size", False, 3.0, "m", "the longer side of the board: was it given in mm?", _RULE),
     Criterion(
         "focal_ratio", False, 0.05, "ratio", "fx and fy differ by more than this: pixels that are not square?", _RULE

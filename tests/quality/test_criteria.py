@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from camcal.calibrate.between_views import BetweenViews, Blur, Change, TwoBoards
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, Options, RejectedCorner, calibrate
@@ -104,6 +105,36 @@ def of_two_cameras(calibration, ratio, by_name=False, other_px=0.5):
     images = [view.image for view in calibration.views]
     groups = tuple(images[:-5]), tuple(images[-5:])
     return replace(calibration, two_cameras=TwoCameras(groups, by_name, ratio, 0.1, other_px, (1200.0, 1250.0)))
+
+
+def differing(calibration, **kinds):
+    """Views that are said to differ in one of the kinds of BetweenViews."""
+    images = tuple(view.image for view in calibration.views)
+    return replace(calibration, between_views=BetweenViews(images, **kinds))
+
+
+def changing(calibration, kind, clear, px, first=0):
+    """A focal length that changes so clearly by so much in the corner of the image; first: the first view of those in
+    which it is another.
+    """
+    images = tuple(view.image for view in calibration.views[first:])
+    return differing(calibration, **{kind: Change(px / (math.hypot(WIDTH, HEIGHT) / 2), clear, images)})
+
+
+def parallel(calibration, share, angle_deg=8):
+    return known_to(tilted(calibration, angle_deg), "fx", share)
+
+
+def with_other_board(calibration, clear, px):
+    return differing(calibration, boards=TwoBoards(px, clear, ("view0015.png", *("b.png",) * 4)))
+
+
+def with_other_proportions(calibration, clear):
+    return differing(calibration, proportions=Change(-0.003, clear, ("view0010.png", *("b.png",) * 9)))
+
+
+def blurring(calibration, ratio, px):
+    return differing(calibration, blurred=(Blur("a.png", px, ratio), Blur("b.png", 2.0, 1.0)))
 
 
 def rejecting(calibration, share):
@@ -233,6 +264,40 @@ EXAMPLES = (
         value=3.0,
     ),
     Example(
+        "focal_change",
+        lambda good, clear: changing(good, "step", clear, 5.0, 12),
+        3.5,
+        3.7,
+        r"focal length changes by \+0\.5 % between view0011.png and view0012.png: lock focus and zoom .*, or calibrate "
+        r"the images up to view0011.png \(12\) and the later ones \(8\) by themselves",
+    ),
+    Example(
+        "focal_change",
+        lambda good, clear: changing(good, "drift", clear, -5.0),
+        3.5,
+        3.7,
+        r"focal length drifts by -0\.5 % from view0000.png to view0019.png: lock focus and zoom, let the",
+    ),
+    Example(
+        "focal_change",  # however clear, less is not worth a word
+        lambda good, px: changing(good, "step", 9.0, px, 12),
+        0.48,
+        0.52,
+        r"changes by \+0\.052 %",
+        value=9.0,
+    ),
+    Example(
+        "parallel_views", parallel, 0.0029, 0.0031, r"nearly parallel views: in all 20 .* within 8° .* 0\.3 % only"
+    ),
+    Example(
+        "parallel_views",
+        lambda good, angle_deg: parallel(good, 0.005, angle_deg),
+        15.6,
+        14.4,
+        r"within 14° of one direction, .*: add views with the board tilted by 30° to 45° about both axes",
+        value=0.005,
+    ),
+    Example(
         "partly_invertible",
         lambda good, share: folding(reaching(good, 800), share * CORNER),
         0.998,
@@ -271,6 +336,66 @@ EXAMPLES = (
         r"rolling shutter, 0\.53 px over the height .*: hold camera and board still, or use shorter exposures",
     ),
     Example("board_bends", bending, 1.9e-4, 2.1e-4, r"bends from view to view by 0\.021 % .*: use a stiffer board"),
+    Example(
+        "focal_varies",
+        lambda good, clear: changing(good, "outlying", clear, 5.0, 18),
+        2.9,
+        3.1,
+        r"focal length of view0018.png, view0019.png differs by \+0\.5 %: leave out these views, and lock focus",
+    ),
+    Example(
+        "focal_varies",
+        lambda good, clear: changing(good, "unordered", clear, 5.0),
+        2.9,
+        3.1,
+        r"focal length varies by 0\.5 % from view to view, as with autofocus: lock focus and zoom",
+    ),
+    Example(
+        "focal_varies",  # not clear enough to fail
+        lambda good, clear: changing(good, "step", clear, 5.0, 12),
+        2.9,
+        3.1,
+        r"it seems that the focal length changes by \+0\.5 % between",
+    ),
+    Example(
+        "focal_varies",
+        lambda good, px: changing(good, "unordered", 9.0, px),
+        2.45,
+        2.55,
+        r"varies by 0\.2[56] %",
+        value=9.0,
+    ),
+    Example(
+        "two_boards",
+        lambda good, clear: with_other_board(good, clear, 0.2),
+        3.6,
+        3.8,
+        r"board changes between view0014.png and view0015.png, its corners by 0\.2 px RMS, .* two boards are mixed: "
+        r"use one board, or calibrate the images up to view0014.png \(15\) and the later ones \(5\) by themselves",
+    ),
+    Example(
+        "two_boards",
+        with_other_proportions,
+        3.6,
+        3.8,
+        r"board changes between view0009.png and view0010.png, its proportions by 0\.3 %",
+    ),
+    Example(
+        "two_boards",
+        lambda good, px: with_other_board(good, 9.0, px),
+        0.078,
+        0.082,
+        r"its corners by 0\.082 px",
+        value=9.0,
+    ),
+    Example(
+        "motion_blur",
+        lambda good, ratio: blurring(good, ratio, 0.3),
+        3.9,
+        4.1,
+        r"blurred by motion: the corners of a.png scatter in one direction, by up to 0\.3 px: leave out this view, or",
+    ),
+    Example("motion_blur", lambda good, px: blurring(good, 9.0, px), 0.098, 0.102, r"by up to 0\.1 px", value=9.0),
     Example(
         "board_size",
         lambda good, length: replace(good, board=replace(BOARD, square=length / 8)),
@@ -362,7 +487,14 @@ def test_every_criterion_has_an_example():
 
 
 def test_a_lens_that_is_not_known_where_it_was_used_or_not_one_is_a_failure_the_rest_are_warnings(good):
-    failures = {"not_invertible", "lens_model", "focal_length", "focal_length_few_views"}
+    failures = {
+        "focal_change",
+        "parallel_views",
+        "not_invertible",
+        "lens_model",
+        "focal_length",
+        "focal_length_few_views",
+    }
     failures |= {"several_cameras", "several_cameras_by_name"}
     assert {code for code, criterion in CRITERIA.items() if criterion.failure} == failures
     weak = replace(with_views(good, 9), sigma_px=0.6)
@@ -371,6 +503,30 @@ def test_a_lens_that_is_not_known_where_it_was_used_or_not_one_is_a_failure_the_
     bad = advise(known_to(weak, "fx", 0.02))
     assert not bad.trustworthy
     assert (len(bad.reasons), len(bad.remarks), len(bad.findings)) == (1, 2, 3)
+
+
+def test_findings_about_views_have_their_images(good):
+    def of(calibration):
+        return {code: len(found.images) for code, found in by_code(calibration).items()}
+
+    assert of(changing(good, "step", 9.0, 5.0, 12)) == {"focal_change": 8}
+    assert of(changing(good, "unordered", 9.0, 5.0)) == {"focal_varies": 0}  # all of them
+    assert of(with_other_board(good, 9.0, 0.2)) == {"two_boards": 5}
+    assert of(blurring(good, 9.0, 0.3)) == {"motion_blur": 1}
+    assert of(parallel(good, 0.005)) == {"parallel_views": VIEWS}
+
+
+def test_a_board_of_other_proportions_is_not_taken_for_another_focal_length(good):
+    proportions = Change(0.003, 6.0, ("b.png",) * 5)
+    for clear, codes in ((5.0, {"two_boards"}), (7.0, {"two_boards", "focal_change"})):
+        step = Change(0.005, clear, ("b.png",) * 5)
+        assert set(by_code(differing(good, step=step, proportions=proportions))) == codes
+
+
+def test_of_a_step_and_a_drift_the_clearer_one_is_named(good):
+    step, drift = Change(0.005, 5.0, ("b.png",) * 5), Change(0.007, 6.0, tuple(view.image for view in good.views))
+    assert "drifts" in by_code(differing(good, step=step, drift=drift))["focal_change"].text
+    assert "changes" in by_code(differing(good, step=replace(step, clear=7.0), drift=drift))["focal_change"].text
 
 
 def test_a_lens_that_folds_beyond_all_corners_is_masked_there_and_not_refused(good):

@@ -1,0 +1,277 @@
+"""What ought to be the same in all views: the focal length, the board, and how sharp the images are.
+
+A change is told from errors within views (rolling shutter, a board that bends) by its order, or by two groups of views,
+and not by how large residuals are: such errors make them larger without any order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.effects import columns_at
+from camcal.calibrate.estimator import Estimate
+from camcal.calibrate.problem import POSE, Derivatives
+from camcal.calibrate.view_offsets import ViewOffsets
+from camcal.targets.surface import RATIOS, basis
+
+_VIEWS = 120  # where there are more, so many of them tell all that is asked here
+_LEAST_VIEWS = 5
+_FEWEST = 2  # views before a change, and after it
+_SEVERAL = 0.25  # of the views, at most, are said to have another focal length each
+_FURTHER = 3.0  # standard deviations by which a view differs that is named with the one that differs most
+_COMMON = 5  # corners that two views have in common, to be compared
+_CHANCE = 1e-3  # that a view of a set looks blurred by noise alone
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something that is not the same in all views.
+
+    share: of itself, by how much it is larger in `images`; for a drift at the last view than at the first; for what
+    varies without order its standard deviation. clear: in standard deviations, how far it is from chance,
+    all places considered where it may have been.
+    """
+
+    share: float = 0.0
+    clear: float = 0.0
+    images: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TwoBoards:
+    """Residuals that are alike on the board in two groups of views, and opposed between them.
+
+    px: RMS distance of the corners of one board from those of the other. clear: in standard deviations, how far it is
+    from chance. images: the second group.
+    """
+
+    px: float = 0.0
+    clear: float = 0.0
+    images: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Blur:
+    """A view whose corners scatter in one direction. px: standard deviation in it. ratio: of the variance in it to that
+    across, or to that of the corners of a typical view if this is larger.
+    """
+
+    image: str
+    px: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class BetweenViews:
+    """The clearest of each kind of change, which may well be chance: the verdict decides.
+
+    images: of the views that were compared, in their order. step, drift, outlying, unordered: of the focal length, from
+    one view on, steadily, in single views, from view to view. blurred: views that are not as they are by chance.
+    """
+
+    images: tuple[str, ...] = ()
+    step: Change = field(default_factory=Change)
+    drift: Change = field(default_factory=Change)
+    outlying: Change = field(default_factory=Change)
+    unordered: Change = field(default_factory=Change)
+    proportions: Change = field(default_factory=Change)
+    boards: TwoBoards = field(default_factory=TwoBoards)
+    blurred: tuple[Blur, ...] = ()
+
+
+def between_views(estimates: Sequence[Estimate], present: Array, images: Sequence[str]) -> BetweenViews:
+    """Return what differs between views by the estimate that takes errors within views for noise, the first one, and
+    the one that models most of them, the last one.
+
+    present: (V, P) the points that there are. images: the names of the views.
+    """
+    count = len(images)
+    if count < _LEAST_VIEWS:
+        return BetweenViews(tuple(images))
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _VIEWS)).astype(np.intp))
+    names, present = tuple(images[index] for index in chosen), present[chosen]
+    plain, full = _Linearised.of(estimates[0], chosen, present), _Linearised.of(estimates[-1], chosen, present)
+    focal = full.offsets(full.by_focal_length())
+    return BetweenViews(
+        names,
+        _step(focal, names),
+        _drift(focal, names),
+        _outlying(focal, names),
+        Change(*focal.unordered()),
+        _proportions(full.offsets(full.by_proportions()), names),
+        _two_boards(plain, names),
+        _blurred(full, names),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """An estimate of some views, linearised where it ended: columns and their std of the effects that it models."""
+
+    estimate: Estimate
+    present: Array
+    derivatives: Derivatives
+    columns: Array
+    std: Array
+    field: Array
+
+    @classmethod
+    def of(cls, estimate: Estimate, chosen: Array, present: Array) -> "_Linearised":
+        problem = replace(
+            estimate.problem,
+            observations=estimate.problem.observations.take(chosen),
+            noise=estimate.noise.views[chosen],
+            offsets=False,
+        )
+        state = estimate.state.take(chosen)
+        estimate = replace(estimate, problem=problem, state=state, coefficients=estimate.coefficients[chosen])
+        derivatives = problem.derivatives(state)
+        columns = columns_at(problem, state, derivatives, present, estimate.freedom.effects)
+        std = np.zeros((len(chosen), 0))
+        if estimate.effect_scales is not None:
+            std = estimate.effect_scales.std(columns.effect)[chosen]
+        explained = (columns.values.transpose(0, 2, 3, 1) @ estimate.coefficients[:, :, None])[..., 0]
+        return cls(estimate, present, derivatives, columns.values, std, explained)
+
+    @property
+    def residuals(self) -> Array:
+        """Residuals (2, V, P) px that effects do not explain, 0 without an image."""
+        return np.asarray(self.derivatives.residuals.reshape(2, *self.present.shape) + self.field)
+
+    @property
+    def weights(self) -> Array:
+        """How far the corners (V, P) count, against those of their own view."""
+        weights = self.estimate.problem.observations.weights * self.present
+        return np.asarray(weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-12))
+
+    def offsets(self, own: Array) -> ViewOffsets:
+        """Return what the views say of parameters of their own; own: (2, k, V, P) derivatives by these, px."""
+        columns = np.concatenate([self.columns, own * self.present], axis=1)
+        equations = self.estimate.problem.equations(self.estimate.state, self.derivatives, columns)
+        return ViewOffsets.of(equations, POSE, self.std)
+
+    def by_focal_length(self) -> Array:
+        """Return the derivatives (2, 1, V, P) by the logarithm of the focal length."""
+        problem, state = self.estimate.problem, self.estimate.state
+        names = problem.model.parameter_names
+        centre = np.array([state.parameters[names.index(name)] for name in ("cx", "cy")])
+        projected = self.derivatives.residuals.reshape(2, *self.present.shape) + problem.observations.pixels
+        return np.asarray((projected - centre[:, None, None])[:, None])
+
+    def by_proportions(self) -> Array:
+        """Return the derivatives (2, 2, V, P) by the ratio of the board's sides and by its shear."""
+        problem = self.estimate.problem
+        moved = basis(problem.board, RATIOS)[problem.observations.ids]
+        return np.asarray(np.einsum("vpij,vpjk->ikvp", self.derivatives.by_board(self.estimate.state.rotations), moved))
+
+
+def _places(count: int) -> Array:
+    """Return the places of the first view after a change."""
+    return np.arange(_FEWEST, count - _FEWEST + 1)
+
+
+def _step(focal: ViewOffsets, images: tuple[str, ...]) -> Change:
+    places = _places(len(images))
+    found = focal.likeliest((np.arange(len(images))[:, None] >= places).astype(float))
+    return Change(float(found.size[0]), found.clear(_independent(len(images))), images[int(places[found.index]) :])
+
+
+def _independent(count: int) -> float:
+    """Return how many places of a change among so many views are about as many as independent ones."""
+    return float(2 * np.log(count))
+
+
+def _drift(focal: ViewOffsets, images: tuple[str, ...]) -> Change:
+    found = focal.likeliest(np.linspace(0, 1, len(images))[:, None])
+    return Change(float(found.size[0]), found.clear(1), images)
+
+
+def _outlying(focal: ViewOffsets, images: tuple[str, ...]) -> Change:
+    """Return the views that differ most from the others; the change and how clear it is are those of the first."""
+    count, chosen = len(images), np.zeros(0, np.intp)
+    first = found = focal.likeliest(np.eye(count))
+    while len(chosen) == 0 or (found.clear(count) > _FURTHER and len(chosen) < _SEVERAL * count):
+        chosen = np.append(chosen, found.index)
+        found = focal.likeliest(np.eye(count), np.eye(count)[:, chosen])
+    return Change(float(first.size[0]), first.clear(count), tuple(images[index] for index in np.sort(chosen)))
+
+
+def _proportions(board: ViewOffsets, images: tuple[str, ...]) -> Change:
+    """Return the step of the board's proportions, the larger one of both."""
+    places = _places(len(images))
+    found = board.likeliest((np.arange(len(images))[:, None] >= places).astype(float))
+    largest = float(found.size[np.argmax(np.abs(found.size))])
+    return Change(largest, found.clear(_independent(len(images))), images[int(places[found.index]) :])
+
+
+def _two_boards(plain: _Linearised, images: tuple[str, ...]) -> TwoBoards:
+    """Return the change of board between two views at which residuals, seen on the board, correlate best within the
+    views before and after it and least between these.
+    """
+    px = _on_board(plain)
+    lengths = np.maximum(np.linalg.norm(px, axis=1), 1e-300)
+    alike = px @ px.T / lengths[:, None] / lengths
+    np.fill_diagonal(alike, 0.0)
+    count, places = len(images), _places(len(images))
+    after = (np.arange(count)[:, None] >= places).astype(float)
+    contrast = after - after.mean(axis=0)
+    total = np.sum(contrast * (alike @ contrast), axis=0)
+    # pairs of views are uncorrelated if errors of views are independent, however large they are and of whatever kind
+    spread = np.sqrt(2 * np.sum(contrast**2 * (alike**2 @ contrast**2), axis=0))
+    clear = total / np.maximum(spread, 1e-300)
+    best = int(np.argmax(clear))
+    return TwoBoards(_distance(px, after[:, best] > 0), float(clear[best]), images[int(places[best]) :])
+
+
+def _on_board(plain: _Linearised) -> Array:
+    """Return the residuals (V, 3 C) px of points along x, y and z of the board, 0 for those not seen.
+
+    Those along z are weighted by how far a height over the board moves a point of this view.
+    """
+    axes = plain.derivatives.by_board(plain.estimate.state.rotations)
+    left, scale, right = np.linalg.svd(axes[..., :2])
+    turned = np.empty((*plain.present.shape, 3))
+    # the rotation (or reflection) next to the board's axes in the image: residuals keep their lengths
+    turned[..., :2] = np.einsum("vpij,ivp->vpj", left @ right, plain.residuals)
+    side = np.sqrt(np.maximum(scale[..., 0] * scale[..., 1], 1e-300))
+    turned[..., 2] = np.einsum("vpi,ivp->vp", axes[..., 2], plain.residuals) / side
+    turned *= np.sqrt(plain.weights)[..., None]
+    problem = plain.estimate.problem
+    places = np.zeros((len(turned), problem.board.count, 3))
+    rows, columns = np.nonzero(plain.present)
+    places[rows, problem.observations.ids[rows, columns]] = turned[rows, columns]
+    return places.reshape(len(turned), -1)
+
+
+def _distance(px: Array, second: Array) -> float:
+    """Return the RMS distance of points between two groups of views: of residuals (V, 3 C), noise taken out by
+    comparing different views only.
+    """
+    seen = (px.reshape(len(px), -1, 3) != 0).any(axis=2).astype(float)
+    common = seen @ seen.T
+    products, pairs = px @ px.T / np.maximum(common, 1), common >= _COMMON
+    np.fill_diagonal(pairs, val=False)
+
+    def mean(one: Array, other: Array) -> float:
+        both = pairs & one[:, None] & other
+        return float(products[both].mean()) if both.any() else 0.0
+
+    return float(np.sqrt(max(mean(second, second) + mean(~second, ~second) - 2 * mean(second, ~second), 0.0)))
+
+
+def _blurred(full: _Linearised, images: tuple[str, ...]) -> tuple[Blur, ...]:
+    """Return the views whose residuals scatter more in one direction than they would by chance, the most first.
+
+    The chance of a ratio of variances is that of the likelihood ratio for equal ones (Mauchly's sphericity).
+    """
+    weights, residuals = full.weights, full.residuals
+    count = np.maximum(weights.sum(axis=1), 1e-300)
+    scatter = np.einsum("vp,ivp,jvp->vij", weights, residuals, residuals) / count[:, None, None]
+    across, along = np.maximum(np.linalg.eigvalsh(scatter), 1e-12).T
+    typical = float(np.median((across + along) / 2))
+    unlikely = count * np.log((across + along) ** 2 / (4 * across * along)) > 2 * np.log(len(images) / _CHANCE)
+    ratio = along / np.maximum(across, typical)
+    order = [int(index) for index in np.argsort(-ratio) if unlikely[index]]
+    return tuple(Blur(images[index], float(np.sqrt(along[index])), float(ratio[index])) for index in order)

@@ -1,0 +1,151 @@
+"""What is not the same in all views is found with its place and size; errors within views are not taken for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observed import make_scene
+
+from camcal.calibrate.between_views import BetweenViews
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.targets.surface import normalised
+
+COUNT = 16
+NOISE = 0.05
+CLEAR = 3.6  # standard deviations: the highest limit of the verdict
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene(count=COUNT)
+
+
+@pytest.fixture(scope="module")
+def seen(scene):
+    return scene.observe(1, noise_px=NOISE)
+
+
+def compared(scene, views, smooth=True):
+    shape = ShapeOptions(smooth=smooth, offsets=False)
+    return calibrate(views, scene.board, Options(scene.camera.model, shape=shape)).between_views
+
+
+def zoomed(scene, views, ratios):
+    centre = np.array([scene.camera.value("cx"), scene.camera.value("cy")])
+    return [
+        replace(view, pixels=centre + (1 + ratio) * (view.pixels - centre))
+        for view, ratio in zip(views, ratios, strict=True)
+    ]
+
+
+def moved(scene, views, shifts, first):
+    """The views, from the first one on with the corners moved in the image as points (C, 2) m of the board are."""
+    result = list(views)
+    for index in range(first, len(views)):
+        pose, view = scene.poses[index], views[index]
+        points = scene.board.points()[view.ids]
+        there = scene.camera.project(pose.apply(points + np.pad(shifts[view.ids], ((0, 0), (0, 1))))).pixels
+        result[index] = replace(view, pixels=view.pixels + there - scene.camera.project(pose.apply(points)).pixels)
+    return result
+
+
+def images(views, chosen):
+    return tuple(views[index].image for index in chosen)
+
+
+@pytest.mark.parametrize("seed", range(2, 6))
+def test_nothing_is_clear_in_views_that_differ_by_noise(scene, seed):
+    found = compared(scene, scene.observe(seed, noise_px=NOISE))
+    assert max(found.step.clear, found.drift.clear, found.outlying.clear, found.unordered.clear) < CLEAR
+    assert max(found.proportions.clear, found.boards.clear) < CLEAR
+    assert found.blurred == ()
+
+
+def test_a_step_of_the_focal_length_is_found_where_it_is_with_its_size(scene, seen):
+    first = 6
+    found = compared(scene, zoomed(scene, seen, np.where(np.arange(COUNT) < first, 0, 0.005)))
+    assert found.step.clear > CLEAR
+    assert found.step.clear > found.drift.clear
+    assert abs(len(found.step.images) - (COUNT - first)) <= 1  # one view more or less may be as likely
+    assert found.step.images == found.images[-len(found.step.images) :]
+    assert found.step.share == pytest.approx(0.005, abs=0.001)
+    assert found.images == images(seen, range(COUNT))
+
+
+def test_a_drift_of_the_focal_length_is_clearer_than_a_step(scene, seen):
+    found = compared(scene, zoomed(scene, seen, np.linspace(0, -0.006, COUNT)))
+    assert found.drift.clear > max(CLEAR, found.step.clear)
+    assert found.drift.share == pytest.approx(-0.006, abs=0.0015)
+    assert found.drift.images == images(seen, range(COUNT))
+
+
+def test_single_views_of_another_focal_length_are_named(scene, seen):
+    ratios = np.zeros(COUNT)
+    ratios[[3, 9]] = 0.02
+    found = compared(scene, zoomed(scene, seen, ratios))
+    assert found.outlying.clear > CLEAR
+    assert found.outlying.images == images(seen, (3, 9))
+    assert found.outlying.share == pytest.approx(0.02, abs=0.005)
+
+
+def test_a_focal_length_that_varies_without_order_is_no_step(scene, seen):
+    ratios = 0.006 * np.tile([1, -1, -1, 1], COUNT // 4)
+    found = compared(scene, zoomed(scene, seen, ratios))
+    assert found.unordered.clear > CLEAR
+    assert found.unordered.share == pytest.approx(0.006, rel=0.4)
+    assert max(found.step.clear, found.drift.clear, found.outlying.clear) < CLEAR
+
+
+def test_a_board_of_other_proportions_is_found_where_it_comes_in(scene, seen):
+    first = 9
+    shifts = 0.004 * scene.board.points()[:, :2] * [1, 0]
+    found = compared(scene, moved(scene, seen, shifts, first))
+    assert found.proportions.clear > CLEAR
+    assert found.proportions.images == images(seen, range(first, COUNT))
+    assert abs(found.proportions.share) == pytest.approx(0.004, abs=0.001)
+    assert found.proportions.clear > 1.5 * max(found.step.clear, found.drift.clear)
+
+
+def test_a_board_printed_otherwise_is_found_where_it_comes_in_with_the_distance_of_its_corners(scene, seen):
+    first = 5
+    shifts = np.random.default_rng(4).normal(0, 0.004, (scene.board.count, 2)) * scene.board.pitch
+    changed = moved(scene, seen, shifts, first)
+    found = compared(scene, changed, smooth=False)
+    apart = [np.mean(np.sum((new.pixels - old.pixels) ** 2, axis=1)) for new, old in zip(changed, seen, strict=True)]
+    assert found.boards.clear > CLEAR
+    assert found.boards.images == images(seen, range(first, COUNT))
+    assert found.boards.px == pytest.approx(np.sqrt(np.mean(apart[first:])), rel=0.25)
+
+
+def test_fields_of_their_own_in_every_view_are_no_change_between_views(scene, seen):
+    rng = np.random.default_rng(5)
+    x, y = normalised(scene.board).T
+    modes = np.stack([x**2 - 1 / 3, x * y, y**2 - 1 / 3, x**3 - 0.6 * x])
+    fields = np.einsum("vkm,mp->vpk", rng.normal(0, 0.3, (COUNT, 2, 4)), modes)
+    views = [replace(view, pixels=view.pixels + own[view.ids]) for view, own in zip(seen, fields, strict=True)]
+    found = compared(scene, views)
+    assert max(found.step.clear, found.drift.clear, found.outlying.clear, found.unordered.clear) < CLEAR
+    assert max(found.proportions.clear, found.boards.clear) < CLEAR
+
+
+def test_views_whose_corners_scatter_in_one_direction_are_listed_the_most_first(scene, seen):
+    rng, views = np.random.default_rng(6), list(seen)
+    for index, std in ((4, 0.4), (11, 0.8)):
+        along = std * rng.normal(size=(len(views[index].ids), 1)) * [0.6, 0.8]
+        views[index] = replace(views[index], pixels=views[index].pixels + along)
+    found = compared(scene, views)
+    assert [view.image for view in found.blurred] == list(images(seen, (11, 4)))
+    assert found.blurred[0].px == pytest.approx(0.8, rel=0.3)
+    assert found.blurred[0].ratio > found.blurred[1].ratio > 4
+
+
+def test_a_view_that_is_noisier_in_all_directions_is_not_blurred(scene, seen):
+    views = list(seen)
+    noisier = views[4].pixels + np.random.default_rng(7).normal(0, 0.5, (len(views[4].ids), 2))
+    views[4] = replace(views[4], pixels=noisier)
+    assert compared(scene, views).blurred == ()
+
+
+def test_of_few_views_nothing_is_said(scene, seen):
+    assert compared(scene, seen[:4]) == BetweenViews(images(seen, range(4)))
