@@ -1,8 +1,11 @@
-"""Weights of estimates at their limits: estimates that no view moves, that are nearly the same, and units."""
+"""Weights of estimates at their limits: estimates that no view moves, that are nearly the same, that have no priors."""
+
+from types import SimpleNamespace
 
 import numpy as np
 
-from camcal.calibrate.averaging import weights_of
+from camcal.calibrate.averaging import covariance_of, weights_of
+from camcal.calibrate.problem import BoardProblem, State
 
 VIEWS, LENS = 30, 3
 
@@ -22,3 +25,18 @@ def test_weights_of_estimates_that_are_nearly_the_same_differ_little():
     other = moved * (1 + 1e-6)
     # the own scatter of each counts once more with ten views, here a third: no ridge is needed to share them
     np.testing.assert_allclose(weights_of([moved, other, moved], metric), np.full(3, 1 / 3), atol=1e-5)
+
+
+def test_no_prior_and_one_of_infinite_width_leave_the_same_open():
+    rng = np.random.default_rng(3)
+    moved, claimed = rng.normal(size=(VIEWS, LENS + 1)), np.diag([1.0, 2.0, 3.0, 4.0])
+    state = State(rng.normal(size=5), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.ones(1), np.zeros((0, 3)))
+
+    def covariance(**priors):
+        problem = BoardProblem(None, None, None, np.array([0, 2, 3]), ("xy",), **priors)
+        estimate = SimpleNamespace(problem=problem, state=state, posterior=SimpleNamespace(shared=claimed))
+        return covariance_of([estimate], [moved], np.eye(LENS), np.ones(1))
+
+    wide = covariance(lens_spread=np.full(5, np.inf), term_std=np.full(1, np.inf))
+    np.testing.assert_allclose(covariance(), wide, rtol=1e-12)
+    assert np.trace(covariance(lens_spread=np.full(5, 0.1))) > 2 * np.trace(wide)
