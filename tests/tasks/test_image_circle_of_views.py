@@ -4,19 +4,24 @@ How well the circle itself is found is tested in tests/images and tests/real.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from camcal.calibrate.intrinsics import Options
+from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import folds_inside
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.simulate.observe import observe
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, Detection, Detections
+from camcal.tasks.calibration import model_selection
 from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
 from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
 from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
@@ -122,7 +127,12 @@ def test_frames_of_videos_show_the_circle_too(folder):
 def corners():
     rng = np.random.default_rng(3)
     board = Board("chessboard", 8, 6, 0.03)
-    return observe(LENS, board, views(LENS, board, 12, rng=rng), rng=rng, noise_px=0.1)[0]
+    seen = observe(LENS, board, views(LENS, board, 12, rng=rng), rng=rng, noise_px=0.1)[0]
+    lit = [np.hypot(*(view.pixels - [319.0, 239.0]).T) < 285 for view in seen.views]  # inside of both circles
+    kept = [
+        replace(view, ids=view.ids[near], pixels=view.pixels[near]) for view, near in zip(seen.views, lit, strict=True)
+    ]
+    return Detections(board, tuple(kept))
 
 
 def circle_in_file(corners, tmp_path, circles, guess=None):
@@ -147,6 +157,36 @@ def test_calibrate_takes_the_circle_of_the_table_or_else_of_the_guess(corners, t
     assert without.max_radius_px > 390
 
 
+@pytest.mark.parametrize(("share", "taken"), [(0.98, "opencv5"), (1.02, "kannala_brandt4")])
+def test_a_fold_outside_of_the_circle_is_no_reason_for_another_lens_model(monkeypatch, share, taken):
+    size, centre = (1600, 1200), (799.5, 599.5)
+    lenses = {
+        "opencv5": [1200.0, 1200, *centre, -0.5, 0, 0, 0, 0],
+        "kannala_brandt4": [1200.0, 1200, *centre, 0, 0, 0, 0],
+    }
+    corners = np.array([[0.0, 0.0], [1599.0, 0.0], [1599.0, 1199.0], [0.0, 1199.0]])
+    made = {
+        name: SimpleNamespace(
+            camera=Camera(model_named(name), size, np.array(values), np.zeros((len(values),) * 2)), pixels=corners
+        )
+        for name, values in lenses.items()
+    }
+    scores = {"opencv5": 2.0, "kannala_brandt4": 1.95}
+    monkeypatch.setattr(
+        model_selection,
+        "compare_models",
+        lambda _views, _board, _options, models: tuple(
+            Contender(model.name, np.full(5, 10 * scores.get(model.name, 0.0)), 50, 0.1) for model in models
+        ),
+    )
+    monkeypatch.setattr(
+        model_selection.intrinsics, "calibrate", lambda _views, _board, options: made[options.model.name]
+    )
+    circle = ImageCircle(size, centre, share * folds_inside(made["opencv5"].camera).radius_px)
+    found = model_selection.select([], None, Options(model_named("opencv5")), circle)
+    assert found.calibration is made[taken]
+
+
 def test_calibrate_saves_the_circle_with_the_detections(corners, tmp_path):
     detections.write(tmp_path / "table.csv", Detections(corners.board, corners.views, {"": CIRCLE}))
     saved = tmp_path / "saved.csv"
@@ -157,11 +197,12 @@ def test_calibrate_saves_the_circle_with_the_detections(corners, tmp_path):
 
 def test_the_circle_is_that_of_the_camera_and_of_images_of_this_size(corners):
     left = Detections(
-        None, tuple(Detection("a", SIZE, np.array([0]), np.ones((1, 2)), camera="left") for _ in range(2))
+        None, tuple(Detection("a", SIZE, np.array([0]), np.array([[70.0, 148.0]]), camera="left") for _ in range(2))
     )
     small = ImageCircle(SIZE, CENTRE, RADIUS)
     assert known_circle(Detections(None, left.views, {"left": small, "right": CIRCLE}), None) == small
     assert known_circle(Detections(None, left.views, {"right": small}), None) is None
     assert known_circle(Detections(None, left.views, {"left": CIRCLE}), None) is None
+    assert known_circle(Detections(None, left.views, {"left": replace(small, radius=130.0)}), None) is None
     both = (*left.views, *corners.views)
     assert known_circle(Detections(None, both, {"left": small}), None) is None

@@ -29,13 +29,14 @@ def with_circle(detections: Detections, films: Sequence[Film], reading: Reading)
 def known_circle(detections: Detections, guess: CameraEntry | None) -> ImageCircle | None:
     """Return the image circle that goes with detections of one camera, or else with a camera file's entry of it.
 
-    None if neither has one, or it is of images of another size.
+    None if neither has one, or it does not fit these detections: it is of images of another size, or points of a board
+    lie outside of it, where there must be light.
     """
     cameras = {view.camera for view in detections.views}
     circle = detections.circles.get(cameras.pop()) if len(cameras) == 1 else None
     if circle is None and guess is not None:
         circle = guess.image_circle
-    return circle if circle is not None and circle.image_size == usual_size(detections.views) else None
+    return circle if circle is not None and _fits(circle, detections.views) else None
 
 
 def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
@@ -52,12 +53,10 @@ def circle_document(circle: ImageCircle | None) -> dict[str, Any] | None:
 
 
 def _measured(views: Sequence[Detection], films: Sequence[Film], reading: Reading) -> ImageCircle | None:
-    """Return the image circle that images show; None for one that points of a board lie outside of, where there must
-    be light.
-    """
+    """Return the image circle that images show, None if they show none or points of a board lie outside of it."""
     size = usual_size(views)
-    fitting = [view for view in views if view.size == size]
-    names = [fitting[index].image for index in evenly_spaced(len(fitting), MOST_IMAGES)]
+    names = [view.image for view in views if view.size == size]
+    names = [names[index] for index in evenly_spaced(len(names), MOST_IMAGES)]
     search = ImageCircleSearch()
     for gray in _images(names, films, reading):
         if gray.shape[::-1] != size:  # of the file; the view was made to fit
@@ -66,9 +65,16 @@ def _measured(views: Sequence[Detection], films: Sequence[Film], reading: Readin
         if search.ruled_out:
             return None
     found = search.result()
-    if found is None or not all(found.contains(view.pixels).all() for view in fitting):
+    if found is None or not _fits(found, views):
         return None
     return ImageCircle(found.image_size, found.centre, found.radius)
+
+
+def _fits(circle: ImageCircle, views: Sequence[Detection]) -> bool:
+    """Return whether a circle is of images of the usual size, and holds all points that were found in these."""
+    size = usual_size(views)
+    inside = (circle.contains(view.pixels).all() for view in views if view.size == size)
+    return circle.image_size == size and all(inside)
 
 
 def _images(names: Sequence[str], films: Sequence[Film], reading: Reading) -> Iterator[Array]:
