@@ -10,6 +10,7 @@ from camcal.calibrate import evidence
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH
 from camcal.calibrate.estimator import Freedom, Views
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
+from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.noise import ViewNoise
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.calibrate.variances import EffectScales
@@ -82,6 +83,17 @@ def test_up_to_forty_views_are_looked_at_from_the_first_to_the_last(monkeypatch)
     # every other of 79 views, by its own noise: what it knows of its tx
     weights = np.einsum("vii->vi", equations.group_group)[:, 0] / (1000.0**2 * BOARD.count / 0.3**2)
     np.testing.assert_allclose(weights, 1 / (1.0 + np.arange(0, 79, 2)), rtol=1e-9)
+
+
+def test_a_lens_that_is_held_asks_for_no_evidence():
+    problem, state, present = facing(4)
+    away = np.random.default_rng(4).normal(size=(2, *present.shape)).cumsum(axis=2)
+    observations = replace(problem.observations, pixels=problem.observations.pixels + 0.3 * away)
+    shape = ShapeOptions(smooth=False, offsets=False)
+    plain, turns = fit_plain(problem.model, BOARD, observations, (1600, HEIGHT), state.parameters, None, shape)
+    found = fit(plain, turns, Views(present), (1600, HEIGHT))
+    assert len(found.estimates) == 1
+    assert (found.errors.share, found.errors.rolling_px, found.errors.flex) == (0.0, None, None)
 
 
 def everything(coefficients, left, variances, seen=None):
