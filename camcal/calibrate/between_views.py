@@ -22,6 +22,9 @@ _FEWEST = 2  # views before a change, and after it
 _SEVERAL = 0.25  # of the views, at most, are said to have another focal length each
 _FURTHER = 3.0  # standard deviations by which a view differs that is named with the one that differs most
 _COMMON = 5  # corners that two views have in common, to be compared
+# Of the variance of a principal component of the views, what two groups explain if it lies about two points: of normal
+# values it is 0.64, and 0.87 is rare. Standard deviations that a division into groups gains by being chosen.
+_TWO_POINTS, _CHOSEN = 0.92, 1.0
 _CHANCE = 1e-3  # that a view of a set looks blurred by noise alone
 
 
@@ -44,7 +47,7 @@ class TwoBoards:
     """Residuals that are alike on the board in two groups of views, and opposed between them.
 
     px: RMS distance of the corners of one board from those of the other. clear: in standard deviations, how far it is
-    from chance. images: the second group.
+    from chance. images: the second group, those after a change, or the smaller one.
     """
 
     px: float = 0.0
@@ -207,22 +210,55 @@ def _proportions(board: ViewOffsets, images: tuple[str, ...]) -> Change:
 
 
 def _two_boards(plain: _Linearised, images: tuple[str, ...]) -> TwoBoards:
-    """Return the change of board between two views at which residuals, seen on the board, correlate best within the
-    views before and after it and least between these.
+    """Return the two groups of views, before and after a change or in any order, within which residuals correlate best,
+    as seen on the board, and between which they do least.
     """
     px = _on_board(plain)
+    seen = px != 0
+    # what all views share is no change
+    px = seen * (px - px.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
     lengths = np.maximum(np.linalg.norm(px, axis=1), 1e-300)
     alike = px @ px.T / lengths[:, None] / lengths
     np.fill_diagonal(alike, 0.0)
-    count, places = len(images), _places(len(images))
-    after = (np.arange(count)[:, None] >= places).astype(float)
-    contrast = after - after.mean(axis=0)
-    total = np.sum(contrast * (alike @ contrast), axis=0)
-    # pairs of views are uncorrelated if errors of views are independent, however large they are and of whatever kind
-    spread = np.sqrt(2 * np.sum(contrast**2 * (alike**2 @ contrast**2), axis=0))
-    clear = total / np.maximum(spread, 1e-300)
+    groups = np.arange(len(images))[:, None] >= _places(len(images))
+    clear = _contrast(alike, groups)
     best = int(np.argmax(clear))
-    return TwoBoards(_distance(px, after[:, best] > 0), float(clear[best]), images[int(places[best]) :])
+    second, most = groups[:, best], float(clear[best])
+    mixed = _two_clusters(alike)
+    if mixed is not None and (any_order := float(_contrast(alike, mixed[:, None])[0]) - _CHOSEN) > most:
+        second, most = mixed, any_order
+    return TwoBoards(_distance(px, second), most, tuple(images[index] for index in np.flatnonzero(second)))
+
+
+def _contrast(alike: Array, groups: Array) -> Array:
+    """Return how much the correlations (V, V) of views are larger within groups than between them, in standard
+    deviations; groups: (V, n) bool, the second group of n divisions.
+    """
+    contrast = groups - groups.mean(axis=0)
+    # Pairs of views are uncorrelated if errors of views are independent, however large they are and of whatever kind;
+    # but for what the common mean has taken away.
+    total = np.sum(contrast * (alike @ contrast), axis=0) - np.sum(contrast**2, axis=0) / (len(alike) - 1)
+    spread = np.sqrt(2 * np.sum(contrast**2 * (alike**2 @ contrast**2), axis=0))
+    return np.asarray(total / np.maximum(spread, 1e-300))
+
+
+def _two_clusters(alike: Array) -> Array | None:
+    """Return the smaller of two groups (V,) into which the first principal component of the views falls, None where its
+    values do not lie about two points.
+    """
+    values = np.linalg.eigh(alike)[1][:, -1]
+    order = np.argsort(values)
+    places = _places(len(values))
+    behind = np.arange(len(values))[:, None] >= places
+    size = behind.sum(axis=0)
+    means = values[order] @ behind / size, values[order] @ ~behind / (len(values) - size)
+    between = size * (len(values) - size) / len(values) * (means[0] - means[1]) ** 2
+    best = int(np.argmax(between))
+    if between[best] < _TWO_POINTS * np.sum((values - values.mean()) ** 2):
+        return None
+    result = np.zeros(len(values), bool)
+    result[order[behind[:, best]]] = True
+    return result if 2 * result.sum() <= len(values) else ~result
 
 
 def _on_board(plain: _Linearised) -> Array:

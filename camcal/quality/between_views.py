@@ -75,16 +75,17 @@ def _drift_words(drift: Change) -> str:
 def _boards(found: BetweenViews) -> Iterator[Finding]:
     ratio, boards = found.proportions, found.boards
     if _beyond("two_boards", ratio.clear) and ratio.clear >= boards.clear:
-        what, after, clear = f"its proportions by {100 * abs(ratio.share):.2g} %", ratio.images, ratio.clear
+        what, second, clear = f"its proportions by {100 * abs(ratio.share):.2g} %", ratio.images, ratio.clear
     elif _beyond("two_boards", boards.clear, boards.px):
-        what, after, clear = f"its corners by {boards.px:.2g} px RMS", boards.images, boards.clear
+        what, second, clear = f"its corners by {boards.px:.2g} px RMS", boards.images, boards.clear
     else:
         return
-    text = (
-        f"the board changes {_between(found.images, after)}, {what}, as where two boards are mixed: use one board, or "
-        f"{_by_themselves(found.images, after)}"
-    )
-    yield finding("two_boards", text, clear, after)
+    if second == found.images[-len(second) :]:
+        where, remedy = f"changes {_between(found.images, second)}", _by_themselves(found.images, second)
+    else:
+        where, remedy = f"is another in {_names(second)}", f"leave out {_these(second)}"
+    text = f"the board {where}, {what}, as where two boards are mixed: use one board, or {remedy}"
+    yield finding("two_boards", text, clear, second)
 
 
 def _blur(found: BetweenViews) -> Iterator[Finding]:

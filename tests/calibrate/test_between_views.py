@@ -26,8 +26,8 @@ def seen(scene):
     return scene.observe(1, noise_px=NOISE)
 
 
-def compared(scene, views, smooth=True):
-    shape = ShapeOptions(smooth=smooth, offsets=False)
+def compared(scene, views, offsets=False):
+    shape = ShapeOptions(offsets=offsets)
     return calibrate(views, scene.board, Options(scene.camera.model, shape=shape)).between_views
 
 
@@ -39,10 +39,10 @@ def zoomed(scene, views, ratios):
     ]
 
 
-def moved(scene, views, shifts, first):
-    """The views, from the first one on with the corners moved in the image as points (C, 2) m of the board are."""
+def moved(scene, views, shifts, chosen):
+    """The views, chosen ones with the corners moved in the image as points (C, 2) m of the board are."""
     result = list(views)
-    for index in range(first, len(views)):
+    for index in chosen:
         pose, view = scene.poses[index], views[index]
         points = scene.board.points()[view.ids]
         there = scene.camera.project(pose.apply(points + np.pad(shifts[view.ids], ((0, 0), (0, 1))))).pixels
@@ -100,7 +100,7 @@ def test_a_focal_length_that_varies_without_order_is_no_step(scene, seen):
 def test_a_board_of_other_proportions_is_found_where_it_comes_in(scene, seen):
     first = 9
     shifts = 0.004 * scene.board.points()[:, :2] * [1, 0]
-    found = compared(scene, moved(scene, seen, shifts, first))
+    found = compared(scene, moved(scene, seen, shifts, range(first, COUNT)))
     assert found.proportions.clear > CLEAR
     assert found.proportions.images == images(seen, range(first, COUNT))
     assert abs(found.proportions.share) == pytest.approx(0.004, abs=0.001)
@@ -110,12 +110,20 @@ def test_a_board_of_other_proportions_is_found_where_it_comes_in(scene, seen):
 def test_a_board_printed_otherwise_is_found_where_it_comes_in_with_the_distance_of_its_corners(scene, seen):
     first = 5
     shifts = np.random.default_rng(4).normal(0, 0.004, (scene.board.count, 2)) * scene.board.pitch
-    changed = moved(scene, seen, shifts, first)
-    found = compared(scene, changed, smooth=False)
+    changed = moved(scene, seen, shifts, range(first, COUNT))
+    found = compared(scene, changed, offsets=True)
     apart = [np.mean(np.sum((new.pixels - old.pixels) ** 2, axis=1)) for new, old in zip(changed, seen, strict=True)]
     assert found.boards.clear > CLEAR
     assert found.boards.images == images(seen, range(first, COUNT))
     assert found.boards.px == pytest.approx(np.sqrt(np.mean(apart[first:])), rel=0.25)
+
+
+def test_a_board_printed_otherwise_is_found_in_views_of_any_order(scene, seen):
+    shifts = np.random.default_rng(4).normal(0, 0.006, (scene.board.count, 2)) * scene.board.pitch
+    chosen = (1, 2, 6, 9, 11, 14)
+    found = compared(scene, moved(scene, seen, shifts, chosen), offsets=True)
+    assert found.boards.clear > CLEAR
+    assert found.boards.images == images(seen, chosen)
 
 
 def test_fields_of_their_own_in_every_view_are_no_change_between_views(scene, seen):
