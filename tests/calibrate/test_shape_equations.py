@@ -196,6 +196,8 @@ def test_the_deflection_is_from_the_highest_to_the_lowest_point_over_the_plane_t
     tilted = offsets + np.column_stack([0 * drawn, 1e-2 * drawn @ [1.0, -2.0] + 5e-3])
     assert surface(shape, tilted).deflection == pytest.approx(found.deflection, rel=1e-9)
     assert surface(shape, 0 * offsets).offsets is None
+    single = offsets * (np.arange(BOARD.count) == 3)[:, None]  # the others were not seen
+    np.testing.assert_array_equal(surface(shape, single).offsets, single)
     assert found.classes["bow"] == (1e-3, 0.0)
 
 
