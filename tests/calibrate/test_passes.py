@@ -1,6 +1,6 @@
 """One pass of an estimate and the end of all: closed forms of series, costs by hand, steps that overshoot as told."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,8 +9,12 @@ from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
 from camcal.calibrate.estimator import Freedom, Views
+from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem, Observations
+from camcal.calibrate.shape import first_scales
+from camcal.calibrate.variances import Posterior
 from camcal.targets.board import Board
+from camcal.targets.surface import TERMS
 
 VIEWS = 6
 BARE = Freedom(smooth=False, points=False)
@@ -38,7 +42,7 @@ class Points:
     offsets: bool = False
 
 
-def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99):
+def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, effects=(), together=False):
     """The estimate after passes that move the lens by so much each, and in which of them points were free."""
     seen, series = [], iter(moves)
 
@@ -48,10 +52,11 @@ def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99):
 
     monkeypatch.setattr(estimator._Passes, "_pass", one)
     passes = object.__new__(estimator._Passes)
-    passes.freedom, passes.fresh = Freedom(smooth=False, points=points), fresh
-    passes.problem = Points(SimpleNamespace(count=count))
+    passes.freedom, passes.fresh = Freedom(smooth=False, points=points, effects=effects), fresh
+    passes.problem = Points(SimpleNamespace(count=count), together)
     passes.place = SimpleNamespace(state=None, coefficients=None)
-    passes.noise = passes.corners = passes.board = passes.effect_scales = None
+    passes.noise = passes.corners = passes.board = None
+    passes.effect_scales = "their scales"
     return passes.run(brief=brief), seen
 
 
@@ -90,7 +95,7 @@ def test_a_brief_estimate_takes_ten_passes_and_may_be_used_if_it_is_calm(monkeyp
     assert run(monkeypatch, falling(0.5), brief=True)[0].passes == 8
 
 
-def together(seen):
+def first_together(seen):
     return [offsets for _, offsets in seen].index(True) if any(offsets for _, offsets in seen) else None
 
 
@@ -106,17 +111,131 @@ def together(seen):
 )
 def test_points_are_solved_for_together_where_turns_hardly_get_on_or_have_settled(monkeypatch, moves, free_from):
     found, seen = run(monkeypatch, moves, points=True)
-    assert together(seen) == free_from
+    assert first_together(seen) == free_from
     assert found.problem.offsets
 
 
 def test_points_of_large_boards_and_of_brief_estimates_are_not_solved_for_together(monkeypatch):
-    assert together(run(monkeypatch, falling(0.5), points=True, count=401)[1]) is None
-    assert together(run(monkeypatch, falling(0.5), points=True, count=400)[1]) == 8
-    assert together(run(monkeypatch, falling(0.5), points=True, brief=True)[1]) is None
-    assert together(run(monkeypatch, falling(0.5))[1]) is None
+    assert first_together(run(monkeypatch, falling(0.5), points=True, count=401)[1]) is None
+    assert first_together(run(monkeypatch, falling(0.5), points=True, count=400)[1]) == 8
+    assert first_together(run(monkeypatch, falling(0.5), points=True, brief=True)[1]) is None
+    assert first_together(run(monkeypatch, falling(0.5))[1]) is None
     # nor do they make a brief estimate any shorter
-    assert together(run(monkeypatch, falling(0.9), points=True, brief=True)[1]) == 3
+    assert first_together(run(monkeypatch, falling(0.9), points=True, brief=True)[1]) == 3
+
+
+def test_points_that_are_together_from_the_start_take_no_further_passes(monkeypatch):
+    assert run(monkeypatch, falling(0.5), points=True, together=True)[0].passes == 8
+
+
+def test_scales_of_effects_are_told_where_there_are_effects(monkeypatch):
+    assert run(monkeypatch, falling(0.5))[0].effect_scales is None
+    assert run(monkeypatch, falling(0.5), effects=("flex",))[0].effect_scales == "their scales"
+
+
+def test_estimates_are_brief_if_asked_for(monkeypatch):
+    monkeypatch.setattr(estimator._Passes, "__init__", lambda self, *start: None)
+    monkeypatch.setattr(estimator._Passes, "run", lambda self, *, brief: brief)
+    assert estimator.estimate(None, None, None, BARE) is False
+    assert estimator.estimate(None, None, None, BARE, brief=True) is True
+
+
+# A pass
+
+
+def parts(monkeypatch, freedom=BARE, *, first=False, together=False):
+    """The passes after one of which the parts only tell that they were asked for, and these parts."""
+    told = []
+    passes = passes_of(scene_of(13, 5), freedom)
+    passes.problem = replace(passes.problem, offsets=together)
+    left = Posterior(np.eye(4), np.full(VIEWS, 7.0))
+    for name, result in (("_judge", None), ("_move_points", 6.0), ("_move", (None, None)), ("_pose_lost_views", None)):
+        monkeypatch.setattr(estimator._Passes, name, lambda self, own=name, end=result, **how: told.append(own) or end)
+    monkeypatch.setattr(estimator, "posterior", lambda factors: left)
+    monkeypatch.setattr(estimator, "board_scales", lambda *what: {"bow": "of the data"})
+    monkeypatch.setattr(estimator, "spent_on_offsets", lambda *what: 12.0)
+    passes._pass(first=first)
+    return passes, told
+
+
+ALL = ["_judge", "_move", "_pose_lost_views"]
+FREE = Freedom(smooth=True, points=True)
+
+
+@pytest.mark.parametrize(
+    ("freedom", "how", "told", "offsets"),
+    [
+        (BARE, {}, ALL, 0.0),
+        (FREE, {}, ["_judge", "_move_points", "_move", "_pose_lost_views"], 6.0),
+        (FREE, {"first": True}, ALL, 0.0),
+        (FREE, {"together": True}, ALL, 12.0),
+    ],
+)
+def test_points_are_solved_for_apart_but_in_the_first_pass_and_where_they_are_together(
+    monkeypatch, freedom, how, told, offsets
+):
+    passes, found = parts(monkeypatch, freedom, **how)
+    assert found == told
+    np.testing.assert_allclose(passes.spent, 7.0 + offsets / VIEWS)  # all views see as many corners
+    assert passes.board["bow"] == "of the data"
+    assert passes.board["cubic"] == first_scales()["cubic"]
+
+
+def test_all_terms_of_the_shape_are_estimated_where_it_is_free():
+    assert passes_of(scene_of(), Freedom(smooth=True, points=False)).problem.terms == TERMS
+    assert passes_of(scene_of()).problem.terms == ()
+
+
+def judged(claimed, share):
+    """Passes that have been judged once, and once more by corners of which one has no image now and all are noisier."""
+    passes = passes_of(scene_of(), claimed=claimed)
+    told = []
+    passes._weigh = told.append
+    passes._judge(first=True)
+    before, passes.share = passes.noise, share
+    weights = passes.problem.observations.weights
+    rng = np.random.default_rng(3)
+    residuals = 0.3 * rng.normal(size=passes.place.derivatives.residuals.shape)
+    valid = np.arange(residuals.shape[1]) != 4
+    derivatives = replace(passes.place.derivatives, residuals=residuals.copy(), valid=valid)
+    residuals[:, 4] = np.nan
+    passes.place = replace(passes.place, derivatives=derivatives)
+    assert not told  # the first pass has no noise yet to weigh by
+    passes._judge(first=False)
+    return passes, before, weights, residuals.reshape(2, *passes.present.shape), told
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_noise_and_weights_go_a_share_of_the_way(share):
+    passes, before, weights, residuals, told = judged(None, share)
+    assert not told
+    distances, present = np.hypot(*residuals), passes.present
+    expected = view_noise(distances, present, weights, passes.spent, before, share)
+    assert expected.sigma > 1.2 * before.sigma
+    assert passes.noise.sigma == pytest.approx(expected.sigma, rel=1e-12)
+    np.testing.assert_allclose(passes.noise.views, expected.views, rtol=1e-12)
+    new = corner_weights(distances, present, expected, passes.spent)
+    mixed = np.where(new > 0, share * new + (1 - share) * weights, 0.0)
+    assert mixed.ravel()[4] == 0.0
+    np.testing.assert_allclose(passes.problem.observations.weights, mixed, rtol=1e-12)
+    assert passes.problem.sigma == passes.noise.sigma
+    np.testing.assert_array_equal(passes.problem.noise, passes.noise.views)
+
+
+def test_corners_whose_images_claim_covariances_are_weighed_by_them():
+    claimed = np.tile(1e-6 * np.eye(2), (VIEWS, 30, 1, 1))
+    passes, _, _, residuals, told = judged(claimed, 1.0)
+    assert len(told) == 1
+    np.testing.assert_array_equal(told[0], residuals)
+    assert passes.problem.term_std is None
+
+
+def test_priors_of_the_board_are_those_of_its_scales():
+    passes = passes_of(scene_of(), FREE)
+    passes.board["bow"] = replace(passes.board["bow"], effective=0.01)
+    passes._judge(first=True)
+    assert passes.problem.term_std[0] == pytest.approx(0.01 * 0.2)
+    assert passes.problem.offset_std is not None
 
 
 # A step
@@ -160,3 +279,32 @@ def test_steps_out_of_the_image_are_a_fifth_as_long_time_after_time(monkeypatch)
 @pytest.mark.parametrize(("promised", "share"), [(0.9e-11, 1.0), (1.1e-11, 0.25)])
 def test_what_rounding_hides_does_not_shorten_a_step(monkeypatch, promised, share):
     assert line_search(monkeypatch, parabola(4.0), promised) == pytest.approx(share, rel=1e-2)  # rounding of the cost
+
+
+def test_effects_go_with_the_step_to_where_they_are_likeliest():
+    passes = passes_of(scene_of(), Freedom(smooth=False, points=False, effects=("smooth", "flex")))
+    sizes = 0.5 * np.random.default_rng(7).normal(size=(VIEWS, 1))
+    observations = passes.problem.observations
+    passes.problem = replace(
+        passes.problem,
+        observations=replace(observations, pixels=observations.pixels + passes.columns.values[:, 3] * sizes),
+    )
+    state = passes.place.state
+    passes.place = replace(passes.place, derivatives=passes.problem.derivatives(state))
+    passes._judge(first=True)
+    started = passes.effect_scales
+    factors, end = passes._move()
+    step, std = factors.solve().groups, passes.effect_scales.std(passes.columns.effect)
+    np.testing.assert_allclose(passes.place.coefficients, std * step[:, 6:], rtol=1e-9)
+    # held towards zero, as what has been bent was noise so far
+    assert np.corrcoef(passes.place.coefficients[:, 3], sizes[:, 0])[0, 1] > 0.9
+    np.testing.assert_allclose(end.translations - state.translations, step[:, :3], rtol=1e-6, atol=1e-12)
+    assert passes.effect_scales.variances[0] > 1.1 * started.variances[0]
+
+
+def test_scales_of_effects_that_are_not_estimated_stay_as_they_are():
+    passes = passes_of(scene_of())
+    passes._judge(first=True)
+    before = passes.effect_scales
+    passes._move()
+    assert passes.effect_scales is before
