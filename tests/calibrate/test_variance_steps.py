@@ -1,6 +1,7 @@
 """The priors of the variances of effects, and when the search for them takes another step."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def test_another_step_is_taken_where_it_promises_a_thousandth_of_a_logarithm():
     end, way = likeliest(model), np.random.default_rng(2).normal(size=COUNT)
     for wanted, taken in ((0.9e-3, False), (1.1e-3, True)):
         size = 1e-2
-        for _ in range(3):  # a promise grows with the square of the distance
+        for _ in range(2):  # a promise grows with the square of the distance
             size *= np.sqrt(wanted / promise(model, moved(end, size * way)))
         start = moved(end, size * way)
         assert promise(model, start) == pytest.approx(wanted, rel=0.02)
@@ -94,6 +95,38 @@ def test_a_step_that_leads_too_far_is_shortened_and_one_that_leads_astray_is_not
         assert unlikeliness(model, found) < unlikeliness(model, start)
         np.testing.assert_allclose(change / change[0], whole / whole[0], rtol=1e-9)
         assert 0.1 < change[0] / whole[0] < 5
+
+
+class Way:
+    """Scales that are a share of a step away from where the search is."""
+
+    def __init__(self, share):
+        self.share = share
+
+    def moved(self, change):
+        return Way(change)
+
+
+def gone(monkeypatch, cost):
+    """The share of a step that one round goes where the unlikeliness along it is a cost of slope -2."""
+    monkeypatch.setattr(
+        variances._Search, "at", lambda self, way: SimpleNamespace(scales=way, unlikeliness=cost(way.share))
+    )
+    monkeypatch.setattr(variances._Search, "step", lambda self, here: (1.0, 1.0))
+    return variances._Search(None, None).best(Way(0.0), 1).scales.share
+
+
+@pytest.mark.parametrize(
+    ("bend", "share"),
+    [(1.0, 1), (0.5, 1), (-1.0, 1), (1.3, 1), (1.36, 1 / 1.36), (4.0, 1 / 4), (6.4, 0.2), (7.0, 1 / 7), (12.0, 1 / 12)],
+)
+def test_a_step_is_as_long_as_the_likelihood_along_it_is_highest(monkeypatch, bend, share):
+    assert gone(monkeypatch, lambda way: -2 * way + bend * way**2) == pytest.approx(share, rel=1e-9)
+
+
+@pytest.mark.parametrize(("within", "share"), [(0.01, 0.008), (0.002, 0.0016), (0.001, 0.0)])
+def test_steps_where_there_is_no_likelihood_are_a_fifth_as_long_five_times_over(monkeypatch, within, share):
+    assert gone(monkeypatch, lambda way: -2 * way if way < within else np.inf) == pytest.approx(share)
 
 
 def test_a_linearisation_is_used_for_four_steps(monkeypatch):
