@@ -63,6 +63,17 @@ def promise(model, start):
     return 0.5 * slope @ np.linalg.solve(information, slope)
 
 
+def test_a_step_promises_half_of_the_slope_along_it_also_where_it_is_cut():
+    model, typical = mixed(), np.full(3, 1e-12)
+    far = EffectScales(typical * np.exp(10.0), np.ones((VIEWS, 3)), typical)  # of effects that are not seen
+    search = variances._Search.of(model.equations(), columns_of(model))
+    for start, cut in ((scales(), False), (far, True)):
+        change, promised = search.step(search.at(start))
+        assert (np.abs(change).max() == 2.0) == cut
+        slope, _ = slope_and_information(model, start)
+        assert promised == pytest.approx(0.5 * slope @ change.ravel(), rel=1e-5)  # differences
+
+
 def test_another_step_is_taken_where_it_promises_a_thousandth_of_a_logarithm():
     model = mixed(seed=3)
     end, way = likeliest(model), np.random.default_rng(2).normal(size=COUNT)
