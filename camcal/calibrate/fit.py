@@ -142,10 +142,11 @@ def _with_effects(start: Estimate, views: Views, effects: tuple[str, ...]) -> Es
 def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array, image_size: tuple[int, int]) -> Fit:
     """Return the solution by estimates, of which those that model effects count as far as these are believed in."""
     plain = estimates[0]
-    if not len(plain.problem.free):
-        return Fit(plain.state, estimates, np.ones(1), turns, plain.posterior.shared, plain.posterior.shared, errors)
+    moved = _displacements(plain, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
+    if not len(moved):  # the lens is held, or holds nowhere, as that of a wrong board may
+        return Fit(plain.state, (plain,), np.ones(1), turns, plain.posterior.shared, plain.posterior.shared, errors)
     left_out = [influence(own) for own in estimates]
-    metric = image_metric(_displacements(plain, image_size))
+    metric = image_metric(moved)
     weights = weights_of(left_out, metric, errors.share)
     state = plain.state
     if len(estimates) > 1:

@@ -7,6 +7,7 @@ import pytest
 from observed import make_scene
 
 from camcal.calibrate import evidence
+from camcal.calibrate import fit as fitting
 from camcal.calibrate.effects import SMOOTH
 from camcal.calibrate.estimator import Freedom, Views, estimate
 from camcal.calibrate.evidence import evidence_of_effects
@@ -83,6 +84,15 @@ def solved(scene, views, shape=None):
     seen, size = Observations.of(views), (1600, 1200)
     plain, turns = fit_plain(scene.camera.model, scene.board, seen, size, held, None, shape)
     return fit(plain, turns, Views(seen.weights > 0), size)
+
+
+def test_a_lens_that_holds_nowhere_is_that_of_the_plain_estimate(monkeypatch):
+    scene = make_scene(count=6)
+    monkeypatch.setattr(fitting, "_displacements", lambda *_: np.zeros((0, 2, len(scene.camera.parameters))))
+    found = solved(scene, bent(scene, scene.observe(1, noise_px=0.1), 0.2))
+    assert found.estimates == (found.plain,)
+    np.testing.assert_array_equal(found.state.parameters, found.plain.state.parameters)
+    np.testing.assert_array_equal(found.covariance, found.plain.posterior.shared)
 
 
 def ways(scene, pose):
