@@ -10,6 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.cameras.directions import direction_displacements, in_hull
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 
@@ -21,8 +22,8 @@ class ProjectionUncertainty:
     """The uncertainty of the projection of directions (points at infinity), at the pixels of a grid over the image.
 
     u, v: coordinates of the columns and rows of the grid, from the centre of the first pixel to that of the last.
-    covariances: (N, 2, 2) px², N = rows · columns, row by row; NaN where the lens is not valid. inside: (N,) pixels in
-    the convex hull of the corners that were seen, None where they are not known.
+    covariances: (N, 2, 2) px², N = rows · columns, row by row; NaN where the lens is not valid or lights no
+    image. inside: (N,) pixels in the convex hull of the corners that were seen, None where they are not known.
     """
 
     u: Array
@@ -71,13 +72,17 @@ class ProjectionUncertainty:
 
 
 def projection_uncertainty(
-    camera: Camera, covariance: Array | None = None, observed: Array | None = None, grid: tuple[int, int] = GRID
+    camera: Camera,
+    covariance: Array | None = None,
+    observed: Array | None = None,
+    grid: tuple[int, int] = GRID,
+    circle: ImageCircle | None = None,
 ) -> ProjectionUncertainty:
     """Return how uncertain the projections of directions are that a camera's covariance (K, K) leaves.
 
     covariance: of the lens parameters, the camera's own if None. observed: pixels (M, 2) of the corners of the
-    calibration. grid: columns and rows. The rotation is the least-squares one over the pixels of the grid where corners
-    were seen, see `direction_displacements`.
+    calibration. grid: columns and rows. circle: the image circle, where there is one. The rotation is the least-squares
+    one over the pixels of the grid where corners were seen, see `direction_displacements`.
     Raises InvalidInput where the covariance is not known.
     """
     covariance = camera.covariance if covariance is None else covariance
@@ -88,6 +93,8 @@ def projection_uncertainty(
     pixels = _pixels(u, v)
     inside = None if observed is None else in_hull(pixels, observed)
     displacements = direction_displacements(camera, pixels, inside)
+    if circle is not None:
+        displacements = np.where(circle.contains(pixels)[:, None, None], displacements, np.nan)
     return ProjectionUncertainty(u, v, displacements @ covariance @ displacements.transpose(0, 2, 1), inside)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import MODELS, model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
@@ -127,6 +128,16 @@ def test_there_is_none_where_the_lens_is_not_valid():
     assert np.array_equal(np.isnan(found.std_rms), outside)
     assert np.array_equal(np.isnan(found.std_worst), outside)
     assert np.isfinite(list(found.figures().values())).all()
+
+
+def test_there_is_none_outside_of_the_image_circle():
+    circle = ImageCircle(SIZE, (640.0, 480.0), 500.0)
+    whole, found = (projection_uncertainty(opencv5(), observed=CORNERS, circle=own) for own in (None, circle))
+    lit = np.hypot(*(whole.pixels - circle.centre).T) <= 500.0
+    assert 0.3 < lit.mean() < 0.8
+    assert np.array_equal(np.isfinite(found.std_rms), lit)
+    np.testing.assert_allclose(found.covariances[lit], whole.covariances[lit], rtol=1e-12)
+    assert found.figures()["rms_px"] < whole.figures()["rms_px"]
 
 
 def test_a_camera_without_a_covariance_is_refused():

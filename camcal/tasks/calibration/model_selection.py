@@ -89,15 +89,15 @@ def _without_fold(
             calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
         except _FAILURES:
             continue
-        if not folds_inside(calibration.camera, circle).folds and _known_everywhere(calibration):
+        if not folds_inside(calibration.camera, circle).folds and _known_everywhere(calibration, circle):
             remark = f"{own.name} is used: {taken} predicts as well, but is not invertible in the whole image"
             return Selection(calibration, selection.contenders, (remark,))
     return replace(selection, remarks=_words(selection))
 
 
-def _known_everywhere(calibration: Calibration) -> bool:
-    """Return whether the projection uncertainty is small in the whole image."""
-    figures = projection_uncertainty(calibration.camera, observed=calibration.pixels).figures()
+def _known_everywhere(calibration: Calibration, circle: ImageCircle | None) -> bool:
+    """Return whether the projection uncertainty is small in the whole image, or image circle."""
+    figures = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle).figures()
     return figures["worst_px"] <= _KNOWN * float(np.hypot(*calibration.camera.image_size))
 
 
