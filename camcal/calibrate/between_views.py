@@ -70,7 +70,7 @@ class Blur:
 class BetweenViews:
     """The clearest of each kind of change, which may well be chance: the verdict decides.
 
-    images: of the views that were compared, in their order. step, drift, outlying, unordered: of the focal length, from
+    images: of all views, in their order. step, drift, outlying, unordered: of the focal length, from
     one view on, steadily, in single views, from view to view. blurred: views that are not as they are by chance.
     """
 
@@ -96,15 +96,23 @@ def between_views(estimates: Sequence[Estimate], present: Array, images: Sequenc
     chosen = np.unique(np.linspace(0, count - 1, min(count, _VIEWS)).astype(np.intp))
     names, present = tuple(images[index] for index in chosen), present[chosen]
     plain, full = _Linearised.of(estimates[0], chosen, present), _Linearised.of(estimates[-1], chosen, present)
-    focal = full.offsets(full.by_focal_length())
+    focal, boards = full.offsets(full.by_focal_length()), _two_boards(plain, names)
+
+    def later(compared: tuple[str, ...]) -> tuple[str, ...]:
+        """Return all views from a place on; compared: those of them that were compared."""
+        return tuple(images[chosen[len(names) - len(compared)] :])
+
+    step, ratio = _step(focal, names), _proportions(full.offsets(full.by_proportions()), names)
+    if boards.images == names[-len(boards.images) :]:
+        boards = replace(boards, images=later(boards.images))
     return BetweenViews(
-        names,
-        _step(focal, names),
-        _drift(focal, names),
+        tuple(images),
+        replace(step, images=later(step.images)),
+        replace(_drift(focal, names), images=tuple(images)),
         _outlying(focal, names),
         Change(*focal.unordered()),
-        _proportions(full.offsets(full.by_proportions()), names),
-        _two_boards(plain, names),
+        replace(ratio, images=later(ratio.images)),
+        boards,
         _blurred(full, names),
     )
 

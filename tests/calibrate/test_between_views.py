@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from observed import make_scene
 
+from camcal.calibrate import between_views
 from camcal.calibrate.between_views import BetweenViews
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
@@ -153,6 +154,16 @@ def test_a_view_that_is_noisier_in_all_directions_is_not_blurred(scene, seen):
     noisier = views[4].pixels + np.random.default_rng(7).normal(0, 0.5, (len(views[4].ids), 2))
     views[4] = replace(views[4], pixels=noisier)
     assert compared(scene, views).blurred == ()
+
+
+def test_of_many_views_some_are_compared_and_all_after_a_change_are_named(scene, seen, monkeypatch):
+    monkeypatch.setattr(between_views, "_VIEWS", 9)
+    ratios = np.where(np.arange(COUNT) < 7, 0, 0.01)
+    found = compared(scene, zoomed(scene, seen, ratios))
+    assert found.images == images(seen, range(COUNT))
+    assert found.step.clear > CLEAR
+    assert abs(len(found.step.images) - (COUNT - 7)) <= 2
+    assert found.step.images == found.images[-len(found.step.images) :]
 
 
 def test_of_few_views_nothing_is_said(scene, seen):
