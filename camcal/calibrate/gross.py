@@ -21,13 +21,22 @@ _NAMED = 5  # images
 _TWO_CAMERAS = 2.0
 
 
+# The median corner's distance from a smooth map of its view, in squares: real boards, seen by any lens, stay below
+# 0.04; corners numbered for another board are off by more than one.
+_ROUGH, _DEGREE, _FEW = 0.3, 3, 16  # of the polynomial; corners of a view
+
+
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square."""
+    """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square.
+    roughness: how far corners are from a smooth map of the board to the image in their view, in squares, NaN if no view
+    has enough of them.
+    """
 
     distances: Array
     sides: Array
     present: Array
+    roughness: float = np.nan
 
     @property
     def gross(self) -> Array:
@@ -56,7 +65,25 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array
     axes = problem.board.pitch * problem.derivatives(state).by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
-    return Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
+    return Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present, _roughness(problem, present))
+
+
+def _roughness(problem: BoardProblem, present: Array) -> float:
+    """Return the median over views of how far corners are from a polynomial map of degree 3, in squares: no lens
+    matters here, only whether corners that are neighbours on the board are so in the image.
+    """
+    points, seen = problem.board.points()[:, :2] / problem.board.pitch, problem.observations
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    found = []
+    for view in np.flatnonzero(present.sum(axis=1) >= _FEW):
+        places, pixels = points[seen.ids[view, present[view]]], seen.pixels[:, view, present[view]].T
+        x, y = ((places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1.0)).T
+        terms = np.stack([x**i * y**j for i, j in powers], axis=1)
+        left = pixels - terms @ np.linalg.lstsq(terms, pixels, rcond=None)[0]
+        affine = np.column_stack([places, np.ones(len(places))])
+        axes = np.linalg.lstsq(affine, pixels, rcond=None)[0][:2]
+        found.append(np.median(np.hypot(*left.T)) / np.sqrt(max(abs(np.linalg.det(axes)), 1e-12)))
+    return float(np.median(found)) if found else np.nan
 
 
 def require_one_camera(cameras: TwoCameras | None, how: str = "the views do not fit together") -> None:
@@ -89,6 +116,16 @@ def require_fit(
         raise InsufficientData(
             f"{how}: {int(wrong.sum())} of {len(wrong)} views do not fit the others (ids in another order, another "
             f"board or another camera): leave out {', '.join(names)}{more}"
+        )
+    if found.median_px <= found.median_limit_px:
+        raise InsufficientData(
+            f"{how}: most corners fit, so board and lens model do; corners of many views are wrong: look at them with "
+            "camcal detect --draw, use sharper images, or let them be rejected with --max-rejected"
+        )
+    if found.roughness <= _ROUGH:
+        raise InsufficientData(
+            f"{how}: corners are in the order of the board, so the lens model ({model}) is wrong, or images are "
+            "blurred: try another --model (kannala_brandt4 for wide lenses), or none, and use sharper images"
         )
     raise InsufficientData(
         f"{how}: the board is not the one that --board describes, several cameras are mixed, or the lens model "

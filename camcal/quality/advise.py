@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import folds_inside
@@ -15,7 +17,9 @@ from camcal.quality.criteria import CRITERIA, Finding, finding
 from camcal.targets.boards.types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
-_FEW_FOR_SCATTER = 6  # views
+# Views: a standard deviation from the scatter of fewer is not well known itself, and counts by the half width of its
+# interval of this probability under Student's distribution, over that under the normal one.
+_FEW_FOR_SCATTER, _INTERVAL = 10, 0.95
 _MOSTLY, _NAMED = 0.5, 5  # of a view's corners; images
 
 
@@ -84,7 +88,7 @@ def _cameras(calibration: Calibration) -> Iterator[Finding]:
         return
     code = "several_cameras_by_name" if found.by_name else "several_cameras"
     if found.ratio > _limit(code) and found.other_px > CRITERIA[code].floor_px:
-        yield finding(code, f"the views are of {found.words}", found.ratio)
+        yield finding(code, f"the views are of {found.words}", found.ratio, found.groups[1])
 
 
 def _lens_model(calibration: Calibration) -> Iterator[Finding]:
@@ -103,10 +107,19 @@ def _lens_model(calibration: Calibration) -> Iterator[Finding]:
 def _focal_length(calibration: Calibration) -> Iterator[Finding]:
     camera = calibration.camera
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
-    code = "focal_length_few_views" if len(calibration.used) < _FEW_FOR_SCATTER else "focal_length"
+    count, code, why = len(calibration.used), "focal_length", ""
+    if count < _FEW_FOR_SCATTER:
+        share, code, why = share * _few_views_factor(count), "focal_length_few_views", f" by {count} views"
     if share > _limit(code):
-        text = f"the focal length is known to {100 * share:.1f} % only: add views tilted by 20° to 45° about both axes"
+        known = f"the focal length is known to {100 * share:.1f} % only{why}"
+        text = f"{known}: add views tilted by 20° to 45° about both axes"
         yield finding(code, text, share)
+
+
+def _few_views_factor(count: int) -> float:
+    """Return by how much wider an interval is where the standard deviation is from so many views."""
+    quantile = (1 + _INTERVAL) / 2
+    return float(student.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
 
 
 def _views(calibration: Calibration) -> Iterator[Finding]:

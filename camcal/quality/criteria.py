@@ -51,8 +51,9 @@ _ALL = (
         True,
         0.007,
         "focal length",
-        "the same with fewer than 6 views, whose scatter is not well known",
-        _SETS,
+        "the same with fewer than 10 views, times the factor by which Student's distribution widens the interval of "
+        "95 %",
+        "705 subsets of 3 to 7 views of 24 real sets: of 592 trusted ones 2.2 % are off by more than 1 %",
     ),
     Criterion(
         "several_cameras",

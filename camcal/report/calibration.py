@@ -144,6 +144,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "held_by_prior": list(calibration.held_by_prior),
         "noise_std": _noise_std(calibration),
         "within_views": _within_views(calibration),
+        "two_cameras": _two_cameras(calibration),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
         "floor_px": calibration.floor_px,
@@ -195,6 +196,11 @@ def _within_views(calibration: Calibration) -> dict[str, Any]:
     return {"share": errors.share} | {
         name: None if sizes is None else {"median": sizes[0], "max": sizes[1]} for name, sizes in named.items()
     }
+
+
+def _two_cameras(calibration: Calibration) -> dict[str, Any] | None:
+    found = calibration.two_cameras
+    return None if found is None else dict(vars(found))
 
 
 def _four_digits(values: Array) -> list[list[float]]:

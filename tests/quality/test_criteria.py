@@ -34,6 +34,8 @@ FOCAL = 1200.0
 VIEWS = 20
 CORNERS = VIEWS * BOARD.count
 RINGS = 8  # of radial_trend
+# Half widths of 95 % intervals by 2, 4 and 8 degrees of freedom over that of a normal distribution (tables of t).
+STUDENT_OF_3, STUDENT_OF_5, STUDENT_OF_9 = 4.3027 / 1.9600, 2.7764 / 1.9600, 2.3060 / 1.9600
 
 
 @pytest.fixture(scope="module")
@@ -219,24 +221,31 @@ EXAMPLES = (
     ),
     Example(
         "focal_length",
-        lambda good, share: known_to(with_views(good, 6), "fy", share),
+        lambda good, share: known_to(with_views(good, 10), "fy", share),
         0.0095,
         0.011,
         r"known to 1\.1 % only: add views",
     ),
     Example(
         "focal_length_few_views",
-        lambda good, share: known_to(with_views(good, 5), "fy", share),
+        lambda good, share: known_to(with_views(good, 5), "fy", share / STUDENT_OF_5),
         0.0066,
         0.0078,
-        r"known to 0\.8 % only: add views tilted by 20° to 45°",
+        r"known to 0\.8 % only by 5 views: add views tilted by 20° to 45°",
     ),
     Example(
         "focal_length_few_views",
-        lambda good, views: known_to(with_views(good, int(views)), "fx", 0.0078),
-        6,
-        5,
-        r"known to 0\.8 % only",
+        lambda good, share: known_to(with_views(good, 3), "fx", share / STUDENT_OF_3),
+        0.0066,
+        0.0078,
+        r"known to 0\.8 % only by 3 views: add views",
+    ),
+    Example(
+        "focal_length_few_views",
+        lambda good, views: known_to(with_views(good, int(views)), "fx", 0.0078 / STUDENT_OF_9),
+        10,
+        9,
+        r"known to 0\.8 % only by 9 views",
         value=0.0078,
     ),
     Example(

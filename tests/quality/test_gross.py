@@ -215,3 +215,55 @@ def test_views_with_shuffled_ids_are_named_by_the_calibration(seen):
 def test_corners_numbered_for_another_board_are_refused(seen):
     with pytest.raises(InsufficientData, match=r"the board is not the one that --board describes.*check columns, rows"):
         calibrated(seen, BOARD.transposed())
+
+
+def rough_by(roughness, distances):
+    return replace(found(distances), roughness=roughness)
+
+
+@pytest.mark.parametrize(("roughness", "words"), [(0.28, "the lens model"), (0.32, "the board"), (np.nan, "the board")])
+def test_the_lens_model_is_in_doubt_where_corners_are_in_the_order_of_the_board(roughness, words):
+    far_off = np.full((VIEWS, POINTS), 20.0)
+    with pytest.raises(InsufficientData, match=f"{words}.* is (wrong, or images are blurred|not the one)"):
+        require_fit(rough_by(roughness, far_off), IMAGES, MOST, "opencv5")
+
+
+def test_detections_are_in_doubt_where_most_corners_fit():
+    message = refusal(wrong_in(*[10] * VIEWS))
+    assert "100 of 500 corners (20 %, limit 10 %)" in message
+    assert message.endswith(
+        "most corners fit, so board and lens model do; corners of many views are wrong: look at them with camcal "
+        "detect --draw, use sharper images, or let them be rejected with --max-rejected"
+    )
+
+
+def test_how_smooth_views_are_says_whether_corners_are_numbered_for_the_board(seen):
+    def roughness(board):
+        problem, state = seen_by([upright(0.5)] * len(seen))
+        problem = replace(problem, board=board, observations=Observations.of(seen))
+        present = problem.observations.weights > 0
+        return misfit(
+            problem, replace(state, offsets=np.zeros((board.count, 3))), np.zeros((2, *present.shape)), present
+        )
+
+    assert roughness(BOARD).roughness < 0.01  # of noise of 0.1 px, and what a cubic leaves of a perspective
+    assert roughness(BOARD.transposed()).roughness > 1
+    assert roughness(replace(BOARD, columns=10)).roughness > 1
+
+
+def test_a_wide_lens_that_is_called_a_pinhole_is_refused_for_its_model():
+    wide = Camera(model_named("kannala_brandt4"), (1600, 1200), np.array([520.0, 520, 799, 599, 0.02, -0.01, 0.004, 0]))
+    rng = np.random.default_rng(1)
+    views_of_it = observe(wide, BOARD, views(wide, BOARD, 12, rng=rng), rng=rng, noise_px=0.1)[0].views
+    with pytest.raises(
+        InsufficientData, match=r"lens model \(pinhole\) is wrong.*try another --model \(kannala_brandt4"
+    ):
+        calibrated(views_of_it)
+
+
+def test_a_refusal_says_what_to_do():
+    """Every one of them has an imperative."""
+    wrong = np.full((VIEWS, POINTS), 20.0)
+    for fit in (found(wrong), rough_by(0.01, wrong), found(wrong_in(50, 0, 50)), found(wrong_in(*[10] * VIEWS))):
+        with pytest.raises(InsufficientData, match=r": (.*\b(check|try|leave out|look at)\b)"):
+            require_fit(fit, IMAGES, MOST, "opencv5")

@@ -30,6 +30,7 @@ from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, Selection, select
+from camcal.tasks.calibration.name_groups import name_groups
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
 from camcal.tasks.calibration.second_look import renumbered, second_look
 from camcal.tasks.calibration.video_frames import BEST_FRAMES, FrameOptions, FrameRecord
@@ -119,6 +120,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         mixed_sizes=options.mixed_sizes,
     )
     looks_again = _looks_again(options, seen)
+    how = replace(how, named_groups=name_groups([view.image for view in seen.detections.views]))
     seen = seen if seen.table else replace(seen, detections=with_circle(seen.detections, seen.films, options.reading))
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
@@ -134,7 +136,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
             detections.write(options.save_detections, seen.detections)
     channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
     advice = advise(calibration, folds_inside(calibration.camera, circle).corner_px)
-    uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels)
+    uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
     file = camera_file(calibration, uncertainty, advice, options, channels, circle)
     native.write(options.output, file)
     return CalibrateReport(
@@ -190,13 +192,16 @@ def _refined(
     }
     better = replace(seen, detections=replace(seen.detections, views=look.views), colours=colours)
     progress.start("solving again", None)
-    again = _attempt(better, replace(how, model=calibration.camera.model))
-    progress.finish()
-    if again is None:
-        return seen, calibration, "a second look at the corners led to no calibration; the first one stands"
-    found = f"{look.recovered} corners more, {look.lost} fewer"
-    noise = f"noise {calibration.sigma_px:.3f} px, then {again.sigma_px:.3f} px"
-    return better, again, f"a second look with the calibrated lens: {found}; {noise}"
+    try:
+        again = intrinsics.calibrate(better.detections.views, seen.board, replace(how, model=calibration.camera.model))
+    except (InvalidInput, InsufficientData, NotConverged) as error:
+        words = f"Corner refinement with the calibrated lens is left out (--no-refine): {error.message}"
+        return seen, calibration, words
+    finally:
+        progress.finish()
+    found = f"{look.recovered} added, {look.lost} removed"
+    noise = f"noise {calibration.sigma_px:.3f} px before, {again.sigma_px:.3f} px after"
+    return better, again, f"Corner refinement with the calibrated lens: {found}; {noise}"
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) -> Channel:
@@ -212,13 +217,6 @@ def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool, circle: Imag
     if choose:
         return select(seen.detections.views, seen.board, how, circle)
     return Selection(intrinsics.calibrate(seen.detections.views, seen.board, how))
-
-
-def _attempt(seen: BoardViews, how: intrinsics.Options) -> Calibration | None:
-    try:
-        return intrinsics.calibrate(seen.detections.views, seen.board, how)
-    except (InvalidInput, InsufficientData, NotConverged):
-        return None
 
 
 def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
