@@ -59,7 +59,7 @@ def _focal_length(calibration: Calibration) -> Iterator[Finding]:
 
 def _step_words(found: BetweenViews, step: Change) -> str:
     return (
-        f"changes by {100 * step.share:+.2g} % {_between(found.images, step.images)}: lock focus and zoom and take all "
+        f"changes by {100 * step.share:+.2g} % {_near(step.images)}: lock focus and zoom and take all "
         f"images again, or {_by_themselves(found.images, step.images)}"
     )
 
@@ -81,7 +81,7 @@ def _boards(found: BetweenViews) -> Iterator[Finding]:
     else:
         return
     if second == found.images[-len(second) :]:
-        where, remedy = f"changes {_between(found.images, second)}", _by_themselves(found.images, second)
+        where, remedy = f"changes {_near(second)}", _by_themselves(found.images, second)
     else:
         where, remedy = f"is another in {_names(second)}", f"leave out {_these(second)}"
     text = f"the board {where}, {what}, as where two boards are mixed: use one board, or {remedy}"
@@ -119,16 +119,13 @@ def _parallel(calibration: Calibration) -> Iterator[Finding]:
         yield finding("tilt", text, spread)
 
 
-def _between(images: Sequence[str], after: Sequence[str]) -> str:
-    """Return where a change is, in words; after: the images from it on."""
-    place = len(images) - len(after)
-    return f"between {images[place - 1]} and {images[place]}" if 0 < place < len(images) else ""
+def _near(after: Sequence[str]) -> str:
+    """Return where a change is, in words: one view more or less is often as likely; after: the images from it on."""
+    return f"near {after[0]}" if after else ""
 
 
 def _by_themselves(images: Sequence[str], after: Sequence[str]) -> str:
-    before = images[: len(images) - len(after)]
-    last = f"up to {before[-1]} " if before else ""
-    return f"calibrate the images {last}({len(before)}) and the later ones ({len(after)}) by themselves"
+    return f"calibrate the images before it ({len(images) - len(after)}) and from it on ({len(after)}) by themselves"
 
 
 def _these(images: Sequence[str]) -> str:

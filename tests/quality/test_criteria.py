@@ -284,8 +284,8 @@ EXAMPLES = (
         lambda good, clear: changing(good, "step", clear, 5.0, 12),
         3.5,
         3.7,
-        r"focal length changes by \+0\.5 % between view0011.png and view0012.png: lock focus and zoom .*, or calibrate "
-        r"the images up to view0011.png \(12\) and the later ones \(8\) by themselves",
+        r"focal length changes by \+0\.5 % near view0012.png: lock focus and zoom and take all images again, or "
+        r"calibrate the images before it \(12\) and from it on \(8\) by themselves",
     ),
     Example(
         "focal_change",
@@ -371,7 +371,7 @@ EXAMPLES = (
         lambda good, clear: changing(good, "step", clear, 5.0, 12),
         2.9,
         3.1,
-        r"it seems that the focal length changes by \+0\.5 % between",
+        r"it seems that the focal length changes by \+0\.5 % near",
     ),
     Example(
         "focal_varies",
@@ -386,8 +386,8 @@ EXAMPLES = (
         lambda good, clear: with_other_board(good, clear, 0.2),
         3.6,
         3.8,
-        r"board changes between view0014.png and view0015.png, its corners by 0\.2 px RMS, .* two boards are mixed: "
-        r"use one board, or calibrate the images up to view0014.png \(15\) and the later ones \(5\) by themselves",
+        r"board changes near view0015.png, its corners by 0\.2 px RMS, .* two boards are mixed: use one board, or "
+        r"calibrate the images before it \(15\) and from it on \(5\) by themselves",
     ),
     Example(
         "two_boards",
@@ -402,7 +402,7 @@ EXAMPLES = (
         with_other_proportions,
         3.6,
         3.8,
-        r"board changes between view0009.png and view0010.png, its proportions by 0\.3 %",
+        r"board changes near view0010.png, its proportions by 0\.3 %",
     ),
     Example(
         "two_boards",
