@@ -317,3 +317,19 @@ def test_units_do_not_matter(iterations, monkeypatch):
     scaled = estimate_noise(1e3 * residuals, 1e6 * claimed, shares, weights, freedom)
     assert scaled.floor_px == pytest.approx(1e3 * found.floor_px, rel=1e-5)
     assert scaled.period_px[2] == pytest.approx(1e3 * found.period_px[2], rel=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1e-5, 1e3])
+def test_units_do_not_matter(factor):
+    residuals, claimed, shares, weights, freedom = sample(count=500)
+    for errors in (claimed, 0 * claimed):
+        plain = estimate_noise(residuals, errors, shares, weights, freedom)
+        found = estimate_noise(factor * residuals, factor**2 * errors, shares, weights, freedom)
+        assert found.floor_px == pytest.approx(factor * plain.floor_px, rel=1e-4)
+        assert found.period_px[2] == pytest.approx(factor * plain.period_px[2], rel=1e-4)
+
+
+def test_a_share_of_the_way_to_another_noise_is_one_of_variances():
+    found = CornerNoise(0.1, {2: 0.2}).towards(CornerNoise(0.3, {2: 0.6}), 0.25)
+    assert found.floor_px**2 == pytest.approx(0.75 * 0.01 + 0.25 * 0.09)
+    assert found.period_px[2] ** 2 == pytest.approx(0.75 * 0.04 + 0.25 * 0.36)
