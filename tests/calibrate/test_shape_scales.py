@@ -140,15 +140,14 @@ def test_without_information_the_scale_is_that_of_the_prior():
     assert found.mean**2 + found.std**2 == pytest.approx(square, rel=0.07)  # of which 5 % lie beyond four deviations
 
 
-def test_units_do_not_matter():
+@pytest.mark.parametrize("unit", [1e3, 1e9])
+def test_units_do_not_matter(unit):
     rng = np.random.default_rng(7)
     information = positive(rng, 4, MEDIAN)
     vector = information @ (2 * MEDIAN * rng.normal(size=4))
-    one, other = (
-        scale_of(information, vector, MEDIAN, SPREAD),
-        scale_of(information / 1e6, vector / 1e3, 1e3 * MEDIAN, SPREAD),
-    )
-    for name, factor in (("effective", 1e3), ("mean", 1e3), ("std", 1e3), ("present", 1.0)):
+    one = scale_of(information, vector, MEDIAN, SPREAD)
+    other = scale_of(information / unit**2, vector / unit, unit * MEDIAN, SPREAD)
+    for name, factor in (("effective", unit), ("mean", unit), ("std", unit), ("present", 1.0)):
         assert getattr(other, name) == pytest.approx(factor * getattr(one, name), rel=1e-9)
 
 
