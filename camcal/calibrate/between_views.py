@@ -13,10 +13,10 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import columns_at
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
-from camcal.calibrate.view_offsets import ViewOffsets
+from camcal.calibrate.view_offsets import ViewOffsets, followed
 from camcal.targets.surface import RATIOS, basis
 
-_VIEWS = 120  # where there are more, so many of them tell all that is asked here
+_VIEWS = 60  # where there are more, so many of them tell all that is asked here
 _LEAST_VIEWS = 5
 _FEWEST = 2  # views before a change, and after it
 _SEVERAL = 0.25  # of the views, at most, are said to have another focal length each
@@ -95,14 +95,16 @@ def between_views(estimates: Sequence[Estimate], present: Array, images: Sequenc
         return BetweenViews(tuple(images))
     chosen = np.unique(np.linspace(0, count - 1, min(count, _VIEWS)).astype(np.intp))
     names, present = tuple(images[index] for index in chosen), present[chosen]
-    plain, full = _Linearised.of(estimates[0], chosen, present), _Linearised.of(estimates[-1], chosen, present)
-    focal, boards = full.offsets(full.by_focal_length()), _two_boards(plain, names)
+    plain = full = _Linearised.of(estimates[0], chosen, present)
+    if len(estimates) > 1:
+        full = _Linearised.of(estimates[-1], chosen, present)
+    (focal, proportions), boards = full.offsets(), _two_boards(plain, names)
 
     def later(compared: tuple[str, ...]) -> tuple[str, ...]:
         """Return all views from a place on; compared: those of them that were compared."""
         return tuple(images[chosen[len(names) - len(compared)] :])
 
-    step, ratio = _step(focal, names), _proportions(full.offsets(full.by_proportions()), names)
+    step, ratio = _step(focal, names), _proportions(proportions, names)
     if boards.images == names[-len(boards.images) :]:
         boards = replace(boards, images=later(boards.images))
     return BetweenViews(
@@ -157,11 +159,13 @@ class _Linearised:
         weights = self.estimate.problem.observations.weights * self.present
         return np.asarray(weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-12))
 
-    def offsets(self, own: Array) -> ViewOffsets:
-        """Return what the views say of parameters of their own; own: (2, k, V, P) derivatives by these, px."""
-        columns = np.concatenate([self.columns, own * self.present], axis=1)
+    def offsets(self) -> tuple[ViewOffsets, ViewOffsets]:
+        """Return what the views say of focal lengths of their own, and of proportions of the board."""
+        own = np.concatenate([self.by_focal_length(), self.by_proportions()], axis=1) * self.present
+        columns = np.concatenate([self.columns, own], axis=1)
         equations = self.estimate.problem.equations(self.estimate.state, self.derivatives, columns)
-        return ViewOffsets.of(equations, POSE, self.std)
+        left = followed(equations, POSE, self.std)
+        return ViewOffsets.of(left, (0,)), ViewOffsets.of(left, (1, 2))
 
     def by_focal_length(self) -> Array:
         """Return the derivatives (2, 1, V, P) by the logarithm of the focal length."""
@@ -201,12 +205,13 @@ def _drift(focal: ViewOffsets, images: tuple[str, ...]) -> Change:
 
 def _outlying(focal: ViewOffsets, images: tuple[str, ...]) -> Change:
     """Return the views that differ most from the others; the change and how clear it is are those of the first."""
-    count, chosen = len(images), np.zeros(0, np.intp)
-    first = found = focal.likeliest(np.eye(count))
-    while len(chosen) == 0 or (found.clear(count) > _FURTHER and len(chosen) < _SEVERAL * count):
-        chosen = np.append(chosen, found.index)
+    count = len(images)
+    first = focal.likeliest(np.eye(count))
+    chosen, found = [first.index], first
+    while found.clear(count) > _FURTHER and len(chosen) < _SEVERAL * count:
         found = focal.likeliest(np.eye(count), np.eye(count)[:, chosen])
-    return Change(float(first.size[0]), first.clear(count), tuple(images[index] for index in np.sort(chosen)))
+        chosen += [found.index] if found.clear(count) > _FURTHER else []
+    return Change(float(first.size[0]), first.clear(count), tuple(images[index] for index in sorted(chosen)))
 
 
 def _proportions(board: ViewOffsets, images: tuple[str, ...]) -> Change:

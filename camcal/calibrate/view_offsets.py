@@ -6,10 +6,12 @@ view to view without order have a variance τ² besides, so a change is looked f
 it best.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import gammaincc, ndtri
 
 from camcal.arrays import Array
 from camcal.calibrate.variances import scaled
@@ -19,6 +21,7 @@ from camcal.solve.triangles import cholesky_solve
 _UNORDERED = np.concatenate([[0.0], np.geomspace(1e-5, 0.03, 25)])  # τ, a share of the parameter
 # Of the log likelihood, what a τ above zero must gain: few cameras change their focal length from view to view.
 _UNUSUAL = 3.0
+_ROUNDING = 1e-12  # of the trace of a normal matrix
 _KNOWN = 1e-6  # of the best known combination of offsets: combinations known less than that say nothing
 
 
@@ -34,8 +37,19 @@ class Found:
         """Return how far the gain is beyond that of the best of so many independent places by chance, in standard
         deviations.
         """
-        chance = chi2.logsf(max(self.gain, 0.0), len(self.size)) + np.log(max(places, 1.0))
-        return float(norm.isf(np.exp(chance) / 2)) if -700 < chance < 0 else 0.0 if chance >= 0 else np.inf
+        chance = places * float(gammaincc(len(self.size) / 2, max(self.gain, 0.0) / 2))
+        return -float(ndtri(chance / 2)) if chance < 1 else 0.0
+
+
+def followed(equations: NormalEquations, pose: int, std: Array) -> NormalEquations:
+    """Return the equations of the views' own parameters, which come last in their groups, when poses and effects of
+    standard deviations (V, m), which come before them, follow these.
+    """
+    first = pose + std.shape[1]
+    own = np.ones((len(std), equations.group_group.shape[-1] - first))
+    prepared = scaled(equations, np.column_stack([std, own]))
+    np.einsum("vii->vi", prepared.group_group)[:, first:] -= 1.0  # they have no prior
+    return prepared.without_first(first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,74 +63,73 @@ class ViewOffsets:
     information: Array
 
     @classmethod
-    def of(cls, equations: NormalEquations, pose: int, std: Array) -> "ViewOffsets":
-        """Return the offsets by equations whose groups have pose, effects of standard deviations (V, m), and the k
-        parameters of the view itself, in this order.
+    def of(cls, equations: NormalEquations, own: Sequence[int]) -> "ViewOffsets":
+        """Return the offsets of some of the parameters of the views, by equations whose groups are these, as `followed`
+        returns them.
         """
-        count, effects = std.shape
-        first = pose + effects
-        size = equations.group_group.shape[-1] - first
-        prepared = scaled(equations, np.column_stack([std, np.ones((count, size))]))
-        np.einsum("vii->vi", prepared.group_group)[:, first:] -= 1.0  # offsets have no prior
-        left = prepared.without_first(first)
-        matrix, views = np.zeros((count, size, count, size)), np.arange(count)
-        matrix[views, :, views] = left.group_group
-        matrix, values = matrix.reshape(count * size, -1), -left.gradient.groups.ravel()
-        coupling = left.group_shared.reshape(count * size, -1)
-        if coupling.shape[1]:
-            unit = np.sqrt(np.diag(left.shared_shared))
-            root = np.linalg.cholesky(left.shared_shared / np.outer(unit, unit)) * unit[:, None]
-            follow = coupling @ cholesky_solve(root, np.column_stack([coupling.T, left.gradient.shared]))
+        count, chosen = len(equations.group_group), np.asarray(own)
+        blocks, views = np.zeros((count, len(own), count, len(own))), np.arange(count)
+        blocks[views, :, views] = equations.group_group[:, chosen[:, None], chosen]
+        matrix = blocks.reshape(count * len(own), -1)
+        values, coupling = -equations.gradient.groups[:, chosen].ravel(), equations.group_shared[:, chosen]
+        if coupling.shape[2]:
+            coupling = coupling.reshape(len(values), -1)
+            unit = np.sqrt(np.diag(equations.shared_shared))
+            root = np.linalg.cholesky(equations.shared_shared / np.outer(unit, unit)) * unit[:, None]
+            follow = coupling @ cholesky_solve(root, np.column_stack([coupling.T, equations.gradient.shared]))
             matrix, values = matrix - follow[:, :-1], values + follow[:, -1]
         information, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
         known = information > _KNOWN * information[-1]
         information, vectors = information[known], vectors[:, known]
         mixing = np.sqrt(information)[:, None] * vectors.T
-        return cls(vectors.T @ values / np.sqrt(information), mixing.reshape(-1, count, size), information)
+        return cls(vectors.T @ values / np.sqrt(information), mixing.reshape(-1, count, len(own)), information)
 
     def likeliest(self, changes: Array, others: Array | None = None) -> Found:
         """Return the likeliest of changes (V, n) of the offsets, each tried by itself; others: (V, j) changes that are
         there whichever it is.
         """
-        tried = np.einsum("rvk,vn->rnk", self.mixing, changes)
-        best, result, likelihoods = -np.inf, Found(0, np.zeros(tried.shape[2]), 0.0), self._likelihoods(others)
-        for tau, before in zip(_UNORDERED, likelihoods, strict=True):
-            rest, columns = self._left_over(tau, others, self.values[:, None], tried.reshape(len(tried), -1))
-            columns = columns.reshape(tried.shape).transpose(1, 2, 0)
-            scores, information = columns @ rest[:, 0], columns @ columns.transpose(0, 2, 1)
-            traces = np.trace(information, axis1=1, axis2=2)
-            sure = traces > _KNOWN * traces.max(initial=0.0)
-            information[~sure] = 0.0
-            information += (_KNOWN * traces.max(initial=0.0) + 1e-300) * np.eye(tried.shape[2])
-            sizes = np.linalg.solve(information, scores[..., None])[..., 0]
-            gains = np.where(sure, np.sum(scores * sizes, axis=1), 0.0)
-            index = int(np.argmax(gains))
-            if before + gains[index] / 2 > best:
-                best = before + gains[index] / 2
-                result = Found(index, sizes[index], float(2 * (best - likelihoods.max())))
-        return result
+        size, count = self.mixing.shape[2], changes.shape[1]
+        columns = np.einsum("rvk,vn->rnk", self.mixing, changes)
+        without = self._likelihoods
+        if others is not None:
+            common = np.einsum("rvk,vn->rnk", self.mixing, others).reshape(len(columns), 1, -1)
+            without = without + self._gains(common)[0][:, 0] / 2
+            columns = np.concatenate([columns, np.repeat(common, count, axis=1)], axis=2)
+        gains, sizes = self._gains(columns)
+        likelihoods = self._likelihoods[:, None] + gains / 2
+        tau, index = np.unravel_index(int(np.argmax(likelihoods)), likelihoods.shape)
+        gain = 2 * (likelihoods[tau, index] - without.max())
+        return Found(int(index), sizes[tau, index, :size], float(gain))
 
     def unordered(self) -> tuple[float, float]:
         """Return τ and how clear it is, in standard deviations."""
-        likelihoods = self._likelihoods(None) + _UNUSUAL * (_UNORDERED > 0)
+        likelihoods = self._likelihoods + _UNUSUAL * (_UNORDERED > 0)
         best = int(np.argmax(likelihoods))
         return float(_UNORDERED[best]), float(np.sqrt(2 * (likelihoods[best] - likelihoods[0])))
 
-    def _likelihoods(self, others: Array | None) -> Array:
-        """Return the log likelihoods of all τ, up to a constant."""
-        result = []
-        for tau in _UNORDERED:
-            rest = self._left_over(tau, others, self.values[:, None])[0]
-            spread = 0.5 * np.sum(np.log1p(tau**2 * self.information))
-            result.append(-spread - 0.5 * np.sum(rest**2) - _UNUSUAL * (tau > 0))
-        return np.array(result)
+    @cached_property
+    def _weights(self) -> Array:
+        """The weights (T, R) of the combinations under all τ."""
+        return np.asarray(1 / (1 + _UNORDERED[:, None] ** 2 * self.information))
 
-    def _left_over(self, tau: float, others: Array | None, *columns: Array) -> list[Array]:
-        """Return columns (R, n) in standard deviations under τ, without what other changes explain of them."""
-        root = np.sqrt(1 + tau**2 * self.information)[:, None]
-        result = [values / root for values in columns]
-        if others is not None:
-            taken = np.einsum("rvk,vn->rnk", self.mixing, others).reshape(len(root), -1)
-            basis = np.linalg.qr(taken / root)[0]
-            result = [values - basis @ (basis.T @ values) for values in result]
-        return result
+    @cached_property
+    def _likelihoods(self) -> Array:
+        """The log likelihoods (T,) of all τ without a change, up to a constant."""
+        squares = np.log(self._weights).sum(axis=1) - self._weights @ self.values**2
+        return np.asarray(0.5 * squares - _UNUSUAL * (_UNORDERED > 0))
+
+    def _gains(self, columns: Array) -> tuple[Array, Array]:
+        """Return by how much each of n sets of m columns (R, n, m) lowers the squares under all τ (T, n), and how large
+        the columns are then (T, n, m).
+        """
+        combinations, count, size = columns.shape
+        products = (columns[..., :, None] * columns[..., None, :]).reshape(combinations, -1)
+        information = (self._weights @ products).reshape(-1, count, size, size)
+        scores = (self._weights @ (columns.reshape(combinations, -1) * self.values[:, None])).reshape(-1, count, size)
+        traces = np.trace(information, axis1=2, axis2=3)
+        least = _KNOWN * traces.max(axis=1, initial=0.0)[:, None] + 1e-300
+        sure = traces > least
+        diagonal = np.einsum("tnmm->tnm", information)
+        diagonal += np.where(sure, _ROUNDING * traces, 1.0)[..., None]
+        sizes = np.where(sure[..., None], np.linalg.solve(information, scores[..., None])[..., 0], 0.0)
+        return np.sum(scores * sizes, axis=2), sizes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from camcal.calibrate.view_offsets import Found, ViewOffsets
+from camcal.calibrate.view_offsets import Found, ViewOffsets, followed
 from camcal.solve.assembly import assemble
 from camcal.solve.steps import Block, Jacobian
 
@@ -30,7 +30,8 @@ def offsets(group, lens, std, residuals, noise=1.0):
         rows_per_group=ROWS,
         weights=np.full(rows, noise**-2),
     )
-    return ViewOffsets.of(assemble([block], LENS, VIEWS, group.shape[-1]), POSE, std)
+    left = followed(assemble([block], LENS, VIEWS, group.shape[-1]), POSE, std)
+    return ViewOffsets.of(left, range(group.shape[-1] - POSE - EFFECTS))
 
 
 def dense(group, lens, std, residuals):
