@@ -76,7 +76,9 @@ def fit_colour(calibration: Calibration, detections: Sequence[Detection]) -> Col
     measured = len(problem.pixels)
     problem, solution = _simplest(*_settled(problem), calibration.sigma_px)
     if not solution.converged:
-        raise NotConverged(f"the lens of a colour did not settle ({solution.reason})")
+        raise NotConverged(
+            f"the lens of a colour did not settle ({solution.reason}): add views, or leave out --channels"
+        )
     kept = problem.weights > 0
     freedom = 2 * int(kept.sum()) - problem.shared
     sigma = float(np.sqrt(np.sum(problem.distances(solution.state)[kept] ** 2) / freedom / truncation()))
@@ -166,7 +168,10 @@ class _LensProblem:
         problem = cls(camera.model, points[seen], pixels[seen], free, camera.parameters, spread, weights)
         needed = _CORNERS_A_PARAMETER * len(free)
         if len(weights) < needed:
-            raise InsufficientData(f"only {len(weights)} corners of a colour are clear; {needed} at least are needed")
+            raise InsufficientData(
+                f"only {len(weights)} corners of a colour are clear; {needed} at least are needed: add sharp views, or "
+                "leave out --channels"
+            )
         return problem
 
     @property
@@ -211,7 +216,10 @@ class _LensProblem:
         try:
             result[np.ix_(self.free, self.free)] = solution.factors().shared_covariance() / self.sigma**2
         except SingularError as error:
-            raise InsufficientData("the corners of a colour leave parameters of its lens undetermined") from error
+            raise InsufficientData(
+                "the corners of a colour leave parameters of its lens undetermined: add views with the board in the "
+                "corners of the image, or leave out --channels"
+            ) from error
         return result
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import TwoCameras
 from camcal.errors import InsufficientData
@@ -107,7 +108,7 @@ def require_fit(
         f"{100 * _GROSS_SHARE:g} % of a square and {_GROSS_PX:g} px"
     )
     if np.isfinite(found.median_px):
-        how += f", the median by {found.median_px:.2g} px (limit {found.median_limit_px:.2g} px)"
+        how += f", the median by {px_words(found.median_px)} (limit {px_words(found.median_limit_px)})"
     require_one_camera(cameras, how)
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
     if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.noise import FINEST
@@ -63,8 +64,8 @@ class TwoCameras:
         focal = " and ".join(f"{value:.0f}" for value in self.focal_px)
         return (
             f"two cameras, or one whose zoom or focus was changed: {larger} and {smaller} have lenses of their own, fx "
-            f"{focal} px; with the lens of the former, corners of the latter are off by {self.other_px:.2g} px "
-            f"(median), with their own by {self.own_px:.2g} px: calibrate each group by itself"
+            f"{focal} px; with the lens of the former, corners of the latter are off by {px_words(self.other_px)} "
+            f"(median), with their own by {px_words(self.own_px)}: calibrate each group by itself"
         )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.fit import Fit
 from camcal.calibrate.noise import median_limit
 from camcal.geometry.pose import Pose
@@ -88,9 +89,11 @@ def view_records(
 
 def _misfit_words(median_px: float, limit_px: float) -> str:
     how = (
-        f"median reprojection error {median_px:.2g} px" if np.isfinite(median_px) else "beyond the lens model's domain"
+        f"median reprojection error {px_words(median_px)}"
+        if np.isfinite(median_px)
+        else "beyond the lens model's domain"
     )
-    return f"does not fit the other views: {how} (limit {limit_px:.2g} px)"
+    return f"does not fit the other views: {how} (limit {px_words(limit_px)})"
 
 
 def rejected_corners(
