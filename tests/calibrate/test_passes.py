@@ -191,9 +191,13 @@ def judged(claimed, share):
     passes = passes_of(scene_of(), claimed=claimed)
     told = []
     passes._weigh = told.append
-    passes._judge(first=True)
     before, passes.share = passes.noise, share
+    passes._judge(first=True)
     weights = passes.problem.observations.weights
+    assert passes.noise is before  # by medians, as good as it gets without weights
+    first = corner_weights(np.hypot(*passes._residuals(passes.place)), passes.present, before, passes.spent)
+    np.testing.assert_allclose(weights, first, rtol=1e-12)
+    assert weights.min() < 0.99
     rng = np.random.default_rng(3)
     residuals = 0.3 * rng.normal(size=passes.place.derivatives.residuals.shape)
     valid = np.arange(residuals.shape[1]) != 4
