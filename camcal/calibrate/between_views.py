@@ -98,7 +98,11 @@ def between_views(estimates: Sequence[Estimate], present: Array, images: Sequenc
     plain = full = _Linearised.of(estimates[0], chosen, present)
     if len(estimates) > 1:
         full = _Linearised.of(estimates[-1], chosen, present)
-    (focal, proportions), boards = full.offsets(), _two_boards(plain, names)
+    boards = _two_boards(plain, names)
+    try:
+        focal, proportions = full.offsets()
+    except np.linalg.LinAlgError:  # these views do not determine lens and poses, as those of a wrong board may not
+        return BetweenViews(tuple(images))
 
     def later(compared: tuple[str, ...]) -> tuple[str, ...]:
         """Return all views from a place on; compared: those of them that were compared."""

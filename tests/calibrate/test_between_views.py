@@ -166,5 +166,21 @@ def test_of_many_views_some_are_compared_and_all_after_a_change_are_named(scene,
     assert found.step.images == found.images[-len(found.step.images) :]
 
 
+def test_of_views_that_determine_nothing_nothing_is_said(scene, seen, monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(between_views.ViewOffsets, "of", fails)
+    assert compared(scene, seen) == BetweenViews(images(seen, range(COUNT)))
+
+
+def test_a_step_is_found_under_a_lens_that_is_held(scene, seen):
+    views = zoomed(scene, seen, np.where(np.arange(COUNT) < 8, 0, 0.005))
+    options = Options(scene.camera.model, scene.camera.model.parameter_names, scene.camera, ShapeOptions(offsets=False))
+    step = calibrate(views, scene.board, options).between_views.step
+    assert step.clear > CLEAR
+    assert step.share == pytest.approx(0.005, abs=0.001)
+
+
 def test_of_few_views_nothing_is_said(scene, seen):
     assert compared(scene, seen[:4]) == BetweenViews(images(seen, range(4)))
