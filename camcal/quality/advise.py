@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf
+from functools import partial
 
 import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
 from camcal.calibrate.intrinsics import Calibration
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.validity import folds_inside
 from camcal.quality.between_views import between_views
 from camcal.quality.coverage import coverage, radial_trend
@@ -42,38 +43,39 @@ class Advice:
         return not self.reasons
 
 
-def advise(calibration: Calibration, reach_px: float = inf) -> Advice:
+def advise(calibration: Calibration, circle: ImageCircle | None = None) -> Advice:
     """Return what a careful engineer would say of a calibration on seeing its numbers.
 
-    reach_px: how far from the principal point the lens forms an image, where that is less than to the image's corner.
+    circle: the image circle, where there is one: what the lens does in the black corners does not matter.
     """
     parts = (
+        partial(_fold, circle=circle),
         _cameras,
         _lens_model,
         _focal_length,
         _views,
-        _coverage,
+        partial(_coverage, circle=circle),
         _noise,
         _within_views,
         between_views,
         _plausible,
         _board,
     )
-    findings = (found for part in parts for found in part(calibration))
-    return Advice((*_fold(calibration, reach_px), *findings))
+    return Advice(tuple(found for part in parts for found in part(calibration)))
 
 
 def _limit(code: str) -> float:
     return CRITERIA[code].limit
 
 
-def _fold(calibration: Calibration, reach_px: float) -> Iterator[Finding]:
-    fold = folds_inside(calibration.camera)
-    if not fold.folds or fold.radius_px >= _limit("partly_invertible") * min(fold.corner_px, reach_px):
+def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Finding]:
+    fold = folds_inside(calibration.camera, circle)
+    if not fold.folds or fold.radius_px >= _limit("partly_invertible") * fold.corner_px:
         return
     centre = [calibration.camera.value("cx"), calibration.camera.value("cy")]
     outermost = float(np.linalg.norm(calibration.pixels - centre, axis=1).max())
-    where = f"beyond {fold.radius_px:.0f} px from the centre; the image corner is at {fold.corner_px:.0f} px"
+    end = "image corner" if circle is None else "end of the image circle"
+    where = f"beyond {fold.radius_px:.0f} px from the centre; the {end} is at {fold.corner_px:.0f} px"
     if fold.radius_px < _limit("not_invertible") * outermost:
         text = f"distortion is not invertible {where}: use fewer coefficients or cover the corners"
         yield finding("not_invertible", text, fold.radius_px / outermost)
@@ -129,12 +131,13 @@ def _views(calibration: Calibration) -> Iterator[Finding]:
         yield finding("few_views", text, len(views))
 
 
-def _coverage(calibration: Calibration) -> Iterator[Finding]:
-    seen = coverage(calibration)
+def _coverage(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Finding]:
+    seen = coverage(calibration, circle)
+    whole, edges = ("diagonal", "in the corners") if circle is None else ("circle", "at the edge of the circle")
     if seen.reach < _limit("extrapolated"):
         text = (
-            f"no corners beyond {100 * seen.reach:.0f} % of the image diagonal: distortion is extrapolated there; add "
-            "views with the board in the corners of the image"
+            f"no corners beyond {100 * seen.reach:.0f} % of the image {whole}: distortion is extrapolated there; add "
+            f"views with the board {edges} of the image"
         )
         yield finding("extrapolated", text, seen.reach)
     elif seen.cells < _limit("coverage"):

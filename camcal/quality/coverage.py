@@ -7,6 +7,7 @@ from scipy.stats import chi2
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
+from camcal.cameras.image_circle import ImageCircle
 
 _CELLS = (10, 8)
 _RINGS = 8
@@ -15,7 +16,7 @@ _RINGS = 8
 @dataclass(frozen=True)
 class Coverage:
     """cells: share of a 10 × 8 grid of the image with a corner in it. reach: largest distance of a corner from the
-    principal point over that of the farthest image corner.
+    principal point over that of the farthest image corner. Both of what the image circle shows, where there is one.
     """
 
     cells: float
@@ -33,15 +34,19 @@ class Trend:
     chance: float
 
 
-def coverage(calibration: Calibration) -> Coverage:
-    """Return how much of the image the kept corners cover."""
+def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Coverage:
+    """Return how much of the image, or of its image circle, the kept corners cover."""
     width, height = calibration.camera.image_size
     pixels = calibration.pixels
-    column = np.clip((pixels[:, 0] + 0.5) / width * _CELLS[0], 0, _CELLS[0] - 1).astype(int)
-    row = np.clip((pixels[:, 1] + 0.5) / height * _CELLS[1], 0, _CELLS[1] - 1).astype(int)
-    cells = len(set(zip(column.tolist(), row.tolist(), strict=True))) / (_CELLS[0] * _CELLS[1])
+    cell = np.array([width, height]) / _CELLS
+    places = np.clip((pixels + 0.5) // cell, 0, np.array(_CELLS) - 1).astype(int)
+    middles = (np.stack(np.meshgrid(*map(np.arange, _CELLS), indexing="ij"), axis=-1) + 0.5) * cell - 0.5
+    shown = np.ones(_CELLS, bool) if circle is None else circle.contains(middles)
+    shown[places[:, 0], places[:, 1]] = True
+    cells = len(np.unique(places, axis=0)) / np.count_nonzero(shown)
     corners = np.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     centre = _centre(calibration)
+    corners = corners if circle is None else circle.clipped(centre, corners)
     farthest = np.linalg.norm(corners - centre, axis=1).max()
     return Coverage(cells, float(np.linalg.norm(pixels - centre, axis=1).max() / farthest))
 

@@ -16,6 +16,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, Options, RejectedCorner, calibrate
 from camcal.calibrate.several_cameras import TwoCameras
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -483,8 +484,8 @@ EXAMPLES = (
 )
 
 
-def by_code(calibration):
-    return {found.code: found for found in advise(calibration).findings}
+def by_code(calibration, circle=None):
+    return {found.code: found for found in advise(calibration, circle).findings}
 
 
 def test_of_a_good_calibration_nothing_is_said(good):
@@ -557,6 +558,15 @@ def test_a_lens_that_folds_beyond_all_corners_is_masked_there_and_not_refused(go
     found = by_code(folding(reaching(good, 800), 900))
     assert "partly_invertible" in found
     assert "not_invertible" not in found
+
+
+def test_what_a_lens_does_outside_of_its_image_circle_does_not_matter(good):
+    folding_there, circle = folding(reaching(good, 600), 700), ImageCircle(SIZE, (799.5, 599.5), 650.0)
+    assert {"partly_invertible", "extrapolated"} <= by_code(folding_there).keys()
+    assert not {"partly_invertible", "extrapolated", "coverage"} & by_code(folding_there, circle).keys()
+    near = by_code(folding(reaching(good, 300), 500), circle)
+    assert "the end of the image circle is at 650 px" in near["partly_invertible"].text
+    assert "no corners beyond 46 % of the image circle" in near["extrapolated"].text
 
 
 def test_corners_that_reach_little_are_said_to_leave_out_what_is_outside_not_to_cover_little(good):

@@ -15,7 +15,6 @@ from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.image_circle import ImageCircle
-from camcal.cameras.validity import folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict
@@ -135,7 +134,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         if options.save_detections:
             detections.write(options.save_detections, seen.detections)
     channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
-    advice = advise(calibration, folds_inside(calibration.camera, circle).corner_px)
+    advice = advise(calibration, circle)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
     file = camera_file(calibration, uncertainty, advice, options, channels, circle)
     native.write(options.output, file)
