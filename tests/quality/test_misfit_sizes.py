@@ -1,0 +1,111 @@
+"""How large squares are in views, and how far corners are from a smooth map: against maps that are known."""
+
+import numpy as np
+import pytest
+
+from camcal.calibrate.gross import Misfit, misfit
+from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.cameras.catalogue import model_named
+from camcal.geometry import rotation as so3
+from camcal.targets.board import Board
+
+BOARD = Board("chessboard", 9, 6, 0.040)
+PLACES = BOARD.points()[:, :2] / 0.040  # in squares
+
+
+def seen(count, pixels=None):
+    """Problem, state and present corners of a board that is seen askew from near by, in views one as the other."""
+    turn = so3.exp(np.array([0.3, 0.9, 0.1]))
+    state = State(
+        np.array([1000.0, 1000.0, 800.0, 600.0]),
+        np.tile(turn, (count, 1, 1)),
+        np.tile([-0.1, -0.1, 0.4], (count, 1)),
+        np.zeros(0),
+        np.zeros((BOARD.count, 3)),
+    )
+    pixels = np.zeros((2, count, BOARD.count)) if pixels is None else pixels
+    table = Observations(np.tile(np.arange(BOARD.count), (count, 1)), pixels, np.ones((count, BOARD.count)))
+    present = np.ones((count, BOARD.count), bool)
+    return BoardProblem(model_named("pinhole"), BOARD, table, np.arange(4)), state, present
+
+
+def test_the_side_of_a_square_is_the_root_of_the_median_area_in_the_view():
+    problem, state, present = seen(1)
+    present[0, ::5] = False
+    turn, shift = state.rotations[0], state.translations[0]
+
+    def image(points):
+        places = points @ turn.T + shift
+        return 1000 * places[:, :2] / places[:, 2:]
+
+    drawn, length = BOARD.points(), 1e-6
+    ways = [(image(drawn + way) - image(drawn - way)) / (2 * length) * 0.040 for way in length * np.eye(3)[:2]]
+    areas = np.abs(ways[0][:, 0] * ways[1][:, 1] - ways[0][:, 1] * ways[1][:, 0])
+    found = misfit(problem, state, np.zeros((2, *present.shape)), present)
+    assert found.sides[0] == pytest.approx(np.sqrt(np.median(areas[present[0]])), rel=1e-6)
+    assert np.ptp(np.sqrt(areas)) > 0.3 * found.sides[0]
+
+
+def test_the_limit_of_the_median_is_that_of_the_square_of_the_median_corner():
+    present = np.ones((3, 10), bool)
+    present[0, 1:] = present[1, 8:] = False
+    found = Misfit(np.zeros((3, 10)), np.array([900.0, 100.0, 60.0]), present)
+    assert found.median_limit_px == pytest.approx(1.2)  # of 1, 8 and 10 corners the median is in the third view
+
+
+def test_the_median_of_every_view_is_that_of_its_own_corners():
+    distances = np.array([[1.0, 2.0, 9.0, 100.0], [3.0, 4.0, 5.0, 90.0]])
+    present = np.array([[True, True, True, False], [True] * 4])
+    np.testing.assert_allclose(Misfit(distances, np.ones(2), present).medians, [2.0, 4.5])
+
+
+def roughness(pixels, present=None):
+    """The roughness of views (V, P, 2) of the board."""
+    problem, state, every = seen(len(pixels), np.moveaxis(pixels, 2, 0))
+    return misfit(problem, state, np.zeros((2, *every.shape)), every if present is None else present).roughness
+
+
+def powers(degree):
+    x, y = PLACES.T
+    return np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+
+
+def mapped(rng, degree=3):
+    """Pixels of a random polynomial map of which every power moves corners by up to some 50 px."""
+    terms = powers(degree)
+    return (terms / terms.max(axis=0)) @ rng.normal(size=(terms.shape[1], 2)) * 50
+
+
+def test_polynomials_of_the_third_degree_are_smooth_and_no_others():
+    rng = np.random.default_rng(1)
+    affine = PLACES @ np.array([[60.0, 5.0], [-8.0, 70.0]]) + 300
+    assert roughness((affine + mapped(rng))[None]) < 1e-9
+    for power in ((4, 0), (0, 4), (2, 2), (3, 1)):
+        bent = affine + 20 * (PLACES[:, :1] / 8) ** power[0] * (PLACES[:, 1:] / 5) ** power[1]
+        assert roughness(bent[None]) > 1e-4
+
+
+def test_roughness_is_the_median_of_what_is_left_in_squares_of_the_median_view():
+    rng = np.random.default_rng(2)
+    axes = np.array([[40.0, 10.0], [-30.0, 50.0]])  # squares of 2300 px²
+    sizes, lengths = np.array([3.0, 1.0, 9.0]), []
+    views = PLACES @ axes + 200 + sizes[:, None, None] * rng.normal(size=(3, BOARD.count, 2))
+    for view in views:
+        left = view - powers(3) @ np.linalg.lstsq(powers(3), view, rcond=None)[0]
+        plane = np.linalg.lstsq(powers(1), view, rcond=None)[0]  # of 1, y and x
+        lengths.append(np.median(np.hypot(*left.T)) / np.sqrt(abs(np.linalg.det(plane[1:]))))
+    assert roughness(views) == pytest.approx(lengths[0], rel=1e-9)
+    assert lengths[0] == pytest.approx(3 * np.sqrt(2 * np.log(2)) * np.sqrt(44 / 54) / np.sqrt(2300), rel=0.15)
+
+
+def test_views_of_fewer_than_sixteen_corners_tell_no_roughness():
+    rng = np.random.default_rng(3)
+    views = np.tile(PLACES * 50, (2, 1, 1))
+    views[1] += 5 * rng.normal(size=(BOARD.count, 2))
+    present = np.ones((2, BOARD.count), bool)
+    present[0, 15:] = False
+    assert roughness(views, present) > 0.05
+    present[0, 15] = True
+    assert roughness(views, present) == pytest.approx(roughness(views[1:]) / 2, rel=1e-6)  # the mean of both
+    present[:, 15:] = False
+    assert np.isnan(roughness(views, present))
