@@ -208,6 +208,8 @@ def remedy(given: Set, seed: int, said: str) -> tuple[str, Sequence[Set]]:
     images = re.findall(r"\w+/view\d+\.png|\w+/\d+\.png", said)
     if "calibrate each group by itself" in said:
         groups = name_groups([view.image for view in given.views])
+        if not groups:  # views of one camera: what is named is wrong
+            return "each group", []
         first = tuple(view for view in given.views if view.image in groups[0])
         rest = tuple(view for view in given.views if view.image not in groups[0])
         cameras = {view.image[0]: camera for view, camera in zip(given.views, given.cameras, strict=True)}
@@ -236,7 +238,7 @@ def followed(given: Set, first: Outcome, seed: int) -> tuple[list[str], list[Out
     """Return what was advised in turn, and what came of it in the end; several sets where groups were told apart."""
     steps, waiting, ends = [], [(given, first)], []
     for _ in range(ROUNDS):
-        following = []
+        following: list[tuple[Set, Outcome]] = []
         for own, result in waiting:
             word, sets = remedy(own, seed, result.said)
             steps.append(word)
@@ -246,7 +248,7 @@ def followed(given: Set, first: Outcome, seed: int) -> tuple[list[str], list[Out
         waiting = following
         if not waiting:
             break
-    return steps, ends + [end for _, end in waiting]
+    return steps, ends + [end for _, end in waiting] if ends or waiting else [first]
 
 
 def close(end: Outcome) -> bool:

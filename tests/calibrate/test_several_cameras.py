@@ -133,6 +133,22 @@ def test_the_bend_of_a_board_and_views_numbered_from_its_other_end_are_no_second
     assert found is None or found.ratio < CLEAR_BY_NAME
 
 
+def test_a_wrong_lens_model_is_no_second_camera():
+    """Any two groups of views have two lenses then, of which neither describes its views."""
+    wide = make_scene("kannala_brandt4", count=18, seed=1)
+    views = wide.observe(1, noise_px=0.1)
+    for model in ("opencv4", "opencv5"):
+        with pytest.raises(InsufficientData, match=rf"the lens model \({model}\) is wrong"):
+            calibrate(views, wide.board, Options(model_named(model), shape=FLAT))
+
+
+@pytest.mark.parametrize(("limit", "told"), [(0.8, False), (1.8, True)])
+def test_lenses_whose_residuals_are_smooth_over_the_board_are_not_believed(monkeypatch, limit, told):
+    """Noise alone leaves a ratio of 1, on one side of the limit; wrong models are the test above on the other."""
+    monkeypatch.setattr(several_cameras, "_SMOOTH", limit)
+    assert (found_in(mixed(12, 5, 1250.0)).two_cameras is not None) == told
+
+
 def test_two_views_are_no_group():
     assert found_in(mixed(12, 2, 1400.0)).two_cameras is None
     assert found_in(mixed(3, 2, 1400.0)[:5]).two_cameras is None
