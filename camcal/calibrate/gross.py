@@ -1,14 +1,14 @@
 """Corners that are wrong, not merely noisy: where a calibration must be refused, and what is likely to be wrong."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.calibrate.several_cameras import TwoCameras
+from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
 from camcal.errors import InsufficientData
 
 # A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the median corner
@@ -27,12 +27,15 @@ _ROUGH, _DEGREE, _FEW = 0.3, 3, 16  # of the polynomial; corners of a view
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square."""
+    """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square.
+    roughness: see `roughness`, where the median is too large; smoothness: of residuals, see `smoothness`, likewise.
+    """
 
-    problem: BoardProblem
     distances: Array
     sides: Array
     present: Array
+    roughness: float = np.nan
+    smoothness: float = np.nan
 
     @property
     def gross(self) -> Array:
@@ -55,31 +58,35 @@ class Misfit:
         """What the median may be, by the size of the squares in the images."""
         return max(_MEDIAN_PX, _MEDIAN_SHARE * float(np.median(np.repeat(self.sides, self.present.sum(axis=1)))))
 
-    def roughness(self) -> float:
-        """Return how far corners are from a polynomial map of degree 3, in squares: the median over views, NaN if none
-        has enough corners. No lens matters here, only whether neighbours on the board are neighbours in the image.
-        """
-        points, seen = self.problem.board.points()[:, :2] / self.problem.board.pitch, self.problem.observations
-        powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-        found = []
-        for view in np.flatnonzero(self.present.sum(axis=1) >= _FEW):
-            shown = self.present[view]
-            places, pixels = points[seen.ids[view, shown]], seen.pixels[:, view, shown].T
-            x, y = ((places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1.0)).T
-            terms = np.stack([x**i * y**j for i, j in powers], axis=1)
-            left = pixels - terms @ np.linalg.lstsq(terms, pixels, rcond=None)[0]
-            affine = np.column_stack([places, np.ones(len(places))])
-            axes = np.linalg.lstsq(affine, pixels, rcond=None)[0][:2]
-            found.append(np.median(np.hypot(*left.T)) / np.sqrt(max(abs(np.linalg.det(axes)), 1e-12)))
-        return float(np.median(found)) if found else np.nan
-
 
 def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array) -> Misfit:
     """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image."""
     axes = problem.board.pitch * problem.derivatives(state).by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
-    return Misfit(problem, distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
+    found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
+    if found.median_px > found.median_limit_px:
+        smooth = smoothness(problem, state, present.astype(float))
+        return replace(found, roughness=roughness(problem, present), smoothness=smooth)
+    return found
+
+
+def roughness(problem: BoardProblem, present: Array) -> float:
+    """Return how far corners are from a polynomial map of degree 3, in squares: the median over views, NaN if none has
+    enough corners. No lens matters here, only whether neighbours on the board are neighbours in the image.
+    """
+    points, seen = problem.board.points()[:, :2] / problem.board.pitch, problem.observations
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    found = []
+    for view in np.flatnonzero(present.sum(axis=1) >= _FEW):
+        places, pixels = points[seen.ids[view, present[view]]], seen.pixels[:, view, present[view]].T
+        x, y = ((places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1.0)).T
+        terms = np.stack([x**i * y**j for i, j in powers], axis=1)
+        left = pixels - terms @ np.linalg.lstsq(terms, pixels, rcond=None)[0]
+        affine = np.column_stack([places, np.ones(len(places))])
+        axes = np.linalg.lstsq(affine, pixels, rcond=None)[0][:2]
+        found.append(np.median(np.hypot(*left.T)) / np.sqrt(max(abs(np.linalg.det(axes)), 1e-12)))
+    return float(np.median(found)) if found else np.nan
 
 
 def require_one_camera(cameras: TwoCameras | None, how: str = "the views do not fit together") -> None:
@@ -118,9 +125,20 @@ def require_fit(
             f"{how}: most corners fit, so board and lens model do; corners of many views are wrong: look at them with "
             "camcal detect --draw, use sharper images, or let them be rejected with --max-rejected"
         )
-    if found.roughness() <= _ROUGH:
+    order = "corners are in the order of the board"
+    if found.roughness <= _ROUGH and found.smoothness > SMOOTH:
         raise InsufficientData(
-            f"{how}: corners are in the order of the board, so the lens model ({model}) is wrong, or images are "
+            f"{how}: {order} and errors are smooth over it, so the lens model ({model}) is wrong: try another --model "
+            "(kannala_brandt4 for wide lenses), or none"
+        )
+    if found.roughness <= _ROUGH and found.smoothness > 0:
+        raise InsufficientData(
+            f"{how}: {order} and errors are random, as in blurred images: use sharper images, and look at the corners "
+            "with camcal detect --draw"
+        )
+    if found.roughness <= _ROUGH:
+        raise InsufficientData(
+            f"{how}: {order}, so the lens model ({model}) is wrong, or images are "
             "blurred: try another --model (kannala_brandt4 for wide lenses), or none, and use sharper images"
         )
     raise InsufficientData(

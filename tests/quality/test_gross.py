@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.gross import Misfit, misfit, require_fit
+from camcal.calibrate.gross import Misfit, misfit, require_fit, roughness
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
@@ -217,15 +217,15 @@ def test_corners_numbered_for_another_board_are_refused(seen):
         calibrated(seen, BOARD.transposed())
 
 
-def rough_by(roughness, distances):
-    return replace(found(distances), roughness=roughness)
+def rough_by(value, distances):
+    return replace(found(distances), roughness=value)
 
 
-@pytest.mark.parametrize(("roughness", "words"), [(0.28, "the lens model"), (0.32, "the board"), (np.nan, "the board")])
-def test_the_lens_model_is_in_doubt_where_corners_are_in_the_order_of_the_board(roughness, words):
+@pytest.mark.parametrize(("value", "words"), [(0.28, "the lens model"), (0.32, "the board"), (np.nan, "the board")])
+def test_the_lens_model_is_in_doubt_where_corners_are_in_the_order_of_the_board(value, words):
     far_off = np.full((VIEWS, POINTS), 20.0)
     with pytest.raises(InsufficientData, match=f"{words}.* is (wrong, or images are blurred|not the one)"):
-        require_fit(rough_by(roughness, far_off), IMAGES, MOST, "opencv5")
+        require_fit(rough_by(value, far_off), IMAGES, MOST, "opencv5")
 
 
 def test_detections_are_in_doubt_where_most_corners_fit():
@@ -238,17 +238,22 @@ def test_detections_are_in_doubt_where_most_corners_fit():
 
 
 def test_how_smooth_views_are_says_whether_corners_are_numbered_for_the_board(seen):
-    def roughness(board):
-        problem, state = seen_by([upright(0.5)] * len(seen))
+    def rough_on(board):
+        problem, _ = seen_by([upright(0.5)] * len(seen))
         problem = replace(problem, board=board, observations=Observations.of(seen))
-        present = problem.observations.weights > 0
-        return misfit(
-            problem, replace(state, offsets=np.zeros((board.count, 3))), np.zeros((2, *present.shape)), present
-        )
+        return roughness(problem, problem.observations.weights > 0)
 
-    assert roughness(BOARD).roughness < 0.01  # of noise of 0.1 px, and what a cubic leaves of a perspective
-    assert roughness(BOARD.transposed()).roughness > 1
-    assert roughness(replace(BOARD, columns=10)).roughness > 1
+    assert rough_on(BOARD) < 0.01  # of noise of 0.1 px, and what a cubic leaves of a perspective
+    assert rough_on(BOARD.transposed()) > 1
+    assert rough_on(replace(BOARD, columns=10)) > 1
+
+
+def test_how_smooth_views_are_is_asked_where_the_median_is_too_large():
+    problem, state = seen_by([upright(0.5)] * 3)
+    present = problem.observations.weights > 0
+    near, far = (misfit(problem, state, np.full((2, *present.shape), px), present) for px in (0.1, 20.0))
+    assert np.isnan(near.roughness)
+    assert far.roughness == roughness(problem, present)
 
 
 def test_a_wide_lens_that_is_called_a_pinhole_is_refused_for_its_model():

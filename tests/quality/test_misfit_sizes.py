@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.calibrate.gross import Misfit, misfit
+from camcal.calibrate.gross import Misfit, misfit, roughness
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
@@ -59,10 +59,10 @@ def test_the_median_of_every_view_is_that_of_its_own_corners():
     np.testing.assert_allclose(Misfit(distances, np.ones(2), present).medians, [2.0, 4.5])
 
 
-def roughness(pixels, present=None):
+def rough(pixels, present=None):
     """The roughness of views (V, P, 2) of the board."""
-    problem, state, every = seen(len(pixels), np.moveaxis(pixels, 2, 0))
-    return misfit(problem, state, np.zeros((2, *every.shape)), every if present is None else present).roughness
+    problem, _, every = seen(len(pixels), np.moveaxis(pixels, 2, 0))
+    return roughness(problem, every if present is None else present)
 
 
 def powers(degree):
@@ -79,10 +79,10 @@ def mapped(rng, degree=3):
 def test_polynomials_of_the_third_degree_are_smooth_and_no_others():
     rng = np.random.default_rng(1)
     affine = PLACES @ np.array([[60.0, 5.0], [-8.0, 70.0]]) + 300
-    assert roughness((affine + mapped(rng))[None]) < 1e-9
+    assert rough((affine + mapped(rng))[None]) < 1e-9
     for power in ((4, 0), (0, 4), (2, 2), (3, 1)):
         bent = affine + 20 * (PLACES[:, :1] / 8) ** power[0] * (PLACES[:, 1:] / 5) ** power[1]
-        assert roughness(bent[None]) > 1e-4
+        assert rough(bent[None]) > 1e-4
 
 
 def test_roughness_is_the_median_of_what_is_left_in_squares_of_the_median_view():
@@ -94,7 +94,7 @@ def test_roughness_is_the_median_of_what_is_left_in_squares_of_the_median_view()
         left = view - powers(3) @ np.linalg.lstsq(powers(3), view, rcond=None)[0]
         plane = np.linalg.lstsq(powers(1), view, rcond=None)[0]  # of 1, y and x
         lengths.append(np.median(np.hypot(*left.T)) / np.sqrt(abs(np.linalg.det(plane[1:]))))
-    assert roughness(views) == pytest.approx(lengths[0], rel=1e-9)
+    assert rough(views) == pytest.approx(lengths[0], rel=1e-9)
     assert lengths[0] == pytest.approx(3 * np.sqrt(2 * np.log(2)) * np.sqrt(44 / 54) / np.sqrt(2300), rel=0.15)
 
 
@@ -104,8 +104,8 @@ def test_views_of_fewer_than_sixteen_corners_tell_no_roughness():
     views[1] += 5 * rng.normal(size=(BOARD.count, 2))
     present = np.ones((2, BOARD.count), bool)
     present[0, 15:] = False
-    assert roughness(views, present) > 0.05
+    assert rough(views, present) > 0.05
     present[0, 15] = True
-    assert roughness(views, present) == pytest.approx(roughness(views[1:]) / 2, rel=1e-6)  # the mean of both
+    assert rough(views, present) == pytest.approx(rough(views[1:]) / 2, rel=1e-6)  # the mean of both
     present[:, 15:] = False
-    assert np.isnan(roughness(views, present))
+    assert np.isnan(rough(views, present))
