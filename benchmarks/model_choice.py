@@ -42,6 +42,7 @@ from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, select
 
 COMPARED = ("opencv5", "kannala_brandt4", "kannala_brandt5t", "opencv8")
 PARTS = ("real", "simulated", "jitter")
+KINDS = ("half of 8 views or more", "smaller half", "eight views")
 EIGHT, LEAST_LEFT = 8, 4  # views to choose from, and to predict
 LISTED = 1.1  # larger ratios are listed
 JITTER, JITTERS = 0.001, 8  # px
@@ -93,6 +94,8 @@ def print_real(folder: Path, names: Sequence[str], splits: int, jobs: int) -> No
         if outcome.error is not None:
             raise outcome.error
         found: list[Choice] = outcome.value
+        if not found:
+            continue
         every += found
         ratios, models = [own.ratio for own in found], Counter(own.model or "refused" for own in found)
         flips = len(found) - models.most_common(1)[0][1]
@@ -106,10 +109,11 @@ def print_real(folder: Path, names: Sequence[str], splits: int, jobs: int) -> No
                 print(f"    {own.kind}, refused: {own.failure}")
             elif own.ratio > LISTED:
                 print(f"    {own.kind}, {own.model}: " + ", ".join(f"{n} {e:.3f} px" for n, e in own.errors.items()))
-    for kind in ("half", "eight"):
+    for kind in KINDS:
         ratios = [own.ratio for own in every if own.kind == kind]
         done = [ratio for ratio in ratios if np.isfinite(ratio)]
-        print(f"{kind}: {len(ratios)} choices, mean {np.mean(done):.3f}, worst {np.max(ratios):.3f}")
+        if done:
+            print(f"{kind}: {len(ratios)} choices, mean {np.mean(done):.3f}, worst {np.max(ratios):.3f}")
 
 
 def choices(folder: Path, splits: int, name: str) -> list[Choice]:
@@ -123,9 +127,10 @@ def choices(folder: Path, splits: int, name: str) -> list[Choice]:
         divisions = []
         if len(views) >= 2 * LEAST_LEFT:
             middle = len(views) // 2
-            divisions += [("half", order[:middle], order[middle:]), ("half", order[middle:], order[:middle])]
+            kind = KINDS[0] if middle >= EIGHT else KINDS[1]
+            divisions += [(kind, order[:middle], order[middle:]), (kind, order[middle:], order[:middle])]
         if len(views) >= EIGHT + LEAST_LEFT and len(views) // 2 != EIGHT:
-            divisions.append(("eight", order[:EIGHT], order[EIGHT:]))
+            divisions.append((KINDS[2], order[:EIGHT], order[EIGHT:]))
         for kind, first, rest in divisions:
             parts = [[views[index] for index in np.sort(part)] for part in (first, rest)]
             result.append(choice(kind, board, *parts))
