@@ -33,7 +33,7 @@ _DIRECTIONS = 3  # of the views' scores, along each of which their signs are tri
 _ROUNDS, _SORTINGS = 20, 3
 # RMS residual over what a cubic map of the board leaves of it, under the lens of a group: more is a wrong lens model,
 # to which any two groups seem to have two lenses. Mixtures of similar cameras reach 1.6, wrong models 1.8 to 26.
-_SMOOTH, _DEGREE = 1.8, 3
+SMOOTH, _DEGREE = 1.8, 3
 _LOSS = Cauchy(3.0)
 _POSING = Stopping(relative_decrease=1e-6, iterations=20)
 _SOLVING = Stopping(relative_decrease=1e-6, iterations=30)
@@ -188,12 +188,12 @@ def _compared(
             left_out = quadratics.left_out()
             by_all, by_other = (_costs(each, lens, quadratics.weights) for each in (everything, other))
             ratios.append([_ratio(costs, left_out, quadratics.count) for costs in (by_all, by_other)])
-            smooth.append(_smoothness(lens, quadratics.weights))
+            smooth.append(smoothness(lens.problem, lens.state, quadratics.weights))
             moved[members] = by_other < quadratics.constant
         if not moved.any() or not _large_enough(smaller ^ moved):
             break
         smaller = _smaller(smaller ^ moved)
-    if max(smooth) > _SMOOTH:
+    if max(smooth) > SMOOTH:
         return None
     joint, other_lens = np.array(ratios).T
     own_px, other_px = (
@@ -235,12 +235,11 @@ def _lens_of(
     return _Lens(bare, state)
 
 
-def _smoothness(lens: _Lens, weights: Array) -> float:
+def smoothness(problem: BoardProblem, state: State, weights: Array) -> float:
     """Return the RMS residual of a typical view over what a smooth map of the board leaves of it: near 1 where a lens
-    describes its views, much more where the lens model is wrong.
+    describes its views, much more where the lens model is wrong; 0 where views have too few corners. weights: (V, P).
     """
-    problem = lens.problem
-    points, residuals = problem.board.points()[:, :2] / max(problem.board.extent), problem.residuals(lens.state)
+    points, residuals = problem.board.points()[:, :2] / max(problem.board.extent), problem.residuals(state)
     powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
     found = []
     for view in np.flatnonzero((weights > 0).sum(axis=1) > 2 * len(powers)):

@@ -145,7 +145,7 @@ def test_a_wrong_lens_model_is_no_second_camera():
 @pytest.mark.parametrize(("limit", "told"), [(0.8, False), (1.8, True)])
 def test_lenses_whose_residuals_are_smooth_over_the_board_are_not_believed(monkeypatch, limit, told):
     """Noise alone leaves a ratio of 1, on one side of the limit; wrong models are the test above on the other."""
-    monkeypatch.setattr(several_cameras, "_SMOOTH", limit)
+    monkeypatch.setattr(several_cameras, "SMOOTH", limit)
     assert (found_in(mixed(12, 5, 1250.0)).two_cameras is not None) == told
 
 
