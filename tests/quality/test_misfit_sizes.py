@@ -6,6 +6,7 @@ import pytest
 from camcal.calibrate.gross import Misfit, misfit, roughness
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
+from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 
@@ -95,6 +96,7 @@ def test_roughness_is_the_median_of_what_is_left_in_squares_of_the_median_view()
         plane = np.linalg.lstsq(powers(1), view, rcond=None)[0]  # of 1, y and x
         lengths.append(np.median(np.hypot(*left.T)) / np.sqrt(abs(np.linalg.det(plane[1:]))))
     assert rough(views) == pytest.approx(lengths[0], rel=1e-9)
+    assert roughness(views * [1.0, -1.0]) == pytest.approx(lengths[0], rel=1e-9)  # a board whose y is upwards
     assert lengths[0] == pytest.approx(3 * np.sqrt(2 * np.log(2)) * np.sqrt(44 / 54) / np.sqrt(2300), rel=0.15)
 
 
@@ -109,3 +111,15 @@ def test_views_of_fewer_than_sixteen_corners_tell_no_roughness():
     assert rough(views, present) == pytest.approx(rough(views[1:]) / 2, rel=1e-6)  # the mean of both
     present[:, 15:] = False
     assert np.isnan(rough(views, present))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(0.28, "so the lens model"), (0.32, "the board is not the one"), (np.nan, "the board is not the one")],
+)
+def test_corners_in_the_order_of_the_board_leave_the_board_out_of_doubt(value, words):
+    present = np.ones((4, 20), bool)
+    found = Misfit(np.full((4, 20), 9.0), np.full(4, 50.0), present, value)
+    with pytest.raises(InsufficientData) as refused:
+        require_fit(found, list("abcd"), 0.1, "opencv5")
+    assert words in refused.value.message
