@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.calibrate.gross import Misfit, misfit, roughness
+from camcal.calibrate.gross import Misfit, misfit, require_fit, roughness
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
 from camcal.errors import InsufficientData
@@ -96,7 +96,7 @@ def test_roughness_is_the_median_of_what_is_left_in_squares_of_the_median_view()
         plane = np.linalg.lstsq(powers(1), view, rcond=None)[0]  # of 1, y and x
         lengths.append(np.median(np.hypot(*left.T)) / np.sqrt(abs(np.linalg.det(plane[1:]))))
     assert rough(views) == pytest.approx(lengths[0], rel=1e-9)
-    assert roughness(views * [1.0, -1.0]) == pytest.approx(lengths[0], rel=1e-9)  # a board whose y is upwards
+    assert rough(views * [1.0, -1.0]) == pytest.approx(lengths[0], rel=1e-9)  # a board whose y is upwards
     assert lengths[0] == pytest.approx(3 * np.sqrt(2 * np.log(2)) * np.sqrt(44 / 54) / np.sqrt(2300), rel=0.15)
 
 
