@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=0)
     parser.add_argument("--first", type=int, default=1000, help="seed of the first clean set")
     options = parser.parse_args()
-    for views in options.views:
+    for views in options.views if options.faults else []:
         faults(options.faults, options.seeds, views)
     if options.clean:
         clean(options.clean, options.first)
