@@ -197,6 +197,8 @@ def _kind(message: str) -> str:
         "do not fit the others",
         "board is not",
         "most corners fit",
+        "errors are smooth",
+        "errors are random",
         "no start",
         "settle",
     )
