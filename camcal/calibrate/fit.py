@@ -220,8 +220,8 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
     poses = poses_from_pixels(problem.model, state.parameters, problem.board, few)
     if poses is None:
         raise InsufficientData(
-            "a view has fewer than four corners that the lens model takes: try another --model (kannala_brandt4 for wide "
-            "lenses)"
+            "a view has fewer than four corners that the lens model can describe: try another --model "
+            "(kannala_brandt4 for wide lenses)"
         )
     return replace(state, rotations=poses[0], translations=poses[1])
 
