@@ -19,9 +19,11 @@ from camcal.calibrate.estimator import Estimate
 _DOF = 4.0  # of the Student distribution
 _OUTLIERS, _REACH = 0.01, 20.0  # the share of corners that may be anywhere within so many pixels
 _LEAST_SIGMA, _MOST_SIGMA = 1e-4, 20.0  # px
-# By how much a model must predict better to be preferred to a simpler one: nats a corner, and standard errors of the
-# difference between views.
-GAIN, _ERRORS = 0.10, 1.5
+# By how much a model must predict better: nats a corner, and standard errors of the difference between views. Than the
+# preferred one by much, or less if that is clearer; than a simpler one by little: a lens that is described badly at the
+# edge of the image costs its few corners there no more.
+GAIN = 0.10
+_MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +58,22 @@ def contender(name: str, plain: Estimate, present: Array) -> Contender:
 def chosen(contenders: Sequence[Contender], preferred: str) -> Contender:
     """Return the contender to use; contenders: the simplest first.
 
-    The preferred one stays unless the best predicts better by the margin; else the simplest one that the best does not
-    beat by it.
+    The preferred one stays unless the best predicts much better; else the simplest one that the best does not beat.
     """
     best = max(contenders, key=lambda own: own.score)
     first = next((own for own in contenders if own.name == preferred), None)
-    if first is not None and not _beats(best, first):
+    if first is not None and not _beats(best, first, _MUCH):
         return first
-    return next(own for own in contenders if not _beats(best, own))
+    return next(own for own in contenders if not _beats(best, own, _LITTLE))
 
 
-def _beats(one: Contender, other: Contender) -> bool:
-    """Return whether a contender predicts better than another by the margin."""
+def _beats(one: Contender, other: Contender, margins: Sequence[tuple[float, float]]) -> bool:
+    """Return whether a contender predicts better than another by any of the margins: nats a corner, standard errors."""
     if one.scores is None or other.scores is None:
         return one.scores is not None
     gains = one.scores - other.scores
     error = float(np.std(gains, ddof=1)) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    return bool(gains.sum() > max(GAIN * one.corners, _ERRORS * error))
+    return any(gains.sum() > max(least * one.corners, errors * error) for least, errors in margins)
 
 
 def _left_out(plain: Estimate, present: Array) -> Array:

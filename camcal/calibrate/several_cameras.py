@@ -29,6 +29,7 @@ LEAST_VIEWS = 3  # of a group: fewer do not hold a lens
 # are estimated: 20 of 24 real sets of one camera are below the first, all of 23 mixtures of similar cameras above it.
 # The second holds for groups by file names, which are not chosen to make it large.
 _SUSPICIOUS, _SUSPICIOUS_BY_NAME = 0.4, 0.15
+_SCREENED = 120  # views: where there are more, so many tell whether there are two cameras
 _DIRECTIONS = 3  # of the views' scores, along each of which their signs are tried as groups
 _ROUNDS, _SORTINGS = 20, 3
 # RMS residual over what a cubic map of the board leaves of it, under the lens of a group: more is a wrong lens model,
@@ -92,10 +93,14 @@ def two_cameras(
     """
     if not len(plain.problem.free) or len(images) < 2 * LEAST_VIEWS:
         return None
-    found = view_quadratics(*_bare(plain, present))
-    groups = [np.array([image in group for image in images]) for group in named]
-    by_name = _likeliest(found, [_smaller(group) for group in groups], _SUSPICIOUS_BY_NAME)
-    by_lens = _likeliest(found, [_sorted_apart(found, group) for group in _starts(found)], _SUSPICIOUS)
+    bare, state = _bare(plain, present)
+    if len(images) > _SCREENED:
+        # at random: of every second view, all may be of the same camera
+        some = np.sort(np.random.default_rng(0).permutation(len(images))[:_SCREENED])
+        fewer = replace(bare, observations=bare.observations.take(some))
+        if _suspected(fewer, state.take(some), [images[index] for index in some], named) == (None, None):
+            return None
+    by_name, by_lens = _suspected(bare, state, images, named)
     if by_name is not None and (by_lens is None or (by_name == by_lens).all()):
         by_lens = None
     results = [
@@ -105,6 +110,17 @@ def two_cameras(
     ]
     clearest = (result for result in results if result is not None)
     return max(clearest, key=lambda own: own.ratio * (_PREFERRED if own.by_name else 1.0), default=None)
+
+
+def _suspected(
+    problem: BoardProblem, state: State, images: Sequence[str], named: Sequence[frozenset[str]]
+) -> tuple[Array | None, Array | None]:
+    """Return the groups (V,) that seem to have a lens of their own, by names and by lenses; None where none does."""
+    found = view_quadratics(problem, state)
+    groups = [_smaller(np.array([image in group for image in images])) for group in named]
+    by_name = _likeliest(found, groups, _SUSPICIOUS_BY_NAME)
+    by_lens = _likeliest(found, [_sorted_apart(found, group) for group in _starts(found)], _SUSPICIOUS)
+    return by_name, by_lens
 
 
 def _bare(plain: Estimate, present: Array) -> tuple[BoardProblem, State]:
