@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from corner_error_scenes import BOARDS, Setting, _pose
+from corner_error_scenes import BOARDS, Setting, held_by_hand
 from projection_error import projection_errors
 from real_sets import SETS
 from scipy.spatial import Delaunay
@@ -286,7 +286,7 @@ def simulated(seed: int) -> list[tuple[int, float, str, dict[str, float]]]:
 
 
 def view_of(lens: Lens, board: Board, setting: Setting, seed: int, index: int) -> Detection:
-    rotation, translation = _pose(setting, board, index % 5 in (1, 3), np.random.default_rng([seed, 2, index]))
+    rotation, translation = held_by_hand(setting, board, index % 5 in (1, 3), np.random.default_rng([seed, 2, index]))
     exact = lens.project(board.points() @ rotation.T + translation).pixels
     inside = ((exact >= 2) & (exact <= np.array(SIZE) - 3)).all(axis=1)
     ids = np.flatnonzero(inside)
