@@ -29,7 +29,7 @@ LEAST_VIEWS = 3  # of a group: fewer do not hold a lens
 # are estimated: 20 of 24 real sets of one camera are below the first, all of 23 mixtures of similar cameras above it.
 # The second holds for groups by file names, which are not chosen to make it large.
 _SUSPICIOUS, _SUSPICIOUS_BY_NAME = 0.4, 0.15
-_SCREENED = 120  # views: where there are more, so many tell whether there are two cameras
+_SCREENED = 60  # views: where there are more, so many tell whether there are two cameras
 _DIRECTIONS = 3  # of the views' scores, along each of which their signs are tried as groups
 _ROUNDS, _SORTINGS = 20, 3
 # RMS residual over what a cubic map of the board leaves of it, under the lens of a group: more is a wrong lens model,
