@@ -103,12 +103,7 @@ def posterior(factors: Factors) -> Posterior:
     coupling = inverse.transpose(0, 2, 1) @ factors.reduced[:, POSE:, :dense]
     # what is left open of the effects: the traces of their covariances
     effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling @ shared * coupling, axis=(1, 2))
-    information, root = factors.group_information(), factors.shared_root[:dense]
-    lens = np.sum(information * shared, axis=(1, 2))
-    # where offsets of points follow, they have their own degrees of freedom: those of the rest are its parameters less
-    # what priors hold of them
-    prior = root @ root.T - information.sum(axis=0)
-    lens *= (dense - np.sum(prior * shared)) / max(float(lens.sum()), _NOTHING)
+    lens = np.sum(factors.group_information() * shared, axis=(1, 2))
     return Posterior(shared, POSE + inverse.shape[-1] - effects + lens)
 
 

@@ -18,7 +18,6 @@ from camcal.calibrate.shape import (
     under,
     with_terms,
 )
-from camcal.calibrate.variances import posterior
 from camcal.solve.steps import factorise
 from camcal.targets.board import Board
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, RATIOS, TERMS
@@ -217,18 +216,3 @@ def test_the_deflection_is_known_as_its_slope_and_the_two_points_say():
     np.testing.assert_allclose(found.coefficients_std(), np.sqrt(np.diag(own)), rtol=1e-12)
     points = surface(shape, offsets, root @ root.T, free=True)
     assert points.deflection_std == pytest.approx(np.sqrt(slope @ own @ slope + 2 * 3e-4**2), rel=1e-6)
-
-
-def test_all_degrees_of_freedom_add_up_to_the_parameters_less_what_priors_know(bent):
-    problem, state = bent
-    factors = factors_at(problem, state)
-    precision = np.concatenate(
-        [
-            problem.lens_spread[problem.free] ** -2.0,
-            problem.term_std**-2.0,
-            np.tile(problem.offset_std**-2.0, problem.board.count),
-        ]
-    )
-    expected = 6 * 8 + problem.shared - np.sum(precision * np.diag(factors.shared_covariance()))
-    found = posterior(factors).spent.sum() + spent_on_offsets(problem, factors)
-    assert found == pytest.approx(expected, rel=1e-9)
