@@ -48,11 +48,6 @@ def repeated(views: Sequence[Detection]) -> dict[int, int]:
     return result
 
 
-def px_words(distance: float) -> str:
-    """Return a distance in pixels at two digits or more, never in exponents."""
-    return f"{distance:.0f} px" if distance >= 10 else f"{distance:.2g} px"
-
-
 def require_views(usable: int, total: int, repeats: int) -> None:
     """Raise InsufficientData unless at least MIN_VIEWS views that differ are at hand."""
     if usable < MIN_VIEWS:

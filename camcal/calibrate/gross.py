@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
+from camcal.calibrate.words import names_of, px_words
 from camcal.errors import InsufficientData
 
 # A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the median corner
@@ -16,7 +16,6 @@ from camcal.errors import InsufficientData
 _GROSS_PX, _GROSS_SHARE = 1.0, 0.04
 _MEDIAN_PX, _MEDIAN_SHARE = 0.5, 0.02
 _WRONG_VIEW = 0.5  # of its corners
-_NAMED = 5  # images
 # Corner errors with one lens over those with two, beyond which two cameras are the reason: 2 of the smallest that is
 # told, corners that are wrong by a share of a square are wrong by more.
 _TWO_CAMERAS = 2.0
@@ -114,11 +113,10 @@ def require_fit(
     require_one_camera(cameras, how)
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
     if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():
-        names = [images[index] for index in np.flatnonzero(wrong)[:_NAMED]]
-        more = f" and {int(wrong.sum()) - _NAMED} more" if wrong.sum() > _NAMED else ""
+        names = names_of([images[index] for index in np.flatnonzero(wrong).tolist()])
         raise InsufficientData(
             f"{how}: {int(wrong.sum())} of {len(wrong)} views do not fit the others (ids in another order, another "
-            f"board or another camera): leave out {', '.join(names)}{more}"
+            f"board or another camera): leave out {names}"
         )
     if found.median_px <= found.median_limit_px:
         raise InsufficientData(

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.noise import FINEST
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.calibrate.view_quadratics import ViewQuadratics, view_quadratics
+from camcal.calibrate.words import names_of, px_words
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
@@ -64,18 +64,13 @@ class TwoCameras:
     @property
     def words(self) -> str:
         """What was found and what to do."""
-        larger, smaller = (f"{len(images)} views ({_listed(images)})" for images in self.groups)
+        larger, smaller = (f"{len(images)} views ({names_of(images, _LISTED)})" for images in self.groups)
         focal = " and ".join(f"{value:.0f}" for value in self.focal_px)
         return (
             f"two cameras, or one whose zoom or focus was changed: {larger} and {smaller} have lenses of their own, fx "
             f"{focal} px; with the lens of the former, corners of the latter are off by {px_words(self.other_px)} "
             f"(median), with their own by {px_words(self.own_px)}: calibrate each group by itself"
         )
-
-
-def _listed(images: Sequence[str]) -> str:
-    more = f" and {len(images) - _LISTED} more" if len(images) > _LISTED else ""
-    return ", ".join(images[:_LISTED]) + more
 
 
 def two_cameras(

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.calibrate.degeneracy import px_words
 from camcal.calibrate.fit import Fit
 from camcal.calibrate.noise import median_limit
+from camcal.calibrate.words import px_words
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Detection
 

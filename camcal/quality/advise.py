@@ -10,6 +10,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.words import names_of
 from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.validity import folds_inside
 from camcal.quality.between_views import between_views
@@ -21,7 +22,7 @@ _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens mo
 # Views: a standard deviation from the scatter of fewer is not well known itself, and counts by the half width of its
 # interval of this probability under Student's distribution, over that under the normal one.
 _FEW_FOR_SCATTER, _INTERVAL = 10, 0.95
-_MOSTLY, _NAMED = 0.5, 5  # of a view's corners; images
+_MOSTLY = 0.5  # of a view's corners
 
 
 @dataclass(frozen=True)
@@ -164,8 +165,7 @@ def _rejected_words(calibration: Calibration, share: float) -> str:
     """Return which corners are rejected and what to do: views that lost most of theirs are best left out."""
     lost = Counter(corner.image for corner in calibration.rejected)
     worst = [view.image for view in calibration.views if lost[view.image] > _MOSTLY * max(view.points, 1)]
-    more = f" and {len(worst) - _NAMED} more" if len(worst) > _NAMED else ""
-    remedy = f"leave out {', '.join(worst[:_NAMED])}{more}" if worst else "look at them with camcal detect --draw"
+    remedy = f"leave out {names_of(worst)}" if worst else "look at them with camcal detect --draw"
     return f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected: {remedy}"
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from camcal.calibrate.between_views import BetweenViews, Change
 from camcal.calibrate.degeneracy import tilt_spread
 from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.words import names_of
 from camcal.quality.criteria import CRITERIA, Finding, finding
 
-_NAMED = 5  # images in a sentence
 _FOCALS = ("fx", "fy")
 
 
@@ -43,7 +43,7 @@ def _focal_length(calibration: Calibration) -> Iterator[Finding]:
         yield finding("focal_change", f"the focal length {words}", change.clear, change.images)
     elif applies("focal_varies", views) and views.clear > change.clear:
         text = (
-            f"the focal length of {_names(views.images)} differs by {100 * views.share:+.2g} %: leave out "
+            f"the focal length of {names_of(views.images)} differs by {100 * views.share:+.2g} %: leave out "
             f"{_these(views.images)}, and lock focus and zoom"
         )
         yield finding("focal_varies", text, views.clear, views.images)
@@ -83,7 +83,7 @@ def _boards(found: BetweenViews) -> Iterator[Finding]:
     if second == found.images[-len(second) :]:
         where, remedy = f"changes {_near(second)}", _by_themselves(found.images, second)
     else:
-        where, remedy = f"is another in {_names(second)}", f"leave out {_these(second)}"
+        where, remedy = f"is another in {names_of(second)}", f"leave out {_these(second)}"
     text = f"the board {where}, {what}, as where two boards are mixed: use one board, or {remedy}"
     yield finding("two_boards", text, clear, second)
 
@@ -93,7 +93,7 @@ def _blur(found: BetweenViews) -> Iterator[Finding]:
     if blurred:
         images = tuple(view.image for view in blurred)
         text = (
-            f"blurred by motion: the corners of {_names(images)} scatter in one direction, by up to "
+            f"blurred by motion: the corners of {names_of(images)} scatter in one direction, by up to "
             f"{max(view.px for view in blurred):.2g} px: leave out {_these(images)}, or hold camera and board still"
         )
         yield finding("motion_blur", text, max(view.ratio for view in blurred), images)
@@ -130,8 +130,3 @@ def _by_themselves(images: Sequence[str], after: Sequence[str]) -> str:
 
 def _these(images: Sequence[str]) -> str:
     return "this view" if len(images) == 1 else "these views"
-
-
-def _names(images: Sequence[str]) -> str:
-    more = f" and {len(images) - _NAMED} more" if len(images) > _NAMED else ""
-    return ", ".join(images[:_NAMED]) + more

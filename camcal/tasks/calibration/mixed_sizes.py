@@ -15,6 +15,7 @@ import numpy as np
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.words import names_of
 from camcal.cameras.catalogue import model_named
 from camcal.errors import CamcalError
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
@@ -107,12 +108,11 @@ def _notes(
             named[view.image in maps, view.size].append(Path(view.image).name)
     notes = []
     for (used, size), images in named.items():
-        more = f" and {len(images) - _NAMED} more" if len(images) > _NAMED else ""
         what = f"used with {OPTION}" if used else "not used"
         hint = f"; {OPTION} uses such images" if mixed is False else ""
         count = f"{len(images)} image{'s' if len(images) > 1 else ''} of {_words(size)}"
         words = f"{size_words(size, usual)} (the majority: {_words(usual)})"
-        notes.append(f"{what}: {count}, {words}: {', '.join(images[:_NAMED])}{more}{hint}")
+        notes.append(f"{what}: {count}, {words}: {names_of(images, _NAMED)}{hint}")
     return tuple(notes)
 
 
