@@ -297,6 +297,7 @@ def test_a_rational_lens_takes_a_model_that_is_about_as_right(parameters, count,
     assert name == ("opencv8" if parameters is WIDE["opencv8"] else DEFAULT_MODEL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WIDE)
 def test_jitter_of_a_thousandth_of_a_pixel_does_not_change_the_choice(name):
     scene, views = lens(name, 8)

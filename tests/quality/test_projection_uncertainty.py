@@ -46,13 +46,13 @@ def test_drawn_lenses_scatter_as_the_map_says(observed):
     found = projection_uncertainty(camera, observed=observed, grid=(9, 7))
     fitted = np.ones(63, bool) if observed is None else found.inside
     assert fitted.sum() >= 10
-    lenses = np.random.default_rng(2).multivariate_normal(camera.parameters, camera.covariance, 3000)
+    lenses = np.random.default_rng(2).multivariate_normal(camera.parameters, camera.covariance, 1500)
     moved = np.stack([displacements(camera, lens, found.pixels, fitted) for lens in lenses])
     scatter = np.einsum("dni,dnj->nij", moved, moved) / len(moved)
     worst = np.sqrt(np.linalg.eigvalsh(scatter)[:, -1])
     rms = np.sqrt(np.trace(scatter, axis1=1, axis2=2) / 2)
-    assert found.std_rms == pytest.approx(rms, rel=0.05)  # 3000 draws: 1.3 % for one pixel
-    assert found.std_worst == pytest.approx(worst, rel=0.05)
+    assert found.std_rms == pytest.approx(rms, rel=0.07)  # 1500 draws: 1.8 % for one pixel
+    assert found.std_worst == pytest.approx(worst, rel=0.07)
     figures = found.figures()
     assert figures["rms_px"] == pytest.approx(np.sqrt(np.mean(rms**2)), rel=0.05)
     assert figures["worst_px"] == pytest.approx(worst.max(), rel=0.05)

@@ -42,7 +42,7 @@ def test_free_corners_reach_the_noise_of_the_gopro_set_without_images(gopro):
 def test_a_fisheye_needs_no_hint_but_the_board(real_data, tmp_path):
     inputs = (str(real_data / "fisheye" / "boofcv-theta-chess"),)
     report = calibrate(CalibrateOptions(inputs, tmp_path / "camera.yaml", "chessboard:6x4"))
-    assert report.calibration.camera.model.name == "kannala_brandt4"
+    assert report.calibration.camera.model.name in ("kannala_brandt4", "kannala_brandt5t")
     assert report.calibration.rms_px < 0.3  # OpenCV: 3.6 with its default model, 0.62 at best
 
 

@@ -6,7 +6,7 @@ import pytest
 from camcal.solve.assembly import assemble
 from camcal.solve.steps import Block, Jacobian, lowest_along
 
-GROUPS, ROWS, SIZE, DENSE, POINTS = 30, 400, 2, 3, 5  # 12 000 rows: several parts
+GROUPS, ROWS, SIZE, DENSE, POINTS = 90, 100, 2, 3, 5  # 9 000 rows: several parts
 
 
 def problem(rng, *, alike):
