@@ -93,7 +93,8 @@ def two_cameras(
         # at random: of every second view, all may be of the same camera
         some = np.sort(np.random.default_rng(0).permutation(len(images))[:_SCREENED])
         fewer = replace(bare, observations=bare.observations.take(some))
-        if _suspected(fewer, state.take(some), [images[index] for index in some], named) == (None, None):
+        found = _suspected(fewer, state.take(some), [images[index] for index in some.tolist()], named)
+        if all(group is None for group in found):
             return None
     by_name, by_lens = _suspected(bare, state, images, named)
     if by_name is not None and (by_lens is None or (by_name == by_lens).all()):

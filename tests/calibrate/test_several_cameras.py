@@ -45,6 +45,14 @@ def folders(found):
     return tuple({image[0] for image in group} for group in found.groups)
 
 
+def test_of_many_views_all_those_of_the_second_camera_are_named():
+    """More views than are looked at first; of one camera, nothing is found."""
+    found = found_in(mixed(60, 20, 1250.0)).two_cameras
+    assert [len(group) for group in found.groups] == [60, 20]
+    assert folders(found) == ({"a"}, {"b"})
+    assert found_in(views_of("a", 70, 1)).two_cameras is None
+
+
 @pytest.mark.parametrize(
     ("larger", "smaller", "focal"), [(17, 3, 1215.0), (10, 10, 1215.0), (12, 5, 1250.0), (10, 9, 1400.0)]
 )
