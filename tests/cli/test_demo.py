@@ -65,6 +65,7 @@ def test_the_files_are_what_they_are_said_to_be(left):
     assert [path.name for path in (folder / "undistorted").glob("*.png")] == ["view0000.png"]
 
 
+@pytest.mark.slow
 def test_the_commands_it_proposes_work(left, run, monkeypatch, tmp_path):
     folder = shutil.copytree(left[0], tmp_path / "copy")
     monkeypatch.chdir(folder)

@@ -99,6 +99,7 @@ def test_images_are_used_as_the_camera_saw_them(quarter):
     np.testing.assert_allclose(result.alike(red)[7].pixels, all_seen[7].pixels + 2)
 
 
+@pytest.mark.slow
 def test_every_way_that_is_told_is_the_true_one():
     """Ten views, each stored both ways; some may be unclear, none may be wrong."""
     all_seen, told = seen(), 0
