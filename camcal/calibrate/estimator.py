@@ -32,9 +32,9 @@ _SETTLED, _CALM = 1e-2, 0.3
 _SLOWEST = 0.95  # rate at which changes are taken to fall at least
 # Of the change by the pass before, and of a standard deviation: in turn, single points and all else hardly get on.
 _SLOW, _CREEP = 0.5, 0.05
-# Noise, weights and lens answer to each other, and full steps may overshoot: so much of the way to new scales is gone,
-# and less from then on where a pass takes back what the one before did.
-_NEW, _LESS, _LEAST_SHARE, _BACK = 1.0, 0.7, 0.3, 0.5
+# Noise, weights and lens answer to each other, and full steps may overshoot: less of the way to new scales is gone from
+# then on where a pass takes back what the one before did.
+_LESS, _LEAST_SHARE, _BACK = 0.7, 0.3, 0.5
 # A step is as long as the cost along it is lowest: how near to that is near enough, how much shorter a trial may be,
 # how many there are, and of the cost what cannot be seen in it.
 _NEAR, _SHORTEST, _TRIALS, _UNSEEN = 0.75, 0.2, 12, 1e-11
@@ -138,7 +138,7 @@ class _Passes:
         self.effect_scales = EffectScales.start(len(present), self.noise.sigma, max(problem.board.extent))
         if start and start.effect_scales:
             self._take_effects(start, start.effect_scales)
-        self.moved, self.share = np.zeros(len(problem.free)), _NEW
+        self.moved, self.share = np.zeros(len(problem.free)), 1.0
         # offsets of the points may follow the corners of a view or two exactly, as if these had no noise at all
         self.finest = FINEST if views.claimed is None else _FINER * _typical_std(views.claimed[present])
 

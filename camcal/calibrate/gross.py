@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.outliers import row_medians
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
 from camcal.calibrate.words import names_of, px_words
 from camcal.errors import InsufficientData
+from camcal.targets.board_map import polynomial_terms
 
 # A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the median corner
 # is.
@@ -45,7 +47,7 @@ class Misfit:
     @property
     def medians(self) -> Array:
         """The median (V,) of the distances in every view."""
-        return np.array([np.median(row[mask]) for row, mask in zip(self.distances, self.present, strict=True)])
+        return row_medians(self.distances, self.present)
 
     @property
     def median_px(self) -> float:
@@ -75,12 +77,10 @@ def roughness(problem: BoardProblem, present: Array) -> float:
     enough corners. No lens matters here, only whether neighbours on the board are neighbours in the image.
     """
     points, seen = problem.board.points()[:, :2] / problem.board.pitch, problem.observations
-    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
     found = []
     for view in np.flatnonzero(present.sum(axis=1) >= _FEW):
         places, pixels = points[seen.ids[view, present[view]]], seen.pixels[:, view, present[view]].T
-        x, y = ((places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1.0)).T
-        terms = np.stack([x**i * y**j for i, j in powers], axis=1)
+        terms = polynomial_terms((places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1.0), _DEGREE)
         left = pixels - terms @ np.linalg.lstsq(terms, pixels, rcond=None)[0]
         affine = np.column_stack([places, np.ones(len(places))])
         axes = np.linalg.lstsq(affine, pixels, rcond=None)[0][:2]

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.outliers import RAYLEIGH_MEDIAN
 
 REJECTED = 1 / 3  # a corner of a smaller weight is listed as rejected: 4 of 100 000 Gaussian ones, beyond 4.5 σ
 _CUT = 16.0  # d² at which a corner has half its weight
 _VIEW_DOF = 20.0  # degrees of freedom of the prior by which a view's noise is that of all
 _VIEW_CUT = 256.0  # times the typical variance, at which a view has half its weight
 FINEST = 1e-4  # px; noise-free input must not be judged by its rounding errors
-_RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 _LEAST_DOF = 0.05  # of a view's coordinates, however many parameters it has paid for
 _LONGEST, _LEAST_SHARE = 4.0, 0.8  # standard deviations by the median of residuals
 _ALTERNATIONS = 30  # between the noise of all and that of each view
@@ -36,7 +36,7 @@ class ViewNoise:
 
 def median_limit(noise: ViewNoise) -> float:
     """Return the median length, px, of a view's residuals beyond which all of its corners are rejected."""
-    return float(noise.sigma * np.sqrt(_VIEW_CUT * (1 / REJECTED - 1) ** (1 / 3)) * _RAYLEIGH_MEDIAN)
+    return float(noise.sigma * np.sqrt(_VIEW_CUT * (1 / REJECTED - 1) ** (1 / 3)) * RAYLEIGH_MEDIAN)
 
 
 def _weight(squared: Array) -> Array:
@@ -63,7 +63,7 @@ def count_of(weights: Array) -> Array:
 def clipped(residuals: Array) -> Array:
     """Return residuals (N, 2) with those much longer than the others cut to the length that few Gaussian ones have."""
     lengths = np.hypot(*residuals.T)
-    longest = _LONGEST * float(np.median(lengths)) / _RAYLEIGH_MEDIAN if len(lengths) else 0.0
+    longest = _LONGEST * float(np.median(lengths)) / RAYLEIGH_MEDIAN if len(lengths) else 0.0
     return np.asarray(residuals * np.minimum(1, longest / np.maximum(lengths, 1e-300))[:, None])
 
 
@@ -86,7 +86,7 @@ def view_noise(
     dof = np.maximum(count - spent, _LEAST_DOF * count)
     even = np.nan_to_num(distances, nan=np.inf) / np.sqrt(noise.views)[:, None]
     # weights follow from the noise: without a bound by the median of all corners both could shrink each other
-    least = max(_LEAST_SHARE * float(np.median(even[present])) / _RAYLEIGH_MEDIAN, finest) ** 2
+    least = max(_LEAST_SHARE * float(np.median(even[present])) / RAYLEIGH_MEDIAN, finest) ** 2
     variance, views = noise.sigma**2, noise.views
     for _ in range(_ALTERNATIONS):
         trusted = _view_weight(views)
@@ -113,7 +113,7 @@ def _medians(distances: Array, present: Array) -> Array:
     """Return the standard deviation (V,) of each view's coordinates by the median of its residuals (V, P)."""
     ordered = np.sort(np.where(present, np.nan_to_num(distances, nan=np.inf), np.inf), axis=1)
     middle = np.maximum(present.sum(axis=1) - 1, 0) // 2
-    return np.asarray(np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0] / _RAYLEIGH_MEDIAN)
+    return np.asarray(np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0] / RAYLEIGH_MEDIAN)
 
 
 def corner_weights(distances: Array, present: Array, noise: ViewNoise, spent: Array) -> Array:

@@ -6,7 +6,7 @@ from camcal.arrays import Array
 
 CUT = 4.5  # in σ: 4 of 100 000 clean corners are lost
 _FINEST = 1e-3  # px; noise-free input must not be judged by its rounding errors
-_RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
+RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 
 
 def robust_sigma(distances: Array, present: Array, freedom: float = 1.0) -> float:
@@ -17,10 +17,16 @@ def robust_sigma(distances: Array, present: Array, freedom: float = 1.0) -> floa
     """
     values = distances[present]
     median = float(np.median(np.where(np.isnan(values), np.inf, values))) if len(values) else 0.0
-    return max(float(median / _RAYLEIGH_MEDIAN / np.sqrt(freedom)), _FINEST)
+    return max(float(median / RAYLEIGH_MEDIAN / np.sqrt(freedom)), _FINEST)
 
 
 def truncation(cut: float = CUT) -> float:
     """Return the share of the variance that is left of two Gaussian coordinates whose distance is cut at `cut` σ."""
     tail = np.exp(-(cut**2) / 2)
     return float(1 - cut**2 / 2 * tail / (1 - tail))
+
+
+def row_medians(values: Array, present: Array) -> Array:
+    """Return the medians (V,) of the values (V, P) of every row that are present, 0 where none is."""
+    rows = zip(values, present, strict=True)
+    return np.array([np.median(row[mask]) if mask.any() else 0.0 for row, mask in rows])

@@ -23,6 +23,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import SingularError
+from camcal.targets.board_map import polynomial_terms
 
 LEAST_VIEWS = 3  # of a group: fewer do not hold a lens
 # Gain of the log likelihood by a second lens in the screen, nat per coordinate of the smaller group, by which lenses
@@ -252,15 +253,15 @@ def smoothness(problem: BoardProblem, state: State, weights: Array) -> float:
     describes its views, much more where the lens model is wrong; 0 where views have too few corners. weights: (V, P).
     """
     points, residuals = problem.board.points()[:, :2] / max(problem.board.extent), problem.residuals(state)
-    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-    found = []
-    for view in np.flatnonzero((weights > 0).sum(axis=1) > 2 * len(powers)):
+    smooth, found = polynomial_terms(points, _DEGREE), []
+    count = smooth.shape[1]
+    for view in np.flatnonzero((weights > 0).sum(axis=1) > 2 * count):
         shown = (weights[view] > 0) & np.isfinite(residuals[:, view]).all(axis=0)
-        x, y = points[problem.observations.ids[view, shown]].T
         root = np.sqrt(weights[view, shown])[:, None]
-        terms, values = root * np.stack([x**i * y**j for i, j in powers], axis=1), root * residuals[:, view, shown].T
+        terms = root * smooth[problem.observations.ids[view, shown]]
+        values = root * residuals[:, view, shown].T
         left = values - terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
-        noise = np.sum(left**2) / (len(values) - len(powers)) * len(values)
+        noise = np.sum(left**2) / (len(values) - count) * len(values)
         found.append(np.sum(values**2) / max(noise, FINEST**2 * len(values)))
     return float(np.sqrt(np.median(found))) if found else 0.0
 

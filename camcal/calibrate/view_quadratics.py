@@ -8,13 +8,13 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.noise import FINEST
+from camcal.calibrate.outliers import RAYLEIGH_MEDIAN, row_medians
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.solve.losses import Cauchy
 
 _LOSS = Cauchy(3.0)
 _ROUNDS = 20
 _CHUNK = 64  # views
-_RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +79,8 @@ def view_quadratics(problem: BoardProblem, state: State) -> ViewQuadratics:
     derivatives, (views, points) = problem.derivatives(state), problem.observations.ids.shape
     shown = (problem.observations.weights > 0) & derivatives.valid.reshape(views, points)
     distances = np.where(shown, np.hypot(*derivatives.residuals).reshape(views, points), np.nan)
-    typical = np.array(
-        [np.median(row[mask]) if mask.any() else 0.0 for row, mask in zip(distances, shown, strict=True)]
-    )
-    relative = np.nan_to_num(distances) * _RAYLEIGH_MEDIAN / np.maximum(typical, FINEST)[:, None]
+    typical = row_medians(distances, shown)
+    relative = np.nan_to_num(distances) * RAYLEIGH_MEDIAN / np.maximum(typical, FINEST)[:, None]
     weights = shown * _LOSS.weight(relative**2)
     lens, spread = problem.free, problem.lens_spread
     scale = np.abs(state.parameters[lens]) if spread is None else spread[lens]

@@ -104,10 +104,10 @@ def calibrate(
     its standard deviation.
     """
     from camcal.errors import InvalidInput, ItemsFailed
+    from camcal.formats.native_entry import circle_block
     from camcal.report.calibration import as_data, contenders_data, uncertainty_data
     from camcal.tasks.calibration.calibrate import CalibrateOptions, channel_data
     from camcal.tasks.calibration.calibrate import calibrate as run
-    from camcal.tasks.calibration.image_circle_of_views import circle_document
     from camcal.tasks.calibration.photographs import Reading
     from camcal.tasks.calibration.video_frames import FrameOptions
     from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -152,7 +152,7 @@ def calibrate(
         frames = [frame_data(record) for record in report.frames]
         said = {"frames": frames, "notes": report.notes, "failed": report.failed}
         lenses = {"channels": channel_data(report.channels)} if report.channels else {}
-        circle = {"image_circle": circle_document(report.file.cameras[name].image_circle)}
+        circle = {"image_circle": circle_block(report.file.cameras[name].image_circle)}
         numbers = {**as_data(report.calibration), "uncertainty": uncertainty_data(report.uncertainty), **circle}
         show.document("calibrate", {"output": output, **numbers, **verdict, **said, **lenses})
     elif not quiet:

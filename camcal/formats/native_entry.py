@@ -126,10 +126,14 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
 
 
 def _valid_block(valid: ValidRegion) -> dict[str, Any]:
-    circle = valid.image_circle
     return {
         "max_theta_deg": None if valid.max_theta is None else math.degrees(valid.max_theta),
         "max_radius_px": valid.max_radius_px,
         "polygon": None if valid.polygon is None else valid.polygon.tolist(),
-        "image_circle": None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius},
+        "image_circle": circle_block(valid.image_circle),
     }
+
+
+def circle_block(circle: ImageCircle | None) -> dict[str, Any] | None:
+    """Return an image circle as plain data."""
+    return None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius}

@@ -66,7 +66,7 @@ class BoardMap:
     def pixels(self, points: Array) -> Array:
         """Return the pixels (..., 2) of points (..., 2) of the board."""
         flat = points.reshape(-1, 2)
-        moved = flat + _terms((flat - self.middle) / self.scale, self.degree) @ self.coefficients
+        moved = flat + polynomial_terms((flat - self.middle) / self.scale, self.degree) @ self.coefficients
         return self.radial.bent(through(self.homography, moved)).reshape(points.shape)
 
 
@@ -82,7 +82,7 @@ def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool =
     middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
     degree = _degree(points)
     moved = through(np.linalg.inv(homography), straight) - points
-    terms = _terms((points - middle) / scale, degree)
+    terms = polynomial_terms((points - middle) / scale, degree)
     return BoardMap(np.linalg.lstsq(terms, moved, rcond=None)[0], degree, middle, scale, homography, radial)
 
 
@@ -132,7 +132,7 @@ def _degree(points: Array) -> int:
     return degree
 
 
-def _terms(points: Array, degree: int) -> Array:
+def polynomial_terms(points: Array, degree: int) -> Array:
     """Return the products (N, T) of powers of x and y up to a degree."""
     x, y = points.T
     return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal.errors import CamcalError, FileError, InvalidInput
-from camcal.formats import boards, detections
+from camcal.formats import boards, detections, native_entry
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import Media, find_images, find_media
 from camcal.run.outputs import refuse_overwriting, require_folder
@@ -15,7 +15,7 @@ from camcal.targets.board import CHARUCO, Board, Detection, Detections
 from camcal.targets.detect import require_findable
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks
 from camcal.tasks.calibration.corner_drawing import draw, pictures
-from camcal.tasks.calibration.image_circle_of_views import circle_document, circle_notes, with_circle
+from camcal.tasks.calibration.image_circle_of_views import circle_notes, with_circle
 from camcal.tasks.calibration.image_detection import Seen, detect_file, search
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, require_colours
@@ -207,7 +207,7 @@ def document(report: DetectReport, output: Path | None) -> dict[str, Any]:
     return {
         "output": None if output is None else output.as_posix(),
         "board": boards.block(report.detections.board) if report.detections.board else None,
-        "image_circle": circle_document(report.detections.circles.get("")),
+        "image_circle": native_entry.circle_block(report.detections.circles.get("")),
         "images": [
             {
                 "image": view.image,

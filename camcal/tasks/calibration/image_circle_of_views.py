@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from camcal.arrays import Array
 from camcal.cameras.image_circle import ImageCircle
@@ -45,11 +44,6 @@ def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
         return ()
     x, y = circle.centre
     return (f"image circle of radius {circle.radius:.1f} px around ({x:.1f}, {y:.1f})",)
-
-
-def circle_document(circle: ImageCircle | None) -> dict[str, Any] | None:
-    """Return an image circle as plain data for --json."""
-    return None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius}
 
 
 def _measured(views: Sequence[Detection], films: Sequence[Film], reading: Reading) -> ImageCircle | None:
