@@ -80,8 +80,16 @@ def pnp(
         str | None,
         typer.Option(
             metavar="PX|auto",
-            help="Standard deviation of a pixel coordinate (with covariances of the pixels the root of their factor). "
-            "By default as sigma or suu,suv,svv of --points say, otherwise auto: from the residuals of all images.",
+            help="Standard deviation of every pixel coordinate (of weight 1 where points have weights), in place of "
+            "what detection, camera file or --points say of it; auto: from the residuals of all images.",
+        ),
+    ] = None,
+    noise_scale: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FACTOR|auto",
+            help="Factor on the standard deviations that pixels come with. By default 1 for sigma or suu,suv,svv of "
+            "--points, for boards and tags auto: from the residuals of all images.",
         ),
     ] = None,
     prior: Annotated[
@@ -151,7 +159,8 @@ def pnp(
         pose=pose,
         outliers=outliers,
         threshold_px=threshold,
-        noise_px=_noise(noise),
+        noise_px=_number("--noise", noise, "a number of pixels"),
+        noise_scale=_number("--noise-scale", noise_scale, "a factor"),
         prior=_prior(prior, prior_sigma),
         seed=seed,
         all_solutions=all_solutions,
@@ -170,13 +179,13 @@ def pnp(
         raise ItemsFailed(f"{len(failed)} of {total} images have no pose: {', '.join(failed[:LISTED])}")
 
 
-def _noise(text: str | None) -> float | Literal["auto"] | None:
+def _number(option: str, text: str | None, what: str) -> float | Literal["auto"] | None:
     if text is None or text == "auto":
         return "auto" if text else None
     try:
         return float(text)
     except ValueError:
-        raise InvalidInput(f"--noise {text!r}: a number of pixels, or auto, is needed") from None
+        raise InvalidInput(f"{option} {text!r}: {what}, or auto, is needed") from None
 
 
 def _prior(path: Path | None, sigma: str | None) -> "PriorOptions | None":
@@ -206,7 +215,7 @@ def _show(report: "PnpReport", output: Path | None, *, verbose: bool, all_soluti
     _show_more(len(poses.estimates) - len(listed))
     if all_solutions:
         _show_alternatives(report, verbose)
-    show.text(pose_words.noise(poses, factor=report.factor))
+    show.text(pose_words.noise(poses))
     missing = list(poses.missing.items())[: None if verbose else LISTED]
     for sight, reason in missing:
         show.text(f"no pose: {sight}: {reason}")

@@ -84,7 +84,10 @@ def track(
     ] = None,
     noise: Annotated[
         float | None,
-        typer.Option(metavar="PX", help="Standard deviation of a pixel coordinate; by default from the residuals."),
+        typer.Option(
+            metavar="PX",
+            help="Standard deviation of every pixel coordinate; by default from corner detection and the residuals.",
+        ),
     ] = None,
     camera: shared.CameraName = None,
     recursive: shared.Recursive = False,

@@ -52,10 +52,11 @@ def estimate_poses(
 ) -> list[Outcome[Correspondences, PoseEstimate]]:
     """Return camera_T_object of every view, or the InsufficientData that kept it from one, in the views' order.
 
-    The noise of the pixels is that of all views together, unless options.noise_px gives it.
+    The noise of the pixels is that of all views together, unless the options give it.
     """
+    seen = [_weighted(view, options) for view in views]
     groups = [
-        Group.of([camera], [Pose.identity()], [[views[item]] for item in items], items)
+        Group.of([camera], [Pose.identity()], [[seen[item]] for item in items], items)
         for items in alike(np.array([len(view.points) for view in views]))
     ]
     found = estimates(groups, options, CAMERA_T_OBJECT)
@@ -71,13 +72,17 @@ def estimate_rig_poses(
     Raises InvalidInput for a camera that the rig does not have or that stands twice in an instant.
     """
     names = list(rig.cameras)
-    placed = [_by_camera(names, instant) for instant in views]
+    placed = [_by_camera(names, [_weighted(view, options) for view in instant]) for instant in views]
     cameras = [rig.cameras[name] for name in names]
     frames = [rig.rig_T_camera[name].inverse() for name in names]
     counts = [sum(len(view.points) for view in instant) for instant in views]
     groups = [Group.of(cameras, frames, [placed[item] for item in items], items) for items in alike(np.array(counts))]
     found = estimates(groups, options, RIG_T_OBJECT)
     return [_outcome(instant, _in_order(found[item], names, instant)) for item, instant in enumerate(views)]
+
+
+def _weighted(view: Correspondences, options: PoseOptions) -> Correspondences:
+    return view if options.noise_px is None else view.alike()
 
 
 def _outcome(item: Item, found: PoseEstimate | CamcalError) -> Outcome[Item, PoseEstimate]:

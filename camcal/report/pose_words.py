@@ -8,6 +8,7 @@ from camcal.arrays import Array
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
 
 MILLI = 1000.0
+_NEAR = 1.5  # a-posteriori scales up to this, and down to its inverse, are what real corners have
 
 
 def columns(poses: Poses) -> list[str]:
@@ -53,15 +54,22 @@ def standpoint(poses: Poses, record: PoseRecord) -> str:
     return away if record.tilt_rad is None else f"{away}, {math.degrees(record.tilt_rad):.0f}° oblique"
 
 
-def noise(poses: Poses, *, factor: bool) -> str:
+def noise(poses: Poses) -> str:
     """Return how large the noise of a pixel coordinate is and where that is known from.
 
-    factor: the pixels came with covariances, and the noise is the root of their factor.
+    How far the residuals are from what the pixels came with is said only where that is more than chance and habit.
     """
-    freedom = poses.noise.degrees_of_freedom
-    source = "as given" if freedom is None else f"from the residuals, {freedom} degrees of freedom"
-    size = f"{poses.noise.sigma_px:.3g} px" if not factor else f"{poses.noise.sigma_px:.3g} times what the pixels say"
-    return f"noise {size}, {source}"
+    found = poses.noise
+    size, freedom = f"noise {found.sigma_px:.3g} px", f"{found.degrees_of_freedom} degrees of freedom"
+    if found.degrees_of_freedom is None:
+        return f"{size}, as given"
+    if found.scale is None:
+        return f"{size}, from the residuals, {freedom}"
+    if 1 / _NEAR <= found.scale <= _NEAR:
+        return f"{size}, by the corner standard deviations, with which the residuals agree"
+    return (
+        f"{size}: the residuals are {found.scale:.3g} x the corner standard deviations (a-posteriori scale, {freedom})"
+    )
 
 
 def caption(poses: Poses, sight: Sight, record: PoseRecord) -> str:

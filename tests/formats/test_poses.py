@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from camcal.errors import FileError, InvalidInput
 from camcal.estimate.pnp import Alternative
 from camcal.formats import poses
-from camcal.formats.camera_file import Noise
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 
 SUFFIXES = (".yaml", ".json", ".csv")
@@ -49,7 +48,7 @@ def found():
     )
     estimates = {Sight("a, b.png"): record(rng, outliers=()), Sight("c.png", "tag_3"): doubtful}
     missing = {Sight("d.png"): "no board found", Sight("d.png", "tag_4"): "too few points, 3"}
-    return Poses("camera_T_object", "m", Noise(0.15, 102), estimates, missing)
+    return Poses("camera_T_object", "m", PixelNoise(0.15, None, 102), estimates, missing)
 
 
 def assert_same_pose(first, second):
@@ -114,13 +113,21 @@ def _numbers(text):
 def test_any_pose_and_any_name_come_back(tmp_path_factory, turn, place, name):
     rng = np.random.default_rng(2)
     one = replace(record(rng), transform=Pose.from_vector(np.array(turn), np.array(place)))
-    found = Poses("object_T_camera", "squares", Noise(1.0), {Sight(name, "o"): one})
+    found = Poses("object_T_camera", "squares", PixelNoise(1.0), {Sight(name, "o"): one})
     for suffix in SUFFIXES:
         path = tmp_path_factory.getbasetemp() / f"any{suffix}"
         poses.write(path, found)
         back = poses.read(path)
         assert list(back.estimates) == [Sight(name, "o")]
         np.testing.assert_allclose(back.estimates[name, "o"].transform.translation, place, rtol=DIGITS, atol=1e-300)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_scale_of_the_noise_is_read_back(found, tmp_path, suffix):
+    path = tmp_path / f"poses{suffix}"
+    for noise in (PixelNoise(0.15, 2.5, 102), PixelNoise(0.15, 1.0), PixelNoise(0.15)):
+        poses.write(path, replace(found, noise=noise))
+        assert poses.read(path).noise == noise
 
 
 def test_yaml_and_json_hold_the_same_numbers(found, tmp_path):

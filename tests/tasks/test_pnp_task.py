@@ -12,8 +12,10 @@ from camcal.cameras.model import Camera
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.poses.record import PixelNoise
 from camcal.geometry.pose import Pose
 from camcal.progress import Silent
+from camcal.report import pose_words
 from camcal.simulate.observe import observe
 from camcal.targets.board import Detection, Detections, parse_board
 from camcal.targets.surface import Surface
@@ -333,14 +335,38 @@ def test_a_given_sigma_is_taken_at_its_word(camera_file, tmp_path, seen):
     view, path = seen.views[0], tmp_path / "points.csv"
     table = np.column_stack([BOARD.points()[view.ids], view.pixels, np.full(len(view.ids), 0.3)])
     np.savetxt(path, table, "%.17g", ",", header="X,Y,Z,u,v,sigma", comments="")
-    given = pnp(PnpOptions(camera_file, points=path, **QUICK))
+    given, scaled = (pnp(PnpOptions(camera_file, points=path, **QUICK, noise_scale=scale)) for scale in (None, 2.0))
     plain = pnp(from_points(camera_file, tmp_path, *np.split(table[:, :5], [3], axis=1), noise_px=0.3))
-    (one,), (two,) = given.poses.estimates.values(), plain.poses.estimates.values()
+    one, double, two = (next(iter(report.poses.estimates.values())) for report in (given, scaled, plain))
     np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-6)
-    assert given.factor
+    np.testing.assert_allclose(double.covariance, 4 * one.covariance, rtol=1e-6)
+    assert given.poses.noise.scale == 1
+    assert given.poses.noise.sigma_px == pytest.approx(0.3)
     path.write_text(path.read_text().replace("sigma", "weight"))
     weighted = pnp(PnpOptions(camera_file, points=path, **QUICK))
     assert weighted.poses.noise.degrees_of_freedom == 102
+    with pytest.raises(
+        InvalidInput, match="--noise-scale is a factor on standard deviations, and the pixels have none"
+    ):
+        pnp(PnpOptions(camera_file, points=path, **QUICK, noise_scale="auto"))
+
+
+def test_noise_is_pixels_also_where_corners_have_covariances(camera_file, tmp_path, seen):
+    known = tuple(replace(view, covariance=np.tile(1e-4 * np.eye(2), (len(view.ids), 1, 1))) for view in seen.views)
+    report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, known), outliers="few", noise_px=0.15))
+    assert [record.n_inliers for record in report.poses.estimates.values()] == [54, 54]
+    assert report.poses.noise == PixelNoise(0.15)
+    with pytest.raises(InvalidInput, match="give one"):
+        pnp(from_detections(camera_file, tmp_path, seen, noise_px=0.1, noise_scale=2.0))
+
+
+def test_a_pose_from_fewer_than_half_of_the_points_is_flagged(camera_file, tmp_path, seen):
+    known = tuple(replace(view, covariance=np.tile(1e-4 * np.eye(2), (len(view.ids), 1, 1))) for view in seen.views)
+    report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, known), outliers="few", noise_scale=0.5))
+    for sight, record in report.poses.estimates.items():
+        assert record.n_inliers < 27
+        assert record.status == f"weak: {record.n_inliers} of 54 points agree, fewer than half"
+        assert pose_words.row(report.poses, sight, record)[-1] == record.status
 
 
 def test_outliers_are_named_by_their_ids(camera_file, tmp_path, seen):

@@ -53,7 +53,7 @@ class Fit:
 
 def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[Fit], Noise | None]:
     """Return the fits of groups, and the noise if that is known already."""
-    given = None if options.noise_px is None else Noise(options.noise_px)
+    given = None if options.scale is None else Noise(options.scale)
     if options.outliers == "none":
         return [_plain(group, options) for group in groups], given
     known = given is not None or options.threshold_px is not None
@@ -92,16 +92,18 @@ def points_needed(options: PoseOptions) -> int:
 def agreement_of(options: PoseOptions, sigma: float) -> Agreement:
     """Return what makes an inlier where the noise is sigma."""
     whole = _TELLING if options.outliers == "few" else 0
-    return Agreement(options.threshold_px or WIDTH * sigma, points_needed(options), whole)
+    if options.threshold_px is not None:
+        return Agreement(options.threshold_px, points_needed(options), whole, in_pixels=True)
+    return Agreement(WIDTH * sigma, points_needed(options), whole)
 
 
 def _problems(group: Group, options: PoseOptions) -> PoseProblems:
-    if options.prior is None or options.noise_px is None:
+    if options.prior is None or options.scale is None:
         return PoseProblems.of(group.sights)
     known = np.tile(se3.of_poses([options.prior.pose]), (len(group.items), 1, 1))
     moves = se3.shift_jacobians(known, group.centres)
     covariances = moves @ options.prior.covariance @ moves.transpose(0, 2, 1)
-    information = options.noise_px**2 * np.linalg.inv(covariances)
+    information = options.scale**2 * np.linalg.inv(covariances)
     return PoseProblems.of(group.sights, Anchor(se3.shifted(known, group.centres), information))
 
 

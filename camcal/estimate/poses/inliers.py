@@ -26,7 +26,7 @@ Limits = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class Agreement:
-    """When points agree with a pose: threshold, the largest whitened residual; least, how many points it takes.
+    """When points agree with a pose: threshold, the largest residual, whitened or in px; least, how many it takes.
 
     whole: problems of fewer points keep all of them, as too few to tell a wrong one.
     """
@@ -34,6 +34,15 @@ class Agreement:
     threshold: float
     least: int
     whole: int = 0
+    in_pixels: bool = False
+
+    def squared(self, problems: PoseProblems, states: Array, which: Array) -> tuple[Array, ...]:
+        """Return the squared residuals (S, N) that the threshold is for, as `PoseProblems.squared`."""
+        found = problems.squared(states, which)
+        if not self.in_pixels:
+            return found
+        pairs = zip(found, problems.sights, strict=True)
+        return tuple(squared * sight.variances()[problems.view[which]] for squared, sight in pairs)
 
     def limits(self, problems: PoseProblems, which: Array) -> Array:
         """Return the largest squared residuals (S, 1) of inliers of problems (S,)."""
@@ -78,9 +87,9 @@ def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agree
     """Return where starts (S, 3, 4) of problems (S,) settle with their inliers."""
     limits = agreement.limits(problems, which)
     # a start of three points is not near enough for all
-    masks = _below(problems, states, which, 4 * limits)
-    states, masks = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen])
-    truncated = _truncated_cost(problems, states, which, limits)
+    masks = _below(problems, states, which, 4 * limits, agreement)
+    states, masks = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen], agreement)
+    truncated = _truncated_cost(problems, states, which, limits, agreement)
     enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= agreement.least
     return Settled(states, which, masks, np.where(enough, truncated, np.inf))
 
@@ -96,21 +105,26 @@ def approached(problems: PoseProblems, states: Array, which: Array, agreement: A
         seen = np.where(np.isfinite(squared), squared, np.nan)
         return np.asarray(np.maximum(least[chosen], WIDTH**2 / MEDIAN * np.nanmedian(seen, axis=1, keepdims=True)))
 
-    squared = np.concatenate(problems.squared(states, which), axis=1)
-    masks = _below(problems, states, which, limits(squared, np.arange(len(which))))
-    return _in_turns(problems, states, which, masks, limits)[0]
+    squared = np.concatenate(agreement.squared(problems, states, which), axis=1)
+    masks = _below(problems, states, which, limits(squared, np.arange(len(which))), agreement)
+    return _in_turns(problems, states, which, masks, limits, agreement)[0]
 
 
-def _truncated_cost(problems: PoseProblems, states: Array, which: Array, limits: Array) -> Array:
+def _truncated_cost(problems: PoseProblems, states: Array, which: Array, limits: Array, agreement: Agreement) -> Array:
     """Return ½ Σ min(r², limit) (S,) of all points of the problems."""
     total = np.zeros(len(which))
-    for squared, mask in zip(problems.squared(states, which), problems.masks, strict=True):
+    for squared, mask in zip(agreement.squared(problems, states, which), problems.masks, strict=True):
         total += 0.5 * np.where(mask[which], np.minimum(squared, limits), 0.0).sum(axis=1)
     return total if problems.anchor is None else total + problems.anchor.models(states, problems.view[which]).cost
 
 
 def _in_turns(
-    problems: PoseProblems, states: Array, which: Array, masks: tuple[Array, ...], limits: Limits
+    problems: PoseProblems,
+    states: Array,
+    which: Array,
+    masks: tuple[Array, ...],
+    limits: Limits,
+    agreement: Agreement,
 ) -> tuple[Array, tuple[Array, ...]]:
     """Return states (S, 3, 4) and masks after fits to the masks and new masks by the fits, until these stay."""
     states, unsettled = states.copy(), np.arange(len(which))
@@ -118,7 +132,7 @@ def _in_turns(
         here = which[unsettled]
         own = problems.take(here).masked(tuple(mask[unsettled] for mask in masks))
         states[unsettled] = own.minimise(states[unsettled], np.arange(len(here))).states
-        squared = problems.squared(states[unsettled], here)
+        squared = agreement.squared(problems, states[unsettled], here)
         most, changed = limits(np.concatenate(squared, axis=1), unsettled), np.zeros(len(here), dtype=bool)
         for mask, every, each in zip(masks, problems.masks, squared, strict=True):
             new = _agreeing(each, most) & every[here]
@@ -130,9 +144,11 @@ def _in_turns(
     return states, masks
 
 
-def _below(problems: PoseProblems, states: Array, which: Array, limits: Array) -> tuple[Array, ...]:
+def _below(
+    problems: PoseProblems, states: Array, which: Array, limits: Array, agreement: Agreement
+) -> tuple[Array, ...]:
     """Return the masks (S, N) of points of the problems whose squared residuals keep to the limits (S, 1)."""
-    parts = zip(problems.squared(states, which), problems.masks, strict=True)
+    parts = zip(agreement.squared(problems, states, which), problems.masks, strict=True)
     return tuple(_agreeing(squared, limits) & mask[which] for squared, mask in parts)
 
 

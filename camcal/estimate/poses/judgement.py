@@ -10,6 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.extent import NEAR_PLANE, Extents
+from camcal.estimate.poses.inliers import Agreement
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.records import Alternative, PoseEstimate
 from camcal.geometry import rotation as so3
@@ -53,8 +54,8 @@ class Judgement:
     """The minima of problems, one or more for each, in their order and the lowest first, and the noise they share.
 
     centres: (P, 3) the places in the objects' frames that the points of the problems are counted from.
-    intrinsics: whether the uncertainty of the lenses counts. threshold: the largest whitened residual of an inlier,
-    None where all points are.
+    intrinsics: whether the uncertainty of the lenses counts. agreement: what made
+    inliers, None where outliers were not looked for.
     """
 
     problems: PoseProblems
@@ -63,7 +64,7 @@ class Judgement:
     noise: Noise
     extents: Extents
     intrinsics: bool
-    threshold: float | None
+    agreement: Agreement | None
 
     def estimates(self, frames: str, counts: Sequence[Sequence[int]]) -> list[PoseEstimate]:
         """Return the estimates of the problems; counts: the points of every camera's view, the absent ones included."""
@@ -72,8 +73,8 @@ class Judgement:
         total, noise = self._covariances()
         found = self._minima(np.repeat(first, ends - first), total, noise)
         best = self.minima.take(first)
-        residuals, figures = self._residuals(best.states, counts), self._figures(best)
-        chances, misfits = self._chances(), self._misfits(best)
+        residuals, figures, typical = self._residuals(best.states, counts), self._figures(best), self._typical()
+        chances, misfits = self._chances(typical), self._misfits(best)
         return [
             PoseEstimate(
                 frames=frames,
@@ -82,7 +83,8 @@ class Judgement:
                 noise_covariance=noise[at],
                 residuals=residuals[problem][0],
                 inliers=residuals[problem][1],
-                sigma_px=self.noise.sigma,
+                sigma_px=float(self.noise.sigma * typical[problem]),
+                noise_scale=self.noise.sigma,
                 freedom=self.noise.freedom,
                 alternatives=tuple(found[at + 1 : ends[problem]]),
                 converged=bool(best.converged[problem]),
@@ -137,6 +139,13 @@ class Judgement:
             for each in zip(*parts, strict=True)
         ]
 
+    def _typical(self) -> Array:
+        """Return the root mean square (P,), px, of the standard deviations that the pixels of problems come with."""
+        total = np.zeros(len(self.problems.view))
+        for sight, mask in zip(self.problems.sights, self.problems.masks, strict=True):
+            total += np.where(mask, sight.variances()[self.problems.view], 0.0).sum(axis=1)
+        return np.sqrt(total / np.maximum(self.problems.counts, 1))
+
     def _figures(self, best: Minima) -> list["_Figures"]:
         flatness = self.extents.flatness[self.problems.view]
         tilts = _tilts(self.problems, self.extents, best.states)
@@ -150,19 +159,20 @@ class Judgement:
         noise = max(self.noise.sigma, _ROUNDED)
         return [float(misfit) for misfit in np.sqrt(2 * best.cost / freedom) / noise]
 
-    def _chances(self) -> list[float]:
+    def _chances(self, typical: Array) -> list[float]:
         """Return how many poses with as many inliers are expected among pixels anywhere in the image.
 
         Source: Moisan & Stival, A Probabilistic Criterion to Detect Rigid Point Matches Between Two Images, IJCV 2004
         (the number of false alarms), for samples of three points.
         """
-        if self.threshold is None:
+        if self.agreement is None:
             return [0.0] * len(self.problems.view)
+        limits = self.agreement.threshold * (np.ones_like(typical) if self.agreement.in_pixels else typical)
         points = sum(sight.present[self.problems.view].sum(axis=1) for sight in self.problems.sights)
         area = max(float(np.prod(sight.camera.image_size)) for sight in self.problems.sights)
-        share = min(np.pi * self.threshold**2 / area, 1.0)
-        pairs = zip(np.asarray(points).tolist(), self.problems.counts.tolist(), strict=True)
-        return [_chance(of, inliers, share) for of, inliers in pairs]
+        shares = np.minimum(np.pi * limits**2 / area, 1.0)
+        rows = zip(np.asarray(points).tolist(), self.problems.counts.tolist(), shares.tolist(), strict=True)
+        return [_chance(of, inliers, share) for of, inliers, share in rows]
 
 
 def _chance(points: int, inliers: int, share: float) -> float:

@@ -20,7 +20,7 @@ WEAK_CHANCE, WEAK_MISFIT = 1e-3, 3.0  # poses; times the noise
 class Correspondences:
     """Points (N, 3) of an object and the pixels (N, 2) at which one image shows them.
 
-    covariance: (N, 2, 2) px² of the pixels, up to a common factor; None for equal ones. camera: its name in a rig.
+    covariance: (N, 2, 2) px² of the pixels, None for equal ones, of 1 px². camera: its name in a rig.
     object: the name of the object where an image shows several. Raises InvalidInput unless every number is finite and
     every covariance positive.
     """
@@ -47,6 +47,10 @@ class Correspondences:
         covariance = None if self.covariance is None else self.covariance[chosen]
         return replace(self, points=self.points[chosen], pixels=self.pixels[chosen], covariance=covariance)
 
+    def alike(self) -> "Correspondences":
+        """Return the same with pixels that are all known equally well."""
+        return self if self.covariance is None else replace(self, covariance=None)
+
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
@@ -65,18 +69,20 @@ class PosePrior:
 class PoseOptions:
     """How poses are estimated.
 
-    noise_px: standard deviation of a pixel coordinate, the factor's root where covariances are given; None estimates
-    it from the residuals of all views together.
+    noise_px: standard deviation of every pixel coordinate, in place of the covariances that pixels come with.
+    noise_scale: factor on the standard deviations that these covariances give. Without either, the scale is estimated
+    from the residuals of all views together.
     outliers: "none"; "few", left out by the residuals of a fit to all points, for boards and tags, samples helping
-    where fewer than half would remain; "many", told apart by random samples, at first as if the noise were 1 px unless
-    noise_px says better.
-    threshold_px: the largest residual of an inlier, in the unit of noise_px where covariances are given; None: what
-    99.73 % of all pixels keep to, 3.44 times the noise. confidence: that one of the random samples had no outlier;
-    seed: of the samples, the same for every view. intrinsics: whether the lens's covariance is propagated.
-    prior: what is known of the poses of all views; needs noise_px, and three points then are enough.
+    where fewer than half would remain; "many", told apart by random samples, at first as if the scale were 1 unless it
+    is given.
+    threshold_px: the largest residual of an inlier; None: what 99.73 % of all pixels keep to, 3.44 times the noise.
+    confidence: that one of the random samples had no outlier; seed: of the samples, the same for every view.
+    intrinsics: whether the lens's covariance is propagated.
+    prior: what is known of the poses of all views; needs the noise, and three points then are enough.
     """
 
     noise_px: float | None = None
+    noise_scale: float | None = None
     outliers: Literal["none", "few", "many"] = "none"
     threshold_px: float | None = None
     confidence: float = 0.999
@@ -85,17 +91,29 @@ class PoseOptions:
     prior: PosePrior | None = None
 
     def __post_init__(self) -> None:
-        for what, value in (("noise", self.noise_px), ("threshold", self.threshold_px)):
+        numbers = (
+            ("noise", self.noise_px, " px"),
+            ("noise scale", self.noise_scale, ""),
+            ("threshold", self.threshold_px, " px"),
+        )
+        for what, value, unit in numbers:
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise InvalidInput(f"a {what} of {value:g} px is not positive")
+                raise InvalidInput(f"a {what} of {value:g}{unit} is not positive")
             if value is not None and not 1 / LARGEST_PX <= value <= LARGEST_PX:
-                raise InvalidInput(f"a {what} of {value:g} px is beyond reason; 0.1 to 1 px is usual")
+                raise InvalidInput(f"a {what} of {value:g}{unit} is beyond reason; 0.1 to 1{unit} is usual")
+        if self.noise_px is not None and self.noise_scale is not None:
+            raise InvalidInput("a noise in px takes the place of what is known of single pixels: give no scale with it")
         if self.outliers not in ("none", "few", "many"):
             raise InvalidInput(f"outliers {self.outliers!r} is not one of none, few, many")
         if not 0 < self.confidence < 1:
             raise InvalidInput(f"a confidence of {self.confidence:g} is not between 0 and 1")
-        if self.prior is not None and self.noise_px is None:
+        if self.prior is not None and self.scale is None:
             raise InvalidInput("a prior is weighed against the pixels: give the noise of a pixel coordinate with it")
+
+    @property
+    def scale(self) -> float | None:
+        """The standard deviation of a pixel coordinate over what its covariance says, None if it is to be estimated."""
+        return self.noise_scale if self.noise_px is None else self.noise_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +150,9 @@ class PoseEstimate:
     order tx ty tz rx ry rz (points' unit, rad), R ← Exp(δr) R, t ← t + δt; noise_covariance: the pixels' part of it,
     which differs from view to view; the rest, of the lens, is common to all.
     residuals: (N, 2) px, projected minus observed, NaN for points outside the lens's domain, which are left out.
-    inliers: (N,) bool, the points that the pose was fitted to. sigma_px: noise of a pixel coordinate (with covariances
-    their factor's root); freedom: the degrees of freedom it was estimated with, None if it was given.
+    inliers: (N,) bool, the points that the pose was fitted to. sigma_px: standard deviation of their coordinates (root
+    mean square); noise_scale: that over what the pixels' covariances say, over 1 px where there are none; freedom: the
+    degrees of freedom it was estimated with, None if it was given.
     alternatives: other minima, the likeliest first. reason: why the solver stopped.
     planarity: third spread of the points over their first, 0 for a plane. least_depth: smallest z of a point in the
     camera's frame. tilt_rad: angle between the line of sight and the normal of the points' plane, None if they are in
@@ -149,6 +168,7 @@ class PoseEstimate:
     residuals: Array
     inliers: Array
     sigma_px: float
+    noise_scale: float
     freedom: int | None
     alternatives: tuple[Alternative, ...]
     converged: bool

@@ -23,10 +23,10 @@ def estimates(
     fits, noise = fits_of([group for group in sound if len(group.items)], options)
     fits = [_fixed(fit, options, found) for fit in fits]
     noise = noise or pooled(fits)
-    threshold = agreement_of(options, noise.sigma).threshold if options.outliers == "many" else None
+    agreement = agreement_of(options, noise.sigma) if options.outliers == "many" else None
     for fit in fits:
         judgement = Judgement(
-            fit.problems, fit.minima, fit.group.centres, noise, fit.extents, options.intrinsics, threshold
+            fit.problems, fit.minima, fit.group.centres, noise, fit.extents, options.intrinsics, agreement
         )
         for item, estimate in zip(fit.group.items, judgement.estimates(frames, fit.group.counts()), strict=True):
             found[int(item)] = estimate

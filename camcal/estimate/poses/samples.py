@@ -36,7 +36,7 @@ def sampled(problems: PoseProblems, problem: int, agreement: Agreement, sampling
     """Return settled poses of one problem, the lowest few."""
     own = problems.take(np.array([problem]))
     rng = np.random.default_rng(sampling.seed)
-    scorer = _Scorer.of(own, agreement.threshold, rng)
+    scorer = _Scorer.of(own, agreement, rng)
     found = settle(own, np.zeros((0, 3, 4)), np.zeros(0, np.intp), agreement)
     best, drawn, needed = np.inf, 0, float(_ROUND)
     while drawn < min(needed, MOST):
@@ -100,11 +100,11 @@ def _triplets(points: Array, count: int, rng: np.random.Generator) -> Array:
 class _Scorer:
     """The truncated error of many poses of one view, from some of its points where there are many."""
 
-    sights: tuple[Sightings, ...]
-    limit: float
+    problems: PoseProblems
+    agreement: Agreement
 
     @classmethod
-    def of(cls, problems: PoseProblems, threshold: float, rng: np.random.Generator) -> "_Scorer":
+    def of(cls, problems: PoseProblems, agreement: Agreement, rng: np.random.Generator) -> "_Scorer":
         view = int(problems.view[0])
         sights = []
         for sight, mask in zip(problems.sights, problems.masks, strict=True):
@@ -112,9 +112,11 @@ class _Scorer:
             if len(points) > _SCORED:
                 points = np.sort(rng.choice(points, _SCORED, replace=False))
             sights.append(sight.take(np.array([view])).only(points))
-        return cls(tuple(sights), threshold**2)
+        chosen = PoseProblems.of(tuple(sights))
+        return cls(chosen, agreement)
 
     def scores(self, states: Array) -> Array:
         """Return the scores (S,) of states (S, 3, 4), the lowest best."""
-        view = np.zeros(len(states), np.intp)
-        return np.asarray(sum(np.minimum(sight.squared(states, view), self.limit).sum(axis=1) for sight in self.sights))
+        which, limit = np.zeros(len(states), np.intp), self.agreement.threshold**2
+        squared = self.agreement.squared(self.problems, states, which)
+        return np.asarray(sum(np.minimum(each, limit).sum(axis=1) for each in squared))

@@ -81,6 +81,15 @@ class Sightings:
             present=self.present[:, points],
         )
 
+    def variances(self) -> Array:
+        """Return the mean variances (W, N), px², of the coordinates of the pixels; 1 where none are known."""
+        if self.whitening is None:
+            return np.ones(self.present.shape)
+        # (Wᵀ W)⁻¹ of two by two: half its trace is ‖W‖² / (2 det² W)
+        size = np.einsum("ijwn,ijwn->wn", self.whitening, self.whitening)
+        determinant = self.whitening[0, 0] * self.whitening[1, 1] - self.whitening[0, 1] * self.whitening[1, 0]
+        return np.asarray(size / (2 * determinant**2))
+
     def residuals(self, states: Array, view: Array) -> Array:
         """Return projected minus observed pixels (2, S, N) of views (S,) at states (S, 3, 4), frame_T_object.
 

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from camcal.estimate.poses.records import Alternative
-from camcal.formats.camera_file import Noise
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.native_transforms import NAME
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import Check, Document, Fault, child
 from camcal.geometry import rotation as so3
@@ -39,7 +38,6 @@ _TRANSFORM = mapping(
 
 def document(poses: Poses) -> dict[str, Any]:
     """Return poses as plain data."""
-    freedom = poses.noise.degrees_of_freedom
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -47,7 +45,7 @@ def document(poses: Poses) -> dict[str, Any]:
         "unit": poses.unit,
         "covariance_order": list(ORDER),
         "covariance_steps": STEPS,
-        "noise": {"sigma_px": poses.noise.sigma_px} | ({} if freedom is None else {"degrees_of_freedom": freedom}),
+        "noise": {name: value for name, value in vars(poses.noise).items() if value is not None},
         "poses": [_block(poses, sight, record) for sight, record in poses.estimates.items()],
         "missing": [_named(sight) | {"reason": reason} for sight, reason in poses.missing.items()],
     }
@@ -162,7 +160,7 @@ _FILE = mapping(
         "version": integer(1),
         "frames": _anything,
         "unit": one_of(UNITS, "unit"),
-        "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(0)}),
+        "noise": mapping({"sigma_px": number(0)}, {"scale": number(0), "degrees_of_freedom": integer(0)}),
         "poses": _anything,
     },
     {
@@ -211,10 +209,14 @@ def from_document(data: Document) -> Poses:
     return Poses(
         frames,
         data["unit"],
-        Noise(float(noise["sigma_px"]), noise.get("degrees_of_freedom")),
+        PixelNoise(float(noise["sigma_px"]), _number(noise.get("scale")), noise.get("degrees_of_freedom")),
         {_sight(block): _record(block, frames) for block in data["poses"]},
         {_sight(block): block["reason"] for block in data.get("missing", [])},
     )
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None else float(value)
 
 
 def _sight(block: Mapping[str, Any]) -> Sight:

@@ -8,7 +8,6 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.estimate.poses.records import Alternative
-from camcal.formats.camera_file import Noise
 from camcal.geometry.pose import Pose, inverse_jacobian
 
 
@@ -74,18 +73,30 @@ class PoseRecord:
         )
 
 
+@dataclass(frozen=True)
+class PixelNoise:
+    """The standard deviation of a pixel coordinate, root mean square over all that poses follow from.
+
+    scale: that over what the pixels came with, None if they came with nothing. degrees_of_freedom: of its estimation,
+    None where it was given.
+    """
+
+    sigma_px: float
+    scale: float | None = None
+    degrees_of_freedom: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Poses:
     """Poses by image and object, in order, and why others have none.
 
     frames: what every transform maps, such as camera_T_object, which takes points of the object to the camera.
-    unit: of all lengths, 'm' or 'squares'. noise: of a pixel coordinate, where the pixels came with covariances of the
-    root of their factor; without degrees of freedom where it was given.
+    unit: of all lengths, 'm' or 'squares'. noise: of the pixels.
     """
 
     frames: str
     unit: str
-    noise: Noise
+    noise: PixelNoise
     estimates: Mapping[Sight, PoseRecord]
     missing: Mapping[Sight, str] = field(default_factory=dict)
 

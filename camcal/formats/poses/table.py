@@ -15,10 +15,9 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.estimate.poses.records import Alternative
-from camcal.formats.camera_file import Noise
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.poses.plain import FORMAT, ORDER, QUATERNION, UNIT_LENGTH, UNITS, VERSION, check_frames
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -39,8 +38,8 @@ COLUMNS = (
 )
 
 _HEAD = re.compile(
-    rf"# {FORMAT} (?P<version>\d+) frames=(?P<frames>\S+) unit=(?P<unit>\S+) sigma_px=(?P<sigma>\S+)"
-    r"(?: degrees_of_freedom=(?P<freedom>\d+))?\s*\Z"
+    rf"# {FORMAT} (?P<version>\d+) frames=(?P<frames>\S+) unit=(?P<unit>\S+) sigma_px=(?P<sigma_px>\S+)"
+    r"(?: scale=(?P<scale>\S+))?(?: degrees_of_freedom=(?P<freedom>\d+))?\s*\Z"
 )
 _NONE = "# none "
 _MAX_COUNT = 10**9
@@ -48,8 +47,8 @@ _MAX_COUNT = 10**9
 
 def lines(poses: Poses) -> Iterator[str]:
     """Yield the lines of a file, without their ends."""
-    freedom = poses.noise.degrees_of_freedom
-    noise = f"sigma_px={poses.noise.sigma_px:.12g}" + ("" if freedom is None else f" degrees_of_freedom={freedom}")
+    known = {name: value for name, value in vars(poses.noise).items() if value is not None}
+    noise = " ".join(f"{name}={value:.12g}" for name, value in known.items())
     yield f"# {FORMAT} {VERSION} frames={poses.frames} unit={poses.unit} {noise}"
     yield ",".join(COLUMNS)
     for sight, record in poses.estimates.items():
@@ -98,7 +97,7 @@ def read(path: Path) -> Poses:
     return Poses(frames, unit, noise, estimates, dict(_missing(where, content)))
 
 
-def _head(where: str, content: Lines) -> tuple[str, str, Noise]:
+def _head(where: str, content: Lines) -> tuple[str, str, PixelNoise]:
     found = _HEAD.match(content[0][1]) if content else None
     if found is None:
         raise FileError(f"not a pose file of camcal: its first line begins with '# {FORMAT} {VERSION}'", where=where)
@@ -107,11 +106,16 @@ def _head(where: str, content: Lines) -> tuple[str, str, Noise]:
     faults = list(check_frames(found["frames"], "frames"))
     if faults or found["unit"] not in UNITS:
         raise InvalidInput(faults[0].text if faults else f"unit {found['unit']!r} is unknown", where=f"{where}:1")
+    sigma, scale = (_of_head(where, found, name) for name in ("sigma_px", "scale"))
+    freedom = int(found["freedom"]) if found["freedom"] else None
+    return found["frames"], found["unit"], PixelNoise(sigma or 0.0, scale, freedom)
+
+
+def _of_head(where: str, found: re.Match[str], name: str) -> float | None:
     try:
-        sigma = float(found["sigma"])
+        return float(found[name]) if found[name] else None
     except ValueError as error:
-        raise InvalidInput(f"sigma_px: {found['sigma']!r} is not a number", where=f"{where}:1") from error
-    return found["frames"], found["unit"], Noise(sigma, int(found["freedom"]) if found["freedom"] else None)
+        raise InvalidInput(f"{name}: {found[name]!r} is not a number", where=f"{where}:1") from error
 
 
 def _missing(where: str, content: Lines) -> Iterator[tuple[Sight, str]]:

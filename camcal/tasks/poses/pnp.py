@@ -8,8 +8,8 @@ from typing import Any, Literal
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.pnp import PoseEstimate, PoseOptions
 from camcal.formats import correspondences, native, poses, rigs
-from camcal.formats.camera_file import CameraFile, Noise
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.camera_file import CameraFile
+from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.schema import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
@@ -21,7 +21,7 @@ from camcal.tasks.poses import pnp_remarks
 from camcal.tasks.poses.pnp_drawing import draw, sheets, videos_in
 from camcal.tasks.poses.pnp_observer import Observer
 from camcal.tasks.poses.pnp_prior import PriorOptions, read_prior
-from camcal.tasks.poses.pnp_records import record_of
+from camcal.tasks.poses.pnp_records import record_of, typical_sigma
 from camcal.tasks.poses.pnp_rig import joined, seen_by_rig
 from camcal.tasks.poses.pnp_views import Looking, Observation, Seen, seen_by
 
@@ -60,9 +60,10 @@ class PnpOptions:
 
     points: a file of correspondences. inputs: images, videos, folders and globs, or one detections file; of a rig
     CAMERA=PATH. name: of the camera in its file. pose: camera_T_object, object_T_camera (of a rig: of its frame).
-    outliers: auto is many for points, few for boards and tags. noise_px: standard deviation of a pixel coordinate (with
-    covariances of the pixels the root of their factor); None: as the points' file has it in px, otherwise as "auto",
-    from the residuals. intrinsics: propagate the camera's covariance. draw: a folder for pictures.
+    outliers: auto is many for points, few for boards and tags. noise_px: standard deviation of every pixel coordinate,
+    of weight 1 where pixels have weights; "auto": from the residuals. noise_scale: in its place, the factor on the
+    standard deviations that the pixels come with; None: 1 for those of the points' file, otherwise as "auto", from the
+    residuals. intrinsics: propagate the camera's covariance. draw: a folder for pictures.
     """
 
     camera: str
@@ -77,6 +78,7 @@ class PnpOptions:
     outliers: str = AUTO
     threshold_px: float | None = None
     noise_px: float | Literal["auto"] | None = None
+    noise_scale: float | Literal["auto"] | None = None
     prior: PriorOptions | None = None
     seed: int = 0
     all_solutions: bool = False
@@ -92,7 +94,7 @@ class PnpOptions:
 class PnpReport:
     """The poses, remarks, pictures, and the images that failed: unreadable, or seen but without a pose.
 
-    unsettled: those whose pose did not converge. factor: the noise is that of covariances that the pixels came with.
+    unsettled: those whose pose did not converge.
     """
 
     poses: Poses
@@ -100,7 +102,6 @@ class PnpReport:
     failed: tuple[str, ...]
     unsettled: tuple[Sight, ...] = ()
     pictures: tuple[Path, ...] = ()
-    factor: bool = False
 
     def require_good(self, gates: Gates) -> None:
         """Raise GateFailed with a line for each pose that does not pass."""
@@ -122,8 +123,8 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     settings = _settings(options)
     prior = read_prior(options.prior, of_object=not inverse) if options.prior else None
     observer, seen = _look(options, observer, file, progress)
-    noise = 1.0 if options.noise_px is None and seen.absolute else settings.noise_px
-    settings = replace(settings, noise_px=noise, prior=prior)
+    seen, settings = _with_noise(options, seen, settings)
+    settings = replace(settings, prior=prior)
     found, refused = observer.estimates(seen.observations, settings)
     refused = {**seen.refused, **refused}
     if not found:
@@ -131,7 +132,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     observations = {each.sight: each for each in seen.observations if each.sight in found}
     for warning in _warnings(observer, seen, found, list(observations.values()), settings):
         progress.warn(warning)
-    straight = _poses(observer, seen, found, refused, options.all_solutions)
+    straight = _poses(options, observer, seen, found, refused)
     result = straight.inverse() if inverse else straight
     if options.output:
         poses.write(options.output, result)
@@ -141,7 +142,6 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
         (*seen.failed, *map(str, refused)),
         tuple(sight for sight, estimate in found.items() if not estimate.converged),
         _drawn(options, observer, straight, found, observations, progress),
-        any(view.covariance is not None for each in observations.values() for view in each.views),
     )
 
 
@@ -157,6 +157,10 @@ def _check(options: PnpOptions) -> None:
         raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
     if looking.board and looking.tags:
         raise InvalidInput("a run looks for --board or for --tags, not for both")
+    if options.noise_px is not None and options.noise_scale is not None:
+        raise InvalidInput(
+            "--noise takes the place of the pixels' standard deviations, which --noise-scale multiplies; give one"
+        )
     if options.outliers not in OUTLIERS:
         raise InvalidInput(f"--outliers {options.outliers!r}{did_you_mean(options.outliers, OUTLIERS)}")
     if options.draw is not None:
@@ -194,7 +198,8 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
 
 def _seen_points(read: correspondences.PointViews) -> Seen:
     pairs = zip(read.views, read.ids, strict=True)
-    return Seen(tuple(Observation(Sight(view.image), (view,), (ids,)) for view, ids in pairs), absolute=read.absolute)
+    observations = tuple(Observation(Sight(view.image), (view,), (ids,)) for view, ids in pairs)
+    return Seen(observations, spread="stated" if read.absolute else "relative")
 
 
 def _is_inverse(pose: str | None, frame: str) -> bool:
@@ -206,35 +211,54 @@ def _is_inverse(pose: str | None, frame: str) -> bool:
 
 
 def _settings(options: PnpOptions) -> PoseOptions:
-    """Return how to estimate, but for what the pixels say of their noise, and for the prior."""
+    """Return how to estimate, but for the noise and the prior."""
     outliers = options.outliers
     if outliers == AUTO:
         outliers = "few" if options.points is None else "many"
     return PoseOptions(
-        None if isinstance(options.noise_px, str) else options.noise_px,
-        "none" if outliers == "none" else "few" if outliers == "few" else "many",
-        options.threshold_px,
+        outliers="none" if outliers == "none" else "few" if outliers == "few" else "many",
+        threshold_px=options.threshold_px,
         seed=options.seed,
         intrinsics=options.intrinsics,
     )
 
 
+def _with_noise(options: PnpOptions, seen: Seen, settings: PoseOptions) -> tuple[Seen, PoseOptions]:
+    """Return what was seen with the covariances that count, and the settings with the noise."""
+    noise, scale = (None if value == "auto" else value for value in (options.noise_px, options.noise_scale))
+    relative = seen.has_covariances and seen.spread == "relative"
+    if options.noise_px is None:
+        if options.noise_scale is not None and (relative or not seen.has_covariances):
+            raise InvalidInput(
+                "--noise-scale is a factor on standard deviations, and the pixels have none; give --noise PX"
+            )
+        given = 1.0 if options.noise_scale is None and seen.spread == "stated" else scale
+        return seen, replace(settings, noise_scale=given)
+    if relative:
+        return seen, replace(settings, noise_scale=noise)
+    return seen.alike(), replace(settings, noise_px=noise)
+
+
 def _poses(
+    options: PnpOptions,
     observer: Observer,
     seen: Seen,
     found: Mapping[Sight, PoseEstimate],
     refused: Mapping[Sight, CamcalError],
-    all_solutions: bool,
 ) -> Poses:
     """Return frame_T_object of every sight."""
+    some, matched = next(iter(found.values())), options.points is not None
     records = {
-        each.sight: record_of(found[each.sight], each, observer.cameras, all_solutions=all_solutions)
+        each.sight: record_of(
+            found[each.sight], each, observer.cameras, all_solutions=options.all_solutions, matched=matched
+        )
         for each in seen.observations
         if each.sight in found
     }
-    some = next(iter(found.values()))
+    scale = some.noise_scale if seen.has_covariances and seen.spread != "relative" else None
+    noise = PixelNoise(typical_sigma(list(found.values())), scale, some.freedom)
     missing = {**seen.nothing, **{sight: error.message for sight, error in refused.items()}}
-    return Poses(f"{observer.frame}_T_object", seen.unit, Noise(some.sigma_px, some.freedom), records, missing)
+    return Poses(f"{observer.frame}_T_object", seen.unit, noise, records, missing)
 
 
 def _why_no_pose(seen: Seen, refused: Mapping[Sight, CamcalError]) -> CamcalError:

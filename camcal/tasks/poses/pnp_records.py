@@ -1,7 +1,7 @@
 """From estimates to what is written of them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,10 +13,16 @@ from camcal.tasks.poses.pnp_views import Observation
 
 
 def record_of(
-    estimate: PoseEstimate, observation: Observation, cameras: Mapping[str | None, Camera], *, all_solutions: bool
+    estimate: PoseEstimate,
+    observation: Observation,
+    cameras: Mapping[str | None, Camera],
+    *,
+    all_solutions: bool,
+    matched: bool = False,
 ) -> PoseRecord:
     """Return what is known of one pose; cameras: by the names that the views have. Of the other minima only the
-    likeliest is kept unless all are asked for.
+    likeliest is kept unless all are asked for. matched: the points were matched, so that most may be wrong; those of a
+    board or of tags are not.
     """
     lengths = np.linalg.norm(estimate.residuals[estimate.inliers], axis=1)
     ids = np.concatenate(observation.ids)
@@ -24,7 +30,7 @@ def record_of(
         estimate.transform,
         estimate.covariance,
         estimate.noise_covariance,
-        estimate.status,
+        _status(estimate, matched),
         rms_px=estimate.rms_px,
         max_px=float(lengths.max()),
         n_points=len(estimate.inliers),
@@ -41,6 +47,19 @@ def record_of(
     )
 
 
+def _status(estimate: PoseEstimate, matched: bool) -> str:
+    few = not matched and 2 * estimate.used < len(estimate.inliers)
+    if few and estimate.status == "ok":
+        return f"weak: {estimate.used} of {len(estimate.inliers)} points agree, fewer than half"
+    return estimate.status
+
+
+def typical_sigma(estimates: Sequence[PoseEstimate]) -> float:
+    """Return the root mean square, px, of the standard deviations of the inliers' coordinates."""
+    counts = np.array([max(estimate.used, 1) for estimate in estimates])
+    return float(np.sqrt(np.average([estimate.sigma_px**2 for estimate in estimates], weights=counts)))
+
+
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
@@ -49,7 +68,7 @@ def _error_ratio(estimate: PoseEstimate, observation: Observation) -> float | No
     """Return the root of χ² of the pose over that of the alternative; None without one."""
     if not estimate.alternatives:
         return None
-    own = squared(estimate.residuals, observation)[estimate.inliers].sum() / estimate.sigma_px**2
+    own = squared(estimate.residuals, observation)[estimate.inliers].sum() / estimate.noise_scale**2
     other = own + estimate.alternatives[0].chi_square_difference
     return float(np.sqrt(own / other)) if other > 0 else 1.0
 

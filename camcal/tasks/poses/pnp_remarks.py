@@ -81,7 +81,7 @@ def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Ob
     pairs = list(zip(estimates, observations, strict=True))
     squares = sum(float(squared(each.residuals, observation)[each.inliers].sum()) for each, observation in pairs)
     freedom = sum(2 * each.used - 6 for each in estimates)
-    times = np.sqrt(squares / max(freedom, 1)) / estimates[0].sigma_px
+    times = np.sqrt(squares / max(freedom, 1)) / estimates[0].noise_scale
     if times < _TOO_LARGE or chi2.sf(freedom * times**2, max(freedom, 1)) > _UNLIKELY:
         return []
     return [f"the residuals are {times:.2g} times as large as the noise that is given: less is certain than they say"]

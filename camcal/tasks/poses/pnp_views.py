@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -44,16 +45,27 @@ class Observation:
 class Seen:
     """What is there to work on, the unit of its points, images that show nothing, and what is wrong with others.
 
-    absolute: whether the pixels' covariances are in px², not up to a factor.
+    spread: where the pixels' covariances come from, if they have any: they were "detected" with the pixels, "stated" by
+    the user, or are "relative", σ² over a weight.
     """
 
     observations: tuple[Observation, ...]
     unit: str = "m"
-    absolute: bool = False
+    spread: Literal["detected", "stated", "relative"] = "detected"
     nothing: Mapping[Sight, str] = field(default_factory=dict)
     refused: Mapping[Sight, CamcalError] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
+
+    @property
+    def has_covariances(self) -> bool:
+        """Whether any pixel came with one."""
+        return any(view.covariance is not None for each in self.observations for view in each.views)
+
+    def alike(self) -> "Seen":
+        """Return the same with pixels that are all known equally well."""
+        alike = (replace(each, views=tuple(view.alike() for view in each.views)) for each in self.observations)
+        return replace(self, observations=tuple(alike))
 
 
 @dataclass(frozen=True)

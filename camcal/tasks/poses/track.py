@@ -29,9 +29,10 @@ _OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an ob
 class FollowOptions:
     """A camera file (FILE or FILE#NAME) and the video or images it took; or a pose file alone.
 
-    camera: None for a pose file. name: of the camera in its file. noise_px: standard deviation of a pixel coordinate,
-    None to find it out. timing: when frames were taken. object: the one to follow, None for all. pose: what is written,
-    such as object_T_camera; None as the form wants it. kind: of the output, one of the forms of trajectories or None.
+    camera: None for a pose file. name: of the camera in its file. noise_px: standard deviation of every pixel
+    coordinate, None to find it out. timing: when frames were taken. object: the one to follow, None for all.
+    pose: what is written, such as object_T_camera; None as the form wants it. kind: of the output, one of the forms of
+    trajectories or None.
     """
 
     inputs: tuple[str, ...]

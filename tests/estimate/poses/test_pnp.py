@@ -194,6 +194,17 @@ def test_the_probability_of_the_wrong_pose_is_how_often_it_wins():
     assert abs(sum(wrong) - predicted.sum()) < 2.58 * spread  # 99 % of a sum of independent draws
 
 
+def test_a_noise_in_pixels_takes_the_place_of_covariances():
+    rng = np.random.default_rng(11)
+    view = observed(PINHOLE, some_pose(rng), BOARD, rng, 0.3)
+    known = replace(view, covariance=1e-4 * np.eye(2) * rng.uniform(0.5, 2.0, (54, 1, 1)))
+    plain, given = (estimate_poses(PINHOLE, [each], PoseOptions(noise_px=0.3))[0].value for each in (view, known))
+    np.testing.assert_array_equal(given.covariance, plain.covariance)
+    assert given.sigma_px == given.noise_scale == 0.3
+    with pytest.raises(InvalidInput, match="give no scale"):
+        PoseOptions(noise_px=0.3, noise_scale=1.0)
+
+
 def test_covariances_of_pixels_count_up_to_a_common_factor():
     rng = np.random.default_rng(11)
     view = observed(PINHOLE, some_pose(rng), BOARD, rng, 0.3)
@@ -201,7 +212,9 @@ def test_covariances_of_pixels_count_up_to_a_common_factor():
     once, four = (estimate(PINHOLE, Correspondences("a", BOARD, view.pixels, f * covariance)) for f in (1, 4))
     np.testing.assert_allclose(error_of(once.transform, four.transform), 0, atol=1e-9)  # where the solver stops
     np.testing.assert_allclose(once.covariance, four.covariance, rtol=1e-4)
-    assert once.sigma_px == pytest.approx(2 * four.sigma_px, rel=1e-6)
+    assert once.noise_scale == pytest.approx(2 * four.noise_scale, rel=1e-6)
+    assert once.sigma_px == pytest.approx(four.sigma_px, rel=1e-6)
+    assert once.sigma_px == pytest.approx(0.3, rel=0.3)  # of 102 degrees of freedom
     assert np.linalg.norm(error_of(once.transform, estimate(PINHOLE, view).transform)) > 1e-6
 
 

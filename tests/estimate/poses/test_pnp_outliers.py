@@ -136,11 +136,21 @@ def test_points_and_pixels_that_do_not_belong_together_are_refused_or_weak():
             assert "do points and pixels belong together" in str(outcome.error)
 
 
+def test_a_threshold_is_in_pixels_whatever_the_pixels_come_with():
+    rng = np.random.default_rng(9)
+    view, _, _ = spoilt(PINHOLE, rng, rng.uniform(-0.5, 0.5, (80, 3)), 0.4)
+    known = replace(view, covariance=np.tile(0.01 * np.eye(2), (80, 1, 1)))
+    for outliers in ("few", "many"):
+        found = estimate(PINHOLE, known, noise_scale=10.0, outliers=outliers, threshold_px=2.0)
+        lengths = np.linalg.norm(found.residuals, axis=1)
+        assert lengths[found.inliers].max() < 2.0 < lengths[~found.inliers].min()
+
+
 def test_covariances_scale_the_threshold():
     rng = np.random.default_rng(9)
     view, right, truth = spoilt(PINHOLE, rng, rng.uniform(-0.5, 0.5, (80, 3)), 0.4)
     weighted = replace(view, covariance=np.tile(4.0 * np.eye(2), (80, 1, 1)))
-    found = estimate(PINHOLE, weighted, noise_px=0.5, outliers="many")
+    found = estimate(PINHOLE, weighted, noise_scale=0.5, outliers="many")
     np.testing.assert_array_equal(found.inliers, estimate(PINHOLE, view, noise_px=1.0, outliers="many").inliers)
     assert np.linalg.norm(error_of(found.transform, truth)) < 0.05
     assert np.mean(found.inliers == right) > 0.95
