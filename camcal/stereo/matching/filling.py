@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 
+_OCCLUSION, _SPARE = 2.0, 30  # times the step between its sides, and pixels, up to which a gap may be an occlusion
 _MEDIAN = 5  # pixels
 _BILATERAL = 9  # pixels
 _STEP = 1.5  # pixels of disparity that smoothing keeps
@@ -17,7 +18,7 @@ class Filled(NamedTuple):
     """Disparity (H, W), pixels, with the gaps of each row filled; NaN where a row has none.
 
     choice: (H, W) by how much the two sides of a gap differ, pixels. distance: (H, W) to the side that was taken,
-    pixels. Both are 0 where there is no gap.
+    the nearer one where both were, pixels. Both are 0 where there is no gap.
     """
 
     disparity: Array
@@ -28,7 +29,9 @@ class Filled(NamedTuple):
 def from_the_background(disparity: Array) -> Filled:
     """Return disparities (H, W) with every gap of a row filled from its side that is farther away.
 
-    What one camera does not see lies behind what hides it. At the ends of a row there is only one side.
+    What one camera does not see lies behind what hides it, and is as wide as the step of disparity beside it. A gap
+    that is much wider is no occlusion but a surface without texture: it goes straight from one side to the other. At
+    the ends of a row there is only one side.
     """
     gap = np.isnan(disparity)
     fenced = np.zeros((len(gap), gap.shape[1] + 2), np.bool_)
@@ -38,11 +41,17 @@ def from_the_background(disparity: Array) -> Filled:
     sides = np.stack([disparity[row, np.maximum(start - 1, 0)], disparity[row, np.minimum(stop, gap.shape[1] - 1)]])
     from_right = ~(sides[0] <= sides[1]) & np.isfinite(sides[1])  # whichever side is no number is no side
     lengths = stop - start
-    place = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    number = np.repeat(np.arange(len(lengths)), lengths)  # of the gap that a pixel lies in
+    place = np.arange(len(number)) - (np.cumsum(lengths) - lengths)[number]
+    step = np.abs(sides[0] - sides[1])
+    values = np.where(from_right, sides[1], sides[0])[number]
+    away = np.where(from_right[number], lengths[number] - place, place + 1)
+    straight = (lengths > _OCCLUSION * step + _SPARE)[number]  # False where a side is no number
+    first, (left, right) = place[straight] + 1, sides[:, number[straight]]
+    values[straight] = left + (right - left) * first / (lengths[number[straight]] + 1)
+    away[straight] = np.minimum(first, lengths[number[straight]] + 1 - first)
     filled, choice, distance = disparity.astype(np.float32), *np.zeros((2, *gap.shape), np.float32)
-    filled[gap] = np.repeat(np.where(from_right, sides[1], sides[0]), lengths)
-    choice[gap] = np.repeat(np.nan_to_num(np.abs(sides[0] - sides[1])), lengths)
-    distance[gap] = np.where(np.repeat(from_right, lengths), np.repeat(lengths, lengths) - place, place + 1)
+    filled[gap], choice[gap], distance[gap] = values, np.nan_to_num(step)[number], away
     return Filled(filled, choice, distance)
 
 

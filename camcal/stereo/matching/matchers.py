@@ -17,6 +17,7 @@ from camcal.stereo.matching.semi_global import aggregate, fraction, least, rough
 from camcal.stereo.matching.three_way import three_way, three_way_from_the_right
 
 _NOISY = 7.0  # gray levels; below, more blur loses more detail than noise
+_SPECKLE, _SPECKLE_SHARE = 400, 0.02  # pixels of a patch, and share of a small image, that need no second witness
 _BLUR, _NOISY_BLUR = 0.5, 0.8  # pixels: what a lens does not, so that images sampled between pixels look alike
 
 
@@ -53,9 +54,10 @@ def by_gray_levels(pair: GrayPair, first: int, count: int) -> Found:
 def by_gray_levels_unchecked(pair: GrayPair, first: int, count: int) -> Found:
     """Return what three-way semi-global matching finds from the left image alone, at half the cost.
 
-    Believed is all whose counterpart lies inside the right image. There are no differences.
+    Believed is all but speckles whose counterpart lies inside the right image. There are no differences.
     """
-    seen = three_way(pair.left, pair.right, first, count)
+    smallest = min(_SPECKLE, int(_SPECKLE_SHARE * pair.left.size))
+    seen = three_way(pair.left, pair.right, first, count, smallest)
     there = np.arange(seen.shape[1], dtype=np.float32) - seen
     nothing = np.float32(np.nan)
     believed = np.where((there > -0.5) & (there < seen.shape[1] - 0.5), seen, nothing)

@@ -28,10 +28,11 @@ _MEANT = np.array([
 # fmt: on
 
 
-def three_way(left: Array, right: Array, first: int, count: int) -> Array:
+def three_way(left: Array, right: Array, first: int, count: int, smallest: int = 0) -> Array:
     """Return the disparity (H, W), float32 pixels, of the left image; NaN where nothing is found.
 
-    left, right: (H, W) uint8. first: the smallest disparity looked for. count: how many.
+    left, right: (H, W) uint8. first: the smallest disparity looked for. count: how many. smallest: pixels of a patch
+    whose disparities differ by no more than one from neighbour to neighbour; smaller ones are dropped.
     """
     count = -(-count // _FRACTIONS) * _FRACTIONS
     if count > _MOST:
@@ -45,8 +46,8 @@ def three_way(left: Array, right: Array, first: int, count: int) -> Array:
         disp12MaxDiff=-1,
         preFilterCap=_CAP,
         uniquenessRatio=0,
-        speckleWindowSize=0,
-        speckleRange=0,
+        speckleWindowSize=smallest,
+        speckleRange=1,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     width = left.shape[1]

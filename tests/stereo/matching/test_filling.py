@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.stereo.matching.filling import everywhere, from_the_background, smoothed, without_spikes
 
-shapes = st.tuples(st.integers(1, 5), st.integers(1, 12))
+shapes = st.tuples(st.integers(1, 5), st.integers(1, 12) | st.integers(40, 90))
 
 
 def some_map(seed, shape, gaps):
@@ -27,26 +27,42 @@ def side_of(row, x, step):
 
 
 def filled_by_a_loop(disparity):
-    """Return the filled map, the choice and the distance (3, H, W): the smaller of both sides, the left of equals."""
+    """Return the filled map, the choice and the distance (3, H, W).
+
+    It is the smaller of both sides, the left of equals; or the straight line between them in a gap of more than 30
+    pixels and two more for every pixel by which they differ.
+    """
     result = np.stack([disparity, np.zeros_like(disparity), np.zeros_like(disparity)])
     for y, x in np.argwhere(np.isnan(disparity)):
         sides = [side_of(disparity[y], x, step) for step in (-1, 1)]
         known = [side for side in sides if side is not None]
         if known:
             value, distance = min(known, key=lambda side: side[0])
-            result[:, y, x] = value, abs(known[0][0] - known[-1][0]), distance
+            choice = abs(known[0][0] - known[-1][0])
+            length = sum(side[1] for side in known) - 1
+            if len(known) == 2 and length > 2 * choice + 30:
+                (left, before), (right, after) = known
+                value, distance = left + (right - left) * before / (length + 1), min(before, after)
+            result[:, y, x] = value, choice, distance
     return result
 
 
-@given(shapes, st.sampled_from([0.1, 0.5, 0.9]), st.integers(0, 2**32 - 1))
-def test_gaps_are_filled_from_the_farther_side(shape, gaps, seed):
+@given(shapes, st.sampled_from([0.1, 0.5, 0.9, 0.98]), st.integers(0, 2**32 - 1))
+def test_gaps_are_filled_from_the_farther_side_and_wide_ones_by_a_line(shape, gaps, seed):
     disparity = some_map(seed, shape, gaps)
     filled, choice, distance = from_the_background(disparity)
     expected, expected_choice, expected_distance = filled_by_a_loop(disparity)
-    np.testing.assert_array_equal(filled, expected)
+    np.testing.assert_allclose(filled, expected, atol=1e-5)  # of lines in float32
     np.testing.assert_array_equal(choice, expected_choice)
     known = np.isfinite(expected)  # in a row without a side a distance means nothing
     np.testing.assert_array_equal(distance[known], expected_distance[known])
+
+
+def test_a_wide_gap_in_a_slanted_surface_is_filled_along_the_surface():
+    surface = np.tile(np.linspace(10, 24, 141, dtype=np.float32), (5, 1))
+    gappy = surface.copy()
+    gappy[:, 20:110] = np.nan
+    np.testing.assert_allclose(from_the_background(gappy).disparity, surface, atol=1e-4)  # float32
 
 
 @given(shapes, st.integers(0, 2**32 - 1))

@@ -49,6 +49,17 @@ def test_fractions_are_without_a_pull_towards_whole_pixels(quarter):
     assert np.nanmedian(disparity) == pytest.approx(8 + quarter, abs=0.08)  # OpenCV's own are off by 0.1 and more
 
 
+def test_speckles_are_dropped_and_what_is_larger_stays():
+    left, right = pair_at(9)
+    left, right = left.copy(), right.copy()
+    patch = np.random.default_rng(5).integers(0, 256, (8, 8), np.uint8)
+    left[20:28, 60:68], right[20:28, 40:48] = patch, patch  # 64 pixels at another disparity
+    kept, without = (three_way(left, right, 0, 32, smallest) for smallest in (0, 200))
+    assert np.mean(np.abs(kept[22:26, 62:66] - 20) < 0.5) > 0.9
+    assert np.isnan(without[22:26, 62:66]).all()
+    assert np.mean(np.abs(without[:, 14:] - 9) < 0.5) > 0.97
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 1), (1, 9), (9, 1), (3, 5)])
 @pytest.mark.parametrize("first", [-50, 0, 50])
 def test_tiny_images_are_matched_in_columns_enough_for_the_window(shape, first, monkeypatch):
