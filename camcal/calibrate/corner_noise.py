@@ -26,6 +26,7 @@ PERIODS = (2,)
 
 _ITERATIONS, _HALVINGS = 50, 20
 _TOLERANCE = 1e-12  # descent per residual, about the square of a relative change of its variance
+_NOTHING = 1e-6  # of the largest; less counts as this in a geometric mean
 _SMALLEST = 1e-12  # of the mean squared residual: keeps the likelihood finite where nothing is claimed
 
 
@@ -46,6 +47,12 @@ class CornerNoise:
             for period in PERIODS
         }
         return CornerNoise(float(np.sqrt((1 - share) * self.floor_px**2 + share * other.floor_px**2)), periods)
+
+    def typical(self, shares: Array) -> float:
+        """Return what is typically added, px: the geometric mean over all coordinates; shares: (N, 2, n)."""
+        added = self.floor_px**2 + shares @ np.square([self.period_px[period] for period in PERIODS])
+        most = added.max(initial=0.0)
+        return float(np.sqrt(np.exp(np.mean(np.log(np.maximum(added, _NOTHING * most)))))) if most > 0 else 0.0
 
     def covariances(self, claimed: Array, shares: Array) -> Array:
         """Return the covariances (N, 2, 2), px², of corners whose images claim `claimed` (N, 2, 2), px².

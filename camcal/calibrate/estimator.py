@@ -70,7 +70,8 @@ class Estimate:
 
     problem: with the final noise, weights and priors. board: the scales of the classes of its shape. coefficients:
     (V, m) of effects. factors: of the last linear solve, effects in standard deviations. posterior: what it leaves
-    open. converged: whether the lens had settled.
+    open. converged: whether the lens had settled. model_error_px: what a typical corner is off by beyond its
+    covariance, None without covariances.
     """
 
     problem: BoardProblem
@@ -85,6 +86,7 @@ class Estimate:
     posterior: Posterior
     passes: int
     converged: bool
+    model_error_px: float | None = None
 
 
 def estimate(
@@ -175,6 +177,7 @@ class _Passes:
             left,
             number,
             moved < _CALM,
+            None if self.corners is None else self.corners.typical(self.shares[self.present]),
         )
 
     def _pass(self, *, first: bool) -> tuple[Factors, Posterior, float]:

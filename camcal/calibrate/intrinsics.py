@@ -64,7 +64,8 @@ class Calibration:
     sigma_px: the noise of one pixel coordinate, freed from the fit's own parameters. freedom: degrees of freedom.
     rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px.
     correlations: between the board's in-plane terms and fx, fy, where the former are in use.
-    floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given.
+    floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given;
+    model_error_px: that of a typical corner, errors that repeat with the pixels included.
     held_by_prior: lens parameters that the data hardly determine: their prior does.
     noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
     covariance counts the errors within views as well. within_views: what these errors are. two_cameras: the groups
@@ -85,6 +86,7 @@ class Calibration:
     iterations: int
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     floor_px: float | None = None
+    model_error_px: float | None = None
     held_by_prior: tuple[str, ...] = ()
     noise_covariance: Array | None = None
     within_views: WithinViews = field(default_factory=WithinViews)
@@ -232,6 +234,7 @@ def _record(
         sum(own.passes for own in result.estimates),
         _correlations(problem.shared_names, covariance),
         floor_px=None if plain.corners is None else plain.corners.floor_px,
+        model_error_px=plain.model_error_px,
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
         within_views=result.errors,

@@ -74,7 +74,8 @@ def pnp(
         ),
     ] = "auto",
     threshold: Annotated[
-        float | None, typer.Option(metavar="PX", help="Largest residual of an inlier; by default what 99.7 % keep to.")
+        float | None,
+        typer.Option(metavar="PX", help="Largest residual of an inlier; by default all that are more likely right."),
     ] = None,
     noise: Annotated[
         str | None,

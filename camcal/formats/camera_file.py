@@ -57,10 +57,14 @@ class ProjectionStd:
 
 @dataclass(frozen=True)
 class Noise:
-    """The standard deviation of one measured pixel coordinate, and the degrees of freedom it was estimated with."""
+    """The standard deviation of one measured pixel coordinate, and the degrees of freedom it was estimated with.
+
+    model_error_px: the part of it that board and lens model leave beyond what detection says of a typical corner.
+    """
 
     sigma_px: float
     degrees_of_freedom: int | None = None
+    model_error_px: float | None = None
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ _ENTRY = mapping(
         "held_by_prior": _unchecked,
         "valid": mapping({}, VALID),
         "quality": mapping({}, {**dict.fromkeys(FIGURES, number(0)), **dict.fromkeys(COUNTS, integer(0))}),
-        "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1)}),
+        "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1), "model_error_px": number(0)}),
         "verdict": mapping({"trustworthy": flag}, {"reasons": items(text)}),
         "sensor": mapping({}, SENSOR),
         "channels": mapping({}, others=mapping({"intrinsics": _unchecked}, _LENS)),

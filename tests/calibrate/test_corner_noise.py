@@ -57,6 +57,17 @@ def test_the_floor_is_found_among_corners_of_different_covariance(floor):
     assert found.period_px == {2: 0.0}  # no corner shows any
 
 
+def test_what_is_typically_added_is_the_geometric_mean_of_what_covariances_get():
+    rng = np.random.default_rng(2)
+    shares = period_shares(turned(views(rng, 500)))
+    noise = CornerNoise(0.03, {2: 0.08})
+    added = noise.covariances(np.zeros((500, 2, 2)), shares)
+    expected = np.exp(np.mean(np.log(np.diagonal(added, axis1=1, axis2=2))) / 2)
+    assert noise.typical(shares) == pytest.approx(expected, rel=1e-9)
+    assert 0.03 < noise.typical(shares) < 0.08
+    assert CornerNoise(0.0).typical(shares) == 0.0
+
+
 def test_there_is_none_where_the_covariances_say_it_all():
     rng = np.random.default_rng(3)
     claimed = claims(rng, 4000)

@@ -8,6 +8,8 @@ from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
+from camcal.report import pose_words
+from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
 from camcal.tasks.poses.pnp import PnpOptions, pnp
 from camcal.tasks.poses.pnp_views import Looking
 
@@ -63,3 +65,20 @@ def test_a_board_in_a_robots_hand_is_met_to_a_fraction_of_a_pixel(real_data, tmp
     assert all(record.status == "ok" and record.n_inliers == 54 for record in records)
     distances = [np.linalg.norm(record.transform.translation) for record in records]
     assert 0.25 < min(distances) < max(distances) < 0.5  # of a board in front of a robot's hand
+
+
+@pytest.mark.parametrize(
+    ("images", "board"),
+    [
+        ("chessboard/boofcv-sony-hx5v-chess/frame*.jpg", "chessboard:6x4:30mm"),
+        ("chessboard/opencv-left-right/left*.jpg", "chessboard:9x6:25mm"),
+        ("charuco/photonvision-2024-06-19_lifecam_1280_Old_Pattern/*.jpg", "charuco:8x8:25.4mm:19.05mm:DICT_4X4_1000"),
+    ],
+)
+def test_residuals_of_a_cameras_own_images_are_what_its_file_says(real_data, tmp_path, images, board):
+    camera, table = tmp_path / "camera.yaml", tmp_path / "detections.csv"
+    calibrate(CalibrateOptions((str(real_data / images),), camera, board, save_detections=table, jobs=1))
+    poses = pnp(PnpOptions(str(camera), inputs=(str(table),))).poses
+    assert 2 / 3 < poses.noise.scale < 1.5  # 4 to 15 by what corner detection says alone
+    assert "a-posteriori" not in pose_words.noise(poses)
+    assert all(record.status == "ok" for record in poses.estimates.values())

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
+from camcal.estimate.pnp import Correspondences
 from camcal.formats import detections, native
-from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.poses.record import PixelNoise
+from camcal.formats.camera_file import CameraEntry, CameraFile, Noise
+from camcal.formats.poses.record import PixelNoise, Sight
 from camcal.geometry.pose import Pose
 from camcal.progress import Silent
 from camcal.report import pose_words
@@ -20,8 +22,9 @@ from camcal.simulate.observe import observe
 from camcal.targets.board import Detection, Detections, parse_board
 from camcal.targets.surface import Surface
 from camcal.tasks.poses.pnp import Gates, PnpOptions, pnp
+from camcal.tasks.poses.pnp_observer import Observer
 from camcal.tasks.poses.pnp_prior import PriorOptions
-from camcal.tasks.poses.pnp_views import Looking
+from camcal.tasks.poses.pnp_views import Looking, Observation
 
 BOARD = parse_board("chessboard:9x6:30mm")
 CAMERA = Camera(model_named("opencv5"), (1280, 960), [900.0, 905.0, 640.0, 480.0, -0.2, 0.05, 1e-3, 0.0, 0.0])
@@ -367,6 +370,43 @@ def test_a_pose_from_fewer_than_half_of_the_points_is_flagged(camera_file, tmp_p
         assert record.n_inliers < 27
         assert record.status == f"weak: {record.n_inliers} of 54 points agree, fewer than half"
         assert pose_words.row(report.poses, sight, record)[-1] == record.status
+
+
+def shaken(found, std_px, claimed_px, seed=5):
+    """Return detections with noise added to their pixels, and covariances that claim some of it."""
+    rng = np.random.default_rng(seed)
+    views = (
+        replace(
+            view,
+            pixels=view.pixels + std_px * rng.standard_normal(view.pixels.shape),
+            covariance=np.tile(claimed_px**2 * np.eye(2), (len(view.ids), 1, 1)),
+        )
+        for view in found.views
+    )
+    return Detections(found.board, tuple(views))
+
+
+def test_the_model_error_of_the_camera_file_counts_beside_what_corners_say(camera_file, tmp_path, seen):
+    found = shaken(seen, 0.4, 0.05)  # on top of 0.1 px
+    bare = pnp(from_detections(camera_file, tmp_path, found, outliers="few"))
+    assert bare.poses.noise.scale == pytest.approx(0.41 / 0.05, rel=0.2)
+    assert "x the corner standard deviations (a-posteriori scale" in pose_words.noise(bare.poses)
+    native.write(Path(camera_file), CameraFile({"left": CameraEntry(CAMERA, noise=Noise(0.41, 3000, 0.4))}))
+    known = pnp(from_detections(camera_file, tmp_path, found, outliers="few"))
+    assert known.poses.noise.scale == pytest.approx(1.0, rel=0.2)
+    assert known.poses.noise.sigma_px == pytest.approx(0.41, rel=0.2)
+    assert "a-posteriori" not in pose_words.noise(known.poses)
+    given = pnp(from_detections(camera_file, tmp_path, found, outliers="few", noise_px=0.1))
+    assert given.poses.noise == PixelNoise(0.1)
+
+
+def test_the_model_error_follows_the_size_of_the_images(tmp_path):
+    camera = replace(CAMERA, image_size=(640, 480))
+    observer = Observer.of_camera(CAMERA, Noise(0.3, 100, 0.2)).resized({None: camera}, None)
+    view = Correspondences("a", BOARD.points(), np.zeros((54, 2)), np.tile(0.01 * np.eye(2), (54, 1, 1)))
+    (found,) = observer.with_model_errors([Observation(Sight("a"), (view, view.alike()), (np.arange(54),))])
+    np.testing.assert_allclose(found.views[0].covariance, np.tile(0.02 * np.eye(2), (54, 1, 1)))
+    assert found.views[1].covariance is None
 
 
 def test_outliers_are_named_by_their_ids(camera_file, tmp_path, seen):

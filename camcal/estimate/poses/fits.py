@@ -18,6 +18,7 @@ from camcal.estimate.poses.inliers import (
     Settled,
     approached,
     choose,
+    likeliest_threshold,
     settle,
 )
 from camcal.estimate.poses.judgement import Noise
@@ -25,21 +26,26 @@ from camcal.estimate.poses.minima import anchors, lowest, pose_minima
 from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems
 from camcal.estimate.poses.records import PoseOptions
 from camcal.estimate.poses.samples import Sampling, sampled
-from camcal.solve.independent import Minima
+from camcal.solve.independent import Minima, joined
 
 MIN_POINTS = 4
 _TELLING = 6  # points of which one can be told to be wrong by the others
 _ESTIMATIONS = 3  # of noise and inliers in turns
+_TURNS = 3  # of the share of wrong points and the limit that follows
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The minima of a group's problems, one problem an item with one minimum or more."""
+    """The minima of a group's problems, one problem an item with one minimum or more.
+
+    found: the poses with inliers of their own that these were chosen from, None where all points count.
+    """
 
     group: Group
     problems: PoseProblems
     minima: Minima
     extents: Extents
+    found: Settled | None = None
 
     def take(self, chosen: Array) -> "Fit":
         """Return the fit of some of the items."""
@@ -49,6 +55,24 @@ class Fit:
         minima = self.minima.take(renumbered[self.minima.which] >= 0)
         minima = replace(minima, which=renumbered[minima.which])
         return Fit(self.group.take(chosen), problems, minima, self.extents)
+
+    def starts(self) -> tuple[Array, Array]:
+        """Return the states (S, 3, 4) that may lead to the best pose, and their items (S,)."""
+        if self.found is None:
+            return self.minima.states, self.minima.which
+        sound = np.isfinite(self.found.truncated)
+        states, which = self.found.states[sound], self.found.which[sound]
+        return np.concatenate([self.minima.states, states]), np.concatenate([self.minima.which, which])
+
+    def with_items(self, items: Array, problems: PoseProblems, minima: Minima) -> "Fit":
+        """Return the fit with the problems and minima of some items replaced."""
+        masks = tuple(mask.copy() for mask in self.problems.masks)
+        for mask, new in zip(masks, problems.masks, strict=True):
+            mask[items] = new
+        others = self.minima.take(~np.isin(self.minima.which, items))
+        together = joined(others, replace(minima, which=items[minima.which]))
+        together = together.take(np.argsort(together.which, kind="stable"))
+        return replace(self, problems=self.problems.masked(masks), minima=together)
 
 
 def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[Fit], Noise | None]:
@@ -64,12 +88,16 @@ def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[Fit], N
         fits = [_plain(group, options) for group in groups]
         agreement = agreement if known else agreement_of(options, _robust_noise(fits))
         fits = [_agreeing(fit, options, agreement) for fit in fits]
-    if known:
+    if options.threshold_px is not None:
         return fits, given
-    for _ in range(_ESTIMATIONS):
-        agreement = agreement_of(options, _robust_noise(fits))
-        fits = [_agreeing(fit, options, agreement) for fit in fits]
-    return fits, pooled(fits, agreement)
+    noise = given
+    if noise is None:
+        for _ in range(_ESTIMATIONS):
+            agreement = agreement_of(options, _robust_noise(fits))
+            fits = [_agreeing(fit, options, agreement) for fit in fits]
+        noise = pooled(fits, agreement)
+    fits = [_likeliest(fit, options, noise.sigma) for fit in fits]
+    return fits, given or pooled(fits)
 
 
 def pooled(fits: Sequence[Fit], agreement: Agreement | None = None) -> Noise:
@@ -116,7 +144,8 @@ def _from_samples(group: Group, options: PoseOptions, agreement: Agreement) -> F
     problems, extents = _problems(group, options), Extents.of(*group.points())
     found = _samples(problems, problems.view, options, agreement)
     found.append(settle(problems, *anchors(problems), agreement))
-    return Fit(group, *choose(problems, reduce(Settled.joined, found), extents, agreement), extents)
+    together = reduce(Settled.joined, found)
+    return Fit(group, *choose(problems, together, extents, agreement), extents, together)
 
 
 def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
@@ -125,7 +154,7 @@ def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
     If few points are wrong, the agreement is approached from the fit to all, and samples help where that fails.
     """
     problems = PoseProblems.of(fit.group.sights, fit.problems.anchor)
-    states, which, few = fit.minima.states, fit.minima.which, options.outliers == "few"
+    few, (states, which) = options.outliers == "few", fit.starts()
     states = approached(problems, states, which, agreement) if few else states
     found = settle(problems, states, which, agreement)
     chosen, minima = choose(problems, found, fit.extents, agreement)
@@ -133,7 +162,51 @@ def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
     if few and lost.size:
         found = reduce(Settled.joined, _samples(problems, lost, options, agreement), found)
         chosen, minima = choose(problems, found, fit.extents, agreement)
-    return Fit(fit.group, chosen, minima, fit.extents)
+    return Fit(fit.group, chosen, minima, fit.extents, found)
+
+
+def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
+    """Return the fit to all points that are more likely right than wrong; sigma: of a whitened coordinate.
+
+    A limit that 99.73 % of right points keep to loses one in many views, the one that is off most: their poses would be
+    worse than they claim. Only views with points left out change.
+    """
+    every = PoseProblems.of(fit.group.sights, fit.problems.anchor)
+    spoilt = np.flatnonzero((fit.problems.counts > 0) & (fit.problems.counts < every.counts))
+    if not spoilt.size:
+        return fit
+    problems, (states, which) = every.take(spoilt), fit.starts()
+    states, which = _of_items(states, which, spoilt)
+    chosen, areas = fit.problems.take(spoilt), _areas(fit.group, options)[spoilt]
+    for _ in range(_TURNS):
+        threshold = likeliest_threshold(problems, chosen.masks, areas, sigma)
+        agreement = replace(agreement_of(options, sigma), threshold=threshold)
+        before, found = chosen.counts, settle(problems, states, which, agreement)
+        chosen, minima = choose(problems, found, fit.extents, agreement)
+        if np.array_equal(chosen.counts, before):
+            break
+    return fit.with_items(spoilt, chosen, minima)
+
+
+def _of_items(states: Array, which: Array, items: Array) -> tuple[Array, Array]:
+    """Return the states (S, 3, 4) that belong to items, and the places (S,) of theirs among these."""
+    chosen = np.isin(which, items)
+    return states[chosen], np.searchsorted(items, which[chosen])
+
+
+def _areas(group: Group, options: PoseOptions) -> Array:
+    """Return the areas (W,), px², that wrong pixels are in: those of images, or on boards and tags what is theirs."""
+    if options.outliers == "many":
+        return np.full(len(group.items), max(float(np.prod(sight.camera.image_size)) for sight in group.sights))
+    total, count = np.zeros(len(group.items)), np.zeros(len(group.items))
+    for sight in group.sights:
+        most, least = (
+            function(np.where(sight.present, sight.pixels, sign * -np.inf), axis=2)
+            for function, sign in ((np.max, 1), (np.min, -1))
+        )
+        total += np.prod(np.maximum(most - least, 0.0), axis=0)
+        count += sight.present.sum(axis=1)
+    return np.asarray(total / np.maximum(count, 1))
 
 
 def _samples(problems: PoseProblems, which: Array, options: PoseOptions, agreement: Agreement) -> list[Settled]:

@@ -28,10 +28,11 @@ Limits = Callable[[Array, Array], Array]
 class Agreement:
     """When points agree with a pose: threshold, the largest residual, whitened or in px; least, how many it takes.
 
-    whole: problems of fewer points keep all of them, as too few to tell a wrong one.
+    threshold: of all problems, or (P,) of each. whole: problems of fewer points keep all of them, as too few to tell a
+    wrong one.
     """
 
-    threshold: float
+    threshold: float | Array
     least: int
     whole: int = 0
     in_pixels: bool = False
@@ -46,7 +47,8 @@ class Agreement:
 
     def limits(self, problems: PoseProblems, which: Array) -> Array:
         """Return the largest squared residuals (S, 1) of inliers of problems (S,)."""
-        return np.where(problems.counts[which] < self.whole, np.inf, self.threshold**2)[:, None]
+        limits = np.broadcast_to(np.square(self.threshold), len(problems.view))[which]
+        return np.where(problems.counts[which] < self.whole, np.inf, limits)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,24 @@ def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agree
     truncated = _truncated_cost(problems, states, which, limits, agreement)
     enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= agreement.least
     return Settled(states, which, masks, np.where(enough, truncated, np.inf))
+
+
+def likeliest_threshold(problems: PoseProblems, masks: tuple[Array, ...], areas: Array, sigma: float) -> Array:
+    """Return the whitened residual (P,) up to which a point is more likely right than wrong.
+
+    That is d² = 2 ln[A (1 - ε) / (2π σ² ε)]: wrong pixels are anywhere in areas A (P,), px², and their share ε is that
+    of the points outside the masks. sigma: standard deviation of a whitened coordinate.
+    """
+    inliers, variance = np.zeros(len(areas)), np.zeros(len(areas))
+    for sight, mask in zip(problems.sights, masks, strict=True):
+        inliers += mask.sum(axis=1)
+        variance += np.where(mask, sight.variances()[problems.view], 0.0).sum(axis=1)
+    # as if half a point more of either kind had been seen: none is certain
+    odds = (inliers + 0.5) / (np.maximum(problems.counts - inliers, 0) + 0.5)
+    typical = sigma**2 * variance / np.maximum(inliers, 1)
+    with np.errstate(divide="ignore"):
+        squared = 2 * (np.log(areas) + np.log(odds) - np.log(2 * np.pi * typical))
+    return np.asarray(sigma * np.sqrt(np.maximum(squared, WIDTH**2)))
 
 
 def approached(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:

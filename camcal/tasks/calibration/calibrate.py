@@ -256,7 +256,7 @@ def camera_file(
         valid=ValidRegion.of(calibration.camera, circle),
         projection=(ProjectionStd.of(uncertainty),),
         quality=quality_figures(calibration),
-        noise=Noise(calibration.sigma_px, calibration.freedom),
+        noise=Noise(calibration.sigma_px, calibration.freedom, calibration.model_error_px),
         verdict=Verdict(advice.trustworthy, advice.reasons),
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,

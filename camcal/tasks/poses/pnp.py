@@ -123,7 +123,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     settings = _settings(options)
     prior = read_prior(options.prior, of_object=not inverse) if options.prior else None
     observer, seen = _look(options, observer, file, progress)
-    seen, settings = _with_noise(options, seen, settings)
+    seen, settings = _with_noise(options, observer, seen, settings)
     settings = replace(settings, prior=prior)
     found, refused = observer.estimates(seen.observations, settings)
     refused = {**seen.refused, **refused}
@@ -176,9 +176,10 @@ def _check(options: PnpOptions) -> None:
 def _observer(options: PnpOptions, file: CameraFile) -> Observer:
     path, name = split_address(options.camera)
     if options.rig:
-        return Observer.of_rig(*rigs.rig_of(file, str(path)))
+        rig, frame = rigs.rig_of(file, str(path))
+        return Observer.of_rig(rig, frame, {name: file.cameras[name].noise for name in rig.cameras})
     entry = native.select(file, name or options.name, str(path))
-    return Observer.of_camera(entry.camera, entry.noise.sigma_px if entry.noise else None)
+    return Observer.of_camera(entry.camera, entry.noise)
 
 
 def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: Progress) -> tuple[Observer, Seen]:
@@ -190,10 +191,10 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
         return observer, replace(seen, observations=joined(seen.observations))
     if rig is not None:
         rig, seen = seen_by_rig(rig, file, options.inputs, looking, progress)
-        return Observer.of_rig(rig, observer.frame), seen
+        return observer.resized(dict(rig.cameras.items()), rig), seen
     name = split_address(options.camera)[1] or options.name
     camera, seen = seen_by(observer.cameras[None], name, file, options.inputs, looking, progress)
-    return Observer.of_camera(camera, observer.noise_px), seen
+    return observer.resized({None: camera}, None), seen
 
 
 def _seen_points(read: correspondences.PointViews) -> Seen:
@@ -223,7 +224,7 @@ def _settings(options: PnpOptions) -> PoseOptions:
     )
 
 
-def _with_noise(options: PnpOptions, seen: Seen, settings: PoseOptions) -> tuple[Seen, PoseOptions]:
+def _with_noise(options: PnpOptions, observer: Observer, seen: Seen, settings: PoseOptions) -> tuple[Seen, PoseOptions]:
     """Return what was seen with the covariances that count, and the settings with the noise."""
     noise, scale = (None if value == "auto" else value for value in (options.noise_px, options.noise_scale))
     relative = seen.has_covariances and seen.spread == "relative"
@@ -233,6 +234,8 @@ def _with_noise(options: PnpOptions, seen: Seen, settings: PoseOptions) -> tuple
                 "--noise-scale is a factor on standard deviations, and the pixels have none; give --noise PX"
             )
         given = 1.0 if options.noise_scale is None and seen.spread == "stated" else scale
+        if seen.spread == "detected":
+            seen = replace(seen, observations=observer.with_model_errors(seen.observations))
         return seen, replace(settings, noise_scale=given)
     if relative:
         return seen, replace(settings, noise_scale=noise)

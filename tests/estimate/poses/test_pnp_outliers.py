@@ -8,7 +8,10 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses, region_quantile
+from camcal.estimate.poses.inliers import likeliest_threshold
+from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.sightings import Sightings
 from camcal.geometry.pose import Pose
 
 PINHOLE = Camera(model_named("pinhole"), (1280, 960), [800.0, 805.0, 640.0, 480.0])
@@ -134,6 +137,44 @@ def test_points_and_pixels_that_do_not_belong_together_are_refused_or_weak():
         else:
             assert isinstance(outcome.error, InsufficientData)
             assert "do points and pixels belong together" in str(outcome.error)
+
+
+@pytest.mark.parametrize("outliers", ["few", "many"])
+def test_right_points_that_are_off_by_a_little_more_than_most_are_kept(outliers):
+    rng = np.random.default_rng(12)
+    for _ in range(10):
+        view, _, truth = spoilt(PINHOLE, rng, rng.uniform(-0.5, 0.5, (30, 3)), 0.0, noise_px=0.0)
+        pixels = view.pixels + 0.3 * rng.standard_normal((30, 2))
+        pixels[0] = view.pixels[0] + 0.3 * np.array([4.2, 0.0])  # standard deviations; one of 7000 points is as far off
+        pixels[1] = view.pixels[1] + 0.3 * np.array([0.0, 12.0])
+        found = estimate(PINHOLE, replace(view, pixels=pixels), noise_px=0.3, outliers=outliers)
+        np.testing.assert_array_equal(np.flatnonzero(~found.inliers), [1])
+        assert np.linalg.norm(error_of(found.transform, truth)) < 0.05
+
+
+def test_the_likeliest_threshold_is_where_right_and_wrong_are_equally_likely():
+    rng = np.random.default_rng(13)
+    view, right, _ = spoilt(PINHOLE, rng, rng.uniform(-0.5, 0.5, (40, 3)), 0.25)
+    known = replace(view, covariance=np.tile(0.25 * np.eye(2), (40, 1, 1)))
+    problems = PoseProblems.of((Sightings.of(PINHOLE, [known], Pose.identity()),))
+    sigma, area = 1.6, 1e6
+    (threshold,) = likeliest_threshold(problems, (right[None],), np.array([area]), sigma)
+    share, variance = 10.5 / 41, 0.25 * sigma**2
+    density = (1 - share) / (2 * np.pi * variance) * np.exp(-0.5 * (threshold / sigma) ** 2)
+    assert density == pytest.approx(share / area, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize(("count", "share"), [(12, 0.3), (30, 0.0), (30, 0.5), (30, 0.8)])
+def test_regions_hold_what_they_claim_among_wrong_points(flat, count, share):
+    rng = np.random.default_rng(14)
+    made = [spoilt(PINHOLE, rng, rng.uniform(-0.5, 0.5, (count, 3)) * [1, 1, not flat], share) for _ in range(400)]
+    views, truths = [view for view, _, _ in made], [truth for _, _, truth in made]
+    outcomes = estimate_poses(PINHOLE, views, PoseOptions(noise_px=1.0, outliers="many"))
+    errors = [error_of(outcome.value.transform, truth) for outcome, truth in zip(outcomes, truths, strict=True)]
+    squares = [e @ np.linalg.solve(o.value.covariance, e) for e, o in zip(errors, outcomes, strict=True)]
+    assert 0.92 < np.mean(np.array(squares) < region_quantile(0.95, None)) < 0.98  # 2.8 standard deviations of 400
 
 
 def test_a_threshold_is_in_pixels_whatever_the_pixels_come_with():
