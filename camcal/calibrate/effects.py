@@ -19,7 +19,7 @@ SMOOTH_DEGREE = 3
 # how fast the spectrum of a field with the correlation exp(-d / 4 squares) falls, by degree: seen on boards of 6 x 4 to
 # 14 x 10 corners
 _SPECTRUM = (0.0, 1.0, 0.3, 0.12)
-FLEX_TERMS = (*CLASSES["bow"].terms, *CLASSES["cubic"].terms)
+FLEX_TERMS = tuple(term for name in ("twist", "bow", "cubic") for term in CLASSES[name].terms)
 
 
 @dataclass(frozen=True)

@@ -186,17 +186,17 @@ class _Passes:
         """
         before = self.place.state.parameters
         self._judge(first=first)
-        offsets = 0.0
+        offsets = np.zeros(len(self.present))
         if self.freedom.points and not self.problem.offsets and not first:
             offsets = self._move_points()
+        here = self.place
         factors, end = self._move()
         left = posterior(factors)
         self.board = self.board | board_scales(self.problem, end, factors)
         if self.problem.offsets:
-            offsets = spent_on_offsets(self.problem, factors)
+            offsets = spent_on_offsets(self.problem, here.state, here.derivatives, factors)
         self._pose_lost_views()
-        corners = count_of(self.problem.observations.weights)
-        self.spent = left.spent + offsets * corners / corners.sum()
+        self.spent = left.spent + offsets
         left = replace(left, spent=self.spent)
         free = self.problem.free
         moved = (self.place.state.parameters - before)[free] / np.sqrt(np.diag(left.shared)[: len(free)])
@@ -260,8 +260,10 @@ class _Passes:
         axes = side * self.place.derivatives.by_board(self.place.state.rotations)[..., :2]
         return period_shares(axes.reshape(-1, 2, 2)).reshape(*shape, 2, -1)
 
-    def _move_points(self) -> float:
-        """Solve for the offsets of the points, everything else held; return the degrees of freedom they take."""
+    def _move_points(self) -> Array:
+        """Solve for the offsets of the points, everything else held; return the degrees of freedom (V,) that the
+        corners of each view spend on them.
+        """
         state, derivatives = self.place.state, self.place.derivatives
         equations = point_equations(self.problem, state, derivatives, self._field(self.place))
         side = max(self.problem.board.extent)

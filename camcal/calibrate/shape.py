@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.calibrate.scales import Scale, scale_of
 from camcal.solve.steps import Factors
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, TERMS, Surface, basis, scale_unit
@@ -51,11 +51,24 @@ def _std(scale: Scale, median: float) -> float:
     return max(scale.effective, _NARROWEST * median)
 
 
-def spent_on_offsets(problem: BoardProblem, factors: Factors) -> float:
-    """Return the degrees of freedom that offsets solved for together with everything else take."""
-    assert problem.offset_std is not None
-    variances = np.diag(factors.shared_covariance())[len(problem.free) + len(problem.terms) :]
-    return float(np.sum(1 - variances / np.tile(problem.offset_std**2, problem.board.count)))
+def spent_on_offsets(problem: BoardProblem, state: State, derivatives: Derivatives, factors: Factors) -> Array:
+    """Return the degrees of freedom (V,) that the corners of each view spend on offsets solved for together with
+    everything else, beyond those that `variances.posterior` counts.
+
+    derivatives: those at the state where the factors' equations were linearised.
+    """
+    block = problem.data(state, derivatives)
+    assert block.weights is not None
+    *parts, last = (jacobian.values for jacobian in block.shared)
+    dense, ids = np.concatenate(parts, axis=2), problem.observations.ids
+    covariance, count = factors.shared_covariance(), dense.shape[2]
+    corners = np.arange(problem.board.count)
+    places = count + 3 * corners[:, None] + np.arange(3)
+    own = covariance[places[:, :, None], places[:, None, :]][ids.ravel()]
+    cross = covariance[places, :count][ids.ravel()]
+    # of the trace of J C Jᵀ of every corner the parts that the derivatives by its offset have
+    traces = np.sum((last @ own + 2 * dense @ cross.transpose(0, 2, 1)) * last, axis=(1, 2))
+    return np.asarray(np.sum((block.weights * traces).reshape(ids.shape), axis=1))
 
 
 def board_scales(problem: BoardProblem, state: State, factors: Factors) -> dict[str, Scale]:

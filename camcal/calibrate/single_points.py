@@ -20,19 +20,24 @@ TOGETHER, AT_ALL_TOGETHER = 60, 400
 
 @dataclass(frozen=True, eq=False)
 class PointEquations:
-    """What the data say of every point: information (C, 3, 3) and vector (C, 3), of its offset in the board's unit."""
+    """What the data say of every point: information (C, 3, 3) and vector (C, 3), of its offset in the board's unit.
+
+    by_corner: (V, P, 3, 3) what single corners add to the information. ids: (V, P) the points that these are.
+    """
 
     information: Array
     vector: Array
+    by_corner: Array
+    ids: Array
 
     def offsets(self, std: Array) -> Array:
         """Return the offsets (C, 3) under a prior of standard deviations (3,)."""
         return np.asarray(np.linalg.solve(self.information + np.diag(std**-2), self.vector[..., None])[..., 0])
 
-    def spent(self, std: Array) -> float:
-        """Return the degrees of freedom that the offsets take under this prior."""
-        left = np.linalg.solve(self.information + np.diag(std**-2), self.information)
-        return float(np.trace(left, axis1=1, axis2=2).sum())
+    def spent(self, std: Array) -> Array:
+        """Return the degrees of freedom (V,) that the corners of each view spend on offsets under this prior."""
+        covariance = np.linalg.inv(self.information + np.diag(std**-2))
+        return np.asarray(np.sum(self.by_corner * covariance[self.ids], axis=(1, 2, 3)))
 
     def scales(self, side: float, left: float) -> dict[str, Scale]:
         """Return the scales of the two classes of offsets, for a board of the longer side `side`.
@@ -57,9 +62,11 @@ def point_equations(problem: BoardProblem, state: State, derivatives: Derivative
     assert weights is not None
     points, ids = problem.board.count, problem.observations.ids.ravel()
     weighted = jacobian * weights[:, None, None]
-    products = np.einsum("mda,mdb->abm", weighted, jacobian).reshape(9, -1)
+    by_corner = np.einsum("mda,mdb->abm", weighted, jacobian)
+    products = by_corner.reshape(9, -1)
     slopes = np.einsum("mda,md->am", weighted, block.residuals)
     information = np.stack([np.bincount(ids, row, points) for row in products], axis=-1).reshape(points, 3, 3)
     gradient = np.stack([np.bincount(ids, row, points) for row in slopes], axis=-1)
     vector = np.einsum("cij,cj->ci", information, state.offsets) - gradient
-    return PointEquations(information, vector)
+    by_corner = by_corner.transpose(2, 0, 1).reshape(*problem.observations.ids.shape, 3, 3)
+    return PointEquations(information, vector, by_corner, problem.observations.ids)

@@ -88,7 +88,7 @@ def scaled(equations: NormalEquations, std: Array) -> NormalEquations:
 class Posterior:
     """What a solution leaves open. shared: (D, D) covariance of the parameters that all views share, but for offsets of
     single points. spent: (V,) degrees of freedom that the corners of a view have spent on pose, effects and shared
-    parameters.
+    parameters; where offsets are among these, what `spent_on_offsets` says is to be added.
     """
 
     shared: Array
@@ -97,13 +97,15 @@ class Posterior:
 
 def posterior(factors: Factors) -> Posterior:
     """Return what the factors of scaled equations leave open."""
-    dense = factors.equations.group_products.shape[-1]
+    products = factors.equations.group_products
+    dense = products.shape[-1]
     shared = factors.shared_covariance()[:dense, :dense]
     inverse = factors.inverse_group_root()[:, POSE:, POSE:]  # of a lower triangle: zero above
-    coupling = inverse.transpose(0, 2, 1) @ factors.reduced[:, POSE:, :dense]
+    coupling = factors.reduced @ np.linalg.inv(factors.shared_root).T
     # what is left open of the effects: the traces of their covariances
-    effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling @ shared * coupling, axis=(1, 2))
-    lens = np.sum(factors.group_information() * shared, axis=(1, 2))
+    own = inverse.transpose(0, 2, 1) @ coupling[:, POSE:]
+    effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(own**2, axis=(1, 2))
+    lens = np.sum(products * shared, axis=(1, 2)) - np.sum(coupling**2, axis=(1, 2))
     return Posterior(shared, POSE + inverse.shape[-1] - effects + lens)
 
 

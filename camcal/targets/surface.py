@@ -29,7 +29,8 @@ class ShapeClass:
 
 # Scales of the boards of 20 real data sets and two printers; a stretch or shear of 0.1 % moves an edge by 0.05 %.
 CLASSES: dict[str, ShapeClass] = {
-    "bow": ShapeClass(("xy", "P2(x)", "P2(y)"), 1e-3, 1.5),
+    "twist": ShapeClass(("xy",), 5e-4, 1.5),
+    "bow": ShapeClass(("P2(x)", "P2(y)"), 1e-3, 1.5),
     "cubic": ShapeClass(("P3(x)", "P2(x)y", "xP2(y)", "P3(y)"), 2e-4, 1.5),
     "quartic": ShapeClass(("P4(x)", "P3(x)y", "P2(x)P2(y)", "xP3(y)", "P4(y)"), 1.5e-4, 1.5),
     "stretch": ShapeClass(("x/y scale",), 1e-3, 1.0),
@@ -37,7 +38,8 @@ CLASSES: dict[str, ShapeClass] = {
     "keystone": ShapeClass(("keystone x", "keystone y"), 1e-4, 0.7),
 }
 TIERS: dict[str, tuple[str, ...]] = {
-    **{name: CLASSES[name].terms for name in ("bow", "cubic", "quartic")},
+    "bow": (*CLASSES["twist"].terms, *CLASSES["bow"].terms),
+    **{name: CLASSES[name].terms for name in ("cubic", "quartic")},
     "stretch": (*CLASSES["stretch"].terms, *CLASSES["shear"].terms),
 }
 OFFSETS = "offsets"

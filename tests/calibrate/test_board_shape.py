@@ -32,7 +32,7 @@ def focal_error(calibration, scene):
     ("shape", "tier", "deflection"),
     [
         (shapes.bow(1e-3, 5e-4), "bow", 1.5e-3),
-        (shapes.twist(5e-4), "bow", 1e-3),
+        (shapes.twist(5e-4), "twist", 1e-3),
         (shapes.cubic(5e-4), "cubic", None),
         (shapes.stretch(0.003), "stretch", None),
     ],
@@ -139,7 +139,7 @@ def test_square_boards_are_sorted_out_by_quarter_turns():
 
 
 def test_the_basis_holds_nothing_that_a_pose_could_take():
-    terms = tuple(term for name in ("bow", "cubic", "quartic") for term in CLASSES[name].terms)
+    terms = tuple(term for name in ("twist", "bow", "cubic", "quartic") for term in CLASSES[name].terms)
     heights = basis(Board("chessboard", 201, 201, 1.0), terms)[:, 2]
     grid = Board("chessboard", 201, 201, 1.0).points()[:, :2] / 100 - 1
     plane = np.column_stack([np.ones(len(grid)), grid])

@@ -29,17 +29,30 @@ def started(scene, views, offset=0.0):
     return problem, state, Views(observations.weights > 0)
 
 
-@pytest.fixture(scope="module")
-def printed():
-    """A board of 99 corners that are off by 0.05 mm each, seen 12 times."""
-    scene = make_scene(board=Board("chessboard", 11, 9, 0.040), count=12)
-    offsets = 5e-5 * np.random.default_rng(2).normal(size=(scene.board.count, 3))
+def print_errors(columns, rows, count, size):
+    """A board whose corners are off by `size` metres each, seen `count` times with a noise of 0.05 px."""
+    scene = make_scene(board=Board("chessboard", columns, rows, 0.040), count=count)
+    offsets = size * np.random.default_rng(2).normal(size=(scene.board.count, 3))
     views = []
     for view, pose in zip(scene.observe(1, noise_px=0.05), scene.poses, strict=True):
         true = scene.camera.project(pose.apply(scene.board.points() + offsets)).pixels
         drawn = scene.camera.project(pose.apply(scene.board.points())).pixels
         views.append(replace(view, pixels=view.pixels + (true - drawn)[view.ids]))
     return scene, views
+
+
+@pytest.fixture(scope="module")
+def printed():
+    return print_errors(11, 9, 12, 5e-5)
+
+
+def test_few_views_of_a_board_with_print_errors_have_the_noise_that_they_have():
+    problem, state, seen = started(*print_errors(9, 6, 4, 2e-4))
+    found = estimate(problem, state, seen, Freedom(smooth=True, points=True))
+    # 250 degrees of freedom are left: a standard deviation of 4.5 %
+    assert found.noise.sigma == pytest.approx(0.05, rel=0.12)
+    # the offsets follow the view that sees the board from near most, whose corners are no better for that
+    assert found.noise.views.max() < 2 * found.noise.views.min()
 
 
 def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, monkeypatch):

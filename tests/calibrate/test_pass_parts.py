@@ -86,10 +86,10 @@ def test_a_part_of_a_step_leads_that_part_of_the_way():
     np.testing.assert_allclose(found.derivatives.residuals, moved, atol=1e-9)
 
 
-def to_and_fro(monkeypatch, moves, *, offsets=0.0):
+def to_and_fro(monkeypatch, moves, *, offsets=None):
     """The passes after some that move the lens so, in standard deviations, and what each returned."""
     passes, std = passes_of(scene_of()), np.array([2.0, 0.5, 1.0, 4.0])
-    passes.problem = replace(passes.problem, offsets=bool(offsets))
+    passes.problem = replace(passes.problem, offsets=offsets is not None)
     spent, series = np.arange(1.0, VIEWS + 1), iter(moves)
 
     def move(self):
@@ -130,9 +130,10 @@ def test_the_way_is_never_shorter_than_three_tenths(monkeypatch):
     np.testing.assert_allclose(shares, [1.0, 0.7, 0.49, 0.343, 0.3, 0.3])
 
 
-def test_offsets_solved_for_together_are_paid_for_by_all_corners_alike(monkeypatch):
-    passes, returned = to_and_fro(monkeypatch, [np.zeros(4)], offsets=12.0)
-    np.testing.assert_allclose(passes.spent, np.arange(1.0, VIEWS + 1) + 12.0 / VIEWS)  # all see all corners
+def test_every_view_pays_for_what_its_corners_spend_on_offsets(monkeypatch):
+    offsets = np.linspace(2.0, 1.0, VIEWS)
+    passes, returned = to_and_fro(monkeypatch, [np.zeros(4)], offsets=offsets)
+    np.testing.assert_allclose(passes.spent, np.arange(1.0, VIEWS + 1) + offsets)
     np.testing.assert_array_equal(returned[0][1].spent, passes.spent)
     np.testing.assert_allclose(to_and_fro(monkeypatch, [np.zeros(4)])[0].spent, np.arange(1.0, VIEWS + 1))
 
@@ -291,7 +292,7 @@ def test_points_move_to_where_their_equations_say():
         flat, height = (max(scene.board.extent) * scale.effective for scale in expected.values())
         std = np.array([flat, flat, height])
         np.testing.assert_allclose(passes.place.state.offsets, equations.offsets(std), rtol=1e-9)
-        assert spent == pytest.approx(equations.spent(std), rel=1e-9)
+        np.testing.assert_allclose(spent, equations.spent(std), rtol=1e-9)
         moved = passes.problem.residuals(passes.place.state)
         # linear to a thousandth, and everything else held
         np.testing.assert_allclose(passes.place.derivatives.residuals.reshape(moved.shape), moved, atol=2e-3)

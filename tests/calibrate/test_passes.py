@@ -143,17 +143,25 @@ def test_estimates_are_brief_if_asked_for(monkeypatch):
 # A pass
 
 
-def parts(monkeypatch, freedom=BARE, *, first=False, together=False):
+def parts(monkeypatch, freedom=BARE, *, first=False, at_once=False):
     """The passes after one of which the parts only tell that they were asked for, and these parts."""
     told = []
     passes = passes_of(scene_of(13, 5), freedom)
-    passes.problem = replace(passes.problem, offsets=together)
+    passes.problem = replace(passes.problem, offsets=at_once)
     left = Posterior(np.eye(4), np.full(VIEWS, 7.0))
-    for name, result in (("_judge", None), ("_move_points", 6.0), ("_move", (None, None)), ("_pose_lost_views", None)):
-        monkeypatch.setattr(estimator._Passes, name, lambda self, own=name, end=result, **how: told.append(own) or end)
+    apart, together = np.arange(VIEWS) + 6.0, np.arange(VIEWS) + 12.0
+    for name, result in (
+        ("_judge", None),
+        ("_move_points", apart),
+        ("_move", (None, None)),
+        ("_pose_lost_views", None),
+    ):
+        monkeypatch.setattr(
+            estimator._Passes, name, lambda self, own=name, end=result, **how: (told.append(own), end)[1]
+        )
     monkeypatch.setattr(estimator, "posterior", lambda factors: left)
     monkeypatch.setattr(estimator, "board_scales", lambda *what: {"bow": "of the data"})
-    monkeypatch.setattr(estimator, "spent_on_offsets", lambda *what: 12.0)
+    monkeypatch.setattr(estimator, "spent_on_offsets", lambda *what: together)
     passes._pass(first=first)
     return passes, told
 
@@ -165,10 +173,10 @@ FREE = Freedom(smooth=True, points=True)
 @pytest.mark.parametrize(
     ("freedom", "how", "told", "offsets"),
     [
-        (BARE, {}, ALL, 0.0),
+        (BARE, {}, ALL, None),
         (FREE, {}, ["_judge", "_move_points", "_move", "_pose_lost_views"], 6.0),
-        (FREE, {"first": True}, ALL, 0.0),
-        (FREE, {"together": True}, ALL, 12.0),
+        (FREE, {"first": True}, ALL, None),
+        (FREE, {"at_once": True}, ALL, 12.0),
     ],
 )
 def test_points_are_solved_for_apart_but_in_the_first_pass_and_where_they_are_together(
@@ -176,7 +184,9 @@ def test_points_are_solved_for_apart_but_in_the_first_pass_and_where_they_are_to
 ):
     passes, found = parts(monkeypatch, freedom, **how)
     assert found == told
-    np.testing.assert_allclose(passes.spent, 7.0 + offsets / VIEWS)  # all views see as many corners
+    np.testing.assert_allclose(
+        passes.spent, np.full(VIEWS, 7.0) if offsets is None else 7.0 + offsets + np.arange(VIEWS)
+    )
     assert passes.board["bow"] == "of the data"
     assert passes.board["cubic"] == first_scales()["cubic"]
 
@@ -238,7 +248,7 @@ def test_priors_of_the_board_are_those_of_its_scales():
     passes = passes_of(scene_of(), FREE)
     passes.board["bow"] = replace(passes.board["bow"], effective=0.01)
     passes._judge(first=True)
-    assert passes.problem.term_std[0] == pytest.approx(0.01 * 0.2)
+    assert passes.problem.term_std[TERMS.index("P2(x)")] == pytest.approx(0.01 * 0.2)
     assert passes.problem.offset_std is not None
 
 

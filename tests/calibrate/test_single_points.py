@@ -60,6 +60,9 @@ def test_the_equations_of_points_are_those_of_the_cost_with_everything_else_held
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ here.ravel()
     expected = normal.reshape(POINTS, 3, POINTS, 3)
     assert np.abs(block_diag(*found.information) - normal).max() < 1e-6 * normal.max()  # points do not meet
+    by_point = np.zeros_like(found.information)
+    np.add.at(by_point, found.ids, found.by_corner)
+    np.testing.assert_allclose(by_point, found.information, atol=1e-9 * found.information.max())
     for point in range(POINTS):
         own = expected[point, :, point]
         np.testing.assert_allclose(found.information[point], own, atol=1e-6 * own.max())
@@ -71,7 +74,10 @@ def test_the_equations_of_points_are_those_of_the_cost_with_everything_else_held
 def drawn(seed):
     rng = np.random.default_rng(seed)
     roots = rng.normal(size=(POINTS, 3, 3)) * 1e4
-    return PointEquations(roots @ roots.swapaxes(1, 2), 1e4 * rng.normal(size=(POINTS, 3)))
+    information = roots @ roots.swapaxes(1, 2)
+    ids = np.stack([rng.permutation(POINTS) for _ in range(2)])  # two views, the first of which says four times as much
+    by_corner = np.array([0.8, 0.2])[:, None, None, None] * information[ids]
+    return PointEquations(information, 1e4 * rng.normal(size=(POINTS, 3)), by_corner, ids)
 
 
 def test_offsets_are_the_minimum_of_data_and_prior():
@@ -90,7 +96,7 @@ def test_offsets_take_the_degrees_of_freedom_by_which_they_follow_the_data():
         moved = replace(equations, vector=equations.vector + equations.information[:, :, axis])
         followed += np.sum(moved.offsets(std)[:, axis] - equations.offsets(std)[:, axis])
     assert 1 < followed < 3 * POINTS - 1
-    assert equations.spent(std) == pytest.approx(followed, rel=1e-9)
+    np.testing.assert_allclose(equations.spent(std), [0.8 * followed, 0.2 * followed], rtol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "axes"), [(IN_PLANE, [0, 1]), (OUT_OF_PLANE, [2])])
