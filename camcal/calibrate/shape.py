@@ -59,15 +59,17 @@ def spent_on_offsets(problem: BoardProblem, state: State, derivatives: Derivativ
     """
     block = problem.data(state, derivatives)
     assert block.weights is not None
-    *parts, last = (jacobian.values for jacobian in block.shared)
-    dense, ids = np.concatenate(parts, axis=2), problem.observations.ids
-    covariance, count = factors.shared_covariance(), dense.shape[2]
-    corners = np.arange(problem.board.count)
-    places = count + 3 * corners[:, None] + np.arange(3)
-    own = covariance[places[:, :, None], places[:, None, :]][ids.ravel()]
-    cross = covariance[places, :count][ids.ravel()]
+    *parts, by_offset = (jacobian.values.transpose(1, 2, 0) for jacobian in block.shared)
+    dense, ids = np.concatenate(parts, axis=1), problem.observations.ids
+    covariance, count = factors.shared_covariance(), dense.shape[1]
+    places = count + 3 * np.arange(problem.board.count) + np.arange(3)[:, None]
+    traces = np.zeros(ids.size)
     # of the trace of J C Jᵀ of every corner the parts that the derivatives by its offset have
-    traces = np.sum((last @ own + 2 * dense @ cross.transpose(0, 2, 1)) * last, axis=(1, 2))
+    for axis in range(3):
+        follow = 2 * covariance[:count, places[axis]][:, ids.ravel()]
+        own = covariance[places, places[axis]][:, ids.ravel()]
+        for by_one, by_own, by_dense in zip(by_offset[:, axis], by_offset, dense, strict=True):
+            traces += by_one * (np.sum(follow * by_dense, axis=0) + np.sum(own * by_own, axis=0))
     return np.asarray(np.sum((block.weights * traces).reshape(ids.shape), axis=1))
 
 

@@ -97,15 +97,14 @@ class Posterior:
 
 def posterior(factors: Factors) -> Posterior:
     """Return what the factors of scaled equations leave open."""
-    products = factors.equations.group_products
-    dense = products.shape[-1]
-    shared = factors.shared_covariance()[:dense, :dense]
-    inverse = factors.inverse_group_root()[:, POSE:, POSE:]  # of a lower triangle: zero above
-    coupling = factors.reduced @ np.linalg.inv(factors.shared_root).T
+    products, reduced, covariance = factors.equations.group_products, factors.reduced, factors.shared_covariance()
+    shared = covariance[: products.shape[-1], : products.shape[-1]]
+    followed = (np.vstack(reduced) @ covariance).reshape(reduced.shape)  # one product, not one for each group
+    inverse = factors.inverse_group_root()[:, POSE:, POSE:].transpose(0, 2, 1)  # of a lower triangle: zero above
     # what is left open of the effects: the traces of their covariances
-    own = inverse.transpose(0, 2, 1) @ coupling[:, POSE:]
-    effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(own**2, axis=(1, 2))
-    lens = np.sum(products * shared, axis=(1, 2)) - np.sum(coupling**2, axis=(1, 2))
+    coupling, further = inverse @ reduced[:, POSE:], inverse @ followed[:, POSE:]
+    effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling * further, axis=(1, 2))
+    lens = np.sum(products * shared, axis=(1, 2)) - np.sum(reduced * followed, axis=(1, 2))
     return Posterior(shared, POSE + inverse.shape[-1] - effects + lens)
 
 
