@@ -63,7 +63,8 @@ def columns_at(
     columns = effect_columns(
         problem.board,
         problem.observations.ids,
-        problem.observations.pixels,
+        # as projected: columns with the noise of measured corners in them could explain this noise
+        problem.observations.pixels + derivatives.residuals.reshape(2, *present.shape),
         derivatives.by_pose().reshape(2, 6, *present.shape),
         np.moveaxis(derivatives.by_board(state.rotations)[..., 2], 2, 0),
         present,
@@ -76,8 +77,8 @@ def effect_columns(
 ) -> EffectColumns:
     """Return the columns of all EFFECTS for V views of P corners.
 
-    ids: (V, P). pixels: (2, V, P). by_pose: (2, 6, V, P) derivatives by the pose. by_height: (2, V, P) by a corner's
-    height over the board. present: (V, P) bool.
+    ids: (V, P). pixels: (2, V, P) of the projected corners. by_pose: (2, 6, V, P) derivatives by the pose. by_height:
+    (2, V, P) by a corner's height over the board. present: (V, P) bool.
     """
     values = np.zeros((2, sum(effect.columns for effect in EFFECTS), *ids.shape))
     modes = SMOOTH.columns // 2

@@ -14,19 +14,24 @@ from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 
 _CORNERS = 24  # a pose to start from needs no more corners of a view
+_SEED = 6
 _SWEPT_VIEWS = 20
 _UNLIKE = 4.0  # times the typical view's error: more than this is not held against a lens
 _FOCALS = np.geomspace(0.2, 8.0, 13)  # in image sides: 136° to 7° for a pinhole
 
 
 def thinned(observations: Observations, corners: int = _CORNERS) -> Observations:
-    """Return at most `corners` points of every view, spread evenly over its list."""
+    """Return at most `corners` points of every view, spread over its list: one of each of as many parts, by chance. In
+    equal steps they could all be of one column.
+    """
     length = observations.ids.shape[1]
     if length <= corners:
         return observations
-    present = np.count_nonzero(observations.weights, axis=1)
+    present = np.count_nonzero(observations.weights, axis=1)[:, None]
     order = np.argsort(observations.weights == 0, axis=1, kind="stable")
-    pick = (np.maximum(present, 1)[:, None] * np.arange(corners) // corners).astype(np.intp)
+    part = np.arange(corners)
+    place = part + np.where(present > corners, np.random.default_rng(_SEED).random(corners), 0.0)
+    pick = (np.maximum(present, 1) * place / corners).astype(np.intp)
     columns = np.take_along_axis(order, pick, axis=1)
     first_use = np.column_stack([np.ones(len(pick), bool), np.diff(pick, axis=1) > 0])
     rows = np.arange(len(columns))[:, None]

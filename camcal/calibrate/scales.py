@@ -15,7 +15,8 @@ from camcal.arrays import Array
 
 _POINTS, _REACH = 65, 4.0  # of the grid of scales, and how many standard deviations of their logarithm it holds
 _WITHIN = np.linspace(-_REACH, _REACH, _POINTS)
-_FINE = np.linspace(-14.0, 6.0, 401)  # logarithms of τ over the median, among which the effective scale is looked for
+# logarithms of τ over the median, among which the effective scale is looked for, and in how many parts of each step
+_COARSE, _PARTS = np.linspace(-14.0, 6.0, 21), 20
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,11 @@ def scale_of(information: Array, vector: Array, median: float, spread: float) ->
     length = float(np.linalg.norm(vector))
     direction = vector / length if length > 0 else np.ones_like(vector)  # shrinkage does not depend on the length
     wanted = float(np.sum(values * (_estimates(values, direction, scales) @ share) ** 2))
-    trial = median * np.exp(_FINE)
-    reached = np.sum(values[:, None] * _estimates(values, direction, trial) ** 2, axis=0)
-    effective = np.interp(np.log(max(wanted, 1e-300)), np.log(np.maximum(reached, 1e-300)), np.log(trial))
+    reached = _fitted(values, direction, median * np.exp(_COARSE))
+    step = int(np.clip(np.searchsorted(reached, wanted), 1, len(_COARSE) - 1))
+    trial = median * np.exp(np.linspace(_COARSE[step - 1], _COARSE[step], _PARTS + 1))
+    reached = np.maximum(_fitted(values, direction, trial), 1e-300)
+    effective = np.interp(np.log(max(wanted, 1e-300)), np.log(reached), np.log(trial))
     return Scale(float(np.exp(effective)), mean, std, present)
 
 
@@ -66,6 +69,11 @@ def _evidence(values: Array, vector: Array, scales: Array) -> Array:
     """Return the log likelihood of scales (n,) against no effect."""
     squared = scales**2 * values[:, None]
     return np.asarray(0.5 * np.sum(vector[:, None] ** 2 * scales**2 / (1 + squared) - np.log1p(squared), axis=0))
+
+
+def _fitted(values: Array, vector: Array, scales: Array) -> Array:
+    """Return the squares (n,) that the estimates under scales (n,) take from the data; they grow with the scale."""
+    return np.asarray(np.sum(values[:, None] * _estimates(values, vector, scales) ** 2, axis=0))
 
 
 def _estimates(values: Array, vector: Array, scales: Array) -> Array:

@@ -99,7 +99,9 @@ def posterior(factors: Factors) -> Posterior:
     """Return what the factors of scaled equations leave open."""
     products, reduced, covariance = factors.equations.group_products, factors.reduced, factors.shared_covariance()
     shared = covariance[: products.shape[-1], : products.shape[-1]]
-    followed = (np.concatenate(list(reduced)) @ covariance).reshape(reduced.shape)  # one product, not one for each group
+    followed = (np.concatenate(list(reduced)) @ covariance).reshape(
+        reduced.shape
+    )  # one product, not one for each group
     inverse = factors.inverse_group_root()[:, POSE:, POSE:].transpose(0, 2, 1)  # of a lower triangle: zero above
     # what is left open of the effects: the traces of their covariances
     coupling, further = inverse @ reduced[:, POSE:], inverse @ followed[:, POSE:]

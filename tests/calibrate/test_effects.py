@@ -154,6 +154,14 @@ def posed(problem, state, parameter, length):
     return problem.retract(state, Step(np.zeros(problem.shared), step))
 
 
+def test_noise_of_measured_corners_is_not_in_the_columns_that_shall_explain_it(seen):
+    problem, state, present = seen
+    noise = np.random.default_rng(4).normal(size=problem.observations.pixels.shape)
+    noisy = replace(problem, observations=replace(problem.observations, pixels=problem.observations.pixels + noise))
+    found, expected = (columns_of(own, state, present).values for own in (noisy, problem))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
 def test_rows_exposed_at_once_do_not_divide_by_zero():
     board = Board("chessboard", 5, 4, 0.04)
     ids = np.arange(20)[None]

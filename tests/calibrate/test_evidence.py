@@ -12,8 +12,10 @@ from camcal.calibrate.effects import SMOOTH
 from camcal.calibrate.estimator import Freedom, Views, estimate
 from camcal.calibrate.evidence import evidence_of_effects
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
+from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.geometry import rotation as so3
+from camcal.targets.board import Board
 from camcal.targets.surface import normalised
 
 
@@ -48,6 +50,14 @@ def test_noise_alone_is_no_evidence(count):
     scene = make_scene(count=count)
     shares = [evidence_of_effects(*plain(scene, scene.observe(seed, noise_px=0.1))).share for seed in range(4)]
     assert shares == [0.0] * 4
+
+
+@pytest.mark.slow
+def test_noise_alone_is_no_evidence_on_a_board_of_ten_thousand_corners():
+    scene = make_scene(board=Board("chessboard", 125, 80, 0.003), count=12)
+    found = calibrate(scene.observe(1, noise_px=0.1), scene.board, Options(scene.camera.model))
+    assert found.sigma_px == pytest.approx(0.1, rel=0.02)
+    assert found.within_views.share == 0
 
 
 def test_belief_grows_with_the_errors_that_corners_share_from_nothing_to_all():
