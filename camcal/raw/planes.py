@@ -6,6 +6,7 @@ views. What runs over the end of a row lands in the halo of the tile, which is c
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -90,24 +91,45 @@ class Tile:
         """Take the memory of means back."""
         self._coarse.append(means)
 
-    def slope(self, of: Plane, on: Plane, taps: Array, plus: float, highest: float, times: float = 1.0) -> Plane:
-        """Return the slope, 0 … highest, of the regression of a plane on another in windows, times a factor.
+    def slope(self, of: Plane, on: Plane, taps: Array, learning: "Learning", times: float = 1.0) -> Plane:
+        """Return the slope of the regression of a plane on another in windows, times a factor.
 
-        What is regressed is a difference and has no mean of its own. Where both are below `plus` the slope tends to 1.
-        It is found at half the plane's size and interpolated.
+        What is regressed is a difference and has no mean of its own. The slope is found at half the plane's size and
+        interpolated.
         """
         result, power = self.take(), self.take()
         np.multiply(of[HERE], on[HERE], out=result[HERE])
         np.multiply(on[HERE], on[HERE], out=power[HERE])
-        slopes, powers = self.mean(result, taps, plus), self.mean(power, taps, plus)
+        slopes = self.mean(result, taps, learning.expected * learning.flat)
+        powers = self.mean(power, taps, learning.flat)
         np.divide(slopes, powers, out=slopes)
-        np.clip(slopes, 0, highest, out=slopes)
+        np.clip(slopes, -learning.steepest, learning.steepest, out=slopes)
+        if learning.noise:
+            np.divide(np.float32(-learning.noise), powers, out=powers)
+            np.add(powers, np.float32(1), out=powers)
+            np.maximum(powers, 0, out=powers)
+            np.multiply(slopes, powers, out=slopes)
         if times != 1:
             slopes *= np.float32(times)
         self.forget(powers)
         self.give_back(power)
         self.spread(slopes, result)
         return result
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How the slope of one plane on another is learnt from a window.
+
+    flat: mean square of the other plane below which the slope tends to `expected`. steepest: largest magnitude of the
+    slope. noise: mean square of the other plane that is noise; the slope is multiplied by the share that is not
+    (Wiener's gain).
+    """
+
+    flat: float
+    steepest: float
+    expected: float = 1.0
+    noise: float = 0.0
 
 
 def weighted(a: Array, alpha: float, b: Array, beta: float, out: Array, plus: float = 0.0) -> None:

@@ -4,9 +4,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.raw import ri_green, ri_red_blue
+from camcal.raw.green_noise import noise_of_green
 from camcal.raw.planes import Each, Plane, Tile, one_by_one
 from camcal.raw.scales import scale_of
-from camcal.raw.tiling import TILE, Box, Missing, TiledMosaic, boxes
+from camcal.raw.tiling import TILE, Box, TiledMosaic, boxes
 
 _COLOUR_REACH = ri_green.CALMING_REACH + ri_red_blue.REACH
 
@@ -27,8 +28,9 @@ def residual_interpolation(
     it.
     """
     scale = scale_of(values, pattern, white, linear=linear)
-    frame = _TwoPasses(TiledMosaic(values, pattern, ri_green.REACH + _COLOUR_REACH, scale))
-    frame.mosaic.fill(each)
+    mosaic = TiledMosaic(values, pattern, ri_green.REACH + _COLOUR_REACH, scale)
+    mosaic.fill(each)
+    frame = _TwoPasses(mosaic)
     each(frame.find_differences, boxes(frame.extended, tile))
     each(frame.find_colours, boxes(frame.mosaic.cells, tile))
     return frame.mosaic.result()
@@ -43,6 +45,7 @@ class _TwoPasses:
     def __init__(self, mosaic: TiledMosaic) -> None:
         self.mosaic = mosaic
         self.extended = mosaic.cells.widened(_COLOUR_REACH)
+        self._noise = noise_of_green(mosaic.green)
         self._differences = np.empty((2, self.extended.rows, self.extended.columns), np.float32)
 
     def find_differences(self, box: Box) -> None:
@@ -61,16 +64,11 @@ class _TwoPasses:
         around = box.widened(_COLOUR_REACH)
         with self.mosaic.tile(around) as tile:
             bayer = self.mosaic.samples(tile, around.moved(ri_green.REACH))
-            red, right, below, blue = bayer
             at_red, at_blue = (
                 self._green(tile, differences[around.slices], samples)
-                for differences, samples in zip(self._differences, (red, blue), strict=True)
+                for differences, samples in zip(self._differences, (bayer.red, bayer.blue), strict=True)
             )
-            red_right, red_below, red_at_blue = ri_red_blue.spread_colour(tile, red, at_red, right, below, at_blue, 1)
-            blue_below, blue_right, blue_at_red = ri_red_blue.spread_colour(
-                tile, blue, at_blue, below, right, at_red, -1
-            )
-            missing = Missing(at_red, at_blue, red_right, red_below, red_at_blue, blue_right, blue_below, blue_at_red)
+            missing = ri_red_blue.red_and_blue(tile, bayer, at_red, at_blue, self._noise)
             self.mosaic.write(tile, box, _COLOUR_REACH, bayer, missing)
             tile.give_back(*bayer, *missing)
 

@@ -14,7 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.raw.planes import HERE, Plane, Tile, add_product, blended, difference, filtered, plus_scaled, weighted
+from camcal.raw.planes import (
+    HERE,
+    Learning,
+    Plane,
+    Tile,
+    add_product,
+    blended,
+    difference,
+    filtered,
+    plus_scaled,
+    weighted,
+)
 from camcal.raw.tiling import Bayer
 
 REACH = 12  # half-size pixels around a pixel that its colour difference depends on, rounded up to an even number
@@ -22,7 +33,8 @@ CALMING_REACH = 8  # of green that of the differences
 
 WIDE = np.array([0.8, 1.0, 0.8], np.float32) / np.float32(2.6)  # a window of about 7 × 7
 
-_FLAT = 10.0  # squared second difference below which the gain is not learnt and tends to 1
+# Gains may be negative: one colour rises where another falls, as at the edge of two saturated colours.
+_LEARNING = Learning(flat=10.0, steepest=1.0)
 _QUIET = 0.25  # a sum of gradients that counts as none
 _LARGE = 16.0  # makes roughness large against what OpenCV adds to weights, and its square small enough for float32
 _BESIDE, _BEYOND, _MIDDLE = 0.35, 0.10, 0.55  # weights of the differences on one side of a pixel, and of its own
@@ -106,7 +118,7 @@ def _estimate(
     """
     beside = tile.take()
     weighted(other_curve[HERE], 0.5, other_curve[away], 0.5, beside[HERE])
-    gain = tile.slope(curve, beside, WIDE, _FLAT, 1.0, times=-0.25)
+    gain = tile.slope(curve, beside, WIDE, _LEARNING, times=-0.25)
     result = beside
     weighted(colour[HERE], 0.5, colour[towards], 0.5, result[HERE])
     add_product(gain[HERE], other_curve[HERE], result[HERE])

@@ -9,9 +9,9 @@ from camcal.arrays import Array
 from camcal.raw.mosaic import sites
 from camcal.raw.planes import HERE, Plane
 
-_SCALE = 255.0
+WHITE = 255.0  # of green on the scale of the filters
 _TOE = np.float32(0.002)  # share of the white level below which the root turns linear: noise falls below 0
-_ROOT_SCALE = float(_SCALE / (np.sqrt(1 + _TOE) - np.sqrt(_TOE)))
+_ROOT_SCALE = float(WHITE / (np.sqrt(1 + _TOE) - np.sqrt(_TOE)))
 _SAMPLED_ROWS = 256
 _STRONGEST_BALANCE = 16.0
 
@@ -36,13 +36,13 @@ class Proportional:
     white: float
 
     def apply(self, values: Array, colour: str) -> None:  # noqa: ARG002
-        values *= np.float32(_SCALE / self.white)
+        values *= np.float32(WHITE / self.white)
 
     def undo(self, plane: Plane, scratch: Plane) -> None:
         pass
 
     def factor(self, colour: str) -> float:  # noqa: ARG002
-        return self.white / _SCALE
+        return self.white / WHITE
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from camcal.arrays import Array
 from camcal.raw.planes import Each, Plane, Tile, interleave
 from camcal.raw.scales import Scale
 
-TILE = (256, 512)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
+TILE = (256, 256)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
 
 PLACES = "RGGB"  # the four places of a cell, as tiles count cells
 _BAND = 32  # rows of cells
@@ -93,6 +93,13 @@ class TiledMosaic:
         """Turn all counts into the filters' numbers."""
         height = self._numbers.shape[1]
         each(self._fill, (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND)))
+
+    @property
+    def green(self) -> tuple[Array, Array]:
+        """Green right of red and below red (rows, columns), as the filters' numbers, of the cells within the border."""
+        rows, columns = self.cells.rows, self.cells.columns
+        inside = Box(1, 1, max(rows - 2, 0), max(columns - 2, 0)).moved(self._margin).slices
+        return self._numbers[1][inside], self._numbers[2][inside]
 
     def _fill(self, rows: slice) -> None:
         # In two steps, because NumPy is slow at changing type and picking every second number at once.
