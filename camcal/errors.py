@@ -11,8 +11,21 @@ CamcalError             1  never raised itself
 Every message says what, where, how much and what to do, in one line (several findings: one line each).
 """
 
+import errno
+import os
+
 EXIT_BUG = 1
 EXIT_INTERRUPTED = 130
+EXIT_SIGNAL = 128  # and the number of the signal, as shells count
+
+_LINE_BREAKS = {ord(letter): repr(letter)[1:-1] for letter in "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"}
+_CV2_NO_MEMORY = -4  # StsNoMem of OpenCV, whose Python exceptions have one type
+_DISK_FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
+
+
+def in_one_line(text: str) -> str:
+    """Return a name with its line breaks written as escapes, so that a message about it keeps to its line."""
+    return text.translate(_LINE_BREAKS)
 
 
 class CamcalError(Exception):
@@ -27,7 +40,7 @@ class CamcalError(Exception):
         self.where = where
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.message}" if self.where else self.message
+        return f"{in_one_line(self.where)}: {self.message}" if self.where else self.message
 
 
 class InvalidInput(CamcalError):
@@ -67,3 +80,37 @@ EXIT_PRECEDENCE = (1, 2, 3, 4, 5, 7, 6, 0)
 def worst_exit(codes: list[int]) -> int:
     """Return the exit code that wins when several apply; 0 for none."""
     return min(codes, key=EXIT_PRECEDENCE.index, default=0)
+
+
+def translated(error: BaseException) -> CamcalError | None:
+    """Return what the machine refused (memory, a file, a path) as an error of the user; None for anything else."""
+    if isinstance(error, CamcalError):
+        return error
+    if isinstance(error, MemoryError) or _is_out_of_memory_in_opencv(error):
+        asked = str(getattr(error, "err", error)).rstrip(".")
+        return FileError(f"out of memory{': ' if asked else ''}{asked}; smaller inputs or fewer --jobs need less")
+    if isinstance(error, OSError):
+        where = error.filename if isinstance(error.filename, (str, bytes)) else None
+        if where is None and error.errno == errno.ENOENT and not _has_working_folder():
+            return FileError("the folder this command was started in is gone; change to another one")
+        return FileError(f"cannot be read or written: {reason(error)}", where=os.fsdecode(where) if where else None)
+    return None
+
+
+def reason(error: OSError) -> str:
+    """Return what kept a file from being read or written, in words."""
+    return _DISK_FULL.get(error.errno or 0) or error.strerror or str(error)
+
+
+def _is_out_of_memory_in_opencv(error: BaseException) -> bool:
+    return type(error).__module__ == "cv2" and (
+        getattr(error, "code", None) == _CV2_NO_MEMORY or "std::bad_alloc" in str(error)
+    )
+
+
+def _has_working_folder() -> bool:
+    try:
+        os.getcwd()  # noqa: PTH109 - Path.cwd would do the same
+    except OSError:
+        return False
+    return True

@@ -1,29 +1,49 @@
-"""Writing without half files, hashing, and the order people expect of numbered files."""
+"""Reading what is a file and no more than that, writing without half files, and the order of numbered files."""
 
 import hashlib
 import os
 import re
+import select
+import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
-from camcal.errors import FileError
+from camcal.errors import FileError, reason
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+LARGEST = 4 << 30  # bytes of a file that is read as a whole
+
+_LARGEST_PIPE = 256 << 20
+_PATIENCE_S = 10.0  # until something comes out of a named pipe
+_CHUNK = 1 << 20
+_TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
+_LONGEST_SUFFIX = 16
+_FULL = 1 << 16  # bytes free on a disk that counts as full
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` (same suffix) that takes its place when the block succeeds.
 
-    The file is flushed to disk before the rename, so a killed run leaves the old file or the new one, never half.
+    The file is flushed to disk before the rename, so a killed run leaves the old file or the new one, never half. What
+    a killed run left of a temporary file is removed by the next one that writes into the folder.
     Raises FileError if the folder cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
+        _sweep(path.parent.absolute())
+        handle, name = _reserved(path)
     except OSError as error:
-        raise FileError(f"cannot be written: {error.strerror}", where=str(path)) from error
+        raise _unwritable(path, error) from error
     temporary = Path(name)
     try:
         yield temporary
@@ -34,9 +54,70 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
     except OSError as error:
-        raise FileError(f"cannot be written: {error.strerror}", where=str(path)) from error
+        raise _unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _reserved(path: Path) -> tuple[int, str]:
+    """Return a new temporary file beside `path`, open and locked for as long as it is being written."""
+    suffix = path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ""
+    while True:
+        handle, name = tempfile.mkstemp(prefix=_TEMPORARY, suffix=suffix, dir=path.parent)
+        try:
+            _lock(handle)
+        except BlockingIOError:  # a sweep was faster, and removes it
+            os.close(handle)
+            continue
+        except OSError:  # a file system without locks, where nothing is swept either
+            return handle, name
+        if Path(name).exists():
+            return handle, name
+        os.close(handle)
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Remove what runs that were killed left in a folder, once in a process: temporary files that nobody has locked."""
+    for path in folder.glob(f"{_TEMPORARY}*") if fcntl else ():
+        with suppress(OSError):  # another run writes it, or the file system has no locks, or it is gone
+            handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                _lock(handle)
+                path.unlink()
+            finally:
+                os.close(handle)
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file; raises BlockingIOError if another process has, OSError where the file system has no locks."""
+    if fcntl is not None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for the same from a folder during the block."""
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _unwritable(path: Path, error: OSError) -> FileError:
+    """Return the error of a file that cannot be written; libraries that count bytes do not say that a disk is full."""
+    words = reason(error)
+    if error.errno is None:
+        with suppress(OSError):
+            words = "the disk is full" if shutil.disk_usage(path.parent).free < _FULL else words
+    return FileError(f"cannot be written: {words}", where=str(path))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -53,7 +134,7 @@ def write_text(path: Path, content: str) -> None:
 def read_text(path: Path, limit: int = 64 << 20) -> str:
     """Return the text of a UTF-8 file (a byte-order mark is dropped).
 
-    Raises FileError if it is missing, a folder, empty, larger than `limit` bytes or not UTF-8.
+    Raises FileError if it is missing, a folder or a device, empty, larger than `limit` bytes or not UTF-8.
     """
     content = read_bytes(path, limit)
     try:
@@ -62,29 +143,83 @@ def read_text(path: Path, limit: int = 64 << 20) -> str:
         raise FileError(f"not a text file (byte {error.start} is not UTF-8)", where=str(path)) from error
 
 
-def read_bytes(path: Path, limit: int | None = None) -> bytes:
-    """Return the bytes of a file; raises FileError if it is missing, a folder, empty or larger than `limit`."""
-    try:
-        size = path.stat().st_size
-        if limit is not None and size > limit:
+def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
+    """Return the bytes of a file, or of a pipe up to its end.
+
+    Raises FileError if it is missing, a folder or a device, empty or larger than `limit`, and for a named pipe that
+    nobody writes to.
+    """
+    with opened(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > limit:
             raise FileError(f"{size} bytes is more than the limit of {limit}", where=str(path))
-        content = path.read_bytes()
+        if _is_pipe(stream):
+            limit = min(limit, _LARGEST_PIPE)
+        content = stream.read() if size else _read_up_to(stream, limit + 1)  # a pipe, or what the system makes up
+    if not content:
+        raise FileError("is empty", where=str(path))
+    if len(content) > limit:
+        raise FileError(f"more than the limit of {limit} bytes", where=str(path))
+    return content
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for reading: a regular one, or a pipe once something is in it; errors within become FileError.
+
+    Raises FileError if it is missing, a folder or a device, or a named pipe into which nothing comes.
+    """
+    try:
+        # Without O_NONBLOCK a named pipe would wait here for its writer, however long that takes.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(handle, "rb") as stream:
+            _require_readable(stream, path)
+            yield stream
     except FileNotFoundError as error:
         raise FileError("no such file", where=str(path)) from error
     except IsADirectoryError as error:
         raise FileError("is a folder, a file is needed", where=str(path)) from error
     except OSError as error:
-        raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    if not content:
-        raise FileError("is empty", where=str(path))
-    return content
+        raise FileError(f"cannot be read: {reason(error)}", where=str(path)) from error
+
+
+def _require_readable(stream: BinaryIO, path: Path) -> None:
+    mode = os.fstat(stream.fileno()).st_mode
+    if stat.S_ISDIR(mode):
+        raise FileError("is a folder, a file is needed", where=str(path))
+    if _is_pipe(stream):
+        patience = _PATIENCE_S if _is_named(path) else None
+        if not select.select([stream], [], [], patience)[0]:
+            raise FileError(f"is a named pipe that nobody wrote to for {_PATIENCE_S:g} s", where=str(path))
+        os.set_blocking(stream.fileno(), True)
+    elif not stat.S_ISREG(mode):
+        raise FileError("is a device, a file is needed", where=str(path))
+
+
+def _read_up_to(stream: BinaryIO, most: int) -> bytes:
+    content = bytearray()
+    while len(content) < most and (chunk := stream.read(min(_CHUNK, most - len(content)))):
+        content += chunk
+    return bytes(content)
+
+
+def _is_pipe(stream: BinaryIO) -> bool:
+    return stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode)
+
+
+def _is_named(path: Path) -> bool:
+    """Return whether a pipe stands in a folder; that of a shell, or standard input, has a writer and may take long."""
+    with suppress(OSError):  # there may be no standard input
+        if os.path.samestat(path.stat(), os.fstat(0)):
+            return False
+    return Path(os.path.realpath(path)).exists()
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes as 64 hex digits."""
+    """Return the SHA-256 of a file's bytes as 64 hex digits; raises FileError if it cannot be read."""
     digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        for chunk in iter(lambda: stream.read(1 << 20), b""):
+    with opened(path) as stream:
+        for chunk in iter(lambda: stream.read(_CHUNK), b""):
             digest.update(chunk)
     return digest.hexdigest()
 

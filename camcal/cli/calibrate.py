@@ -93,6 +93,7 @@ def calibrate(
     mixed_sizes: targets.MixedSizes = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

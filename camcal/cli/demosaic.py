@@ -94,6 +94,7 @@ def demosaic(
     ] = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

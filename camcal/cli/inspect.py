@@ -37,6 +37,7 @@ def inspect(
     endian: shared.Endian = "little",
     align: shared.Align = "lsb",
     frame: shared.Frame = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

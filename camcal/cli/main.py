@@ -7,6 +7,7 @@ import faulthandler
 import io
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from itertools import takewhile
 from typing import Annotated, Any, NoReturn
@@ -42,8 +43,9 @@ from camcal.cli import (
 )
 from camcal.cli.options import SETTINGS
 from camcal.cli.transform_options import NumbersCommand
-from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, CamcalError, InvalidInput
-from camcal.run.startup import BLAS_THREADS
+from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, InvalidInput, in_one_line, translated
+from camcal.images import limits
+from camcal.run.startup import BLAS_THREADS, Stopped, stop_on_signals
 
 
 class Boundary(TyperGroup):
@@ -62,7 +64,7 @@ class Boundary(TyperGroup):
                 code = 0
             except typer.Exit as request:
                 code = request.exit_code
-            except (Exception, KeyboardInterrupt) as error:
+            except (Exception, KeyboardInterrupt, Stopped) as error:
                 code = self.report(error, arguments, silent=bool(shown))
                 if code == EXIT_BUG:
                     raise
@@ -77,7 +79,7 @@ class Boundary(TyperGroup):
             error = _usage_error(error, self.named_in(arguments))
         code, kind, message, where = _described(error)
         if code != EXIT_BUG:
-            show.error(f"{where}: {message}" if where else message)
+            show.error(f"{in_one_line(where)}: {message}" if where else message)
         if "--json" in takewhile(lambda argument: argument != "--", arguments) and not silent:
             failure = {"error": {"kind": kind, "message": message, "where": where}, "exit": code}
             show.document(self.named_in(arguments).removeprefix("camcal "), failure)
@@ -116,8 +118,10 @@ def _settings_line(context: Any, parameter: Any) -> str | None:
 
 def _described(error: BaseException) -> tuple[int, str, str, str | None]:
     """Return exit code, kind, message and place of an error."""
-    if isinstance(error, CamcalError):
-        return error.exit_code, error.kind, error.message, error.where
+    if (known := translated(error)) is not None:
+        return known.exit_code, known.kind, known.message, known.where
+    if isinstance(error, Stopped):
+        return EXIT_SIGNAL + error.signal, "stopped", f"stopped ({error.signal.name})", None
     if isinstance(error, KeyboardInterrupt):
         return EXIT_INTERRUPTED, "interrupted", "interrupted", None
     return EXIT_BUG, "bug", f"{type(error).__name__}: {error}", None
@@ -189,11 +193,24 @@ app.command("doctor")(doctor.doctor)
 
 def main() -> None:
     """Run `camcal` as a program of its own: the console script."""
+    prepare()
+    app()
+
+
+def prepare() -> None:
+    """Make this process one of the command line: its threads, its limits, how it is stopped, and that it alone speaks.
+
+    Worker processes inherit what stands in the environment.
+    """
     # One BLAS thread: sums in another order would give other digits on a machine with other cores.
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
+    limits.set_default()
+    if not sys.warnoptions:  # whoever asks for Python's warnings has them
+        warnings.simplefilter("ignore")
+        os.environ.setdefault("PYTHONWARNINGS", "ignore")
+    stop_on_signals()
     _keep_c_libraries_quiet()
-    app()
 
 
 def _keep_c_libraries_quiet() -> None:

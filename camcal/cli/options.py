@@ -1,5 +1,6 @@
 """The options that commands share, each declared once."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 
+_MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
 _OF_THE_CALL = {"config", "help", "json"}  # they say how a command is called, not what it does
 
 
@@ -45,6 +47,18 @@ def _not_the_settings(context: typer.Context, path: Path | None) -> Path | None:
     return path
 
 
+def _limit_pixels(millions: float | None) -> float | None:
+    """Set how many pixels an image may have; every reader asks for it, and worker processes inherit it."""
+    if millions is not None:
+        from camcal.errors import InvalidInput
+        from camcal.images import limits
+
+        if not 0 < millions <= _MOST_PIXELS:
+            raise InvalidInput(f"--max-pixels {millions:g}: more than 0 and at most {_MOST_PIXELS:g} million")
+        limits.set_max_pixels(round(millions * 1e6))
+    return millions
+
+
 Output = Annotated[
     Path,
     typer.Option("--output", "-o", metavar="PATH", callback=_not_the_settings, help="Where to write the result."),
@@ -52,6 +66,15 @@ Output = Annotated[
 Jobs = Annotated[
     int | None,
     typer.Option("--jobs", "-j", metavar="N", min=1, help="Cores to work on; by default all this process may use."),
+]
+MaxPixels = Annotated[
+    float | None,
+    typer.Option(
+        "--max-pixels",
+        metavar="MILLIONS",
+        callback=_limit_pixels,
+        help="Images with more million pixels are refused before they are decoded; by default 300.",
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Only warnings and errors.")]
@@ -129,7 +152,7 @@ def parse_size(text: str) -> tuple[int, int]:
     from camcal.errors import InvalidInput
 
     width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+    if not (re.fullmatch("[0-9]{1,30}x[0-9]{1,30}", text.lower()) and int(width) and int(height)):
         raise InvalidInput(f"{text!r} is not a size; write WIDTHxHEIGHT, such as 1920x1080")
     return int(width), int(height)
 
@@ -155,9 +178,10 @@ def parse_numbers(option: str, text: str) -> tuple[float, ...]:
     from math import isfinite
 
     from camcal.errors import InvalidInput
+    from camcal.parsing import parse_numbers
 
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        numbers = tuple(parse_numbers(text.split(",")))
     except ValueError:
         numbers = ()
     if not numbers or not all(map(isfinite, numbers)):

@@ -9,6 +9,7 @@ import typer
 from camcal.cli import options as shared
 from camcal.cli import show
 from camcal.errors import InvalidInput
+from camcal.parsing import parse_number
 
 if TYPE_CHECKING:
     from camcal.tasks.poses.pnp import PnpReport
@@ -129,6 +130,7 @@ def pnp(
     camera: shared.CameraName = None,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,
@@ -184,7 +186,7 @@ def _number(option: str, text: str | None, what: str) -> float | Literal["auto"]
     if text is None or text == "auto":
         return "auto" if text else None
     try:
-        return float(text)
+        return parse_number(text)
     except ValueError:
         raise InvalidInput(f"{option} {text!r}: {what}, or auto, is needed") from None
 

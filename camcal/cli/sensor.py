@@ -58,6 +58,7 @@ def sensor(
         Path | None, typer.Option(metavar="FILE", help="Draw the photon transfer curve (.png, .svg, .pdf).")
     ] = None,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,
@@ -94,9 +95,10 @@ def sensor(
 
 def _seconds(text: str | None, option: str) -> tuple[float, ...]:
     from camcal.errors import InvalidInput
+    from camcal.parsing import parse_numbers
 
     try:
-        return tuple(float(part) for part in text.split(",")) if text else ()
+        return tuple(parse_numbers(text.split(","))) if text else ()
     except ValueError:
         raise InvalidInput(f"{option} {text!r}: write seconds as 0.01,0.02") from None
 

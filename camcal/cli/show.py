@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,24 +12,32 @@ from contextvars import ContextVar
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from camcal.errors import FileError
+from camcal.errors import FileError, in_one_line, reason
 from camcal.progress import Progress, Silent
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 _REDRAW_S = 0.1
+_LONGEST = 400  # characters of a line on stderr
+_END = 100  # of them that stay of its end
+_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _SIGNIFICANT_DIGITS = 12
 
 _documents: ContextVar[list[str] | None] = ContextVar("documents", default=None)
 
 
 def text(line: str) -> None:
-    """Print a line to stdout; a closed pipe swallows it."""
+    """Print a line to stdout, what steers a terminal written as escapes; a closed pipe swallows it."""
     try:
-        print(line)  # noqa: T201
+        print(printable(line))  # noqa: T201
     except OSError as error:
         give_up_stdout(error)
+
+
+def printable(words: str) -> str:
+    """Return words with escapes in the place of control characters, and of those that turn the direction of writing."""
+    return _STEERING.sub(lambda found: repr(found[0])[1:-1], words)
 
 
 def flush() -> None:
@@ -46,7 +55,7 @@ def give_up_stdout(error: OSError) -> None:
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
     if not isinstance(error, BrokenPipeError):
-        raise FileError(f"cannot be written: {error.strerror}", where="standard output") from error
+        raise FileError(f"cannot be written: {reason(error)}", where="standard output") from error
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -149,7 +158,7 @@ class _Terminal:
         if self.bar is None:
             warning(message)
             return
-        for line in message.splitlines():
+        for line in _lines(message):
             self.bar.console.print(f"camcal: warning: {line}", markup=False, highlight=False, soft_wrap=True)
 
 
@@ -157,14 +166,20 @@ def _complain(kind: str, message: str) -> None:
     if sys.stderr is None:
         return
     with suppress(OSError):  # nobody is left to hear of it
-        for line in message.splitlines():
+        for line in _lines(message):
             print(f"camcal: {kind}: {line}", file=sys.stderr)  # noqa: T201
+
+
+def _lines(message: str) -> Iterator[str]:
+    """Yield the lines of a message as they are shown: without what steers a terminal, and none without end."""
+    for line in map(printable, message.split("\n")):
+        yield line if len(line) <= _LONGEST else f"{line[: _LONGEST - _END]} … {line[-_END:]}"
 
 
 def _cell(value: object) -> str:
     if value is None:
         return "-"
-    return f"{value:.6g}" if _is_number(value) and not isinstance(value, int) else str(value)
+    return f"{value:.6g}" if _is_number(value) and not isinstance(value, int) else in_one_line(str(value))
 
 
 def _is_number(value: object) -> bool:

@@ -252,9 +252,10 @@ def _raw(
 
 def _shares(text: str) -> tuple[float, float, float]:
     from camcal.errors import InvalidInput
+    from camcal.parsing import parse_numbers
 
     try:
-        red, green, blue = map(float, text.split(","))
+        red, green, blue = parse_numbers(text.split(","))
     except ValueError:
         raise InvalidInput(f"--light {text!r}: write three numbers as .5,1,.6 (red, green, blue)") from None
     return red, green, blue
@@ -263,10 +264,11 @@ def _shares(text: str) -> tuple[float, float, float]:
 def _coefficients(text: str) -> dict[str, float]:
     """Return the numbers of a text such as k1=-0.2,k2=0.05 by their names."""
     from camcal.errors import InvalidInput
+    from camcal.parsing import parse_number
 
     try:
         pairs = [part.split("=") for part in text.split(",") if part.strip()]
-        return {name.strip(): float(value) for name, value in pairs}
+        return {name.strip(): parse_number(value) for name, value in pairs}
     except ValueError:
         raise InvalidInput(f"--distortion {text!r}: write it as k1=-0.2,k2=0.05") from None
 

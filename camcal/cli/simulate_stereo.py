@@ -73,11 +73,12 @@ def run(given: Mapping[str, Any]) -> None:
 def _two_numbers(option: str, text: str | None) -> tuple[float, float] | None:
     """Return the numbers of a text such as 6:64; raises InvalidInput, naming the option, for anything else."""
     from camcal.errors import InvalidInput
+    from camcal.parsing import parse_numbers
 
     if text is None:
         return None
     try:
-        first, second = map(float, text.split(":"))
+        first, second = parse_numbers(text.split(":"))
     except ValueError:
         raise InvalidInput(f"{option} {text!r}: write two numbers as 6:64") from None
     return first, second

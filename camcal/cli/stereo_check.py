@@ -34,6 +34,7 @@ def check(
     ] = None,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

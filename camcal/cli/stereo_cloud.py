@@ -96,6 +96,7 @@ def cloud(
     ] = False,
     ascii_text: Annotated[bool, typer.Option("--ascii", help="Write PLY or PCD as text.")] = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

@@ -59,6 +59,7 @@ def disparity(
     ] = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,
@@ -111,11 +112,12 @@ def disparity(
 def _range(text: str) -> tuple[int, int] | None:
     """Return the range of a text such as 0:128 or -16:48, None for auto."""
     from camcal.errors import InvalidInput
+    from camcal.parsing import parse_integer
 
     if text == "auto":
         return None
     try:
-        first, last = (int(part) for part in text.split(":"))
+        first, last = (parse_integer(part) for part in text.split(":"))
     except ValueError:
         raise InvalidInput(f"--range {text!r}: write auto, or whole numbers as 0:128") from None
     return first, last

@@ -65,6 +65,7 @@ def evaluate(
         ),
     ] = None,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

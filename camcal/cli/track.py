@@ -92,6 +92,7 @@ def track(
     camera: shared.CameraName = None,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

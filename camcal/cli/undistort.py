@@ -9,6 +9,7 @@ import typer
 from camcal.cli import options as shared
 from camcal.cli import show
 from camcal.errors import InvalidInput
+from camcal.parsing import parse_numbers
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.undistort import UndistortOptions, UndistortReport
@@ -85,6 +86,7 @@ def undistort(
     camera_name: shared.CameraName = None,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,
@@ -173,7 +175,7 @@ def _show(report: "UndistortReport", verbose: bool) -> None:
 def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
-    match = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text)
+    match = re.fullmatch(r"([0-9]{1,6})x([0-9]{1,6})", text)
     if match is None:
         raise InvalidInput(f"size {text!r} is not understood; write 1920x1080", where="--size")
     return int(match[1]), int(match[2])
@@ -181,6 +183,6 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 def _border(text: str) -> tuple[float, ...]:
     try:
-        return tuple(float(part) for part in text.split(","))
+        return tuple(parse_numbers(text.split(",")))
     except ValueError:
         raise InvalidInput(f"border {text!r} is not understood; write 0, or 255,0,0", where="--border") from None

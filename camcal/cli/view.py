@@ -81,6 +81,7 @@ def view(
     rerun: Annotated[
         bool, typer.Option("--rerun", help="Open the Rerun viewer, or with -o write for it; needs camcal[view].")
     ] = False,
+    max_pixels: shared.MaxPixels = None,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,

@@ -12,8 +12,6 @@ the hash of the numbers.
 
 import hashlib
 import io
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,9 +23,11 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.schema import did_you_mean, items, mapping, matrix, number, text
 from camcal.formats.strict_yaml import Check, Fault, child
+from camcal.images.npy import arrays_of
 
 MAX_INLINE = 100
 STD_AGREEMENT = 0.01  # std and the matrix are two views of one number; a hand-edited one shows
+LARGEST_VARIANCE = 1e100  # and the inverse of the smallest; squares of what lies beyond are no numbers
 NEGATIVE = -1e-9  # smallest eigenvalue of the correlations: rounding to 12 digits moves it by 1e-12 · size
 
 KEYS: Mapping[str, Check] = {
@@ -80,7 +80,13 @@ def why_no_covariance(found: Array) -> str | None:
     variances = np.diag(found)
     if (variances < 0).any():
         return f"not a covariance: the variance in row {int(np.argmin(variances)) + 1} is negative"
+    absurd = (variances > 0) & ~((variances >= 1 / LARGEST_VARIANCE) & (variances <= LARGEST_VARIANCE))
+    if absurd.any():
+        row = int(np.argmax(absurd))
+        return f"not a covariance: the variance in row {row + 1}, {variances[row]:.3g}, is no measurement's"
     scale = np.where(variances > 0, np.sqrt(variances), 1.0)
+    if (np.abs(found) > 2 * np.outer(scale, scale)).any():
+        return "not a covariance: two rows have more in common than their variances allow"
     correlations = found / np.outer(scale, scale)
     asymmetry = np.abs(correlations - correlations.T).max(initial=0.0)
     if asymmetry > -NEGATIVE:
@@ -117,8 +123,8 @@ def _matrix(block: Mapping[str, Any], folder: Path) -> Array:
         return np.array(block["covariance"], dtype=float)
     path = folder / block["covariance_file"]
     try:
-        found = np.load(io.BytesIO(files.read_bytes(path)), allow_pickle=False)["covariance"]
-    except (ValueError, LookupError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        found = arrays_of(files.read_bytes(path))["covariance"]
+    except (ValueError, LookupError) as error:
         raise FileError("is not a covariance written by camcal, or cut off", where=str(path)) from error
     count = len(block["covariance_order"])
     if found.shape != (count, count) or _digest(found) not in path.name:

@@ -25,6 +25,7 @@ from camcal.cameras.image_circle import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.formats.board_text import short_form
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
+from camcal.parsing import parse_integer
 from camcal.targets.board import Board, Detection, Detections, parse_board
 
 MAGIC = "# camcal-detections"
@@ -74,7 +75,7 @@ def _numbering(board: Board) -> tuple[str, int, int]:
 
 def _named_board(path: str, words: dict[str, str]) -> Board:
     try:
-        return replace(parse_board(words["board"]), first_marker=int(words.get("first_marker_id", "0")))
+        return replace(parse_board(words["board"]), first_marker=parse_integer(words.get("first_marker_id", "0")))
     except InvalidInput as error:
         raise InvalidInput(error.message, where=f"{path}:1") from error
     except ValueError as error:

@@ -3,9 +3,7 @@
 A sidecar beside a map says its scale and what means "no match" in it; see `disparity_sidecar`.
 """
 
-import zipfile
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -19,8 +17,8 @@ from camcal.formats.disparity_sidecar import INF, INVALID_CODES, NAN, ZERO, Side
 from camcal.formats.exr import read_exr, write_exr
 from camcal.formats.pfm import read_pfm, write_pfm
 from camcal.images import exif
-from camcal.images.load import load
-from camcal.images.npy import read_npy, write_npy
+from camcal.images.load import load, require_allowed
+from camcal.images.npy import arrays_of, read_npy, write_npy
 from camcal.images.save import save
 
 KITTI_SCALE = 256.0  # 16-bit disparity is in 1/256 px by the convention of the KITTI benchmark
@@ -87,7 +85,9 @@ def read(path: Path, scale: float | None = None, invalid: str | None = None) -> 
         invalid = sidecar.invalid if sidecar else ZERO
     if invalid not in INVALID_CODES:
         raise InvalidInput(f"the code of no match is one of {', '.join(INVALID_CODES)}, found {invalid!r}")
-    return DisparityMap(values.astype(np.float32) / np.float32(_positive(scale)), scale, invalid, sidecar)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite is no match
+        found = values.astype(np.float32) / np.float32(_positive(scale))
+    return DisparityMap(found, scale, invalid, sidecar)
 
 
 def maps_in(folder: Path) -> list[Path]:
@@ -188,6 +188,7 @@ def _read_values(path: Path) -> Array:
 def _read_tiff(path: Path) -> Array:
     """Return the values of a TIFF file, which unlike an image may have a sign."""
     content = read_bytes(path)
+    require_allowed(path, content)
     if exif.orientation(content) != exif.UPRIGHT:
         content = exif.with_orientation(content, exif.UPRIGHT)  # OpenCV turns TIFF images whatever it is asked
     try:
@@ -202,12 +203,11 @@ def _read_tiff(path: Path) -> Array:
 def _read_npz(path: Path) -> Array:
     """Return the one array of a NumPy archive, or the one named disparity."""
     try:
-        with np.load(BytesIO(read_bytes(path)), allow_pickle=False) as archive:
-            names = list(archive.files)
-            name = names[0] if len(names) == 1 else _ARRAY
-            values = archive[name] if name in names else None
-    except (ValueError, EOFError, OSError, AttributeError, zipfile.BadZipFile) as error:
+        arrays = arrays_of(read_bytes(path))
+    except ValueError as error:
         raise FileError("not a NumPy archive that can be read", where=str(path)) from error
+    names = list(arrays)
+    values = arrays.get(names[0] if len(names) == 1 else _ARRAY)
     if values is None:
         held = f"holds the arrays {', '.join(names[:8])}" if names else "holds no array"
         raise InvalidInput(f"{held}; one is needed, or one named {_ARRAY}", where=str(path))

@@ -34,6 +34,7 @@ from camcal.geometry.pose import Pose
 FORMAT = "camcal-frames"
 VERSION = 1
 SUFFIXES = (".yaml", ".yml", ".json")
+LARGEST_STD = 1e50  # m, rad; its square is still a number
 COMMENT = "camcal frames. Lengths: metres; angles: radians. a_T_b takes points in b to points in a."
 
 _QUATERNIONS = (("qw", "qx", "qy", "qz"), ("w", "x", "y", "z"))  # a bare y is a truth value to YAML 1.1
@@ -46,7 +47,7 @@ _ROTATIONS: Mapping[str, Check] = {
     "euler": _EULER,
     "matrix": items(items(number(), 4), 3, 4),
 }
-_UNCERTAIN: Mapping[str, Check] = {"covariance": matrix(6, 6), "std": items(number(0), 6)}
+_UNCERTAIN: Mapping[str, Check] = {"covariance": matrix(6, 6), "std": items(number(0, LARGEST_STD), 6)}
 _TRANSFORM = mapping({}, {**_ROTATIONS, "t": items(number(-LARGEST, LARGEST), 3), **_UNCERTAIN})
 
 

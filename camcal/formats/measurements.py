@@ -4,6 +4,7 @@ from pathlib import Path
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.tables import Table, csv_rows, numbered_lines
+from camcal.parsing import is_number
 
 COMMENT = "#"
 _OTHERS = {";": "semicolons", "\t": "tabs", " ": "blanks"}
@@ -25,7 +26,7 @@ def read(path: Path) -> Table:
 
 
 def _check_names(where: str, names: list[str]) -> None:
-    if all(map(_is_number, names)):
+    if all(map(is_number, names)):
         raise InvalidInput("no column names; the first row is to name the columns, such as x,y", where=where)
     used = next((letter for letter in _OTHERS if len(names) == 1 and letter in names[0]), None)
     if used is not None:
@@ -36,11 +37,3 @@ def _check_names(where: str, names: list[str]) -> None:
         raise InvalidInput(f"column {names.index('') + 1} has no name", where=where)
     if len(set(names)) < len(names):
         raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=where)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -15,6 +15,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
+from camcal.parsing import parse_numbers
 from camcal.stereo.geometry import StereoGeometry
 
 SUFFIX = ".txt"
@@ -172,7 +173,7 @@ def _entry(entries: Mapping[str, _Entry], name: str, path: Path) -> _Entry:
 def _parsed(text: str, name: str, count: int, where: str) -> list[float]:
     """Return the finite numbers of a text, which must be `count`."""
     try:
-        numbers = [float(word) for word in text.split()]
+        numbers = parse_numbers(text.split())
     except ValueError:
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():

@@ -9,7 +9,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError
 from camcal.files import read_bytes, replacing
 
-_HEADER = re.compile(rb"Pf\s+(\d+)\s+(\d+)\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s")
+_HEADER = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s")
 
 
 def read_pfm(path: Path) -> Array:

@@ -29,6 +29,7 @@ from camcal.geometry.dual_quaternion import dual_quaternion_error, from_dual_qua
 from camcal.geometry.euler import EulerOrder, from_euler, to_euler
 from camcal.geometry.orthogonality import examine
 from camcal.geometry.pose import Pose
+from camcal.parsing import is_number, parse_numbers
 
 ROUNDED = 1e-3  # how far a rotation may be from one: texts have few digits
 LARGEST = 1e100  # beyond, squares overflow
@@ -200,22 +201,14 @@ def guessed(count: int) -> Form:
 def is_row(text: str) -> bool:
     """Return whether a text is numbers with blanks, commas or brackets between them, and nothing else."""
     parts = [part for part in _SEPARATORS.split(text) if part]
-    return bool(parts) and all(map(_is_number, parts))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text  # 1_000 is a number to Python only
+    return bool(parts) and all(map(is_number, parts))
 
 
 def numbers_in(text: str) -> Array:
     """Return the numbers of a row; raises InvalidInput if they are not finite, or the text is no row."""
     if not is_row(text):
         raise InvalidInput("something else than the numbers of a pose")
-    numbers = np.array([float(part) for part in _SEPARATORS.split(text) if part])
+    numbers = np.array(parse_numbers(part for part in _SEPARATORS.split(text) if part))
     if not np.isfinite(numbers).all():
         raise InvalidInput("a pose has finite numbers")
     return numbers
@@ -229,7 +222,7 @@ def is_elementary(text: str) -> bool:
 def elementary(text: str) -> LoosePose:
     """Return the pose of a turn such as Rx(-30deg) or Rz(1.57 rad); raises InvalidInput for an angle without a unit."""
     found = _ELEMENTARY.fullmatch(text.strip())
-    if found is None or found[3] is None or not _is_number(found[2]):
+    if found is None or found[3] is None or not is_number(found[2]):
         raise InvalidInput("a turn about an axis is an angle with its unit, such as Rz(90deg) or Rz(1.57rad)")
     (angle,) = _checked(numbers_in(found[2]) * _UNITS[found[3]])
     turns = {"x": so3.about_x, "y": so3.about_y, "z": so3.about_z}

@@ -10,6 +10,7 @@ from typing import Any
 
 from camcal.formats.emit import number_text
 from camcal.formats.strict_yaml import Check, Fault, child, nearest
+from camcal.parsing import parse_number
 
 VENDOR = "x_"
 
@@ -32,7 +33,7 @@ def _not_a_number(value: Any) -> str | None:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return None if math.isfinite(value) else f"{'-' * (value < 0)}.{abs(value)} is not finite"
     try:
-        plain = number_text(float(value)) if isinstance(value, str) else ""
+        plain = number_text(parse_number(value)) if isinstance(value, str) else ""
     except ValueError:
         plain = ""
     if plain:

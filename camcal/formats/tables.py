@@ -10,8 +10,15 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import FileError, InvalidInput
 from camcal.formats.schema import did_you_mean
+from camcal.parsing import is_number, parse_integer, parse_number
+
+MAX_LINES = 3_000_000  # of a table; a line takes some 200 bytes of memory
+LONGEST_QUOTE = 60  # characters of a cell that a message repeats
+
+_SHIELD = "'"
+_FORMULA = ("=", "+", "@", "\t")  # a minus too, but numbers begin with it
 
 Lines = Sequence[tuple[int, str]]
 
@@ -19,9 +26,12 @@ Lines = Sequence[tuple[int, str]]
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """Return the lines of a text file that are not blank, with their numbers from 1.
 
-    Raises FileError if the file cannot be read.
+    Raises FileError if the file cannot be read or has more than MAX_LINES.
     """
-    lines = files.read_text(path).replace("\r\n", "\n").split("\n")
+    text = files.read_text(path)
+    if text.count("\n") > MAX_LINES:
+        raise FileError(f"{text.count(chr(10))} lines are more than the limit of {MAX_LINES}", where=str(path))
+    lines = text.replace("\r\n", "\n").split("\n")
     return [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
 
 
@@ -74,14 +84,14 @@ class Table:
 
     def integers(self, name: str, low: int, high: int) -> Array:
         """Return a column (N,) of whole numbers in [low, high]."""
-        values = self._converted(name, int, "a whole number")
+        values = self._converted(name, parse_integer, "a whole number")
         bad = np.array([not low <= value <= high for value in values], dtype=bool)
         self.refuse(bad, lambda row: f"{name} {values[row]} is not in {low} … {high}")
         return np.array(values, dtype=np.int64)
 
     def numbers(self, name: str) -> Array:
         """Return a column (N,) of finite numbers."""
-        values = np.array(self._converted(name, float, "a number"), dtype=float)
+        values = np.array(self._converted(name, parse_number, "a number"), dtype=float)
         self.refuse(~np.isfinite(values), lambda row: f"{name}: {self.columns[name][row]} is not finite")
         return values
 
@@ -90,7 +100,7 @@ class Table:
         values = np.full(len(self), np.nan)
         for row, text in enumerate(self.columns[name]):
             try:
-                values[row] = float(text) if text.strip() else np.nan
+                values[row] = parse_number(text) if text.strip() else np.nan
             except ValueError:
                 raise InvalidInput(
                     f"{name}: {text!r} is not a number", where=f"{self.path}:{self.lines[row]}"
@@ -100,8 +110,7 @@ class Table:
     def _converted(self, name: str, convert: Callable[[str], float], what: str) -> list[Any]:
         cells = self.columns[name]
         try:
-            if "_" not in "".join(cells):  # 1_000 is a number to Python only
-                return list(map(convert, cells))
+            return list(map(convert, cells))
         except ValueError:
             pass
         bad = np.array([not _converts(cell, convert) for cell in cells])
@@ -111,21 +120,19 @@ class Table:
 
 def csv_rows(path: str, lines: Lines) -> list[list[str]]:
     """Return the cells of CSV lines, a row each; raises InvalidInput if a quote is left open."""
+    rows: list[list[str]] = []
+    reader = csv.reader((line for _, line in lines), skipinitialspace=True, strict=True)
+    fault = "it is not closed in its line"
     try:
-        rows = list(csv.reader((line for _, line in lines), skipinitialspace=True, strict=True))
-    except csv.Error:
-        rows = []
-    if len(rows) != len(lines):  # an open quote swallows the lines that follow
-        for number, line in lines:
-            _refuse_bad_quotes(f"{path}:{number}", line)
-    return rows
-
-
-def _refuse_bad_quotes(where: str, line: str) -> None:
-    try:
-        list(csv.reader([line], skipinitialspace=True, strict=True))
+        for row in reader:
+            if reader.line_num > len(rows) + 1:
+                break
+            rows.append([_unshielded(text) for text in row] if _SHIELD in "".join(row) else row)
+        else:
+            return rows
     except csv.Error as error:
-        raise InvalidInput(f"not a CSV row, a quote is wrong: {error}", where=where) from error
+        fault = str(error)
+    raise InvalidInput(f"not a CSV row, a quote is wrong: {fault}", where=f"{path}:{lines[len(rows)][0]}")
 
 
 def _check_names(where: str, names: Sequence[str], required: Sequence[str], optional: Sequence[str]) -> None:
@@ -146,13 +153,24 @@ def _converts(cell: str, convert: Callable[[str], float]) -> bool:
         convert(cell)
     except ValueError:
         return False
-    return "_" not in cell
+    return True
 
 
 def cell(text: str) -> str:
-    """Return a text as a CSV cell that `Table.from_csv` reads back; raises InvalidInput for a line break in it."""
-    if "\n" in text or "\r" in text:
+    """Return a text as a CSV cell that `csv_rows` reads back; raises InvalidInput for a line break in it.
+
+    What a spreadsheet would take for a formula stands behind an apostrophe.
+    """
+    if text.splitlines() not in ([], [text]):
         raise InvalidInput(f"{text!r} has a line break, which a table cannot hold")
+    if text.lstrip(_SHIELD)[:1] in _FORMULA and not is_number(text):
+        text = _SHIELD + text
     if text.strip() != text or any(letter in text for letter in ',"#'):
         return '"' + text.replace('"', '""') + '"'
     return text
+
+
+def _unshielded(text: str) -> str:
+    """Return a cell without the apostrophe that `cell` put before what looks like a formula."""
+    inner = text.removeprefix(_SHIELD)
+    return inner if inner != text and inner.lstrip(_SHIELD)[:1] in _FORMULA else text

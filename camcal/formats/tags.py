@@ -30,6 +30,7 @@ from camcal.formats.schema import integer, items, mapping, number, one_of, text
 from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
+from camcal.parsing import parse_integer, parse_number
 from camcal.targets.boards.types import METRES
 from camcal.targets.markers.families import Family, family_named
 from camcal.targets.markers.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
@@ -37,8 +38,8 @@ from camcal.targets.markers.tags import OPENCV, TAG_FRAMES, TagObjects, require_
 SUFFIXES = (".yaml", ".yml")
 SHORT = "FAMILY:SIZE[:IDS], such as tag36h11:53mm or DICT_4X4_50:40mm:0,1,5"
 
-_LENGTH = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(mm|cm|m|in)\Z")
-_IDS = re.compile(r"\d{1,6}(,\d{1,6})*\Z")
+_LENGTH = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(mm|cm|m|in)\Z")
+_IDS = re.compile(r"[0-9]{1,6}(,[0-9]{1,6})*\Z")
 _POSITION = items(number(), 3)
 _KINDS: dict[str, Check] = {
     "size": number(above=0),
@@ -84,9 +85,9 @@ def parse_tags(text: str) -> TagObjects:
         raise InvalidInput(f"tags {text!r}: {parts[1]!r} is not a length with its unit; write 53mm, 5.3cm or 0.053m")
     if len(parts) == 3 and not _IDS.match(parts[2]):
         raise InvalidInput(f"tags {text!r}: {parts[2]!r} is not a list of ids; write 0,1,5")
-    ids = tuple(map(int, parts[2].split(","))) if len(parts) == 3 else None
+    ids = tuple(map(parse_integer, parts[2].split(","))) if len(parts) == 3 else None
     try:
-        return TagObjects(parts[0], float(length[1]) * METRES[length[2]], ids)
+        return TagObjects(parts[0], parse_number(length[1]) * METRES[length[2]], ids)
     except InvalidInput as error:
         raise InvalidInput(f"tags {text!r}: {error.message}") from error
 

@@ -14,6 +14,7 @@ UPRIGHT = 1
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 _RAW_ORDERS = {b"II": "<", b"MM": ">"}  # camera makers have numbers of their own where TIFF has 42
 _ORIENTATION, _EXIF_DIRECTORY, _WIDTH, _HEIGHT = 0x0112, 0x8769, 0xA002, 0xA003
+_IMAGE_WIDTH, _IMAGE_HEIGHT = 0x0100, 0x0101
 _SUBDIRECTORIES = 0x014A
 _BLOCKS = ((0x0111, 0x0117), (0x0144, 0x0145))  # offsets and lengths of strips, and of tiles
 _CAPTURE = {
@@ -86,6 +87,21 @@ def time_taken(block: bytes) -> tuple[str, str] | None:
         return None
     taken, fraction = (_fact(block, order, entries[tag]) if tag in entries else None for tag in _TAKEN)
     return (str(taken), str(fraction or "")) if taken else None
+
+
+def stated_size(content: bytes) -> tuple[int, int]:
+    """Return the size (width, height) of the largest image in a TIFF file, (0, 0) if it states none.
+
+    Raises struct.error if the first directory does not lie within the file.
+    """
+    order = _ORDERS[content[:4]]
+    sizes = [
+        (width[0], height[0])
+        for entries in _directories(content, order, _first_directory(content, order))
+        if (width := _numbers(content, order, entries.get(_IMAGE_WIDTH)))
+        and (height := _numbers(content, order, entries.get(_IMAGE_HEIGHT)))
+    ]
+    return max(sizes, key=lambda size: size[0] * size[1], default=(0, 0))
 
 
 def is_cut_off(content: bytes) -> bool:

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, translated
 from camcal.files import read_bytes
-from camcal.images import containers, exif
+from camcal.images import containers, exif, headers, limits
 from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image
 from camcal.images.npy import read_npy
 from camcal.images.scratch import Scratch
@@ -46,6 +46,7 @@ def load(path: Path, scratch: Scratch | None = None) -> Image:
     if suffix == ".npy":
         return _load_npy(path)
     content = read_bytes(path)
+    require_allowed(path, content)
     if content.startswith(containers.JPEG):
         return _load_jpeg(path, content, scratch)
     if content.startswith(containers.PNG):
@@ -54,6 +55,16 @@ def load(path: Path, scratch: Scratch | None = None) -> Image:
     # OpenCV turns TIFF images whatever it is asked.
     upright = exif.with_orientation(content, exif.UPRIGHT) if turned != exif.UPRIGHT else content
     return Image(_decode(path, upright), turned)
+
+
+def require_allowed(path: Path, content: bytes) -> None:
+    """Raise FileError unless an image file states a size that is allowed, before any memory is taken for its pixels."""
+    try:
+        size = headers.stated_size(content)
+    except ValueError as error:
+        raise FileError(f"{_damaged(content)}: {error}", where=str(path)) from error
+    if size is not None:
+        limits.require_pixels(size, path)
 
 
 def load_gray(path: Path) -> Array:
@@ -87,7 +98,8 @@ def gray_levels(pixels: Array) -> Array:
     if not known.size:
         return np.zeros(pixels.shape, np.float32)
     low, high = np.quantile(known.astype(float), [_TAIL, 1 - _TAIL])
-    return np.asarray((pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30)))
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite pixels, and those far beyond the others
+        return np.asarray((pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30)))
 
 
 def _load_npy(path: Path) -> Image:
@@ -108,7 +120,7 @@ def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:
     try:
         pixels = cv2.imread(str(path), scratch.array("decoded", shape, np.uint8), _FLAGS)
     except cv2.error as error:
-        raise _unreadable(path, content) from error
+        raise translated(error) or _unreadable(path, content) from error
     if pixels is None:
         raise _unreadable(path, content)
     return _with_exif(pixels, header.exif)
@@ -122,11 +134,12 @@ def _decode(path: Path, content: bytes) -> Array:
     try:
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), _FLAGS)
     except cv2.error as error:  # such as more pixels than OpenCV allows
-        raise _unreadable(path, content) from error
+        raise translated(error) or _unreadable(path, content) from error
     if pixels is None:
         raise _unreadable(path, content)
     if pixels.dtype == np.float64:
-        pixels = pixels.astype(np.float32)
+        with np.errstate(over="ignore"):
+            pixels = pixels.astype(np.float32)
     channels = 1 if pixels.ndim == 2 else pixels.shape[2]
     if pixels.dtype not in DTYPES or channels not in CHANNELS:
         raise FileError(f"{channels} channels of {pixels.dtype} are not supported", where=str(path))
@@ -134,7 +147,11 @@ def _decode(path: Path, content: bytes) -> Array:
 
 
 def _unreadable(path: Path, content: bytes) -> FileError:
+    return FileError(_damaged(content), where=str(path))
+
+
+def _damaged(content: bytes) -> str:
     kind = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
     if kind is None:
-        return FileError(f"not an image of a known kind (it begins with {content[:8]!r})", where=str(path))
-    return FileError(f"a damaged or cut off {kind} file", where=str(path))
+        return f"not an image of a known kind (it begins with {content[:8]!r})"
+    return f"a damaged or cut off {kind} file"

@@ -9,6 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
+from camcal.images import limits
 from camcal.images.image import Image
 
 BARE_SUFFIXES = frozenset({".mjpeg", ".mjpg", ".h264", ".264", ".h265", ".265", ".hevc"})  # pictures without times
@@ -39,6 +40,9 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     try:
         if not capture.isOpened():
             raise FileError("not a video that can be read; it may be cut off", where=str(path))
+        sides = (capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        width, height = map(int, sides)
+        limits.require_pixels((width, height), path)
         yield capture
     finally:
         capture.release()

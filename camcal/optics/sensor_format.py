@@ -59,7 +59,7 @@ FORMATS: Mapping[str, SensorFormat] = MappingProxyType(
 )
 
 _OTHER_NAMES = {'4/3"': "4/3", "four thirds": "4/3", "micro four thirds": "4/3", "35mm": "full frame"}
-_INCHES = re.compile(r'(?:(\d+)/)?(\d+(?:\.\d+)?) ?(?:"|″|in|inch|-type)?')
+_INCHES = re.compile(r'(?:([0-9]+)/)?([0-9]+(?:\.[0-9]+)?) ?(?:"|″|in|inch|-type)?')
 
 
 def sensor_format(text: str) -> SensorFormat:

@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.parsing import parse_integer, parse_numbers
 from camcal.raw.mosaic import by_place, cell_side, sites
 
 NO_BALANCE = "none"
@@ -45,13 +46,13 @@ class Balance:
         parts = self.text.removeprefix(PATCH).split(",")
         if len(parts) != 4 or not all(part.strip().isdecimal() for part in parts):
             raise InvalidInput(f"white balance {self.text!r}: a gray area is patch:X,Y,WIDTH,HEIGHT in pixels")
-        x, y, width, height = (int(part) for part in parts)
+        x, y, width, height = (parse_integer(part) for part in parts)
         return x, y, width, height
 
     def gains(self) -> Gains:
         """Return the three gains that were given; raises InvalidInput unless they are positive numbers."""
         try:
-            red, green, blue = (float(part) for part in self.text.split(","))
+            red, green, blue = parse_numbers(self.text.split(","))
         except ValueError:
             known = f"{NO_BALANCE}, {CAMERA}, {GRAY_WORLD}, {PATCH}X,Y,W,H or three gains R,G,B"
             raise InvalidInput(f"white balance {self.text!r} is unknown; use {known}") from None

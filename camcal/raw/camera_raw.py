@@ -9,7 +9,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
-from camcal.images import exif
+from camcal.images import exif, limits
 from camcal.raw.capture import capture_of
 from camcal.raw.mosaic import MONO, Mosaic, cell_side, is_x_trans, phases, require_pattern
 
@@ -35,6 +35,7 @@ def read_camera_raw(path: Path) -> Mosaic:
         raise FileError(f"is cut off: it points beyond its {len(content)} bytes", where=str(path))
     try:
         with rawpy.imread(BytesIO(content)) as raw:
+            limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
             if raw.raw_type != rawpy.RawType.Flat:
                 raise InvalidInput("holds full colour in every pixel (linear DNG, sRAW or Foveon): there is no mosaic")
             return _frame(raw, content)

@@ -7,6 +7,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
+from camcal.parsing import parse_numbers
 from camcal.raw.mosaic import Mosaic
 
 NO_MATRIX = "none"
@@ -42,7 +43,7 @@ def read_matrix(path: Path) -> Array:
         raise FileError("is no text file; a colour matrix is nine numbers", where=str(path)) from error
     words = " ".join(line.partition("#")[0] for line in text.splitlines()).replace(",", " ").split()
     try:
-        numbers = np.array([float(word) for word in words])
+        numbers = np.array(parse_numbers(words))
     except ValueError as error:
         raise InvalidInput(f"a colour matrix is nine numbers ({error})", where=str(path)) from error
     if numbers.size != 9 or not np.isfinite(numbers).all() or abs(np.linalg.det(numbers.reshape(3, 3))) < 1e-9:

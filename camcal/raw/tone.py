@@ -18,7 +18,7 @@ DEPTHS: Mapping[str, np.dtype[Any]] = MappingProxyType(
     {"8": np.dtype(np.uint8), "16": np.dtype(np.uint16), "float": np.dtype(np.float32)}
 )
 
-_POWER = re.compile(r"power:(\d+(?:\.\d*)?|\.\d+)$")
+_POWER = re.compile(r"power:([0-9]+(?:\.[0-9]*)?|\.[0-9]+)$")
 
 
 def require_tone(tone: str) -> str:

@@ -11,6 +11,8 @@ from camcal.errors import InsufficientData
 from camcal.geometry.axes import rotation_of
 from camcal.stereo.points.vertices import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 
+_NEAREST = 1e-12  # of a depth that tangents are taken at
+_FARTHEST = 1e15  # of a coordinate; squares of what lies beyond are no float32, and it is no measurement
 _SEED = 20240229
 _TAIL = 0.005  # share of the points beyond either side of the box
 _MARGIN = 1.0  # sizes of the box on either side of it within which points are still shown
@@ -100,7 +102,7 @@ class CloudScene:
     @cached_property
     def tangents(self) -> Array:
         """Lowest and highest x / z and y / z (2, 2) of all points but a few, as the origin sees them."""
-        front = self._sample[self._sample[:, 2] > 0]
+        front = self._sample[self._sample[:, 2] > _NEAREST]
         return _box(front[:, :2] / front[:, 2:]) if len(front) else np.zeros((2, 2))
 
     @cached_property
@@ -169,7 +171,8 @@ def evenly(count: int, most: int) -> Array:
 
 
 def _finite(vertices: Array) -> Array:
-    finite: Array = np.isfinite(vertices["x"]) & np.isfinite(vertices["y"]) & np.isfinite(vertices["z"])
+    with np.errstate(invalid="ignore"):
+        finite: Array = np.all([np.abs(vertices[name]) < _FARTHEST for name in ("x", "y", "z")], axis=0)
     return finite
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.parsing import parse_numbers
 from camcal.report.cloud_scene import CloudScene
 
 NAMED = ("camera", "front", "top", "side")
@@ -149,7 +150,7 @@ def view_of(text: str, scene: CloudScene) -> View:
 
 def _numbers(text: str) -> Sequence[float]:
     try:
-        numbers = [float(part) for part in text.split(",")]
+        numbers = parse_numbers(text.split(","))
     except ValueError:
         return ()
     return numbers if np.isfinite(numbers).all() else ()

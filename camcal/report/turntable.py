@@ -1,6 +1,7 @@
 """Films of a cloud that turns: GIF for any page, MP4 for longer ones."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -55,7 +56,10 @@ def _write_mp4(path: Path, pictures: Iterator[Array], named: Path) -> None:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*_CODEC), _PER_SECOND, (width, height))
     if not writer.isOpened():
         raise FileError("this OpenCV writes no MP4; write a .gif", where=str(named))
-    writer.write(np.ascontiguousarray(first[:, :, ::-1]))
-    for picture in pictures:
+    count = 0
+    for picture in chain([first], pictures):
         writer.write(np.ascontiguousarray(picture[:, :, ::-1]))
+        count += 1
     writer.release()
+    if cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) != count:  # OpenCV does not say so
+        raise FileError("cannot be written as a whole; the disk may be full", where=str(named))

@@ -22,7 +22,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, NamedTuple
 
-from camcal.errors import CamcalError, InvalidInput, ItemsFailed
+from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run.cores import available_cores
 from camcal.run.startup import surroundings_of_a_worker
@@ -87,8 +87,13 @@ def _reported(
 def _attempt(function: Callable[[Item], Value], item: Item) -> Outcome[Item, Value]:
     try:
         return Outcome(item, value=function(item))
-    except CamcalError as error:
-        return Outcome(item, error=error)
+    except Exception as error:
+        known = translated(error)
+        if known is None:
+            raise
+        if known is not error and known.where is None:
+            known.where = _name(item)
+        return Outcome(item, error=known)
 
 
 def _inline(function: Callable[[Item], Value], items: Iterable[Item]) -> Generator[Outcome[Item, Value]]:
@@ -270,7 +275,7 @@ class _Crew(Generic[Item, Value]):
                 )
         if worker.task is not None:
             index, item = worker.task
-            self.finished[index] = Outcome(item, error=ItemsFailed(reason, where=_name(item, index)))
+            self.finished[index] = Outcome(item, error=ItemsFailed(reason, where=_name(item) or f"item {index + 1}"))
         self.dismiss(worker)
 
     def dismiss(self, worker: _Worker) -> None:
@@ -278,9 +283,10 @@ class _Crew(Generic[Item, Value]):
         _stop([worker])
 
 
-def _name(item: object, index: int) -> str:
+def _name(item: object) -> str | None:
+    """Return the file that an item stands for, None if it is of another kind."""
     first = item[0] if isinstance(item, tuple) and item else item
-    return str(first) if isinstance(first, (str, os.PathLike)) else f"item {index + 1}"
+    return str(first) if isinstance(first, (str, os.PathLike)) else None
 
 
 def _stop(workers: list[_Worker]) -> None:

@@ -14,7 +14,29 @@ BLAS_THREADS = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
+_STOPPING = ("SIGTERM", "SIGHUP")
 _ONE_THREAD = (*BLAS_THREADS, "OPENCV_FOR_THREADS_NUM")
+
+
+class Stopped(BaseException):
+    """A signal asks this process to end; raised where the main thread is, so that temporary files are removed."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.signal = signal.Signals(number)
+
+
+def stop_on_signals() -> None:
+    """Let SIGTERM and SIGHUP raise Stopped; a second one ends the process at once, and one ignored stays so."""
+    for name in _STOPPING:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _stop)
+
+
+def _stop(number: int, _: types.FrameType | None) -> None:
+    signal.signal(number, signal.SIG_DFL)
+    raise Stopped(number)
 
 
 @contextmanager

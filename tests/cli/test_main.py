@@ -293,7 +293,7 @@ def test_a_closed_pipe_is_not_an_error(console):
 def test_a_full_disk_behind_stdout_is_a_file_error(console):
     with Path("/dev/full").open("w") as full:
         process = console("talk", stdout=full)
-    assert process.communicate()[1] == "camcal: error: standard output: cannot be written: No space left on device\n"
+    assert process.communicate()[1] == "camcal: error: standard output: cannot be written: the disk is full\n"
     assert process.returncode == 3
 
 

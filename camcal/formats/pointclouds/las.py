@@ -27,6 +27,7 @@ _FULL = 65535  # of intensity and colour
 _OWNER, _RECORD = "camcal", 1
 _BLOCK = 1 << 18
 _HEADER = struct.Struct("<94xHIIBHI")  # sizes of header and of all before the points, records, format, point, points
+_PLACE, _CHUNKS = struct.Struct("<q"), struct.Struct("<II")  # of the table of chunks; its version and length
 _LEAST, _RECORD_HEADER = 227, 54  # bytes of a header, and of that of a record
 _COMPRESSED = 128  # flag in the number of the point format
 _DATE = 90  # where the header says day and year
@@ -149,6 +150,21 @@ def _require_whole(content: bytes) -> None:
     needed = start if form & _COMPRESSED else start + count * length
     if header + records * _RECORD_HEADER > start or needed > len(content):
         raise FileError(f"{count} points end {needed} bytes into the file, which has {len(content)}")
+    if form & _COMPRESSED and count:
+        _require_chunks(content, start)
+
+
+def _require_chunks(content: bytes, start: int) -> None:
+    """Raise FileError unless the chunks of a LAZ file can be as many as it says: lazrs ends the process otherwise."""
+    try:
+        (table,) = _PLACE.unpack_from(content, start)
+        if table == -1:  # it was written to a stream, and stands at the end
+            (table,) = _PLACE.unpack_from(content, len(content) - _PLACE.size)
+        _, chunks = _CHUNKS.unpack_from(content, table)
+    except struct.error as error:
+        raise FileError("not a LAS file that can be read (it has no table of chunks)") from error
+    if table < start or chunks > len(content):
+        raise FileError(f"{chunks} chunks of points do not fit into {len(content)} bytes")
 
 
 def _words(header: Any) -> dict[str, Any]:

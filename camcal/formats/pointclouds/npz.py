@@ -5,18 +5,17 @@ The vertices of an image have its rows and columns in the place of N.
 """
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import replace
-from io import BytesIO
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import FileError
+from camcal.errors import CamcalError, FileError
+from camcal.formats import strict_json
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, cloud_of
+from camcal.images.npy import arrays_of
 from camcal.stereo.points.vertices import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 _FIELDS: dict[str, tuple[str, ...]] = {
@@ -26,18 +25,6 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "normals": NORMAL,
     "sigma": (SIGMA,),
 }
-# What NumPy and the ZIP reader raise on damaged files; a header may promise more than any memory holds.
-_DAMAGE = (
-    EOFError,
-    KeyError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 def write(file: BinaryIO, stream: VertexStream) -> None:
@@ -82,9 +69,8 @@ def read(content: bytes) -> PointCloudFile:
 
 def _arrays(content: bytes) -> Mapping[str, Any]:
     try:
-        with np.load(BytesIO(content), allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-    except _DAMAGE as error:
+        return arrays_of(content)
+    except ValueError as error:
         raise FileError("not an NPZ file that can be read (np.savez writes one)") from error
 
 
@@ -99,7 +85,7 @@ def _columns(name: str, array: Array, shape: tuple[int, ...]) -> dict[str, Array
 
 def _notes(arrays: Mapping[str, Any]) -> dict[str, str]:
     try:
-        found = json.loads(str(arrays.get("notes", "{}")))
-    except ValueError:
+        found = strict_json.parse(str(arrays.get("notes", "{}")))
+    except CamcalError:
         return {}
     return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}

@@ -14,6 +14,7 @@ from camcal.errors import FileError
 from camcal.formats.pointclouds import text
 from camcal.formats.pointclouds.lzf import decompressed
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, comments_of, from_comments
+from camcal.parsing import parse_integer
 from camcal.stereo.points.vertices import COLOUR, VertexStream
 
 _NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}  # as PCL has them
@@ -120,7 +121,7 @@ def _parsed(lines: list[str]) -> _Header:
     if data not in _READERS:
         raise FileError(f"PCD data of the kind {data or 'nothing'}; known are {', '.join(_READERS)}")
     try:
-        width, height = int(words["WIDTH"][0]), int(words["HEIGHT"][0])
+        width, height = parse_integer(words["WIDTH"][0]), parse_integer(words["HEIGHT"][0])
         kind = _fields(words)
     except (KeyError, IndexError, ValueError, TypeError) as error:
         raise FileError(
@@ -135,7 +136,7 @@ def _parsed(lines: list[str]) -> _Header:
 def _fields(words: Mapping[str, list[str]]) -> np.dtype[np.void]:
     """Return the record of a point; raises ValueError, KeyError or TypeError if the header tells none."""
     names, sizes, kinds = words.get("FIELDS") or words["COLUMNS"], words["SIZE"], words["TYPE"]
-    counts = [int(count) for count in words.get("COUNT", ["1"] * len(names))]
+    counts = [parse_integer(count) for count in words.get("COUNT", ["1"] * len(names))]
     if not all(0 < count <= _LARGEST_COUNT for count in counts) or not set(kinds) <= set("FIU"):
         raise ValueError
     rows = enumerate(zip(names, kinds, sizes, counts, strict=True))

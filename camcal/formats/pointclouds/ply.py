@@ -98,7 +98,7 @@ def _parsed(lines: list[str]) -> _Header:
                 comments.append(line.partition(" ")[2])
             case ["format", name, _] if name in _ORDERS:
                 order = _ORDERS[name]
-            case ["element", name, count] if count.isascii() and count.isdigit():
+            case ["element", name, count] if re.fullmatch("[0-9]{1,18}", count):
                 elements.append(_Element(name, int(count), []))
             case ["property", "list", _, _, name] if elements:
                 elements[-1].properties.append((name, None))

@@ -21,6 +21,7 @@ from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.parsing import parse_integer, parse_number
 
 _PAIRS = tuple(combinations_with_replacement(range(6), 2))
 _POSE = ("tx", "ty", "tz", *QUATERNION)
@@ -38,8 +39,8 @@ COLUMNS = (
 )
 
 _HEAD = re.compile(
-    rf"# {FORMAT} (?P<version>\d+) frames=(?P<frames>\S+) unit=(?P<unit>\S+) sigma_px=(?P<sigma_px>\S+)"
-    r"(?: scale=(?P<scale>\S+))?(?: degrees_of_freedom=(?P<freedom>\d+))?\s*\Z"
+    rf"# {FORMAT} (?P<version>[0-9]{{1,9}}) frames=(?P<frames>\S+) unit=(?P<unit>\S+) sigma_px=(?P<sigma_px>\S+)"
+    r"(?: scale=(?P<scale>\S+))?(?: degrees_of_freedom=(?P<freedom>[0-9]{1,9}))?\s*\Z"
 )
 _NONE = "# none "
 _MAX_COUNT = 10**9
@@ -113,7 +114,7 @@ def _head(where: str, content: Lines) -> tuple[str, str, PixelNoise]:
 
 def _of_head(where: str, found: re.Match[str], name: str) -> float | None:
     try:
-        return float(found[name]) if found[name] else None
+        return parse_number(found[name]) if found[name] else None
     except ValueError as error:
         raise InvalidInput(f"{name}: {found[name]!r} is not a number", where=f"{where}:1") from error
 
@@ -200,7 +201,7 @@ def _optional(table: Table, name: str) -> Array:
 
 def _ids(table: Table, row: int, text: str) -> tuple[int, ...]:
     try:
-        return tuple(map(int, text.split()))
+        return tuple(map(parse_integer, text.split()))
     except ValueError as error:
         where = f"{table.path}:{table.lines[row]}"
         raise InvalidInput(f"outliers: {text!r} are no numbers of points", where=where) from error

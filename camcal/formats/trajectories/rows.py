@@ -6,10 +6,11 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats.tables import Lines
+from camcal.formats.tables import LONGEST_QUOTE, Lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import frames_of
 from camcal.geometry.trajectory import Trajectory
+from camcal.parsing import parse_number, parse_numbers
 
 DEFAULT_FRAMES = "world_T_camera"
 POSITION = ("tx", "ty", "tz")
@@ -28,8 +29,9 @@ def numbers(path: str, lines: Lines, counts: Sequence[int], delimiter: str | Non
     if len(table) != len(lines) or table.shape[1] not in counts:
         expected = len(lines[0][1].split(delimiter)) if lines else 0
         counts = [expected] if expected in counts else counts
-        for number, line in lines:
-            _refuse_line(f"{path}:{number}", line.split(delimiter), counts)
+        rows = [_numbers_of(f"{path}:{number}", line.split(delimiter), counts) for number, line in lines]
+        _refuse_ragged(path, lines, [len(row) for row in rows])
+        table = np.array(rows)
     bad = ~np.isfinite(table).all(axis=1)
     if bad.any():
         raise InvalidInput("a number is not finite", where=f"{path}:{lines[int(np.argmax(bad))][0]}")
@@ -76,12 +78,19 @@ def require_increasing(path: str, lines: Sequence[int | str], stamps: Array) -> 
         )
 
 
-def _refuse_line(where: str, cells: Sequence[str], counts: Sequence[int]) -> None:
+def _numbers_of(where: str, cells: Sequence[str], counts: Sequence[int]) -> list[float]:
     if len(cells) not in counts:
         wanted = " or ".join(map(str, counts))
         raise InvalidInput(f"{len(cells)} numbers; {wanted} are needed", where=where)
     for cell in cells:
         try:
-            float(cell)
+            parse_number(cell)
         except ValueError as error:
-            raise InvalidInput(f"{cell.strip()!r} is not a number", where=where) from error
+            raise InvalidInput(f"{cell.strip()[:LONGEST_QUOTE]!r} is not a number", where=where) from error
+    return parse_numbers(cells)
+
+
+def _refuse_ragged(path: str, lines: Lines, widths: Sequence[int]) -> None:
+    other = next((index for index, width in enumerate(widths) if width != widths[0]), None)
+    if other is not None:
+        raise InvalidInput(f"{widths[other]} numbers, other lines have {widths[0]}", where=f"{path}:{lines[other][0]}")

@@ -26,11 +26,11 @@ FORMS: Mapping[str, str] = {
 }
 Fields = dict[str, Any]
 
-_SIZE = re.compile(r"(\d{1,9})x(\d{1,9})$")
+_SIZE = re.compile(r"([0-9]{1,9})x([0-9]{1,9})$")
 _NAME = re.compile(r"(?!nan|inf)[A-Za-z]", re.IGNORECASE)
 _LIKENESS = 0.7  # of a misspelt type
 _DIGITS = 17  # that tell any number of 64 bits from the next
-_LENGTH = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(mm|cm|m|in)$")
+_LENGTH = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(mm|cm|m|in)$")
 
 
 def fields_of(text: str) -> Fields:

@@ -9,7 +9,7 @@ MM_PER_INCH = 25.4
 POINTS_PER_MM = 72 / MM_PER_INCH
 MAX_SIDE_MM = 14_400 / 72 * MM_PER_INCH  # the largest page that every reader of PDF opens
 
-_CUSTOM = re.compile(r"(\d+(?:\.\d*)?)x(\d+(?:\.\d*)?)(?:mm)?", re.IGNORECASE)
+_CUSTOM = re.compile(r"([0-9]+(?:\.[0-9]*)?)x([0-9]+(?:\.[0-9]*)?)(?:mm)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

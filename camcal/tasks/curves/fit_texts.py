@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 from camcal.errors import InvalidInput
+from camcal.parsing import parse_number
 
 
 def starts(text: str | None, option: str = "--start") -> dict[str, float]:
@@ -59,7 +60,7 @@ def _once(found: Mapping[str, object], name: str, option: str) -> None:
 
 def _number(text: str, option: str, part: str) -> float:
     try:
-        value = float(text)
+        value = parse_number(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

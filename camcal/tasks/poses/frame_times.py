@@ -13,6 +13,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.images import exif, video
 from camcal.images.load import load
+from camcal.parsing import parse_number
 from camcal.progress import Progress
 from camcal.run.inputs import require_there
 
@@ -177,6 +178,6 @@ def _of_file(path: Path, frames: Sequence[str], scale: float) -> Array:
 
 def _time(where: str, text: str) -> float:
     try:
-        return float(text)
+        return parse_number(text)
     except ValueError:
         raise InvalidInput(f"{text!r} is no time", where=where) from None

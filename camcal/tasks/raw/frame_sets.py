@@ -16,8 +16,8 @@ from camcal.raw.reading import read_mosaic
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images
 
-_EXPOSURE = re.compile(r"(?:^|[_ -])(\d+(?:\.\d+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
-_ISO = re.compile(r"(?:^|[_ -])iso ?(\d+)(?:$|[_ -])", re.IGNORECASE)
+_EXPOSURE = re.compile(r"(?:^|[_ -])([0-9]+(?:\.[0-9]+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
+_ISO = re.compile(r"(?:^|[_ -])iso ?([0-9]+)(?:$|[_ -])", re.IGNORECASE)
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _STEP = 0.03  # of the light: frames that differ by more are of another level
 _SMALLEST_STEP = 0.1  # counts: nearly dark frames differ by chance

@@ -13,6 +13,7 @@ from camcal.formats import disparity, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
+from camcal.parsing import parse_number
 from camcal.progress import SILENT, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import require_there, split_address
@@ -223,7 +224,7 @@ def _confidence(text: str) -> int:
 
 def _metres(text: str) -> float:
     try:
-        return float(text)
+        return parse_number(text)
     except ValueError as error:
         raise InvalidInput(f"the radius around a point is a number of metres, found {text!r}") from error
 

@@ -1,15 +1,16 @@
 """What `camcal view` shows: a point cloud as its file has it, or the points of a disparity map whose pair is known."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from camcal.errors import InvalidInput
+from camcal.files import read_bytes
 from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.axes import rotation_of
+from camcal.images.npy import names_in
 from camcal.progress import Progress
 from camcal.run.fanout import over_threads
 from camcal.stereo.points.cloud import CloudMaker
@@ -19,7 +20,7 @@ from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.stereo.map_sources import named_file, stereo_image
 from camcal.tasks.stereo.rectified_pair import GeometryOptions, pair_of
 
-_POINTS = "points.npy"  # what the archive of a cloud holds
+_POINTS = "points"  # what the archive of a cloud holds
 _CAMERA = "x right, y down, z forward"
 _UPRIGHT = "x east, y north, z up"
 _EXAMPLE = "x forward, y left, z up"
@@ -29,7 +30,8 @@ _AXES = {name: words.partition(": ")[2] for name, words in WORDS.items()}  # who
 def is_cloud(path: Path) -> bool:
     """Return whether a file is a point cloud by its suffix; NumPy archives can be either, and are looked into.
 
-    Raises InvalidInput for a suffix that neither clouds nor disparity maps have.
+    Raises InvalidInput for a suffix that neither clouds nor disparity maps have, FileError for an archive that cannot
+    be read.
     """
     suffix = path.suffix.lower()
     if suffix not in (*pointclouds.SUFFIXES, *disparity.SUFFIXES):
@@ -37,10 +39,7 @@ def is_cloud(path: Path) -> bool:
         raise InvalidInput(f"neither a point cloud nor a disparity map; known are {known}", where=str(path))
     if suffix not in disparity.SUFFIXES:
         return True
-    if suffix not in pointclouds.SUFFIXES or not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return _POINTS in archive.namelist()
+    return suffix in pointclouds.SUFFIXES and _POINTS in names_in(read_bytes(path))
 
 
 def cloud_in(path: Path, frame: str | None = None) -> VertexStream:
