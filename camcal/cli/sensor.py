@@ -1,7 +1,7 @@
 """`camcal sensor`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -9,6 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
+    from camcal.raw.reading import GivenLayout
     from camcal.tasks.raw.sensor import SensorOptions, SensorReport
 
 
@@ -16,7 +17,9 @@ def sensor(
     flats: Annotated[
         list[str],
         typer.Argument(
-            metavar="FLATS", help="Frames of an evenly lit, unsharp white surface, two or more at each level of light."
+            metavar="FLATS",
+            help="Frames of an evenly lit, unsharp white surface, two or more at each level of light; header-less .raw "
+            "and .bin too.",
         ),
     ],
     output: shared.Output,
@@ -24,12 +27,14 @@ def sensor(
         list[str],
         typer.Option(metavar="DARKS", help="Frames without light, with the lens covered; can be given several times."),
     ],
-    pattern: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LETTERS", help="Colours of the first 2x2 pixels of bare mosaics: RGGB, GRBG, GBRG, BGGR, or MONO."
-        ),
-    ] = None,
+    pattern: shared.Pattern = None,
+    format: shared.PixelFormat = None,  # noqa: A002 - it is the option's name
+    size: shared.FrameSize = None,
+    stride: shared.Stride = None,
+    offset: shared.Offset = 0,
+    endian: shared.Endian = "little",
+    align: shared.Align = "lsb",
+    frame: shared.Frame = None,
     exposure: Annotated[
         str | None,
         typer.Option(
@@ -51,7 +56,7 @@ def sensor(
     sensor_format: Annotated[
         str | None,
         typer.Option(
-            "--format", metavar="NAME", help="Sensor format, such as 1/2.8, 2/3, APS-C: it gives the pixel pitch."
+            metavar="NAME", help="Optical format of the sensor, such as 1/2.8, 2/3, APS-C: it gives the pixel pitch."
         ),
     ] = None,
     plot: Annotated[
@@ -77,6 +82,7 @@ def sensor(
         tuple(dark),
         output,
         pattern,
+        _layout(format, size, stride, offset, endian, align, frame),
         _seconds(exposure, "--exposure"),
         _seconds(dark_exposure, "--dark-exposure"),
         iso,
@@ -91,6 +97,25 @@ def sensor(
         show.document("sensor", document(report, options))
     elif not quiet:
         _show(report, options, verbose)
+
+
+def _layout(name: str | None, *others: Any) -> "GivenLayout":
+    """Return the layout of header-less files; an optical format in the place of a pixel format is named."""
+    from camcal.errors import InvalidInput
+    from camcal.optics.sensor_format import sensor_format
+
+    try:
+        return shared.given_layout(name, *others)
+    except InvalidInput:
+        try:
+            sensor_format(name or "")
+        except InvalidInput:
+            pass
+        else:
+            raise InvalidInput(
+                f"--format is the pixel format of header-less files; the optical one is --sensor-format {name}"
+            ) from None
+        raise
 
 
 def _seconds(text: str | None, option: str) -> tuple[float, ...]:

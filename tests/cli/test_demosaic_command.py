@@ -164,6 +164,16 @@ def test_twelve_bit_counts_in_a_sixteen_bit_file_are_pointed_out(run, tmp_path):
     assert "--white 4095?" in err
 
 
+def test_ten_bit_counts_declared_as_twelve_bit_are_pointed_out(run, tmp_path):
+    source = tmp_path / "frame.raw"
+    np.full((6, 8), 1020, "<u2").tofile(source)
+    layout = ("--format", "BayerRG12", "--size", "8x6", "-o", tmp_path / "out.png")
+    code, _, err = run("demosaic", source, *layout)
+    assert code == 0
+    assert "no count above 1020 of 4095; is it --white 1023?" in err
+    assert "--white" not in run("demosaic", source, *layout, "--white", "4095")[2]
+
+
 def test_the_images_do_not_depend_on_the_number_of_jobs(run, tmp_path):
     rng = np.random.default_rng(3)
     frames = rng.integers(0, 4096, (3, 40, 60)).astype(np.uint16)

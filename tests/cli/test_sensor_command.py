@@ -13,6 +13,7 @@ from camcal.images.load import load
 from camcal.images.save import save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Capture, Mosaic
+from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
 from camcal.simulate.sensor import FixedPattern, Sensor
 from camcal.tasks.simulation.simulate import RawOptions, SimulateOptions, simulate
@@ -67,7 +68,7 @@ def renamed(folder, kind, name):
 
 def test_a_sensor_file_is_written_and_its_block_fits_a_camera_file(run, scene, tmp_path):
     output = tmp_path / "sensor.yaml"
-    code, out, err = call(run, scene, output, "--format", "1/2.8")
+    code, out, err = call(run, scene, output, "--sensor-format", "1/2.8")
     assert (code, err) == (0, "")
     assert "8 levels of light, 2 of darkness, 160x120" in out
     assert "the counts end at the full well" in out
@@ -219,8 +220,8 @@ def test_an_input_is_never_overwritten(run, bench):
         (["--exposure", "1,2,3"], "3 exposures for 1 inputs"),
         (["--exposure", "fast"], "write seconds"),
         (["--exposure", "-1"], "above 0"),
-        (["--format", "1/2.8", "--pitch-um", "3"], "leave out"),
-        (["--format", "fullframe"], "Did you mean 'full frame'"),
+        (["--sensor-format", "1/2.8", "--pitch-um", "3"], "leave out"),
+        (["--sensor-format", "fullframe"], "Did you mean 'full frame'"),
         (["--plot", "plot.jpg"], "figures are"),
         (["--pitch-um", "nan"], "pixel pitch"),
         (["--white", "0"], "white level"),
@@ -252,3 +253,75 @@ def test_camera_files_say_their_exposure_speed_and_levels(run, tmp_path):
     assert (document["iso"], document["levels"]) == (400, {"flat": 5, "dark": 1})
     assert document["sensor"]["bits"] == 12
     assert document["figures"]["gain_dn_per_e"]["value"] == pytest.approx(0.5, rel=0.05)  # 1 700 samples: 1.3 %
+
+
+HEADERLESS = Sensor(0.4, 3.0, 20000.0, 32.0, 12)
+FRAME = (96, 72)
+
+
+def dumped(folder, sensor, pixel_format):
+    """Write flats and darks of a sensor as header-less files of a pixel format, and return the two folders."""
+    raw, rng = RawCamera("RGGB", sensor, (0.5, 1.0, 0.6)), np.random.default_rng(4)
+    fixed = FixedPattern.of(sensor, FRAME, rng)
+    for shot in [*ladder(raw, 6, 0.1), Shot(0.01, 0.0)]:
+        place = folder / ("flats" if shot.share else "darks") / f"{1e3 * shot.exposure_s:g}ms"
+        place.mkdir(parents=True, exist_ok=True)
+        for number in range(2 if shot.share else 4):
+            values = even_frame(raw, shot, 0.1, fixed=fixed, rng=rng)
+            (place / f"{number}.raw").write_bytes(pack(values, pixel_format_named(pixel_format)))
+    return folder / "flats", folder / "darks"
+
+
+@pytest.mark.parametrize("pixel_format", ["BayerRG12", "BayerRG12p", "pRCC"])
+def test_header_less_frames_give_the_counts_of_the_sensor(run, tmp_path, pixel_format):
+    flats, darks = dumped(tmp_path, HEADERLESS, pixel_format)
+    layout = ("--format", pixel_format, "--size", "96x72")
+    code, out, err = run("sensor", flats, "--dark", darks, *layout, "-o", tmp_path / "s.yaml", "--json")
+    assert (code, err) == (0, "")
+    document = json.loads(out)
+    assert document["figures"]["gain_dn_per_e"]["value"] == pytest.approx(0.4, rel=0.05)  # 1 700 samples: 1.3 %
+    assert document["figures"]["black_dn"]["value"] == pytest.approx(32, abs=0.2)
+    assert (document["sensor"]["bits"], document["levels"]) == (12, {"flat": 6, "dark": 1})
+
+
+def test_header_less_frames_without_a_layout_are_refused_with_what_fits(run, tmp_path):
+    flats, darks = dumped(tmp_path, HEADERLESS, "BayerRG12")
+    code, _, err = run("sensor", flats, "--dark", darks, "--size", "96x72", "-o", tmp_path / "s.yaml")
+    assert code == 2
+    assert "fits Bayer10|Bayer12|Bayer14|Bayer16 96x72" in err
+    assert err.endswith("give --format\n")
+
+
+@pytest.mark.parametrize(("step", "words"), [(16, "times 16;"), (65535 / 4095, "times 16.0037;")])
+def test_counts_spread_over_sixteen_bits_are_brought_back(run, tmp_path, step, words):
+    flats, darks = dumped(tmp_path, HEADERLESS, "BayerRG12")
+    for path in sorted(tmp_path.rglob("*.raw")):
+        counts = np.fromfile(path, "<u2").reshape(FRAME[::-1])
+        save(path.with_suffix(".png"), np.rint(counts * step).astype(np.uint16))
+        path.unlink()
+    code, out, err = run("sensor", flats, "--dark", darks, "--pattern", "RGGB", "-o", tmp_path / "s.yaml", "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert document["figures"]["gain_dn_per_e"]["value"] == pytest.approx(0.4, rel=0.05)
+    assert document["sensor"]["bits"] == 12
+    assert words in err
+    assert document["warnings"][0].startswith("the counts are those of 12 bits times")
+
+
+def test_ten_bits_declared_as_twelve_are_noticed(run, tmp_path):
+    flats, darks = dumped(tmp_path, Sensor(0.4, 3.0, 20000.0, 32.0, 10), "BayerRG12")
+    layout = ("--format", "BayerRG12", "--size", "96x72", "-o", tmp_path / "s.yaml")
+    code, _, err = run("sensor", flats, "--dark", darks, *layout)
+    assert code == 0
+    assert "no count above 1023 of 4095; is it --white 1023?" in err
+    code, _, err = run("sensor", flats, "--dark", darks, *layout, "--white", "1023")
+    assert (code, err) == (0, "")
+
+
+def test_an_optical_format_in_the_place_of_a_pixel_format_is_named(run, scene, tmp_path):
+    code, _, err = call(run, scene, tmp_path / "sensor.yaml", "--format", "1/2.8")
+    assert code == 2
+    assert "the optical one is --sensor-format 1/2.8" in err
+    code, _, err = call(run, scene, tmp_path / "sensor.yaml", "--format", "Bayer13")
+    assert code == 2
+    assert "pixel format 'Bayer13' is unknown" in err

@@ -12,6 +12,7 @@ from camcal.images.image import Image
 from camcal.images.save import KINDS, save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.raw.balance import NO_BALANCE
+from camcal.raw.bit_depth import likely_white
 from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
@@ -29,7 +30,6 @@ from camcal.tasks.raw.raw_corrections import CorrectionFiles, RawInput
 DNG = ".dng"
 DEFAULT_TYPE = "tiff"  # 16-bit PNG takes seventeen times as long to write
 TYPES = ("tiff", "png", "ppm", "npy", "dng")
-_SIXTEEN_BITS = 65535.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
         outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
     if outputs[sources[0]] != options.output:
         record_outputs(options.output, [outputs[outcome.item].name for outcome in outcomes if outcome.value])
-    _warn_of_a_short_scale(outcomes, progress)
+    _warn_of_a_short_scale(outcomes, options.reading.white, progress)
     return outcomes
 
 
@@ -204,13 +204,17 @@ def _require_pattern(sources: Sequence[Path], pattern: str | None) -> None:
         raise missing_pattern(bare[0])
 
 
-def _warn_of_a_short_scale(outcomes: Sequence[Outcome[Path, DevelopedFrame]], progress: Progress) -> None:
-    """Warn once if 16-bit files look as if they held fewer bits: the images then come out almost black."""
+def _warn_of_a_short_scale(
+    outcomes: Sequence[Outcome[Path, DevelopedFrame]], white: float | None, progress: Progress
+) -> None:
+    """Warn once if files look as if they held fewer bits than they are read with: the images come out almost black."""
     for outcome in outcomes:
         frame = outcome.value
-        if frame is not None and frame.white == _SIXTEEN_BITS and 0 < frame.peak < _SIXTEEN_BITS / 4:
-            likely = 2 ** max(8, int(frame.peak).bit_length()) - 1
-            progress.warn(f"{frame.source}: no count above {frame.peak:g} of 65535; is it --white {likely}?")
+        likely = None if frame is None or white is not None else likely_white(frame.peak, frame.white)
+        if frame is not None and likely is not None:
+            progress.warn(
+                f"{frame.source}: no count above {frame.peak:g} of {frame.white:g}; is it --white {likely:g}?"
+            )
             return
 
 

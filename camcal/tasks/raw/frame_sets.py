@@ -12,9 +12,10 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.image import RAW_SUFFIXES
 from camcal.progress import Progress, values_of
 from camcal.raw.mosaic import Capture
-from camcal.raw.reading import read_mosaic
+from camcal.raw.reading import HEADERLESS_SUFFIXES
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images
+from camcal.tasks.raw.raw_corrections import RawInput
 
 _EXPOSURE = re.compile(r"(?:^|[_ -])([0-9]+(?:\.[0-9]+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
 _ISO = re.compile(r"(?:^|[_ -])iso ?([0-9]+)(?:$|[_ -])", re.IGNORECASE)
@@ -50,7 +51,7 @@ class _Seen:
 def find_sets(
     inputs: Sequence[Path | str],
     exposures: Sequence[float],
-    pattern: str | None,
+    reading: RawInput,
     *,
     black: float | None = None,
     jobs: int | None,
@@ -68,7 +69,7 @@ def find_sets(
     seen = [item for place, one in enumerate(inputs) for item in _named(one, _given(exposures, place))]
     unread = [item for item in seen if item.exposure_s is None or item.path.suffix.lower() in RAW_SUFFIXES]
     if unread:
-        work = partial(_read, pattern=pattern)
+        work = partial(_read, reading=reading)
         seen = values_of(fan_out(work, seen, jobs=jobs, what="looking at frames", progress=progress))
     sets = [part for group in _grouped(seen) for part in ([group] if black is None else _by_brightness(group, black))]
     return [_as_set(part) for part in sets]
@@ -81,15 +82,15 @@ def _given(exposures: Sequence[float], place: int) -> float | None:
 def _named(one: Path | str, exposure_s: float | None) -> list[_Seen]:
     """Return the files of an input with what their folders' names tell."""
     found = []
-    for path in find_images([one], recursive=True):
+    for path in find_images([one], recursive=True, also=HEADERLESS_SUFFIXES):
         exposure, iso = _EXPOSURE.search(path.parent.name), _ISO.search(path.parent.name)
         named = float(exposure[1]) * _SECONDS[exposure[2].lower()] if exposure else None
         found.append(_Seen(path, named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
     return found
 
 
-def _read(item: _Seen, pattern: str | None) -> _Seen:
-    frame = read_mosaic(item.path, pattern)
+def _read(item: _Seen, reading: RawInput) -> _Seen:
+    frame = reading.read(item.path)
     told: Capture = frame.capture
     exposure = told.exposure_s if item.exposure_s is None else item.exposure_s
     return _Seen(item.path, exposure, told.iso if item.iso is None else item.iso, float(frame.values.mean()))

@@ -1,7 +1,7 @@
 """`camcal sensor`: what a sensor can do, from flat and dark frames."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import ceil, isfinite, log2
 from pathlib import Path
@@ -10,20 +10,24 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.arrays import Array
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import emit, provenance
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.progress import SILENT, Progress, values_of
+from camcal.raw import bit_depth
+from camcal.raw.bit_depth import Widened
 from camcal.raw.emva import Figures
 from camcal.raw.level import Level, measure_level
-from camcal.raw.mosaic import require_pattern
+from camcal.raw.mosaic import Mosaic, require_pattern
 from camcal.raw.photon_transfer import Curve, Figure
-from camcal.raw.reading import read_mosaic
-from camcal.raw.sensor import DECIBELS_A_STOP, Characterisation, characterise
+from camcal.raw.reading import NO_LAYOUT, GivenLayout
+from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report import figures
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import refuse_overwriting
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
+from camcal.tasks.raw.raw_corrections import RawInput
 
 FORMAT, VERSION = "camcal-sensor", 1
 COMMENT = "camcal sensor file. DN: counts, e: electrons. The block `sensor` goes into a camera file as it is."
@@ -48,21 +52,23 @@ _WORDS = {
 class SensorOptions:
     """Flat and dark frames (files, folders, globs), and what is known of them.
 
-    pattern: of bare mosaics. exposures: seconds, one for all flats or one for each input; dark_exposures: likewise.
-    iso: which frames to use, or what all were taken at where files do not say. white: counts at saturation.
-    pitch: of the pixels, metres; format: the sensor's, which gives the pitch. plot: a file for the figure.
+    pattern, layout: see `read_mosaic`. exposures: seconds, one for all flats or one for each input; dark_exposures:
+    likewise. iso: which frames to use, or what all were taken at where files do not say. white: counts at saturation.
+    pitch: of the pixels, metres; sensor_format: a name such as 1/2.8, which gives the pitch. plot: a file for the
+    figure.
     """
 
     flats: Sequence[Path | str]
     darks: Sequence[Path | str]
     output: Path
     pattern: str | None = None
+    layout: GivenLayout = NO_LAYOUT
     exposures: Sequence[float] = ()
     dark_exposures: Sequence[float] = ()
     iso: float | None = None
     white: float | None = None
     pitch: float | None = None
-    format: str | None = None
+    sensor_format: str | None = None
     plot: Path | None = None
     jobs: int | None = None
 
@@ -75,19 +81,25 @@ class SensorOptions:
         for number, name in ((self.pitch, "pixel pitch"), (self.white, "white level"), (self.iso, "ISO speed")):
             if number is not None and not (isfinite(number) and number > 0):
                 raise InvalidInput(f"a {name} of {number:g}: use a number above 0")
-        if self.pitch is not None and self.format is not None:
-            raise InvalidInput("--format gives the pixel pitch: leave out --pitch-um, or the format")
+        if self.pitch is not None and self.sensor_format is not None:
+            raise InvalidInput("--sensor-format gives the pixel pitch: leave out --pitch-um, or the format")
+
+    @property
+    def reading(self) -> RawInput:
+        """How the frames are read."""
+        return RawInput(self.pattern, self.layout)
 
 
 @dataclass(frozen=True, eq=False)
 class SensorReport:
-    """What was found, from which frames; pitch: metres, None if unknown."""
+    """What was found, from which frames; pitch: metres, None if unknown; warnings: what to know before believing it."""
 
     sensor: Characterisation
     flats: tuple[FrameSet, ...]
     darks: tuple[FrameSet, ...]
     iso: float | None
     pitch: float | None
+    warnings: tuple[str, ...]
 
 
 def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
@@ -96,8 +108,8 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     Raises InvalidInput for frames that do not go together or an output that is one of them, InsufficientData for too
     few or saturated ones, FileError for a file that cannot be read or written.
     """
-    if options.format is not None:
-        sensor_format(options.format)
+    if options.sensor_format is not None:
+        sensor_format(options.sensor_format)
     if options.plot is not None:
         figures.require_suffix(options.plot)
     darks = _sets(options, progress)
@@ -105,19 +117,21 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     flats = _sets(options, progress, black=min(known, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
     _refuse_overwriting(options, (*flats, *darks))
-    found = characterise(_levels(flats, options, progress), _levels(darks, options, progress))
-    report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size))
+    spread = _widened((*flats, *darks), options, progress)
+    found = characterise(*(_levels(sets, spread, options, progress) for sets in (flats, darks)))
+    warnings = (*_counts_warnings(found, spread, options), *found.warnings)
+    report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size), warnings)
     if options.plot is not None:
         files.write_bytes(options.plot, figures.photon_transfer(found, options.plot.suffix))
     files.write_text(options.output, emit.document(_without_none(_file(report, options)), COMMENT))
-    for warning in found.warnings:
+    for warning in warnings:
         progress.warn(warning)
     return report
 
 
 def _sets(options: SensorOptions, progress: Progress, black: float | None = None) -> list[FrameSet]:
     inputs, exposures = (options.darks, options.dark_exposures) if black is None else (options.flats, options.exposures)
-    return find_sets(inputs, exposures, options.pattern, black=black, jobs=options.jobs, progress=progress)
+    return find_sets(inputs, exposures, options.reading, black=black, jobs=options.jobs, progress=progress)
 
 
 def _at_one_speed(
@@ -146,21 +160,61 @@ def _refuse_overwriting(options: SensorOptions, sets: Sequence[FrameSet]) -> Non
         raise InvalidInput("is asked for twice, as --output and as --plot", where=str(options.output))
 
 
-def _levels(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> list[Level]:
-    work = partial(_measure, pattern=options.pattern, white=options.white)
+def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
+    """Return how the counts of the frames became 16 bits, by one frame of each level; None if they did not."""
+    work = partial(_used_counts, reading=options.reading)
+    paths = [one.paths[0] for one in sets]
+    return bit_depth.widened(
+        values_of(fan_out(work, paths, jobs=options.jobs, what="looking at counts", progress=progress))
+    )
+
+
+def _used_counts(path: Path, reading: RawInput) -> Array:
+    return bit_depth.used_counts(reading.read(path))
+
+
+def _levels(
+    sets: Sequence[FrameSet], spread: Widened | None, options: SensorOptions, progress: Progress
+) -> list[Level]:
+    work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
     return values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
 
 
-def _measure(one: FrameSet, pattern: str | None, white: float | None) -> Level:
-    frames = (read_mosaic(path, pattern) for path in one.paths)
+def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
+    frames = (_own_counts(reading.read(path), spread) for path in one.paths)
     try:
-        return measure_level(frames, one.exposure_s, white)
+        return measure_level(frames, one.exposure_s, _own_white(white, spread))
     except CamcalError as error:
         raise type(error)(error.message, where=error.where or one.where) from error
 
 
+def _own_counts(frame: Mosaic, spread: Widened | None) -> Mosaic:
+    """Return a frame in the counts of its sensor: rounding noise is that of one of them."""
+    if spread is None:
+        return frame
+    return replace(frame, values=np.rint(frame.values / spread.step).astype(np.uint16), white=spread.white)
+
+
+def _own_white(white: float | None, spread: Widened | None) -> float | None:
+    """Return the white level in counts of the sensor; one that it cannot reach was meant in those of the file."""
+    return white / spread.step if white is not None and spread is not None and white > spread.white else white
+
+
+def _counts_warnings(found: Characterisation, spread: Widened | None, options: SensorOptions) -> Iterator[str]:
+    if spread is not None:
+        yield (
+            f"the counts are those of {spread.bits} bits times {spread.step:g}; all figures are in the sensor's own "
+            f"counts, 0 to {spread.white:g}"
+        )
+    likely = None if options.white is not None else bit_depth.likely_white(found.peak, found.white)
+    # Pixels that are full before the counts end need no white level.
+    if likely is not None and (found.saturation != FULL_WELL or found.peak == likely):
+        yield f"no count above {found.peak:g} of {found.white:g}; is it --white {likely:g}?"
+
+
 def _pitch(options: SensorOptions, size: tuple[int, int]) -> float | None:
-    return options.pitch if options.format is None else pixel_pitch(sensor_format(options.format), size)
+    name = options.sensor_format
+    return options.pitch if name is None else pixel_pitch(sensor_format(name), size)
 
 
 def sensor_block(report: SensorReport) -> dict[str, Any]:
@@ -208,7 +262,7 @@ def _content(report: SensorReport) -> dict[str, Any]:
         "figures": _numbers(found.figures),
         "dynamic_range_stops": found.dynamic_range_stops,
         "phases": {name: _numbers(part) for name, part in found.phases.items()},
-        "warnings": list(found.warnings),
+        "warnings": list(report.warnings),
     }
 
 
