@@ -11,6 +11,7 @@ Claus & Fitzgibbon, CVPR 2005 (rational); Louhichi et al., 2007 (tilt).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -125,6 +126,10 @@ class Distortion:
         region such a map is one-to-one. A barrel with tangential terms alone folds just there, towards (-p2, -p1).
         Decentring terms act after the radial part and likewise need 6 |p| r c < 1.
         """
+        return _known_limit(self, reach)
+
+    def find_limit(self, reach: float) -> Limit:
+        """Return what `limit` does, found anew."""
         if not self.values:
             return Limit(reach, reach)
         numerator, denominator = self._in_radius(self.roles.numerator), self._in_radius(self.roles.denominator)
@@ -252,6 +257,12 @@ class Distortion:
                     np.multiply(by - value * by_scale, focal * inverse, out=axis[column])
         square = np.where(scale > 0, base.square, np.nan)  # else the ray meets the sensor's plane behind the lens
         return _chained(Distorted(x, y, a, b, c, d, square), base, gradient, self.roles.tilt[0])
+
+
+@lru_cache(maxsize=256)
+def _known_limit(distortion: Distortion, reach: float) -> Limit:
+    """Return the limit of a distortion; every projection by one camera asks for it again."""
+    return distortion.find_limit(reach)
 
 
 def first_root(coefficients: Array) -> float:

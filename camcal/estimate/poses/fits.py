@@ -20,6 +20,7 @@ from camcal.estimate.poses.inliers import (
     choose,
     likeliest_threshold,
     settle,
+    truncated_cost,
 )
 from camcal.estimate.poses.judgement import Noise
 from camcal.estimate.poses.minima import anchors, lowest, pose_minima
@@ -31,6 +32,7 @@ from camcal.solve.independent import Minima, joined
 MIN_POINTS = 4
 _TELLING = 6  # points of which one can be told to be wrong by the others
 _ESTIMATIONS = 3  # of noise and inliers in turns
+_EQUAL = 1e-6  # share by which the costs of poses that are the same may differ
 _TURNS = 3  # of the share of wrong points and the limit that follows
 
 
@@ -38,7 +40,7 @@ _TURNS = 3  # of the share of wrong points and the limit that follows
 class Fit:
     """The minima of a group's problems, one problem an item with one minimum or more.
 
-    found: the poses with inliers of their own that these were chosen from, None where all points count.
+    found: the poses with inliers of their own that these were chosen from, of items of which not all points count.
     """
 
     group: Group
@@ -64,15 +66,18 @@ class Fit:
         states, which = self.found.states[sound], self.found.which[sound]
         return np.concatenate([self.minima.states, states]), np.concatenate([self.minima.which, which])
 
-    def with_items(self, items: Array, problems: PoseProblems, minima: Minima) -> "Fit":
-        """Return the fit with the problems and minima of some items replaced."""
+    def with_items(self, items: Array, problems: PoseProblems, minima: Minima, found: Settled) -> "Fit":
+        """Return the fit with the problems, minima and poses found of some items replaced."""
         masks = tuple(mask.copy() for mask in self.problems.masks)
         for mask, new in zip(masks, problems.masks, strict=True):
             mask[items] = new
         others = self.minima.take(~np.isin(self.minima.which, items))
         together = joined(others, replace(minima, which=items[minima.which]))
         together = together.take(np.argsort(together.which, kind="stable"))
-        return replace(self, problems=self.problems.masked(masks), minima=together)
+        found = found.of(items[found.which])
+        if self.found is not None:
+            found = self.found.take(~np.isin(self.found.which, items)).joined(found)
+        return replace(self, problems=self.problems.masked(masks), minima=together, found=found)
 
 
 def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[Fit], Noise | None]:
@@ -153,8 +158,12 @@ def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
 
     If few points are wrong, the agreement is approached from the fit to all, and samples help where that fails.
     """
-    problems = PoseProblems.of(fit.group.sights, fit.problems.anchor)
-    few, (states, which) = options.outliers == "few", fit.starts()
+    every = PoseProblems.of(fit.group.sights, fit.problems.anchor)
+    items = _disagreeing(fit, every, agreement)
+    if not items.size:
+        return fit
+    problems, few, (states, which) = every.take(items), options.outliers == "few", fit.starts()
+    states, which = _of_items(states, which, items)
     states = approached(problems, states, which, agreement) if few else states
     found = settle(problems, states, which, agreement)
     chosen, minima = choose(problems, found, fit.extents, agreement)
@@ -162,7 +171,18 @@ def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
     if few and lost.size:
         found = reduce(Settled.joined, _samples(problems, lost, options, agreement), found)
         chosen, minima = choose(problems, found, fit.extents, agreement)
-    return Fit(fit.group, chosen, minima, fit.extents, found)
+    return fit.with_items(items, chosen, minima, found)
+
+
+def _disagreeing(fit: Fit, every: PoseProblems, agreement: Agreement) -> Array:
+    """Return the items (I,) but for those whose best poses follow from all points and agree with all of them."""
+    quiet = np.zeros(len(every.view), dtype=bool)
+    best = fit.minima.take(lowest(fit.minima))
+    limits, inside = agreement.limits(every, best.which), np.ones(len(best.which), dtype=bool)
+    for squared, mask in zip(agreement.squared(every, best.states, best.which), every.masks, strict=True):
+        inside &= np.all((squared <= limits) | ~mask[best.which], axis=1)
+    quiet[best.which] = inside & (every.counts[best.which] >= agreement.least)
+    return np.flatnonzero(~quiet | (fit.problems.counts < every.counts))
 
 
 def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
@@ -175,17 +195,44 @@ def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
     spoilt = np.flatnonzero((fit.problems.counts > 0) & (fit.problems.counts < every.counts))
     if not spoilt.size:
         return fit
-    problems, (states, which) = every.take(spoilt), fit.starts()
-    states, which = _of_items(states, which, spoilt)
-    chosen, areas = fit.problems.take(spoilt), _areas(fit.group, options)[spoilt]
+    areas = _areas(fit.group, options)
+    agreement = _likeliest_agreement(every, fit.problems.masks, areas, options, sigma)
+    items = spoilt[_undecided(fit, every, agreement)[spoilt]]
+    if not items.size:
+        return fit
+    problems, (states, which) = every.take(items), _of_items(*fit.starts(), items)
+    chosen = fit.problems.take(items)
     for _ in range(_TURNS):
-        threshold = likeliest_threshold(problems, chosen.masks, areas, sigma)
-        agreement = replace(agreement_of(options, sigma), threshold=threshold)
+        agreement = _likeliest_agreement(problems, chosen.masks, areas[items], options, sigma)
         before, found = chosen.counts, settle(problems, states, which, agreement)
         chosen, minima = choose(problems, found, fit.extents, agreement)
         if np.array_equal(chosen.counts, before):
             break
-    return fit.with_items(spoilt, chosen, minima)
+    return fit.with_items(items, chosen, minima, found)
+
+
+def _likeliest_agreement(
+    problems: PoseProblems, masks: tuple[Array, ...], areas: Array, options: PoseOptions, sigma: float
+) -> Agreement:
+    threshold = likeliest_threshold(problems, masks, areas, sigma)
+    return replace(agreement_of(options, sigma), threshold=threshold)
+
+
+def _undecided(fit: Fit, every: PoseProblems, agreement: Agreement) -> Array:
+    """Return the mask (P,) of problems whose inliers would change, or of which another pose found comes first."""
+    best = fit.minima.take(lowest(fit.minima))
+    limits, changed = agreement.limits(every, best.which), np.zeros(len(best.which), dtype=bool)
+    parts = agreement.squared(every, best.states, best.which), every.masks, fit.problems.masks
+    for squared, mask, inliers in zip(*parts, strict=True):
+        changed |= np.any(((squared <= limits) & mask[best.which]) != inliers[best.which], axis=1)
+    undecided = np.zeros(len(every.view), dtype=bool)
+    undecided[best.which] = changed
+    states, which = fit.starts()
+    least = np.full(len(every.view), np.inf)
+    least[best.which] = truncated_cost(every, best.states, best.which, agreement)
+    ahead = truncated_cost(every, states, which, agreement) < least[which] * (1 - _EQUAL)
+    undecided[which[ahead]] = True
+    return undecided
 
 
 def _of_items(states: Array, which: Array, items: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Poses from the points that agree with them: fitted and told apart in turns until both belong together."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,6 +68,10 @@ class Settled:
         masks = tuple(mask[chosen] for mask in self.masks)
         return Settled(self.states[chosen], self.which[chosen], masks, self.truncated[chosen])
 
+    def of(self, which: Array) -> "Settled":
+        """Return the same as poses of other problems (S,)."""
+        return replace(self, which=which)
+
     def different(self) -> "Settled":
         """Return the lowest few without repetitions, in the order of the problems and the lowest first."""
         sound = self.take(np.isfinite(self.truncated))
@@ -91,7 +95,7 @@ def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agree
     # a start of three points is not near enough for all
     masks = _below(problems, states, which, 4 * limits, agreement)
     states, masks = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen], agreement)
-    truncated = _truncated_cost(problems, states, which, limits, agreement)
+    truncated = truncated_cost(problems, states, which, agreement)
     enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= agreement.least
     return Settled(states, which, masks, np.where(enough, truncated, np.inf))
 
@@ -130,9 +134,9 @@ def approached(problems: PoseProblems, states: Array, which: Array, agreement: A
     return _in_turns(problems, states, which, masks, limits, agreement)[0]
 
 
-def _truncated_cost(problems: PoseProblems, states: Array, which: Array, limits: Array, agreement: Agreement) -> Array:
+def truncated_cost(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:
     """Return ½ Σ min(r², limit) (S,) of all points of the problems."""
-    total = np.zeros(len(which))
+    total, limits = np.zeros(len(which)), agreement.limits(problems, which)
     for squared, mask in zip(agreement.squared(problems, states, which), problems.masks, strict=True):
         total += 0.5 * np.where(mask[which], np.minimum(squared, limits), 0.0).sum(axis=1)
     return total if problems.anchor is None else total + problems.anchor.models(states, problems.view[which]).cost

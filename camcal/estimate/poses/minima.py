@@ -49,12 +49,32 @@ def anchors(problems: PoseProblems) -> tuple[Array, Array]:
 
 def _with_second_poses(problems: PoseProblems, extents: Extents, states: Array, which: Array) -> Minima:
     """Return the minima that starts lead to, and those that planes are mistaken for."""
-    found = refined(problems, states, which)
+    eye = problems.sights[0].frame.inverse().translation
+    flat = np.flatnonzero(extents.flatness[which] < NEAR_PLANE)
+    second = extents.reflected(states[flat], which[flat], eye)
+    found = refined(problems, np.concatenate([states, second]), np.concatenate([which, which[flat]]))
+    # the reflection of a start far from its minimum may lie in another valley than that of the minimum
     best = found.take(lowest(found))
     best = best.take(extents.flatness[best.which] < NEAR_PLANE)
-    eye = problems.sights[0].frame.inverse().translation
-    mirrored = problems.minimise(extents.reflected(best.states, best.which, eye), best.which)
-    return different(joined(found, mirrored))
+    mirrors = extents.reflected(best.states, best.which, eye)
+    tried = _tried(best, (states, which), (extents.reflected(states, which, eye), which))
+    if tried.all():
+        return found
+    return different(joined(found, problems.minimise(mirrors[~tried], best.which[~tried])))
+
+
+def _tried(best: Minima, *starts: tuple[Array, Array]) -> Array:
+    """Return the mask (S,) of minima near the only start of their problems, or near its reflection.
+
+    The reflections of such minima lead where those of the starts did. starts: states and their problems, of each kind.
+    """
+    tried = np.zeros(len(best.which), dtype=bool)
+    for states, which in starts:
+        order = np.argsort(which, kind="stable")
+        first = order[np.searchsorted(which[order], best.which)]
+        single = np.bincount(which)[best.which] == 1
+        tried |= single & se3.near(states[first], best.states, _SAME_START)
+    return tried
 
 
 def refined(problems: PoseProblems, states: Array, which: Array) -> Minima:

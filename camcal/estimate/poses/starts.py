@@ -24,11 +24,15 @@ def starts(sight: Sightings) -> tuple[Array, Array]:
     extents = Extents.of(sight.points, sight.present)
     counts = sight.present.sum(axis=1)
     enough = counts >= _LEAST
-    parts = [
-        _of_planes(sight, extents, np.flatnonzero(enough & (extents.flatness < NEAR_PLANE))),
-        _of_solids(sight, extents, np.flatnonzero(enough & (extents.flatness > IN_PLANE))),
-        _of_triplets(sight, np.flatnonzero((counts >= 3) & (counts <= FEW))),
-    ]
+    flat, solid = enough & (extents.flatness < NEAR_PLANE), enough & (extents.flatness > IN_PLANE)
+    parts = [(np.zeros((0, 3, 4)), np.zeros(0, np.intp))]
+    # a call for no view at all would take as long as one for a few
+    if flat.any():
+        parts.append(_of_planes(sight, extents, np.flatnonzero(flat)))
+    if solid.any():
+        parts.append(_of_solids(sight, extents, np.flatnonzero(solid)))
+    if (few := (counts >= 3) & (counts <= FEW)).any():
+        parts.append(_of_triplets(sight, np.flatnonzero(few)))
     return np.concatenate([states for states, _ in parts]), np.concatenate([view for _, view in parts])
 
 
