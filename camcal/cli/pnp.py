@@ -43,6 +43,14 @@ def pnp(
         str | None,
         typer.Option(metavar="TAGS", help="A tag file, or a short form such as tag36h11:53mm or tag36h11:53mm:0,1,5."),
     ] = None,
+    repeated_ids: Annotated[
+        str,
+        typer.Option(
+            metavar="drop|keep",
+            help="Tags of one id that an image shows more than once: none of them, or all, as tag_5, tag_5_2, … from "
+            "top to bottom.",
+        ),
+    ] = "drop",
     rig: Annotated[
         Path | None,
         typer.Option(
@@ -154,7 +162,7 @@ def pnp(
         arguments[0],
         points,
         tuple(arguments[1:]),
-        Looking(board, tags, board_shape, scale_intrinsics, recursive, jobs),
+        Looking(board, tags, board_shape, scale_intrinsics, recursive, jobs, repeated_ids),
         rig=rig is not None,
         output=output,
         draw=draw,

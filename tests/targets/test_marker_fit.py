@@ -96,6 +96,22 @@ def test_a_fit_finds_its_way_from_a_start_that_is_off_by_a_pixel():
     assert np.abs(fit.corners - truth).max() < 0.06  # hundredths are usual
 
 
+@pytest.mark.parametrize("side", [80, 96, 120])
+def test_a_razor_sharp_marker_is_fitted_in_a_few_steps(side):
+    known = family_named("tag36h11")
+    bits = np.kron(known.drawing(side).ink, np.ones((side // 8, side // 8)))
+    gray = np.full((side + 60, side + 70), 255, np.uint8)
+    gray[25 : 25 + side, 31 : 31 + side] = 255 * bits
+    low, high = np.array([30.5, 24.5]), np.array([30.5, 24.5]) + side
+    truth = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    off = np.array([[0.4, 0.3], [-0.5, 0.2], [0.1, -0.4], [0.3, 0.3]])
+    fit = fit_marker(gray, truth + off, known.drawing(side))
+    assert fit.settled
+    # pixels as sharp as these tell of a corner to a fraction of one only
+    assert np.abs(fit.corners - truth).max() < 0.2
+    assert fit.iterations <= 15  # 30 to 100 if the logarithm of a blur of nothing is looked for
+
+
 def test_the_drawing_of_another_marker_does_not_agree():
     camera, pose = pinhole((200, 160), 400.0), facing(0.01, 0.005, 0.4, (0.3, -0.2, 0.2))
     gray, truth = photograph(camera, [(3, pose)], family="DICT_5X5_100"), true_corners(camera, pose)

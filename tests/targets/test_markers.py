@@ -10,6 +10,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.simulate.render import Exposure
 from camcal.targets.markers.families import APRILTAGS, family_named
+from camcal.targets.markers.fit import looks_alike
 from camcal.targets.markers.markers import FAMILIES, detect_markers
 
 TILTED = [
@@ -112,7 +113,30 @@ def test_an_id_seen_twice_is_left_out_and_said():
     tags = [(4, facing(-0.1, 0, 0.6)), (4, facing(0.1, 0, 0.6)), (5, facing(0, 0.12, 0.6))]
     markers = detect_markers(photograph(camera, tags), "tag36h11")
     assert markers.ids.tolist() == [5]
-    assert markers.notes == ("id 4 is seen 2 times; none of them is used, since only one can be real",)
+    (note,) = markers.notes
+    assert note.startswith("id 4 is seen 2 times; none of them is used, since only one can be real")
+
+
+def test_repeated_ids_may_be_kept_and_come_from_top_to_bottom():
+    camera = pinhole((320, 240), 300.0)
+    low, high, other = facing(-0.1, 0.05, 0.6), facing(0.1, -0.05, 0.6), facing(0, 0.14, 0.6)
+    gray = photograph(camera, [(4, low), (4, high), (5, other)])
+    markers = detect_markers(gray, "tag36h11", keep_repeated=True)
+    assert markers.ids.tolist() == [4, 4, 5]
+    assert markers.notes == ()
+    for corners, pose in zip(markers.corners, (high, low, other), strict=True):
+        assert np.abs(corners - true_corners(camera, pose)).max() < 0.05
+
+
+def test_what_only_looks_a_little_like_a_marker_costs_no_real_one():
+    camera = pinhole((320, 240), 300.0)
+    gray = photograph(camera, [(4, facing(-0.1, 0, 0.6)), (5, facing(0.1, 0, 0.6))])
+    drawing = family_named("tag36h11").drawing(4)
+    (own, other) = detect_markers(gray, "tag36h11").corners
+    turned = np.roll(own, 2, axis=0)  # as the AprilTag project prints them
+    assert looks_alike(gray, turned, drawing) > 0.9
+    assert looks_alike(gray, np.roll(other, 2, axis=0), drawing) < 0.7
+    assert looks_alike(gray, turned + 200, drawing) == 0.0
 
 
 @pytest.mark.parametrize("turn", [0.5 * np.pi, np.pi, -0.5 * np.pi])

@@ -47,6 +47,21 @@ def test_points_and_pixels_of_a_view_belong_together(folder):
     assert view.covariance.shape == (4, 2, 2)
 
 
+def test_repeated_tags_are_kept_under_names_of_their_own(tmp_path):
+    twice = [(1, facing(-0.06, 0.0, 0.5)), (1, facing(0.06, -0.03, 0.5)), (2, facing(0.0, 0.08, 0.5))]
+    cv2.imwrite(str(tmp_path / "a.png"), photograph(CAMERA, twice))
+    assert [view.object for view in views_of([tmp_path]).views] == ["tag_2"]
+    kept = views_of([tmp_path], keep_repeated=True)
+    assert [view.object for view in kept.views] == ["tag_1", "tag_1_2", "tag_2"]
+    first, second, _ = kept.views
+    assert first.pixels[:, 1].mean() < second.pixels[:, 1].mean()
+    plate = TagObjects(
+        "tag36h11", bundles={"plate": {1: tag_corners(0.05), 2: tag_corners(0.05) + np.array([0, 0.1, 0])}}
+    )
+    (view,) = views_of([tmp_path], plate, keep_repeated=True).views
+    assert len(view.points) == 4  # which of both is the plate's nobody knows
+
+
 def test_all_tags_of_a_bundle_are_one_view(folder):
     object_T_tag = {tag: TWO[0][1].inverse() @ pose for tag, pose in TWO}  # the object's frame is that of tag 1
     bundle = {tag: pose.apply(tag_corners(0.05)) for tag, pose in object_T_tag.items()}

@@ -76,4 +76,4 @@ class Blurred:
 
 def _sum(one: Array, other: Array) -> Array:
     """Return the inner products (K,) of columns (n, K)."""
-    return np.asarray((one * other).sum(axis=0))
+    return np.asarray(np.einsum("nk,nk->k", one, other))

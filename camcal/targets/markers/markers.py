@@ -9,7 +9,7 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.markers.families import FAMILIES, Family, family_named
-from camcal.targets.markers.fit import MarkerFit, fit_marker
+from camcal.targets.markers.fit import MarkerFit, fit_marker, looks_alike
 
 __all__ = ["FAMILIES", "Markers", "detect_markers"]
 
@@ -23,8 +23,9 @@ _UNFITTED_PX = 0.6  # root mean square error of OpenCV's own corners
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Markers ids (M,), ascending, at corners (M, 4, 2) px: clockwise from a marker's top-left as printed.
+    """Markers ids (M,), ascending, those of one id from top to bottom, at corners (M, 4, 2) px.
 
+    Corners go clockwise from a marker's top-left as printed.
     As printed: as OpenCV draws the families with names in DICT_, and as the AprilTag project draws tag36h11 and the
     like, which OpenCV draws upside down. covariance: (M, 4, 2, 2) px². notes: what was left out, and why.
     """
@@ -41,22 +42,27 @@ class Markers:
         object.__setattr__(self, "covariance", readonly(self.covariance, (count, 4, 2, 2), "covariance"))
 
 
-def detect_markers(gray: Array, family: str) -> Markers:
-    """Return the markers of a family in an image; of an id that is seen more than once none, since one is not real.
+def detect_markers(gray: Array, family: str, *, keep_repeated: bool = False) -> Markers:
+    """Return the markers of a family in an image.
 
-    gray: (H, W) uint8. family: one of FAMILIES, or 36h11 and the like.
+    gray: (H, W) uint8. family: one of FAMILIES, or 36h11 and the like. keep_repeated: keep all of an id that is seen
+    more than once; otherwise none of them is there, since only one can be real.
     Raises InvalidInput for another kind of image or an unknown family.
     """
     if gray.ndim != 2 or gray.dtype != np.uint8:
         raise InvalidInput(f"markers are found in gray images of 8 bits, not in {gray.dtype} of shape {gray.shape}")
     known = family_named(family)
-    found = sorted(_read(gray, known), key=lambda marker: marker[0]) if min(gray.shape) > _LEAST_SIDE_PX else []
-    seen = [(marker, fit) for marker, start in found if (fit := _located(gray, start, known, marker)) is not None]
+    found = _read(gray, known) if min(gray.shape) > _LEAST_SIDE_PX else []
+    found.sort(key=lambda each: (each[0], *each[1].mean(axis=0)[::-1]))
+    repeated = {} if keep_repeated else _repeated(gray, found, known)
+    single = [each for each in found if each[0] not in repeated]
+    seen = [(marker, fit) for marker, start in single if (fit := _located(gray, start, known, marker)) is not None]
     counts = Counter(marker for marker, _ in seen)
-    once = [(marker, fit) for marker, fit in seen if counts[marker] == 1]
+    once = [(marker, fit) for marker, fit in seen if keep_repeated or counts[marker] == 1]
     corners = np.array([known.as_printed(fit.corners) for _, fit in once]).reshape(-1, 4, 2)
     covariance = np.array([np.roll(fit.covariance, 2 * known.turned, axis=0) for _, fit in once]).reshape(-1, 4, 2, 2)
-    notes = [_left_out(marker, count) for marker, count in counts.items() if count > 1]
+    repeated |= {} if keep_repeated else {marker: count for marker, count in counts.items() if count > 1}
+    notes = [_left_out(marker, count) for marker, count in sorted(repeated.items())]
     notes += [f"id {marker} could not be measured; its corners are OpenCV's" for marker, fit in once if not fit.settled]
     return Markers(np.array([marker for marker, _ in once], np.intp), corners, covariance, tuple(notes))
 
@@ -75,11 +81,27 @@ def _read(gray: Array, family: Family) -> list[tuple[int, Array]]:
     return list(zip(map(int, np.asarray(ids).ravel()), places, strict=True))
 
 
+def _repeated(gray: Array, found: list[tuple[int, Array]], family: Family) -> dict[int, int]:
+    """Return how often ids are seen, of those that more than one place shows well enough to need no fit."""
+    often = {marker for marker, count in Counter(marker for marker, _ in found).items() if count > 1}
+    shown = Counter(
+        marker
+        for marker, start in found
+        if marker in often and looks_alike(gray, _outward(start), family.drawing(marker)) > _AGREEMENT
+    )
+    return {marker: count for marker, count in shown.items() if count > 1}
+
+
+def _outward(start: Array) -> Array:
+    """Return the corners (4, 2) of a marker's edge from those that OpenCV gives."""
+    away = start - start.mean(axis=0)
+    return np.asarray(start + _CONTOUR_PX * np.sqrt(2) * away / np.linalg.norm(away, axis=1)[:, None])
+
+
 def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFit | None:
     """Return where a marker is, None for what was taken for one; where the fit fails, OpenCV's corners."""
     drawing = family.drawing(marker)
-    middle = start.mean(axis=0)
-    outward = start + _CONTOUR_PX * np.sqrt(2) * (start - middle) / np.linalg.norm(start - middle, axis=1)[:, None]
+    outward = _outward(start)
     fit = fit_marker(gray, outward, drawing)
     cell = np.linalg.norm(start - np.roll(start, 1, axis=0), axis=1).max() / len(drawing.ink)
     if fit is not None and fit.settled and np.abs(fit.corners - outward).max() < max(_LARGEST_MOVE * cell, 2.0):
@@ -88,4 +110,5 @@ def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFi
 
 
 def _left_out(marker: int, count: int) -> str:
-    return f"id {marker} is seen {count} times; none of them is used, since only one can be real"
+    seen = f"id {marker} is seen {count} times; none of them is used, since only one can be real"
+    return f"{seen} (--repeated-ids keep uses all)"

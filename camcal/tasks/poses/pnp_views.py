@@ -16,6 +16,7 @@ from camcal.estimate.pnp import Correspondences
 from camcal.formats import boards, tags
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import Sight
+from camcal.formats.schema import did_you_mean
 from camcal.images.video import frames
 from camcal.progress import Progress
 from camcal.run.inputs import find_media
@@ -26,6 +27,7 @@ from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.poses.board_frames import board_frames
 from camcal.tasks.poses.tag_views import tag_views
 
+REPEATED_IDS = ("drop", "keep")
 ADVICE = "; if the images were resized, not cropped, give --scale-intrinsics"
 
 
@@ -73,6 +75,7 @@ class Looking:
     """What is looked for, and how: a board (file or short form) or tags (file or short form).
 
     board_shape: take the board as the camera file says it is, not as drawn. scale: fit the camera to resized images.
+    repeated_ids: what becomes of single tags that an image shows more than once, "drop" or "keep".
     """
 
     board: str | None = None
@@ -81,6 +84,11 @@ class Looking:
     scale: bool = False
     recursive: bool = False
     jobs: int | None = None
+    repeated_ids: str = "drop"
+
+    def __post_init__(self) -> None:
+        if self.repeated_ids not in REPEATED_IDS:
+            raise InvalidInput(f"--repeated-ids {self.repeated_ids!r}{did_you_mean(self.repeated_ids, REPEATED_IDS)}")
 
 
 def seen_by(
@@ -124,7 +132,8 @@ def _observation(view: Detection, points: Array) -> Observation:
 def _seen_tags(camera: Camera, inputs: tuple[str, ...], looking: Looking, progress: Progress) -> tuple[Camera, Seen]:
     objects = tags.load_tags(str(looking.tags))
     camera = _fitting(camera, *_first_size(inputs, looking.recursive), looking.scale)
-    found = tag_views(inputs, objects, looking.recursive, looking.jobs, progress, camera.image_size)
+    keep = looking.repeated_ids == "keep"
+    found = tag_views(inputs, objects, looking.recursive, looking.jobs, progress, camera.image_size, keep_repeated=keep)
     observations = (
         Observation(Sight(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
     )

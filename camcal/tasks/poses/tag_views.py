@@ -1,5 +1,6 @@
 """What images and videos show of tags: correspondences for every image and object, the first step of poses by tags."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -61,17 +62,21 @@ def tag_views(
     jobs: int | None = None,
     progress: Progress = SILENT,
     image_size: tuple[int, int] | None = None,
+    *,
+    keep_repeated: bool = False,
 ) -> TagViews:
     """Return what images, folders, globs and videos show of tags: one view for every image and object.
 
     A view holds all corners of its object, of every visible tag; see targets.tags for their order and frames.
     image_size: (width, height) of the camera; an image of another size has that for its reason. None: any.
+    keep_repeated: single tags that an image shows several times are all there, as tag_5, tag_5_2, … from top to bottom.
     Raises InvalidInput, FileError for inputs that are not there, or if none can be read.
     """
     media = find_media(inputs, recursive)
-    outcomes = _search([_Look(path.as_posix()) for path in media.images], "images", tags, jobs, progress)
+    search = partial(_search, tags=tags, keep_repeated=keep_repeated, jobs=jobs, progress=progress)
+    outcomes = search([_Look(path.as_posix()) for path in media.images], "images")
     for video in media.videos:
-        outcomes += _search(_frames(video), video.name, tags, jobs, progress)
+        outcomes += search(_frames(video), video.name)
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     seen = {outcome.item.name: outcome.value for outcome in outcomes if outcome.value is not None}
     if not seen:
@@ -96,28 +101,41 @@ def _frames(video: Path) -> Iterator[_Look]:
 
 
 def _search(
-    looks: Sequence[_Look] | Iterator[_Look], what: str, tags: TagObjects, jobs: int | None, progress: Progress
+    looks: Sequence[_Look] | Iterator[_Look],
+    what: str,
+    tags: TagObjects,
+    keep_repeated: bool,
+    jobs: int | None,
+    progress: Progress,
 ) -> list[Outcome[_Look, _Seen]]:
     """Return what became of every image, its pixels dropped."""
     timeout = None if jobs == 1 else _TIMEOUT_S
-    work = partial(_look_at, family=tags.family)
+    work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
     found = fan_out(work, looks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout)
     return [Outcome(_Look(outcome.item.name), outcome.value, outcome.error) for outcome in found]
 
 
-def _look_at(look: _Look, family: str) -> _Seen:
+def _look_at(look: _Look, family: str, keep_repeated: bool) -> _Seen:
     if look.error is not None:
         raise look.error
     gray = read_photograph(Path(look.name)).gray if look.gray is None else look.gray
-    return _Seen(detect_markers(gray, family), (gray.shape[1], gray.shape[0]))
+    return _Seen(detect_markers(gray, family, keep_repeated=keep_repeated), (gray.shape[1], gray.shape[0]))
 
 
 def _objects(image: str, markers: Markers, tags: TagObjects) -> list[Correspondences]:
     """Return the view of every object that has a tag in an image, in the order of their first ids."""
     parts: dict[str, list[tuple[Array, Array, Array]]] = {}
-    for tag, corners, covariance in zip(markers.ids, markers.corners, markers.covariance, strict=True):
-        if (found := tags.find(int(tag))) is not None:
-            parts.setdefault(found[0], []).append((found[1], corners, covariance))
+    times: Counter[int] = Counter()
+    often = Counter(markers.ids.tolist())
+    for tag, corners, covariance in zip(markers.ids.tolist(), markers.corners, markers.covariance, strict=True):
+        if (found := tags.find(tag)) is None:
+            continue
+        name = found[0]
+        if often[tag] > 1 and name in tags.bundles:
+            continue  # which of them is the one of the bundle nobody knows
+        times[tag] += 1
+        name += f"_{times[tag]}" if times[tag] > 1 else ""
+        parts.setdefault(name, []).append((found[1], corners, covariance))
     views = []
     for name, rows in parts.items():
         points, pixels, covariance = (np.concatenate(column) for column in zip(*rows, strict=True))
