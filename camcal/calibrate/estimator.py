@@ -32,6 +32,7 @@ _SETTLED, _CALM = 1e-2, 0.3
 _SLOWEST = 0.95  # rate at which changes are taken to fall at least
 # Of the change by the pass before, and of a standard deviation: in turn, single points and all else hardly get on.
 _SLOW, _CREEP = 0.5, 0.05
+_HARDLY = 1.0  # degrees of freedom that single points take together: solved for in turn, they are as good
 # Noise, weights and lens answer to each other, and full steps may overshoot: less of the way to new scales is gone from
 # then on where a pass takes back what the one before did.
 _LESS, _LEAST_SHARE, _BACK = 0.7, 0.3, 0.5
@@ -135,6 +136,7 @@ class _Passes:
         self.fresh = start is None
         self.noise = start.noise if start else first_noise(self.problem.distances(residuals), present)
         self.spent = start.posterior.spent if start else np.full(len(present), float(POSE))
+        self.on_points = 0.0  # degrees of freedom spent on single points
         self.corners = start.corners if start else None
         self.board = dict(start.board) if start else first_scales()
         self.effect_scales = EffectScales.start(len(present), self.noise.sigma, max(problem.board.extent))
@@ -162,7 +164,7 @@ class _Passes:
             factors, left, moved = self._pass(first=self.fresh and number == 1)
             settled = _to_come(moved, before) < _SETTLED and not (self.fresh and number < _LEAST)
             slow = number > _LEAST and moved > max(_SLOW * before, _CREEP)
-            if apart and (slow or (settled and not brief)):
+            if apart and self.on_points > _HARDLY and (slow or (settled and not brief)):
                 self.problem, apart, settled = replace(self.problem, offsets=True), False, False
         return Estimate(
             self.problem,
@@ -196,7 +198,7 @@ class _Passes:
         if self.problem.offsets:
             offsets = spent_on_offsets(self.problem, here.state, here.derivatives, factors)
         self._pose_lost_views()
-        self.spent = left.spent + offsets
+        self.spent, self.on_points = left.spent + offsets, float(offsets.sum())
         left = replace(left, spent=self.spent)
         free = self.problem.free
         moved = (self.place.state.parameters - before)[free] / np.sqrt(np.diag(left.shared)[: len(free)])

@@ -42,8 +42,11 @@ class Points:
     offsets: bool = False
 
 
-def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, effects=(), together=False):
-    """The estimate after passes that move the lens by so much each, and in which of them points were free."""
+def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, effects=(), together=False, spent=1.1):
+    """The estimate after passes that move the lens by so much each, and in which of them points were free.
+
+    spent: the degrees of freedom that single points take.
+    """
     seen, series = [], iter(moves)
 
     def one(self, *, first):
@@ -56,6 +59,7 @@ def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, 
     passes.problem = Points(SimpleNamespace(count=count), together)
     passes.place = SimpleNamespace(state=None, coefficients=None)
     passes.noise = passes.corners = passes.board = None
+    passes.on_points = spent
     passes.effect_scales = "their scales"
     return passes.run(brief=brief), seen
 
@@ -122,6 +126,12 @@ def test_points_of_large_boards_and_of_brief_estimates_are_not_solved_for_togeth
     assert first_together(run(monkeypatch, falling(0.5))[1]) is None
     # nor do they make a brief estimate any shorter
     assert first_together(run(monkeypatch, falling(0.9), points=True, brief=True)[1]) == 3
+
+
+def test_points_that_hardly_move_are_not_solved_for_together(monkeypatch):
+    assert first_together(run(monkeypatch, falling(0.5), points=True, spent=0.9)[1]) is None
+    assert first_together(run(monkeypatch, falling(0.9), points=True, spent=0.9)[1]) is None
+    assert run(monkeypatch, falling(0.5), points=True, spent=0.9)[0].passes == 8
 
 
 def test_points_that_are_together_from_the_start_take_no_further_passes(monkeypatch):
