@@ -57,6 +57,10 @@ def disparity(
     map_only: Annotated[
         bool, typer.Option("--map-only", help="Write no .sigma.tiff and no .confidence.png beside the map.")
     ] = False,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Exit with 0 although a pair is swapped, not rectified, or hardly matched."),
+    ] = False,
     recursive: shared.Recursive = False,
     jobs: shared.Jobs = None,
     max_pixels: shared.MaxPixels = None,
@@ -69,13 +73,14 @@ def disparity(
 
     Column in the left image minus column in the right one, in pixels. Beside a map stand its standard deviation, the
     class of every pixel (1 filled, 2 single, 3 apart, 4 near, 5 agreed) and a JSON file with scale, code of no match
-    and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options.
+    and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options. Exit 7 if left and right are swapped,
+    rows differ by more than 5 px, or fewer than 15 % of the pixels are matched; the map is written all the same.
     """
     from camcal.progress import require_all
     from camcal.stereo.matching.match import MatchOptions
     from camcal.tasks.stereo.matched_pair import document
     from camcal.tasks.stereo.rectified_pair import GeometryOptions
-    from camcal.tasks.stereo.stereo_disparity import DisparityOptions, network_of, stereo_disparity
+    from camcal.tasks.stereo.stereo_disparity import DisparityOptions, network_of, require_good, stereo_disparity
 
     options = DisparityOptions(
         (left,),
@@ -106,6 +111,12 @@ def disparity(
             _show(pair, verbose)
         if len(matched) > LISTED and not verbose:
             show.text(f"… and {len(matched) - LISTED} more (--verbose lists all)")
+    if force:
+        for pair in (outcome.value for outcome in outcomes if outcome.value is not None):
+            for failure in pair.failures:
+                show.warning(f"{pair.left}: {failure}")
+    else:
+        require_good(outcomes)
     require_all(outcomes, "pairs")
 
 

@@ -3,6 +3,8 @@
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from camcal.report.uncertain import value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
 from camcal.stereo.pair.exposure import Exposure
@@ -17,7 +19,7 @@ def lines(check: PairCheck) -> list[str]:
     residual = check.residual
     trend = residual.trend
     said = [headline(residual)]
-    if trend.largest > 0:
+    if 0 < trend.largest <= LARGEST_CORRECTION:
         shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
         said.append(f"trend: {_signed(trend.centre)} px at the centre, {shape}")
     if residual.convergence is not None and abs(residual.convergence.value) > _SURE * residual.convergence.std:
@@ -33,6 +35,8 @@ def headline(residual: Residual) -> str:
     features = f"{len(residual.dy)} features in agreement, of {residual.seen}"
     if not residual.rms:
         return f"rows do not differ ({features})"
+    if residual.trend.largest > LARGEST_CORRECTION:  # beyond it a plane over the image describes nothing
+        return f"rows differ by up to {np.abs(residual.dy).max():.0f} px ({features})"
     return (
         f"rows differ by {_signed(residual.median)} px (median of {features}), RMS {residual.rms:.2f} px, "
         f"95 % within {residual.p95:.2f} px"
@@ -64,7 +68,9 @@ def verdict(check: PairCheck) -> str:
     trend = check.residual.trend
     off = f"rows are off by {trend.rms:.2f} px"
     if trend.largest > LARGEST_CORRECTION:
-        return f"{off}, {trend.largest:.1f} px at worst: these images are not rectified"
+        return (
+            f"these images are not rectified: rows differ by more than the {LARGEST_CORRECTION:g} px that are corrected"
+        )
     if trend.rms > WORTH_RECTIFYING:
         return f"{off}: worth a new calibration and rectification; --align-rows auto of 'stereo disparity' helps"
     if trend.rms > NEGLIGIBLE:

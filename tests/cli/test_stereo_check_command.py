@@ -49,6 +49,18 @@ def test_rows_and_exposure_that_differ_are_said_in_numbers(run, images):
     assert "% darker (gain 0." in out
 
 
+def test_rows_far_off_are_said_to_be_of_no_rectified_pair_without_figures_of_a_trend(run, tmp_path):
+    left, right = textured_pair(waves(4, 20, SIZE), (0.06, 0.0, 3.0))
+    for name, image in (("left", left), ("right", right)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+    code, out, _ = run("stereo", "check", tmp_path / "left.png", tmp_path / "right.png")
+    assert code == 0
+    assert "these images are not rectified: rows differ by more than the 5 px that are corrected" in out
+    assert "rows differ by up to 1" in out  # 3 at the left edge, 14 at the right one
+    assert "95 % within" not in out
+    assert "trend" not in out
+
+
 def test_the_gate_lets_rows_through_only_below_its_limit(run, images):
     assert run("stereo", "check", images / "left.png", images / "lower.png", "--max-rms", 1.5)[0] == 0
     code, out, err = run("stereo", "check", images / "left.png", images / "lower.png", "--max-rms", 0.5)

@@ -212,8 +212,8 @@ def test_the_json_document_of_a_pair(match, tmp_path, pair):
     assert document["schema"] == "camcal/stereo-disparity/1"
     (found,) = document["pairs"]
     assert list(found) == [
-        "left", "right", "output", "sidecar", "picture", "image_size", "searched", "matched", "filled", "classes",
-        "median_px", "sigma_px", "rows_px", "scale", "geometry", "remarks",
+        "left", "right", "output", "sidecar", "picture", "image_size", "searched", "at_ends", "matched", "filled",
+        "classes", "median_px", "sigma_px", "rows_px", "scale", "geometry", "remarks", "failures",
     ]  # fmt: skip
     assert list(found["classes"]) == ["none", "filled", "single", "apart", "near", "agreed"]
     assert sum(found["classes"].values()) == pytest.approx(1)
@@ -314,14 +314,45 @@ def test_a_map_of_another_type_than_maps_have_is_refused(match, tmp_path):
     assert ".jpg is not written" in err
 
 
+@pytest.mark.parametrize("quality", ["fast", "balanced", "best"])
 @pytest.mark.parametrize(
     ("search", "end"), [("0:10", "upper"), ("12:40", "lower")], ids=["too short", "too far from zero"]
 )
-def test_disparities_that_crowd_at_the_end_of_the_range_are_warned_of(match, tmp_path, search, end):
-    code, _, err = match("-o", tmp_path / "x.pfm", "--range", search)
+def test_disparities_that_crowd_at_the_end_of_the_range_are_warned_of(match, tmp_path, search, end, quality):
+    quick = ("--quality", quality, "--jobs", 1, "--force")
+    code, _, err = match("-o", tmp_path / "x.pfm", "--range", search, quick=quick)
     assert code == 0
     assert f"lie at the {end} end of the range {search}; look farther with --range" in err
-    assert match("-o", tmp_path / "x.pfm", "--range", "0:31")[2] == ""
+    assert match("-o", tmp_path / "x.pfm", "--range", "0:31", quick=quick)[2] == ""
+
+
+@pytest.mark.parametrize("quality", ["fast", "balanced"])
+def test_a_swapped_pair_ends_with_exit_7_unless_it_is_forced_or_the_range_says_so(run, pair, tmp_path, quality):
+    arguments = ("-o", tmp_path / "x.pfm", "--quality", quality, "--jobs", 1)
+    swapped = pair / "right.png", pair / "left.png"
+    code, _, err = run("stereo", "disparity", *swapped, *arguments)
+    assert code == 7
+    assert "right.png: left and right swapped, or cameras toed in (negative disparities)" in err
+    assert (tmp_path / "x.pfm").exists()
+    code, _, err = run("stereo", "disparity", *swapped, *arguments, "--force")
+    assert code == 0
+    assert "left and right swapped" in err
+    assert run("stereo", "disparity", *swapped, *arguments, "--range", "-24:0")[::2] == (0, "")
+
+
+def test_negative_disparities_that_the_camera_file_explains_are_no_swap(run, pair, tmp_path):
+    swapped = pair / "right.png", pair / "left.png"  # as of cameras that are toed in by 40 px
+    arguments = ("-o", tmp_path / "x.pfm", *NUMBERS, "--quality", "balanced", "--jobs", 1)
+    assert run("stereo", "disparity", *swapped, *arguments, "--doffs", 40)[::2] == (0, "")
+    assert run("stereo", "disparity", *swapped, *arguments, "--doffs", 1)[0] == 7
+
+
+def test_images_of_different_things_end_with_exit_7_and_say_how_little_is_matched(match, pair, tmp_path):
+    cv2.imwrite(str(pair / "other.png"), np.random.default_rng(3).integers(0, 255, SIZE[::-1]).astype(np.uint8))
+    code, out, err = match("-o", tmp_path / "x.pfm", "--json", right="other.png", quick=("--jobs", 1))
+    assert code == 7
+    assert "of the pixels are matched, fewer than 15 %" in err
+    assert json.loads(out)["pairs"][0]["failures"]
 
 
 def test_images_of_other_sizes_are_refused_naming_both(match, pair, tmp_path):

@@ -86,7 +86,13 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
         nothing = np.float32(np.nan)
         values, sigma = np.where(keep, values, nothing), np.where(keep, sigma, nothing)
         confidence = confidence * keep  # Confidence.NONE is 0
-    return Disparity(values, sigma, confidence, (prepared.first, prepared.first + prepared.count - 1))
+    searched = prepared.first, prepared.first + prepared.count - 1
+    return Disparity(values, sigma, confidence, searched, _at_ends(estimate.end))
+
+
+def _at_ends(end: Array) -> tuple[float, float]:
+    """Return the shares of -1 and of 1 among pixels."""
+    return float(np.mean(end < 0)), float(np.mean(end > 0))
 
 
 def _weights(prepared: Prepared, quality: str) -> Weights:
@@ -98,12 +104,14 @@ def _weights(prepared: Prepared, quality: str) -> Weights:
 class Estimate(NamedTuple):
     """A dense map (H, W), pixels, NaN only if nothing at all was matched, and what it rests on.
 
-    evidence: (K, h, w) of every `step`-th pixel of every `step`-th row, see `uncertainty.evidence_of`.
+    end: see `Fused`. evidence: (K, h, w) of every `step`-th pixel of every `step`-th row, see
+    `uncertainty.evidence_of`.
     """
 
     dense: Array
     confidence: Array
     filled: Filled
+    end: Array
     evidence: Array
     step: int
 
@@ -125,10 +133,11 @@ def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Esti
     dense = everywhere(filled.disparity)
     if quality != FAST:
         dense = smoothed(dense)
-        return Estimate(dense, found.confidence, filled, evidence_of(prepared.pair, found, filled, dense), 1)
+        evidence = evidence_of(prepared.pair, found, filled, dense)
+        return Estimate(dense, found.confidence, filled, found.end, evidence, 1)
     dense = without_spikes(dense)
     evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, _REDUCED))
-    return Estimate(dense, found.confidence, filled, evidence, _REDUCED)
+    return Estimate(dense, found.confidence, filled, found.end, evidence, _REDUCED)
 
 
 def _found(prepared: Prepared, quality: str, each: Each) -> Fused:

@@ -77,7 +77,7 @@ def _finer(pair: GrayPair, half: Fused) -> Fused:
     disparity = without_specks(np.where(believed, disparity, np.float32(np.nan)))
     confidence = np.where(np.isfinite(disparity), confidence, Confidence.FILLED).astype(np.uint8)
     difference = np.where(np.isfinite(disparity), np.abs(disparity - near), np.float32(np.nan))
-    return Fused(disparity, confidence, difference)
+    return Fused(disparity, confidence, difference, _doubled(half.end, shape))
 
 
 def _doubled(values: Array, shape: tuple[int, ...]) -> Array:

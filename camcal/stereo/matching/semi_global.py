@@ -16,6 +16,8 @@ _ALIKE = 12.0  # gray levels between neighbours up to which they do
 
 _STRIP = 512  # rows whose paths run side by side: what a step touches stays in the cache, its calls are few
 _NEVER = 255
+_OWN = 2  # places on either side of the best that belong to it
+_HARDLY = 20  # of 252; where texture repeats itself, three of four second best cost less than that more
 _AROUND = (9, 9)  # pixels; more are surer on planes, and less sure beside edges
 
 
@@ -90,6 +92,23 @@ def least(total: Array) -> Array:
         best[y] = marked.min(axis=0)
     best &= (1 << bits) - 1
     return best
+
+
+def has_rival(total: Array, best: Array) -> Array:
+    """Return where (H, W), bool, a place along D at least three from the best (H, W) costs hardly more than it.
+
+    total: summed costs (D, H, W), uint8.
+    """
+    count, height, width = total.shape
+    across = np.arange(width)
+    around = np.arange(-_OWN, _OWN + 1)[:, None]
+    rival = np.empty((height, width), np.bool_)
+    for y in range(height):
+        costs = total[:, y].copy()
+        lowest = costs[best[y], across].astype(np.int16)
+        costs[np.clip(best[y] + around, 0, count - 1), across] = _NEVER
+        rival[y] = costs.min(axis=0) - lowest <= _HARDLY
+    return rival
 
 
 def seen_from_the_right(total: Array, first: int) -> Array:

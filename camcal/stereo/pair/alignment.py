@@ -9,12 +9,13 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.remap import Maps
+from camcal.stereo.acceptance import LIMITS
 from camcal.stereo.pair.features import Matches, match_features
 from camcal.stereo.pair.tracking import track_corners
 
 NEGLIGIBLE = 0.1  # px; matching loses less by it than by drawing the image anew
 WORTH_RECTIFYING = 0.5  # px; from here on matching loses more than all else that can be set
-LARGEST_CORRECTION = 5.0  # px; a pair that is off by more is not a rectified one
+LARGEST_CORRECTION = LIMITS.rows_px  # a pair that is off by more is not a rectified one
 
 _FEWEST = 12  # matches in agreement, three for each number of the trend and its scatter
 _FEWEST_SHARE = 0.15  # of all; two images of different things reach 0.05, good pairs 0.6
@@ -111,7 +112,7 @@ def vertical_residual(left: Array, right: Array) -> Residual:
 def quick_residual(left: Array, right: Array, coarse: Array | None = None) -> Residual:
     """Return how far the rows of a pair are off, as `vertical_residual` does but in a tenth of its time.
 
-    left, right: (H, W) uint8. coarse: what `coarse_map` returns for them, if it is known. Corners are followed from
+    left, right: (H, W) uint8. coarse: the disparities of `coarse_map`, if they are known. Corners are followed from
     image to image, which is done for rows off by two pixels; beyond that features are compared after all.
     Raises as `vertical_residual`.
     """

@@ -1,6 +1,7 @@
 """Roughly where pixels of a pair are in the other image: two looks at reduced size, the first at all there could be."""
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,42 +22,68 @@ _UNIQUE = 5  # percent by which the best match beats the second
 _ALIKE = 0.6  # correlation of what is matched; lower where a match is wrong, or in shadow, or in noise
 _SURROUNDINGS = (5, 5)  # px, of what is correlated
 _SHORTEST, _LONGEST = 2, 1 / 6  # pixels, and share of the width, after which texture may repeat itself
+_UNREPEATED = 0.1  # share of the matches; where fewer are of texture that does not repeat itself, it is periodic
 _NOTHING = 1e-6  # of the contrast 1 that is left by rounding
 _PATCHES = (8, 25)  # px of a look that agree on a disparity, at least
 _BODY = (0.05, 0.95)  # quantiles of the disparities that bound what all of the scene but its ends has
 _BANDS = 1 / 3  # of the width; more is no band at the side of the image any more
+_JOINED, _ENOUGH = 1.5, 25  # px between neighbours of a patch, and how much of it beside a band vouches for the rest
+_BEHIND, _MOSTLY = -2.0, 10  # px, and how many times as many matches lie before it; what is left is chance
 _PRICE = 0.007  # share of the matches that makes a range worth widening by its own span
 _NEARLY_ALL, _LEAST_SPAN = (0.02, 0.98), 2.0  # quantiles, and pixels, of that span
 _FEWEST = 50  # matches
 _FEWEST_SHARE = 0.02  # of the pixels; noise alone gives fewer
 
 
-def coarse_map(left: Array, right: Array) -> Array:
-    """Return disparities (h, w) float32 of the left image reduced to 256 columns, pixels of the image itself.
+class CoarseMap(NamedTuple):
+    """Disparities (h, w) float32 of the left image reduced to 256 columns, pixels of the image itself.
 
-    left, right: (H, W) uint8, rows aligned to a few pixels. Good to about a column of the map; NaN where unknown or
-    outside the range that texture which does not repeat itself shows, and everywhere if too little can be matched.
-    Raises InvalidInput for images of different sizes.
+    Good to about a column of the map; NaN where unknown or outside the range that texture which does not repeat itself
+    shows, and everywhere if too little can be matched. periodic: next to all that is matched looks like other places of
+    its row, so that all of it may be off by a period.
+    """
+
+    disparities: Array
+    periodic: bool
+
+
+def coarse_map(left: Array, right: Array) -> CoarseMap:
+    """Return roughly where the pixels of the left image are in the right one.
+
+    left, right: (H, W) uint8, rows aligned to a few pixels. Raises InvalidInput for images of different sizes.
     """
     pairs = [require_pair(left, right)]
     for width in reversed(LOOKS):
         pairs.append((_reduced(pairs[-1][0], width), _reduced(pairs[-1][1], width)))
+    nothing = CoarseMap(np.full(pairs[1][0].shape, np.nan, np.float32), False)
     if left.shape[1] < _WINDOW:  # which no window fits in, and in which OpenCV's matcher may divide by zero
-        return np.full(pairs[1][0].shape, np.nan, np.float32)
+        return nothing
     low, high = -left.shape[1] / 2, left.shape[1] / 2
-    found: Array = np.zeros(0, np.float32)
-    for (first, second), smallest in zip(reversed(pairs[1:]), _PATCHES, strict=True):
+    found, result = nothing.disparities, nothing
+    for index, ((first, second), smallest) in enumerate(zip(reversed(pairs[1:]), _PATCHES, strict=True)):
         scale = left.shape[1] / first.shape[1]
-        wider = _WIDENED * (high - low) + 2 * scale if found.size else 0.0
+        wider = _WIDENED * (high - low) + 2 * scale if index else 0.0
         look = math.floor((low - wider) / scale), math.ceil((high + wider) / scale)
         even = evened(first)
         found = scale * _matched(even, evened(second), look, smallest)
         known = np.isfinite(found)
         if known.sum() < _least(found.size):
-            return np.full(pairs[1][0].shape, np.nan, np.float32)
-        low, high = worthwhile_range(found[_single(known, even, look[1] - look[0])])
+            return nothing
+        single = known & ~_repeated(even, min(look[1] - look[0], round(_LONGEST * even.shape[1])))
+        # Stripes match as well a period off, all of them together, which no test of a match tells. Where the first look
+        # knows nothing else, the second knows no better: its range is one of several.
+        few = single.sum() < _least(known.size)
+        result = CoarseMap(found, result.periodic or bool(few and single.sum() < _UNREPEATED * known.sum()))
+        low, high = worthwhile_range(_before_the_cameras(found[known if few or result.periodic else single]))
     found[(found < low) | (found > high)] = np.nan
-    return found
+    return result
+
+
+def _before_the_cameras(disparities: Array) -> Array:
+    """Return disparities (N,) without those below zero, pixels, where next to all are above it."""
+    before = disparities >= _BEHIND
+    few = before.sum() >= _MOSTLY * (len(disparities) - before.sum())
+    return disparities[before] if few else disparities
 
 
 def worthwhile_range(disparities: Array) -> tuple[float, float]:
@@ -150,23 +177,32 @@ def _alike(left: Array, right: Array, disparity: Array) -> Array:
 def _forget_bands(known: Array, disparity: Array) -> None:
     """Take the sides of the left image, which the right one cannot show, out of the mask `known`.
 
-    What is matched there is matched with the band at the other side, wherever that happens to look the same.
+    What is matched there is matched with the band at the other side, wherever that happens to look the same. What is
+    joined to enough that lies beside the band stays: a wall that comes nearer from the border on is shown there.
     """
     low, high = np.quantile(disparity[known], _BODY)
     width = known.shape[1]
-    if max(0, high) - min(0, low) < _BANDS * width:
-        known[:, : max(0, int(high))] = False
-        known[:, width + min(0, int(low)) :] = False
+    if max(0, high) - min(0, low) >= _BANDS * width:
+        return
+    beside = np.zeros(known.shape, bool)
+    beside[:, max(0, int(high)) : width + min(0, int(low))] = True
+    patches = _patches(known, disparity)
+    known &= np.bincount(patches[known & beside], minlength=known.size)[patches] >= _ENOUGH
 
 
-def _single(known: Array, image: Array, span: int) -> Array:
-    """Return the part of the mask `known` (H, W) that no other place of the row, in an evened image, looks like.
+def _patches(known: Array, disparity: Array) -> Array:
+    """Return for each pixel (H, W) the number of its patch: known neighbours whose disparities hardly differ."""
+    from scipy.sparse import coo_array  # here, since importing them takes longer than most commands
+    from scipy.sparse.csgraph import connected_components
 
-    Stripes match as well a period off, all of them together, which no test of a match tells. Where next to nothing
-    but such texture is known, it stays. span: of the disparities looked for, pixels.
-    """
-    single = known & ~_repeated(image, min(span, round(_LONGEST * image.shape[1])))
-    return single if single.sum() >= _least(known.size) else known
+    number = np.arange(known.size).reshape(known.shape)
+    ends: list[tuple[Array, Array]] = []
+    for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        joined = known[here] & known[there] & (np.abs(disparity[here] - disparity[there]) <= _JOINED)
+        ends.append((number[here][joined], number[there][joined]))
+    rows, columns = (np.concatenate(part) for part in zip(*ends, strict=True))
+    graph = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(known.size, known.size))
+    return np.asarray(connected_components(graph, directed=False)[1]).reshape(known.shape)
 
 
 def _repeated(image: Array, farthest: int) -> Array:

@@ -7,11 +7,11 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.stereo.pair.alignment import Residual, residual_of
+from camcal.stereo.pair.alignment import LARGEST_CORRECTION, Residual, residual_of
 from camcal.stereo.pair.coarse import coarse_map
 from camcal.stereo.pair.exposure import Exposure, exposure_of
 from camcal.stereo.pair.features import match_features
-from camcal.stereo.pair.pair_order import finding_of, turn_of
+from camcal.stereo.pair.pair_order import PERIODIC, finding_of, turn_of
 from camcal.stereo.pair.search_range import range_in
 
 _TAIL = 0.01
@@ -21,8 +21,8 @@ _TAIL = 0.01
 class PairCheck:
     """What was found of a pair.
 
-    finding: SWAPPED or IDENTICAL of `pair_order`, None for neither. exposure: None where too little is neither black
-    nor white. disparities: (N,) pixels, spread over the left image; empty, and searched None, where too
+    finding: SWAPPED, IDENTICAL or PERIODIC of `pair_order`, None for none of them. exposure: None where too little is
+    neither black nor white. disparities: (N,) pixels, spread over the left image; empty, and searched None, where too
     little of the images can be matched. searched: the range a search for disparities would take, pixels.
     """
 
@@ -56,10 +56,11 @@ def check_pair(left: Array, right: Array) -> PairCheck:
         raise InvalidInput(f"the right image is turned {abs(degrees(turn)):.0f}° {side} against the left; turn it back")
     residual = residual_of(matches)
     coarse = coarse_map(left, right)
+    periodic = coarse.periodic and residual.trend.largest <= LARGEST_CORRECTION  # rows far off match by chance
     return PairCheck(
         residual,
-        finding_of(residual),
+        PERIODIC if periodic else finding_of(residual),
         exposure_of(left, right, residual),
-        coarse[np.isfinite(coarse)],
+        coarse.disparities[np.isfinite(coarse.disparities)],
         range_in(coarse, left.shape[1]),
     )

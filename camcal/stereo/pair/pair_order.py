@@ -3,28 +3,31 @@
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.stereo.acceptance import LIMITS
 from camcal.stereo.pair.alignment import Residual
 from camcal.stereo.pair.features import Matches
 
 SWAPPED = "swapped"
 IDENTICAL = "identical"
+PERIODIC = "periodic"
 FINDINGS = {
-    SWAPPED: "left and right are swapped, or the cameras squint at something nearer than all they see",
+    SWAPPED: "left and right swapped, or cameras toed in (negative disparities)",
     IDENTICAL: "both images show the same view: is one of them there twice?",
+    PERIODIC: "periodic texture: the images match as well a period off and do not tell disparities",
 }
 
-_MOST = 0.95  # share of the features
-_SIDEWAYS = 0.5  # px to the wrong side
-_PARALLAX = 0.25  # px; features of two real images scatter more, whatever their distance
 _TURN = np.radians(10.0)
 _TURNED = 0.5  # share of the features that are turned alike
 
 
-def finding_of(residual: Residual) -> str | None:
-    """Return what is wrong with the order of a pair, SWAPPED or IDENTICAL, None if nothing is."""
-    if np.mean(np.abs(residual.disparity) < _PARALLAX) > _MOST:
+def finding_of(residual: Residual, farthest: float = 0.0) -> str | None:
+    """Return what is wrong with the order of a pair, SWAPPED or IDENTICAL, None if nothing is.
+
+    farthest: disparity of what is infinitely far, pixels; not 0 for cameras whose principal points differ.
+    """
+    if np.mean(np.abs(residual.disparity) < LIMITS.parallax_px) > LIMITS.alike:
         return IDENTICAL
-    if np.mean(residual.disparity < -_SIDEWAYS) > _MOST:
+    if np.mean(residual.disparity < farthest - LIMITS.sideways_px) > LIMITS.wrong_side:
         return SWAPPED
     return None
 

@@ -24,12 +24,12 @@ _ASTRAY = 2.0  # columns of the coarse map, and pixels, that the right place may
 def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Matches:
     """Return the corners of the left image, where the right image has them.
 
-    left, right: (H, W) uint8, rows aligned to four pixels. coarse: what `coarse_map` returns for them, if it is known.
+    left, right: (H, W) uint8, rows aligned to four pixels. coarse: the disparities of `coarse_map`, if they are known.
     Raises InvalidInput for images of different sizes. Source: Bouguet, Pyramidal Implementation of the Lucas Kanade
     Feature Tracker, 2000.
     """
     left, right = require_pair(left, right)
-    coarse = coarse_map(left, right) if coarse is None else coarse
+    coarse = coarse_map(left, right).disparities if coarse is None else coarse
     size = left.shape[1], left.shape[0]
     scale = min(1.0, sqrt(PIXELS / left.size))
     first, second = (image if scale == 1 else resized(image, scale) for image in (left, right))

@@ -37,13 +37,15 @@ class MapFiles(NamedTuple):
 class Figures:
     """A map in numbers.
 
-    size: (width, height), pixels. searched: smallest and largest disparity looked for, pixels. matched: share of the
-    pixels that are matched and not filled. filled: share that is. classes: share of each `Confidence`. median: of the
-    disparities, pixels, None without any. sigma: median of their standard deviations, pixels, None if unknown.
+    size: (width, height), pixels. searched: smallest and largest disparity looked for, pixels. at_ends: shares of the
+    pixels whose best match lies at either of them. matched: share of those that are matched and not filled. filled:
+    share that is. classes: share of each `Confidence`. median: of the disparities, pixels, None without any. sigma:
+    median of their standard deviations, pixels, None if unknown.
     """
 
     size: tuple[int, int]
     searched: tuple[int, int]
+    at_ends: tuple[float, float]
     matched: float
     filled: float
     classes: Mapping[str, float]
@@ -57,6 +59,7 @@ class Figures:
         return cls(
             size=(width, height),
             searched=disparity.searched,
+            at_ends=disparity.at_ends,
             matched=float(shares[Confidence.SINGLE :].sum()),
             filled=float(shares[Confidence.FILLED]),
             classes={each.name.lower(): float(shares[each]) for each in Confidence},
@@ -75,7 +78,8 @@ class MatchedPair:
     """A pair and its map.
 
     rows: by which the right image was aligned, px RMS. scale: counts of the file per pixel of disparity. limits: of
-    the colours of a picture. geometry_known: whether the sidecar holds it.
+    the colours of a picture. geometry_known: whether the sidecar holds it. failures: why it is no pair, or its map is
+    worth nothing.
     """
 
     left: Path
@@ -88,6 +92,7 @@ class MatchedPair:
     limits: Limits
     geometry_known: bool
     remarks: tuple[str, ...]
+    failures: tuple[str, ...]
 
 
 def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
@@ -114,6 +119,7 @@ def _plain(pair: MatchedPair) -> dict[str, Any]:
         "picture": None if pair.picture is None else pair.picture.as_posix(),
         "image_size": list(figures.size),
         "searched": list(figures.searched),
+        "at_ends": list(figures.at_ends),
         "matched": figures.matched,
         "filled": figures.filled,
         "classes": dict(figures.classes),
@@ -123,4 +129,5 @@ def _plain(pair: MatchedPair) -> dict[str, Any]:
         "scale": pair.scale,
         "geometry": pair.geometry_known,
         "remarks": list(pair.remarks),
+        "failures": list(pair.failures),
     }

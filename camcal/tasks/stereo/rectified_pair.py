@@ -46,6 +46,11 @@ class RectifiedPair:
     relative_sigma: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def farthest(self) -> float:
+        """The disparity of what is infinitely far, pixels; 0 if nothing is known."""
+        return -self.geometry.doffs if self.geometry else 0.0
+
+    @property
     def sigma_of_product(self) -> float:
         """The standard deviation of fx times baseline as a share of it; what is not known counts as exact."""
         return float(np.hypot(self.relative_sigma.get("fx", 0.0), self.relative_sigma.get("baseline", 0.0)))

@@ -1,7 +1,7 @@
 """`camcal stereo disparity`: rectified pairs to disparity maps, and how far to believe them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, GateFailed, InvalidInput
 from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
@@ -23,6 +23,7 @@ from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import record_outputs
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
+from camcal.stereo.acceptance import too_few
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import BEST, MatchOptions, match_prepared
@@ -97,6 +98,14 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     return outcomes
 
 
+def require_good(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> None:
+    """Raise GateFailed, a line for each pair that is none or whose map is worth nothing; their files are written."""
+    matched = [outcome.value for outcome in outcomes if outcome.value is not None]
+    faults = [f"{pair.left}: {failure}" for pair in matched for failure in pair.failures]
+    if faults:
+        raise GateFailed("\n".join(faults))
+
+
 def _all_alike(
     pairs: Sequence[Pair], work: "partial[MatchedPair]", options: DisparityOptions, progress: Progress
 ) -> Iterator[Outcome[Pair, MatchedPair]]:
@@ -134,29 +143,37 @@ def _match_files(
     try:
         size = left.shape[1], left.shape[0]
         known = pair_of(options.geometry, options.camera_file, size)
-        found = _by_network(left, right, options.model) if options.model else _matched(left, right, options, alone)
+        found = (
+            _by_network(left, right, options.model)
+            if options.model
+            else _matched(left, right, options, alone, known.farthest)
+        )
     except InvalidInput as error:
         raise InvalidInput(error.message, where=error.where or f"{pair[0]} and {pair[1]}") from error
     return _written(pair, found, known, written, options, limits)
 
 
 class _Matched(NamedTuple):
-    """A map, by how much the rows were aligned (px RMS), and what there is to say of it."""
+    """A map, by how much the rows were aligned (px RMS), what there is to say of it, and why it is worth nothing."""
 
     disparity: Disparity
     rows: float
     remarks: tuple[str, ...]
+    failures: tuple[str, ...]
 
 
-def _matched(left: Array, right: Array, options: DisparityOptions, alone: bool) -> _Matched:
+def _matched(left: Array, right: Array, options: DisparityOptions, alone: bool, farthest: float) -> _Matched:
     matching = options.matching
-    prepared = prepare(left, right, matching.search, align=matching.aligns, expose=matching.expose_alike)
+    prepared = prepare(
+        left, right, matching.search, align=matching.aligns, expose=matching.expose_alike, farthest=farthest
+    )
     if alone and matching.quality == BEST:
         with over_threads(options.jobs) as each:
             disparity = match_prepared(prepared, matching, each)
     else:
         disparity = match_prepared(prepared, matching, one_by_one)
-    return _Matched(disparity, prepared.rows, prepared.remarks)
+    few = too_few(float(np.mean(disparity.confidence > Confidence.FILLED)))
+    return _Matched(disparity, prepared.rows, prepared.remarks, prepared.failures + ((few,) if few else ()))
 
 
 def _by_network(left: Array, right: Array, model: Path) -> _Matched:
@@ -164,7 +181,7 @@ def _by_network(left: Array, right: Array, model: Path) -> _Matched:
     known = np.isfinite(values)
     confidence = np.where(known, Confidence.SINGLE, Confidence.NONE)
     ends = (int(np.floor(values[known].min())), int(np.ceil(values[known].max()))) if known.any() else (0, 0)
-    return _Matched(Disparity(values, np.full_like(values, np.nan), confidence, ends), 0.0, ())
+    return _Matched(Disparity(values, np.full_like(values, np.nan), confidence, ends), 0.0, (), ())
 
 
 def _written(
@@ -210,6 +227,7 @@ def _written(
         limits=limits,
         geometry_known=known.geometry is not None,
         remarks=remarks + ((stored.remark,) if stored.remark else ()),
+        failures=found.failures,
     )
 
 
@@ -230,22 +248,18 @@ def _as_stored(path: Path, found: _Matched) -> tuple[Disparity, tuple[str, ...]]
         remarks += (f"{behind.sum()} disparities of 0 or less are left out of a PNG; a TIFF holds them",)
         nothing = np.float32(np.nan)
         values, sigma = (np.where(behind, nothing, each) for each in (disparity.values, disparity.sigma))
-        disparity = Disparity(values, sigma, disparity.confidence * ~behind, disparity.searched)
+        disparity = replace(disparity, values=values, sigma=sigma, confidence=disparity.confidence * ~behind)
     return disparity, remarks
 
 
 def _at_the_ends(disparity: Disparity) -> tuple[str, ...]:
-    """Return a remark if more disparities lie at an end of the range than chance puts there."""
-    values = disparity.values[disparity.confidence > Confidence.FILLED]
-    if not values.size:
-        return ("nothing is matched; do both images show the same scene, and is the range right?",)
+    """Return a remark if more of the best matches lie at an end of the range than chance puts there."""
     first, last = disparity.searched
-    crowded = [
-        f"{share:.1%} of the disparities lie at the {end} end of the range {first}:{last}; look farther with --range"
-        for end, share in (("lower", np.mean(values < first + 1)), ("upper", np.mean(values > last - 1)))
+    return tuple(
+        f"{share:.1%} of the best matches lie at the {end} end of the range {first}:{last}; look farther with --range"
+        for end, share in zip(("lower", "upper"), disparity.at_ends, strict=True)
         if share > _AT_THE_END
-    ]
-    return tuple(crowded)
+    )
 
 
 def _settings(options: DisparityOptions) -> dict[str, Any]:

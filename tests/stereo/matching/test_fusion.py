@@ -10,8 +10,9 @@ from camcal.stereo.matching.matchers import Found
 NOT = np.nan
 
 
-def found(least, believed, difference=NOT):
-    return Found(*(np.array([[value]], np.float32) for value in (least, believed, difference)))
+def found(least, believed, difference=NOT, *, rival=False):
+    values = (np.array([[value]], np.float32) for value in (least, believed, difference))
+    return Found(*values, np.array([[rival]]), np.zeros((1, 1), np.int8))
 
 
 @pytest.mark.parametrize(
@@ -33,6 +34,14 @@ def test_two_matchers_make_one_map(census, gray_levels, disparity, confidence):
     np.testing.assert_array_equal(result.disparity, [[disparity]])
     np.testing.assert_array_equal(result.confidence, [[confidence]])
     np.testing.assert_array_equal(result.difference, np.abs(census.believed - gray_levels.believed))
+
+
+def test_what_has_a_rival_is_as_unsure_as_what_one_matcher_says():
+    result = fused(found(9, 9, rival=True), found(9.25, 9.25))
+    assert result.disparity == 9.125
+    assert result.confidence == Confidence.SINGLE
+    assert np.isnan(result.difference)
+    assert alone(found(9, 9, 0.1, rival=True)).difference == 1
 
 
 @pytest.mark.parametrize(("believed", "confidence"), [(9, Confidence.SINGLE), (NOT, Confidence.FILLED)])

@@ -1,22 +1,49 @@
-"""What a pair's preparation remarks on where only the range was measured."""
+"""What a pair's preparation finds wrong with it, and when it keeps quiet."""
 
-from textured import textured_pair, waves
+import numpy as np
+import pytest
+from textured import noisy, textured_pair, waves
 
 from camcal.stereo.matching.preparation import prepare
 from camcal.stereo.pair.pair_order import FINDINGS, SWAPPED
 
 
-def test_a_range_all_behind_infinity_is_remarked_on_without_alignment():
+def test_a_range_all_behind_infinity_is_a_failure_without_alignment():
     left, right = textured_pair(waves(12, 30))
-    assert prepare(right, left, align=False).remarks == (FINDINGS[SWAPPED],)
-    assert prepare(left, right, align=False).remarks == ()
+    assert prepare(right, left, align=False).failures == (FINDINGS[SWAPPED],)
+    assert prepare(left, right, align=False).failures == ()
 
 
-def test_swapped_images_are_remarked_on_once():
+def test_swapped_images_fail_once():
     left, right = textured_pair(waves(12, 30))
-    assert prepare(right, left).remarks.count(FINDINGS[SWAPPED]) == 1
+    assert prepare(right, left).failures == (FINDINGS[SWAPPED],)
 
 
-def test_a_range_that_was_asked_for_is_not_remarked_on():
+@pytest.mark.parametrize("align", [True, False])
+def test_a_negative_range_that_was_asked_for_is_no_swap(align):
     left, right = textured_pair(waves(12, 30))
-    assert prepare(right, left, (-40, 0), align=False).remarks == ()
+    assert prepare(right, left, (-40, 0), align=align).failures == ()
+
+
+def test_negative_disparities_before_what_the_geometry_puts_infinitely_far_are_no_swap():
+    left, right = textured_pair(waves(-30, -12))
+    assert prepare(left, right, farthest=-35.0).failures == ()
+    assert prepare(left, right, farthest=-10.0).failures == (FINDINGS[SWAPPED],)
+
+
+def test_rows_that_are_off_by_more_than_can_be_corrected_are_a_failure():
+    left, right = textured_pair(waves(12, 30), 9.0)
+    prepared = prepare(left, right)
+    assert prepared.rows == 0
+    assert "more than the 5 px that can be put right" in prepared.failures[0]
+
+
+@pytest.mark.parametrize("period", [9, 14, 20, 33])
+@pytest.mark.parametrize("grid", [False, True], ids=["stripes", "grid"])
+def test_periodic_texture_tells_no_range_and_is_no_swap(period, grid):
+    across, down = np.meshgrid(np.arange(640), np.arange(240))
+    rows = 40 * np.sin(2 * np.pi * down / period) if grid else 10 * np.sin(down / 7)
+    left, right = (128 + rows + 50 * np.sin(2 * np.pi * (across - moved) / period) for moved in (40, 0))
+    prepared = prepare(noisy(left.astype(np.uint8), 2), noisy(right.astype(np.uint8), 2, seed=3))
+    assert prepared.failures == ()
+    assert prepared.remarks == ("periodic texture: the images do not tell the range of disparities; taken is 0 to 107",)

@@ -44,6 +44,17 @@ def test_noise_exposure_and_a_row_off_do_not_matter(spoilt):
     assert_holds(shown_range(*spoilt(*textured_pair(truth))), truth)
 
 
+@pytest.mark.parametrize("slope", [0.175, 0.25, 0.4])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_range_of_a_steep_wall_holds_all_that_the_right_image_shows(slope, side):
+    across = np.arange(720) if side == "left" else np.arange(720)[::-1]
+    truth = np.tile(10 + slope * across, (300, 1))
+    low, high = shown_range(*textured_pair(truth))
+    shown = truth[(np.arange(720) >= truth) & np.ones_like(truth, bool)]
+    assert low <= shown.min()
+    assert high >= shown.max()
+
+
 def test_swapped_images_have_the_opposite_range():
     truth = waves(8, 30)
     left, right = textured_pair(truth)
@@ -88,7 +99,7 @@ def test_identical_images_have_a_narrow_range_about_zero():
 def test_images_that_share_nothing_tell_no_range_and_the_default_is_a_sixth_of_the_width(contrast):
     flat = np.full((240, 320), 100, np.uint8)
     left, right = noisy(flat, contrast, seed=1), noisy(flat, contrast, seed=2)
-    assert np.isnan(coarse_map(left, right)).all()
+    assert np.isnan(coarse_map(left, right).disparities).all()
     assert shown_range(left, right) is None
     assert default_range(320) == (0, 53)
 
@@ -112,7 +123,7 @@ def test_the_range_does_not_depend_on_the_number_of_threads():
         found = []
         for count in (1, 4):
             cv2.setNumThreads(count)
-            found.append(coarse_map(*pair))
+            found.append(coarse_map(*pair).disparities)
     finally:
         cv2.setNumThreads(threads)
     np.testing.assert_array_equal(*found)
