@@ -6,10 +6,10 @@ from typing import NamedTuple
 class Limits(NamedTuple):
     """What a pair and its map must keep to.
 
-    rows_px: largest amount that rows may be off, pixels; a plane over the image puts so much right. matched: least share
-    of the pixels that are matched and not filled. wrong_side: largest share of the features that may stand on the wrong
-    side of what is infinitely far, from `sideways_px` pixels on. alike: largest share of the features that may be at the
-    same place in both images, to `parallax_px` pixels; two real images scatter more, whatever their distance.
+    rows_px: largest amount that rows may be off, pixels; a plane over the image puts so much right. matched: least
+    share of the pixels that are matched and not filled. wrong_side: largest share of the features that may stand on the
+    wrong side of what is infinitely far, from `sideways_px` pixels on. alike: largest share of the features that may be
+    at one place in both images, to `parallax_px` pixels; two real images scatter more, whatever their distance.
     """
 
     rows_px: float = 5.0

@@ -34,7 +34,8 @@ NOTHING, BACKGROUND, ALL = "none", "background", "all"
 FILLS = (NOTHING, BACKGROUND, ALL)
 
 _WEIGHTS = {FAST: OF_A_SINGLE_PASS, BALANCED: OF_THE_CENSUS, BEST: OF_TWO_MATCHERS}
-_REDUCED = 4  # times smaller, the evidence of the fast quality takes no time
+# Times smaller: the evidence of the fast quality takes no time, and that of a large pair half of the memory.
+_REDUCED, _REDUCED_LARGE = 4, 2
 
 
 @dataclass(frozen=True)
@@ -131,13 +132,11 @@ def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Esti
     found = textured(_found(prepared, quality, each), prepared.pair.left)
     filled = from_the_background(found.disparity)
     dense = everywhere(filled.disparity)
-    if quality != FAST:
-        dense = smoothed(dense)
-        evidence = evidence_of(prepared.pair, found, filled, dense)
-        return Estimate(dense, found.confidence, filled, found.end, evidence, 1)
-    dense = without_spikes(dense)
-    evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, _REDUCED))
-    return Estimate(dense, found.confidence, filled, found.end, evidence, _REDUCED)
+    large = needs_levels(prepared.pair, prepared.count)
+    dense = without_spikes(dense) if quality == FAST else smoothed(dense, quick=large)
+    step = _REDUCED if quality == FAST else _REDUCED_LARGE if large else 1
+    evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, step))
+    return Estimate(dense, found.confidence, filled, found.end, evidence, step)
 
 
 def _found(prepared: Prepared, quality: str, each: Each) -> Fused:

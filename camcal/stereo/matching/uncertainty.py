@@ -128,6 +128,8 @@ def reduced(
     pair: GrayPair, fused: Fused, filled: Filled, smooth: Array, factor: int
 ) -> tuple[GrayPair, Fused, Filled, Array]:
     """Return what evidence is made of at a smaller size, where it takes little time."""
+    if factor == 1:
+        return pair, fused, filled, smooth
     every = slice(None, None, factor)
     left, right = (
         cv2.resize(image, smooth[every, every].shape[::-1], interpolation=cv2.INTER_AREA)
