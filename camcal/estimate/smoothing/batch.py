@@ -12,6 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.linear_system import LinearSystem, Smoothed
+from camcal.solve.tridiagonal import banded, blocks_of
 
 _LOST = 1e-14  # a pivot this much smaller than its diagonal is rounding
 _SMALL_STATE = 3  # up to this size all covariances come from one banded triangle, above it from a loop
@@ -50,16 +51,16 @@ def solve_batch(system: LinearSystem) -> BatchSolution:
     process, log_process = _process_precision(system)
     measured, log_noise = _measured_precision(system)
     blocks, beside, right = _normal_equations(system, process, measured)
-    banded = _banded(blocks, beside)
-    before = banded[0].copy()
+    band = banded(blocks, beside)
+    before = band[0].copy()
     try:
-        factor = cholesky_banded(banded, overwrite_ab=True, lower=True, check_finite=False)
+        factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
     except LinAlgError as error:
         raise InsufficientData(_HIDDEN) from error
     if not (factor[0] ** 2 > _LOST * before).all():
         raise InsufficientData(_HIDDEN)
     means = cho_solve_banded((factor, True), right.ravel(), check_finite=False).reshape(right.shape)
-    diagonal, below = _factor_blocks(factor, right.shape[1])
+    diagonal, below = blocks_of(factor, right.shape[1])
     squares = _squares(system, process, measured, means)
     freedom = int(system.present.sum() - right.shape[1] * (1 + np.sum(~system.linked)))
     # ln ∫ p(y, x) dx: the integrand at its peak and the curvature there; all is Gaussian, so this is exact.
@@ -129,31 +130,6 @@ def _normal_equations(system: LinearSystem, process: Array, measured: Array) -> 
     right[:-1] -= np.einsum("kij,kj->ki", weighted, system.controls)
     right[1:] += np.einsum("kij,kj->ki", process, system.controls)
     return blocks, -np.swapaxes(weighted, 1, 2), right
-
-
-def _banded(blocks: Array, beside: Array) -> Array:
-    """Return the lower band (2 n, K n) of a symmetric matrix, from its blocks on and below the diagonal."""
-    count, size, _ = blocks.shape
-    band = np.zeros((2 * size, count, size))
-    for row in range(size):
-        for column in range(size):
-            if row >= column:
-                band[row - column, :, column] = blocks[:, row, column]
-            band[size + row - column, :-1, column] = beside[:, row, column]
-    return band.reshape(2 * size, count * size)
-
-
-def _factor_blocks(factor: Array, size: int) -> tuple[Array, Array]:
-    """Return the blocks (K, n, n) on the diagonal and (K - 1, n, n) below it of a lower banded factor."""
-    band = factor.reshape(2 * size, -1, size)
-    diagonal = np.zeros((band.shape[1], size, size))
-    below = np.zeros((band.shape[1] - 1, size, size))
-    for row in range(size):
-        for column in range(size):
-            if row >= column:
-                diagonal[:, row, column] = band[row - column, :, column]
-            below[:, row, column] = band[size + row - column, :-1, column]
-    return diagonal, below
 
 
 def _squares(system: LinearSystem, process: Array, measured: Array, means: Array) -> float:
