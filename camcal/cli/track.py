@@ -69,16 +69,16 @@ def track(
             help="How strongly the motion accelerates, m²/s³ and rad²/s³; auto takes what the frames make likeliest.",
         ),
     ] = "auto",
-    gate: Annotated[float, typer.Option(metavar="P", help="Detections less likely than 1 - P are left out.")] = 0.999,
+    gate: Annotated[
+        float, typer.Option(metavar="P", help="Of a pose file: detections less likely than 1 - P are left out.")
+    ] = 0.999,
     max_gap: Annotated[
         float, typer.Option(metavar="SECONDS", help="A longer time without a detection ends a piece of the track.")
     ] = 1.0,
     fill: Annotated[
         bool, typer.Option("--fill", help="Give poses for frames without a detection, within a piece only.")
     ] = False,
-    causal: Annotated[
-        bool, typer.Option("--causal", help="Every pose from the frames up to it alone; the start settles first.")
-    ] = False,
+    causal: Annotated[bool, typer.Option("--causal", help="Every pose from the frames up to it alone.")] = False,
     lag: Annotated[
         int | None, typer.Option(metavar="N", min=0, help="Every pose from the frames up to N later ones.")
     ] = None,

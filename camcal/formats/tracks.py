@@ -25,7 +25,20 @@ SUFFIXES = (".csv", ".yaml", ".yml", ".json")
 _ORDER = ("tx", "ty", "tz", "rx", "ry", "rz")
 _POSE = ("tx", "ty", "tz", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 _POSE_CELLS = (*_POSE, *(f"std_{name}" for name in _ORDER))
-_COLUMNS = ("t", "frame", "id", "segment", "state", *_POSE_CELLS, "nis", "candidate", "p_wrong", "rms_px", "n")
+_COLUMNS = (
+    "t",
+    "frame",
+    "id",
+    "segment",
+    "state",
+    *_POSE_CELLS,
+    "p_branch",
+    "nis",
+    "candidate",
+    "p_wrong",
+    "rms_px",
+    "n",
+)
 
 
 class TrackedObject(NamedTuple):
@@ -64,12 +77,25 @@ def document(images: Sequence[str], objects: Mapping[str, TrackedObject]) -> dic
         "tracks": [
             {
                 **({"object": name} if name else {}),
-                "process_noise": {"qv": each.track.noise.translation, "qw": each.track.noise.rotation},
+                "process_noise": _noise(each.track),
+                "ambiguous": [
+                    {
+                        "start_s": float(each.track.stamps[first]),
+                        "end_s": float(each.track.stamps[last]),
+                        "p_branch": chance,
+                    }
+                    for first, last, chance in each.track.ambiguous
+                ],
                 "poses": [_block(each, index, image) for index, image in enumerate(images)],
             }
             for name, each in objects.items()
         ],
     }
+
+
+def _noise(track: Track) -> dict[str, Any]:
+    noise = track.noise
+    return {"qv": noise.translation, "qw": noise.rotation} | ({"fading_s": noise.fading} if noise.fading else {})
 
 
 def _block(item: TrackedObject, index: int, image: str) -> dict[str, Any]:
@@ -83,6 +109,8 @@ def _block(item: TrackedObject, index: int, image: str) -> dict[str, Any]:
         block["quaternion"] = dict(zip(("qw", "qx", "qy", "qz"), quaternion, strict=True))
         block["velocity"] = track.velocities[index].tolist()
         block["covariance"] = track.covariances[index].tolist()
+    if np.isfinite(track.p_wrong[index]):
+        block["p_branch"] = 1 - float(track.p_wrong[index])
     if np.isfinite(track.nis[index]):
         block["nis"] = float(track.nis[index])
     if single is not None:
@@ -113,6 +141,7 @@ def _row(name: str, item: TrackedObject, index: int, image: str) -> list[str]:
         row += [f"{number:.12g}" for number in numbers]
     else:
         row += [""] * len(_POSE_CELLS)
+    row.append(f"{1 - track.p_wrong[index]:.6g}" if np.isfinite(track.p_wrong[index]) else "")
     row.append(f"{track.nis[index]:.12g}" if np.isfinite(track.nis[index]) else "")
     row.append(str(track.candidates[index]) if track.candidates[index] >= 0 else "")
     return [*row, *([f"{single.p_wrong:.6g}", f"{single.rms_px:.6g}", str(single.n_points)] if single else [""] * 3)]

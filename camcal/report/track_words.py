@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.tracking.jitter import Jitter
+from camcal.estimate.tracking.shaking import Shaking
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.tracks import TrackedObject
 
@@ -28,7 +29,14 @@ def lines(item: TrackedObject) -> Iterator[str]:
         yield f"  jerks, after which the velocity was found anew: {_times(track, track.jerks)}"
     yield f"pieces: {', '.join(_piece(track, number) for number in range(int(track.segments.max()) + 1))}"
     yield f"trembling: single frames {_jitter(track.before)}; track {_jitter(track.after)}"
-    yield f"process noise: translation {_density(track, 0)} m²/s³, rotation {_density(track, 1)} rad²/s³"
+    for first, last, chance in track.ambiguous:
+        start, end = track.stamps[first], track.stamps[last]
+        yield f"ambiguous from {start:.6g} to {end:.6g} s: {chance:.2f} is the probability of the pose given"
+    unit, fading = ("s³", "") if track.noise.fading is None else ("s⁵", f" of accelerations, {track.noise.fading:g} s")
+    densities = f"translation {_density(track, 0)} m²/{unit}, rotation {_density(track, 1)} rad²/{unit}"
+    yield f"process noise{fading}: {densities}"
+    if track.shaking is not None and track.shaking.any:
+        yield f"vibration (RMS per axis): {_shaking(track.shaking)}"
     judged = track.consistency
     if judged is not None:
         low, high = judged.interval
@@ -63,7 +71,13 @@ def plain(item: TrackedObject, images: Sequence[str]) -> dict[str, Any]:
             "qv": track.noise.translation,
             "qw": track.noise.rotation,
             "factors": track.noise.factors,
+            "fading_s": track.noise.fading,
         },
+        "vibration": None if track.shaking is None else vars(track.shaking),
+        "ambiguous": [
+            {"start_s": float(track.stamps[first]), "end_s": float(track.stamps[last]), "p_branch": chance}
+            for first, last, chance in track.ambiguous
+        ],
         "consistency": None if track.consistency is None else vars(track.consistency),
         "jitter": {"before": vars(track.before), "after": vars(track.after)},
     }
@@ -96,6 +110,11 @@ def _piece(track: Track, number: int) -> str:
 
 def _jitter(jitter: Jitter) -> str:
     return f"{1e3 * jitter.translation:.3g} mm, {np.degrees(jitter.rotation):.3g}°"
+
+
+def _shaking(shaking: Shaking) -> str:
+    turns = f"camera {1e3 * shaking.camera_turn:.2g} mrad, object {1e3 * shaking.object_turn:.2g} mrad"
+    return f"{turns} and {1e3 * shaking.object_shift:.2g} mm"
 
 
 def _density(track: Track, axis: int) -> str:

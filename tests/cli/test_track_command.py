@@ -145,9 +145,9 @@ def test_the_json_document(run, files):
     assert document["schema"] == "camcal/track/1"
     assert list(document["objects"][0]) == [
         "object", "frames", "detections", "measured", "predicted", "rejected", "mirrored", "jerks", "segments",
-        "process_noise", "consistency", "jitter",
+        "process_noise", "vibration", "ambiguous", "consistency", "jitter",
     ]  # fmt: skip
-    assert document["objects"][0]["process_noise"] == {"qv": 0.02, "qw": 0.5, "factors": None}
+    assert document["objects"][0]["process_noise"] == {"qv": 0.02, "qw": 0.5, "factors": None, "fading_s": None}
     assert list(document["objects"][0]["segments"][0]) == ["first", "last", "start_s", "end_s", "frames"]
     assert list(document["objects"][0]["consistency"]) == [
         "innovations", "mean_nis", "interval", "beyond_95", "autocorrelation", "autocorrelation_limit", "verdict",

@@ -8,7 +8,7 @@ from camcal.arrays import Array
 from camcal.estimate.smoothing.kalman import gate
 
 CONSISTENT, OVERCONFIDENT, UNDERCONFIDENT = "consistent", "overconfident", "underconfident"
-NOT_JUDGED = "not judged"
+NOT_JUDGED, AMBIGUOUS = "not judged", "ambiguous"
 
 _NEAR_ONE = 0.1  # a mean NIS this near to 1 means standard deviations right to 5 %: no reason to change anything
 _CONFIDENCE = 0.95
@@ -33,7 +33,8 @@ class Consistency:
     innovations: how many. mean_nis: mean normalised innovation squared of one degree of freedom, 1 if all is right.
     interval: in which it lies with 95 % if all is right. beyond_95: share of innovations beyond their own 95 % bound.
     autocorrelation: of successive innovations, 0 if all is right; autocorrelation_limit: its 95 % bound.
-    verdict: consistent, overconfident, underconfident, or not judged without innovations; advice: what to do, in words.
+    verdict: consistent, overconfident, underconfident, not judged without innovations, or, of poses, ambiguous where
+    too many may be another pose. advice: what to do, in words.
     """
 
     innovations: int

@@ -32,12 +32,14 @@ _AROUND = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)], dtype=float)
 class ProcessNoise:
     """Spectral densities of the white-noise acceleration: translation, m²/s³, and rotation, rad²/s³.
 
-    factors: by which each may be off (one standard deviation), None where they were given and not estimated.
+    factors: by which each may be off (one standard deviation), None where that is not known. fading: time constant (s)
+    with which accelerations fade that this noise drives, in m²/s⁵ and rad²/s⁵; None where it is the acceleration.
     """
 
     translation: float
     rotation: float
     factors: tuple[float, float] | None = None
+    fading: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("translation", "rotation"):

@@ -14,10 +14,12 @@ from camcal.estimate.tracking.pose_filter import Belief
 from camcal.estimate.tracking.pose_smoother import smoothed, smoothed_with_lag
 from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
 from camcal.estimate.tracking.segments import LEAST, Following, Segment, follow
+from camcal.estimate.tracking.shaking import Shaking
 from camcal.geometry.pose import Pose, inverse_jacobian
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)
+_UNSURE = 0.01  # probability of another pose that is told
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,9 @@ class Track:
     candidates: (N,) which candidate was looked at, 0 the best of its frame, -1 where there was none.
     jerks: the frames before which the velocity became another at once, in order.
     consistency: None where no detection was predicted. before, after: jitter of the single poses and of the track.
+    p_wrong: (N,) the probability that the true pose is another one than the track's; NaN where nothing
+    is known of it.
+    shaking: what moves single poses off the smooth motion, None where it was not looked for.
     """
 
     frames: str
@@ -65,6 +70,8 @@ class Track:
     consistency: Consistency | None
     before: Jitter
     after: Jitter
+    p_wrong: Array
+    shaking: Shaking | None = None
 
     def __post_init__(self) -> None:
         count = len(self.stamps)
@@ -75,6 +82,7 @@ class Track:
             "velocities": (count, 6),
             "covariances": (count, 6, 6),
             "nis": (count,),
+            "p_wrong": (count,),
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
@@ -89,6 +97,17 @@ class Track:
     def count(self, state: str) -> int:
         """Return how many frames are in a state."""
         return self.states.count(state)
+
+    @property
+    def ambiguous(self) -> list[tuple[int, int, float]]:
+        """The stretches with two possible poses: first and last frame, and the probability of the pose given.
+
+        Frames without a pose between two of them do not end a stretch.
+        """
+        frames = np.flatnonzero(self.posed)
+        rows = np.split(frames, np.flatnonzero(np.diff((self.p_wrong[frames] > _UNSURE).astype(int))) + 1)
+        doubtful = [row for row in rows if len(row) and self.p_wrong[row[0]] > _UNSURE]
+        return [(int(row[0]), int(row[-1]), float(1 - self.p_wrong[row].max())) for row in doubtful]
 
     def inverse(self) -> "Track":
         """Return the same track in the other direction, such as object_T_camera."""
@@ -129,10 +148,10 @@ def track_poses(
         raise InsufficientData(
             f"no {LEAST} of {found} detections follow one another; are the time stamps right, --max-gap too short?"
         )
-    return _assembled(frames, measurements, _common(poses), noise, segments, options)
+    return _assembled(frames, measurements, common_part(poses), noise, segments, options)
 
 
-def _common(poses: Sequence[FramePose | None]) -> Array:
+def common_part(poses: Sequence[FramePose | None]) -> Array:
     """Return the part (N, 6, 6) of the covariances that frames share, of the nearest detection where there is none."""
     places = np.array([index for index, pose in enumerate(poses) if pose is not None])
     parts = np.array([pose.covariance - pose.noise_covariance for pose in poses if pose is not None])
@@ -221,6 +240,7 @@ def _assembled(
             *(part[used] for part in (stamps, measurements.rotations[:, 0], measurements.translations[:, 0], pieces))
         ),
         jitter(*(part[used] for part in (stamps, rotations, translations, pieces))),
+        np.full(len(stamps), np.nan),
     )
 
 

@@ -20,7 +20,7 @@ _POSE = (*POSITION, *QUATERNION)
 _STD = tuple(f"std_{name}" for name in ORDER)
 _OBJECT, _SEGMENT = "id", "segment"
 _NEEDED = ("t", _OBJECT, _SEGMENT, *_POSE, *VELOCITY, *_STD)
-_LEFT = ("frame", "state", "nis", "candidate", "p_wrong", "rms_px", "n")
+_LEFT = ("frame", "state", "p_branch", "nis", "candidate", "p_wrong", "rms_px", "n")
 
 _WITH_A_POSE = {
     "translation": items(number(), 3),
@@ -30,6 +30,7 @@ _WITH_A_POSE = {
     "segment": integer(0),
 }
 _OF_A_FRAME = {
+    "p_branch": number(0, 1),
     "nis": number(0),
     "p_wrong": number(0, 1),
     "rms_px": number(0),
@@ -37,9 +38,9 @@ _OF_A_FRAME = {
     "candidate": integer(0),
 }
 _FRAME = mapping({"t": number(), "frame": text, "state": text}, {**_WITH_A_POSE, **_OF_A_FRAME})
-_TRACK = mapping(
-    {"poses": items(_FRAME)}, {"object": text, "process_noise": mapping({"qv": number(0), "qw": number(0)})}
-)
+_NOISE = mapping({"qv": number(0), "qw": number(0)}, {"fading_s": number(0)})
+_AMBIGUOUS = items(mapping({"start_s": number(), "end_s": number(), "p_branch": number(0, 1)}))
+_TRACK = mapping({"poses": items(_FRAME)}, {"object": text, "process_noise": _NOISE, "ambiguous": _AMBIGUOUS})
 CHECK = mapping(
     {"format": one_of((FORMAT,), "format"), "version": integer(1), "frames": text, "tracks": items(_TRACK)},
     {"covariance_order": items(one_of(ORDER, "coordinate"), 6), "covariance_steps": text, "velocities": text},

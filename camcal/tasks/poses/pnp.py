@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
-from camcal.estimate.pnp import PoseEstimate, PoseOptions
+from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions
 from camcal.formats import correspondences, native, poses, rigs
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
@@ -94,7 +95,8 @@ class PnpOptions:
 class PnpReport:
     """The poses, remarks, pictures, and the images that failed: unreadable, or seen but without a pose.
 
-    unsettled: those whose pose did not converge.
+    unsettled: those whose pose did not converge. views: the points and pixels of every pose, of one camera; camera: as
+    it is for these images, None of a rig.
     """
 
     poses: Poses
@@ -102,6 +104,8 @@ class PnpReport:
     failed: tuple[str, ...]
     unsettled: tuple[Sight, ...] = ()
     pictures: tuple[Path, ...] = ()
+    views: Mapping[Sight, Correspondences] = field(default_factory=dict)
+    camera: Camera | None = None
 
     def require_good(self, gates: Gates) -> None:
         """Raise GateFailed with a line for each pose that does not pass."""
@@ -142,6 +146,8 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
         (*seen.failed, *map(str, refused)),
         tuple(sight for sight, estimate in found.items() if not estimate.converged),
         _drawn(options, observer, straight, found, observations, progress),
+        {} if options.rig else {sight: each.views[0] for sight, each in observations.items()},
+        None if options.rig else observer.cameras[None],
     )
 
 

@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
-from camcal.estimate.tracking.track import TrackOptions, track_poses
+from camcal.estimate.pnp import Correspondences
+from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
+from camcal.estimate.tracking.view_track import track_views
 from camcal.formats import poses, tracks, trajectories
-from camcal.formats.poses.record import Poses, Sight
+from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tracks import TrackedObject
 from camcal.geometry.trajectory import Trajectory
@@ -66,13 +70,18 @@ class FollowReport:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Poses of single frames, the names of all frames in order, the videos they stem from, and remarks."""
+    """Poses of single frames, the names of all frames in order, the videos they stem from, and remarks.
+
+    views: points and pixels of the poses, and the camera that took them; None for a pose file, which has none.
+    """
 
     poses: Poses
     images: tuple[str, ...]
     videos: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
+    views: Mapping[Sight, Correspondences] = field(default_factory=dict)
+    camera: Camera | None = None
 
 
 def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
@@ -95,7 +104,7 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
         progress.advance()
         single = [straight.estimates.get(Sight(image, name)) for image in seen.images]
         try:
-            found = track_poses(stamps, single, options.tracking, straight.frames)
+            found = _followed(options, seen, name, stamps, single, straight.frames)
         except InsufficientData as error:
             lost[name] = InsufficientData(error.message, where=name or options.inputs[0])
             continue
@@ -106,6 +115,16 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
         raise next(iter(lost.values()))
     outputs = _written(options, seen.images, objects)
     return FollowReport(seen.images, objects, lost, seen.notes, seen.failed, outputs)
+
+
+def _followed(
+    options: FollowOptions, seen: _Seen, name: str, stamps: Array, single: Sequence[PoseRecord | None], frames: str
+) -> Track:
+    """Return the track of an object, from its pixels where there are any."""
+    if seen.camera is None:
+        return track_poses(stamps, single, options.tracking, frames)
+    views = [seen.views.get(Sight(image, name)) for image in seen.images]
+    return track_views(seen.camera, stamps, views, single, options.tracking, options.noise_px)
 
 
 def names_camera(arguments: Sequence[str]) -> bool:
@@ -164,7 +183,15 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen
     )
     known = {str(sight) for sight in found.poses.missing}
     failed = tuple(line for line in found.failed if line not in known)
-    return _Seen(found.poses, _frame_names(found.poses, media), media.videos, found.notes, failed)
+    return _Seen(
+        found.poses,
+        _frame_names(found.poses, media),
+        media.videos,
+        found.notes,
+        failed,
+        found.views,
+        found.camera,
+    )
 
 
 def _frame_names(seen: Poses, media: Media) -> tuple[str, ...]:

@@ -1,0 +1,290 @@
+"""Stretches of a track that may be mirrored: every one is turned over, solved anew, and judged by its evidence.
+
+A flat object seen from the front changes from one of its two poses to the other without a jump. So a track is cut
+where its tilt is least and where the object was not seen; runs of pieces are mirrored, solved together with the frames
+around them, and kept where they explain all pixels better. What explains them nearly as well is a rival, of weight
+exp(-Δ/2).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.estimate.tracking.free_motion import MotionState
+from camcal.estimate.tracking.noise_choice import Explained
+from camcal.estimate.tracking.pixel_batch import Chains, solved, spread_of
+from camcal.estimate.tracking.pixel_costs import PixelFrames, minimised
+from camcal.geometry import rotation as so3
+
+FAR = np.radians(10.0)  # poses that are more than this apart are not the same
+_FLAT = np.radians(30.0)  # a tilt at which one pose may pass into the other
+_APART = 6  # frames between cuts
+_RUNS = 4  # pieces that are mirrored together
+_WORTH = 40.0  # of χ² by which a mirrored run may be worse before it is solved
+_AROUND = 20  # frames on either side that are solved with it
+_UNSEEN = 3  # frames in a row that are a cut
+_ROUNDS = 6
+_ITERATIONS = 12
+_MOST = 40  # runs that are solved in one round
+_PER_FRAME = 0.2  # of χ²: shorter runs are cheaper and come first
+_LARGEST = 8.0  # times the frames of the track that they may have together
+_HELD = 1e4  # times what is known of a state at the end of a stretch
+_RIVAL = 16.0  # Δ of rivals that are reported: a weight of 3e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another course of a track: the frames (K) where it is another pose, and its weight, of 1 for the track's own."""
+
+    frames: Array
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """The best track found, its rivals, and the mask (M) of the frames that were turned over."""
+
+    found: Explained
+    rivals: tuple[Rival, ...]
+    turned: Array
+
+    @property
+    def p_wrong(self) -> Array:
+        """The probability (M) that a rival holds at each frame."""
+        weights = np.zeros(len(self.turned))
+        for rival in self.rivals:
+            weights[rival.frames] += rival.weight
+        return weights / (1 + weights)
+
+
+@dataclass(frozen=True)
+class Flat:
+    """The plane of an object: its normal (3,) and middle (3,)."""
+
+    normal: Array
+    middle: Array
+
+    @classmethod
+    def of(cls, frames: PixelFrames) -> "Flat | None":
+        """Return the plane of all points of frames, None if they are in none."""
+        points = np.unique(frames.points[frames.there], axis=0)
+        middle = points.mean(axis=0)
+        _, spreads, axes = np.linalg.svd(points - middle, full_matrices=False)
+        return cls(axes[2], middle) if spreads[2] < 0.05 * spreads[1] else None
+
+    def sight(self, rotations: Array, translations: Array) -> Array:
+        """Return the unit directions (N, 3) from the camera to the middle."""
+        seen = rotations @ self.middle + translations
+        return np.asarray(seen / np.linalg.norm(seen, axis=-1, keepdims=True))
+
+    def tilt(self, rotations: Array, translations: Array) -> Array:
+        """Return the angles (N) between the normal and the line of sight, rad."""
+        cosine = np.abs((self.sight(rotations, translations) * (rotations @ self.normal)).sum(axis=-1))
+        return np.asarray(np.arccos(np.clip(cosine, 0, 1)))
+
+    def mirrored(self, rotations: Array, translations: Array) -> tuple[Array, Array]:
+        """Return the poses that look the same from far away: the plane reflected across the line of sight."""
+        sight = self.sight(rotations, translations)
+        across = np.eye(3) - 2 * sight[:, :, None] * sight[:, None, :]
+        turned = across @ rotations @ (np.eye(3) - 2 * np.outer(self.normal, self.normal))
+        return turned, translations + (rotations - turned) @ self.middle
+
+
+def searched(found: Explained) -> Searched:
+    """Return the track with the stretches turned over that are better so."""
+    flat = Flat.of(found.track.chains.frames)
+    turned = np.zeros(len(found.track.chains.used), dtype=bool)
+    if flat is None:
+        return Searched(found, (), turned)
+    rivals: tuple[Rival, ...] = ()
+    for _ in range(_ROUNDS):
+        trials = _trials(found, flat)
+        if trials is None:
+            return Searched(found, (), turned)
+        better = trials.accepted()
+        if not better:
+            rivals = trials.rivals()
+            break
+        states = trials.entered(better)
+        for index in better:
+            turned[trials.apart(index)] ^= True
+        track = solved(found.track.chains, found.track.motion, states)
+        after = replace(found, track=track, spread=spread_of(track))
+        if after.evidence > found.evidence:
+            rivals = trials.rivals()
+            break
+        found = after
+    return Searched(found, rivals, turned)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trials:
+    """Mirrored stretches after they were solved: windows (W, 2) of frames, states of all windows, differences Δ."""
+
+    found: Explained
+    windows: Array
+    offsets: Array
+    states: MotionState
+    differences: Array
+
+    def apart(self, index: int) -> Array:
+        """Return the frames of a trial whose pose is another one than the track's."""
+        first, last = self.windows[index]
+        own = self.found.track.states.rotations[first:last]
+        rows = slice(self.offsets[index], self.offsets[index + 1])
+        return np.asarray(first + np.flatnonzero(so3.angle_between(own, self.states.rotations[rows]) > FAR))
+
+    def accepted(self) -> list[int]:
+        """Return the trials that are better than the track, of overlapping ones the best."""
+        result: list[int] = []
+        for index in map(int, np.argsort(self.differences)):
+            first, last = self.windows[index]
+            clear = all(self.windows[one][1] <= first or last <= self.windows[one][0] for one in result)
+            if self.differences[index] < 0 and clear and len(self.apart(index)):
+                result.append(index)
+        return result
+
+    def entered(self, chosen: list[int]) -> MotionState:
+        """Return the track's states with those of some trials in their places."""
+        parts = [part.copy() for part in self.found.track.states]
+        for index in chosen:
+            first, last = self.windows[index]
+            for whole, part in zip(parts, self.states, strict=True):
+                whole[first:last] = part[self.offsets[index] : self.offsets[index + 1]]
+        return MotionState(*parts)
+
+    def rivals(self) -> tuple[Rival, ...]:
+        """Return the trials that are nearly as good, each course once."""
+        result: list[Rival] = []
+        for index in map(int, np.argsort(self.differences)):
+            frames = self.apart(index)
+            known = any(len(np.setxor1d(frames, one.frames)) <= 0.1 * len(frames) for one in result)
+            if self.differences[index] < _RIVAL and len(frames) and not known:
+                result.append(Rival(frames, float(np.exp(-max(self.differences[index], 0.0) / 2))))
+        return tuple(result)
+
+
+def _trials(found: Explained, flat: Flat) -> _Trials | None:
+    """Return all mirrored runs worth a try, solved; None if there are none."""
+    track = found.track
+    chains = track.chains
+    rotations, translations = track.poses
+    least = minimised(chains.frames, *flat.mirrored(rotations, translations))[2]
+    own = minimised(chains.frames, rotations, translations)[2]
+    worse = np.where(chains.used, least - own, 0.0)
+    runs = _runs(_cuts(found, flat), worse, len(own))
+    if not runs:
+        return None
+    bounds = _chain_bounds(chains)
+    windows = np.array([_window(run, bounds) for run in runs])
+    rows = np.concatenate([np.arange(first, last) for first, last in windows])
+    offsets = np.concatenate([[0], np.cumsum(windows[:, 1] - windows[:, 0])])
+    stacked = _stacked(found, windows, rows)
+    before = solved(stacked, track.motion, track.states.at(rows), 0, track.pulls[rows])
+    mirrored = flat.mirrored(track.states.rotations, track.states.translations)
+    states = _turned_over(track.states.at(rows), runs, windows, offsets, mirrored, chains.steps)
+    after = solved(stacked, track.motion, states, _ITERATIONS)
+    return _Trials(found, windows, offsets, after.states, after.evidence - before.evidence)
+
+
+def _cuts(found: Explained, flat: Flat) -> Array:
+    """Return the frames before which a piece begins, without the first."""
+    track = found.track
+    tilt = flat.tilt(track.states.rotations, track.states.translations)
+    inner = np.arange(1, len(tilt) - 1)
+    least = inner[(tilt[inner] <= tilt[inner - 1]) & (tilt[inner] < tilt[inner + 1]) & (tilt[inner] < _FLAT)]
+    used = np.flatnonzero(track.chains.used)
+    blind = used[1:][np.diff(used) > _UNSEEN]
+    begun = 1 + np.flatnonzero(track.chains.begun | ~track.chains.linked)
+    cuts = sorted(int(each) for each in (*blind, *begun))
+    for cut in least[np.argsort(tilt[least])]:
+        if all(abs(int(cut) - each) >= _APART for each in cuts):
+            cuts.append(int(cut))
+    return np.unique(cuts)
+
+
+def _runs(cuts: Array, worse: Array, count: int) -> list[tuple[int, int]]:
+    """Return the frames [first, last) of runs of pieces that mirrored explain their own pixels nearly as well."""
+    ends = [0, *map(int, cuts), count]
+    pieces = len(ends) - 1
+    total = np.concatenate([[0.0], np.cumsum(np.minimum(worse, 2 * _WORTH))])
+    wanted = {(i, j) for i in range(pieces) for j in range(i + 1, min(i + _RUNS, pieces) + 1)}
+    wanted |= {(0, j) for j in range(1, pieces + 1)} | {(i, pieces) for i in range(pieces)}
+    runs = [(ends[i], ends[j]) for i, j in wanted]
+    excess = {run: float(total[run[1]] - total[run[0]]) for run in runs if run[1] > run[0]}
+    likely = sorted(
+        (run for run, value in excess.items() if value < _WORTH),
+        key=lambda run: (excess[run] + _PER_FRAME * (run[1] - run[0]), run),
+    )
+    kept: list[tuple[int, int]] = []
+    rows = 0
+    for run in likely[:_MOST]:
+        rows += run[1] - run[0] + 2 * _AROUND
+        if kept and rows > _LARGEST * max(count, 100):
+            break
+        kept.append(run)
+    return kept
+
+
+def _chain_bounds(chains: Chains) -> Array:
+    breaks = np.flatnonzero(~chains.linked) + 1
+    return np.concatenate([[0], breaks, [len(chains.used)]])
+
+
+def _window(run: tuple[int, int], bounds: Array) -> tuple[int, int]:
+    """Return the frames [first, last) that are solved for a run: those around it, within the chains it touches."""
+    low = bounds[np.searchsorted(bounds, run[0], side="right") - 1]
+    high = bounds[np.searchsorted(bounds, run[1], side="left")]
+    return max(int(low), run[0] - _AROUND), min(int(high), run[1] + _AROUND)
+
+
+def _stacked(found: Explained, windows: Array, rows: Array) -> Chains:
+    """Return the chains of windows one after another, their ends held where the track goes on."""
+    chains, size = found.track.chains, found.track.motion.size
+    numbers = np.repeat(np.arange(len(windows)), windows[:, 1] - windows[:, 0])
+    own = chains.chains[rows]
+    cut = np.diff(numbers) != 0
+    fresh = np.cumsum(np.concatenate([[0], cut | (np.diff(own) != 0)]))
+    anchors = chains.anchors[rows].copy()
+    known = np.diagonal(found.spread.states, axis1=1, axis2=2)
+    offset = 0
+    for first, last in windows:
+        if first > 0 and chains.chains[first - 1] == chains.chains[first]:
+            anchors[offset] = _HELD / known[first]
+        offset += last - first
+        if last < len(chains.used) and chains.chains[last - 1] == chains.chains[last]:
+            anchors[offset - 1] = _HELD / known[last - 1]
+    within = rows[:-1].clip(max=len(chains.steps) - 1)
+    return Chains(
+        chains.frames.at(rows),
+        chains.used[rows],
+        np.where(cut, 1.0, chains.steps[within]),
+        fresh,
+        chains.begun[within] & ~cut,
+        chains.unknown,
+        anchors.reshape(-1, size),
+        None if chains.shaking is None else chains.shaking[rows],
+        numbers,
+    )
+
+
+def _turned_over(
+    states: MotionState,
+    runs: list[tuple[int, int]],
+    windows: Array,
+    offsets: Array,
+    mirrored: tuple[Array, Array],
+    steps: Array,
+) -> MotionState:
+    """Return the states of windows with their runs mirrored, turning as the mirrored poses do."""
+    rotations, translations, rates = (part.copy() for part in states)
+    for index, (first, last) in enumerate(runs):
+        at = slice(offsets[index] + first - windows[index, 0], offsets[index] + last - windows[index, 0])
+        rotations[at], translations[at] = mirrored[0][first:last], mirrored[1][first:last]
+        if last - first > 1:
+            turn = so3.log(mirrored[0][first + 1 : last] @ mirrored[0][first : last - 1].swapaxes(-1, -2))
+            speed = turn / steps[first : last - 1, None]
+            rates[at, 0, 3:] = np.concatenate([speed, speed[-1:]])
+            rates[at, 1:] = 0.0
+    return MotionState(rotations, translations, rates)

@@ -1,0 +1,172 @@
+"""How well poses explain the pixels of single frames: cost, gradient and curvature, for many poses at once.
+
+A pixel is compared with its point on the plane that touches the unit sphere at the pixel's ray, so that any lens is a
+pinhole there: e = A p / (r · p), A = L⁻¹ D B, B two directions across the ray r, D what a pixel moves per step along
+them, L the root of the pixel's covariance. Wrong pixels are uniform over the image:
+cost = -2 ln[(1 - ε) exp(-e²/2) + ε 2π |C|^½ / area], 0 for e = 0.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.estimate.poses.records import Correspondences
+from camcal.geometry import rotation as so3
+
+WRONG = 0.02  # share of corners that belong to something else
+_LEAST_DEPTH = 1e-9
+_REFINED = 6  # steps to a minimum
+_TINY = 1e-12
+_BEHIND = 1e3  # squared deviations of a point behind the camera
+
+
+@dataclass(frozen=True, eq=False)
+class PixelFrames:
+    """The points of an object and their pixels in N frames of up to P points, zeros where a frame has fewer.
+
+    points: (N, P, 3). projections: (N, P, 2, 3) A of the module, with a noise of 1. rays: (N, P, 3) unit.
+    there: (N, P) which points a frame has. floors: (N, P) likelihood of a wrong pixel over that of a perfect one.
+    """
+
+    points: Array
+    projections: Array
+    rays: Array
+    there: Array
+    floors: Array
+
+    @classmethod
+    def of(cls, camera: Camera, views: Sequence[Correspondences | None], sigma: float) -> "PixelFrames":
+        """Return the frames of views, None for frames without the object.
+
+        sigma: standard deviation of a pixel coordinate, px; of covariances the root of their factor.
+        """
+        most = max((len(view.points) for view in views if view is not None), default=0)
+        shape = len(views), most
+        points, pixels = np.zeros((*shape, 3)), np.zeros((*shape, 2))
+        roots, there = np.tile(np.eye(2), (*shape, 1, 1)), np.zeros(shape, dtype=bool)
+        for index, view in enumerate(views):
+            if view is not None:
+                count = len(view.points)
+                points[index, :count], pixels[index, :count], there[index, :count] = view.points, view.pixels, True
+                if view.covariance is not None:
+                    roots[index, :count] = np.linalg.cholesky(view.covariance)
+        rays = np.tile([0.0, 0.0, 1.0], (*shape, 1))
+        projections = np.zeros((*shape, 2, 3))
+        found = camera.unproject(pixels[there])
+        there[there] = found.valid
+        rays[there] = found.directions[found.valid]
+        across = _across(rays[there])
+        seen = camera.model.project_with_jacobians(camera.parameters, rays[there], within_domain=False)
+        per_step = seen.d_point @ across.swapaxes(-1, -2)
+        whitening = np.linalg.inv(roots[there] * sigma)
+        projections[there] = whitening @ per_step @ across
+        usable = np.isfinite(projections).all(axis=(-1, -2))
+        there &= usable
+        projections[~usable] = 0.0
+        area = float(np.prod(camera.image_size))
+        spread = 2 * np.pi * sigma**2 * np.sqrt(np.linalg.det(roots @ roots.swapaxes(-1, -2)))
+        return cls(points, projections, rays, there, WRONG / (1 - WRONG) * spread / area)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def counts(self) -> Array:
+        """The number (N,) of points in every frame."""
+        return np.asarray(self.there.sum(axis=1))
+
+    def at(self, frames: Array | int) -> "PixelFrames":
+        """Return some of the frames, or one without the first axis."""
+        return PixelFrames(
+            self.points[frames], self.projections[frames], self.rays[frames], self.there[frames], self.floors[frames]
+        )
+
+    def with_noise(self, factor: float) -> "PixelFrames":
+        """Return the frames with the standard deviations of their pixels times a factor."""
+        return replace(self, projections=self.projections / factor, floors=self.floors * factor**2)
+
+
+def _across(rays: Array) -> Array:
+    """Return two unit directions (M, 2, 3) across each ray (M, 3) and each other."""
+    helper = np.where(np.abs(rays[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    first = np.cross(rays, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(rays, first)], axis=1)
+
+
+def squares(frames: PixelFrames, rotations: Array, translations: Array) -> Array:
+    """Return the squared deviations (..., P) of the pixels of frames from what poses (...) predict."""
+    seen = frames.points @ rotations.swapaxes(-1, -2) + translations[..., None, :]
+    depth = (seen * frames.rays).sum(axis=-1)
+    off = (frames.projections @ seen[..., None])[..., 0]
+    front = depth > _LEAST_DEPTH
+    result = (off**2).sum(axis=-1) / np.where(front, depth, 1.0) ** 2
+    return np.asarray(np.where(front, result, _BEHIND) * frames.there)
+
+
+def rightness(frames: PixelFrames, squared: Array) -> Array:
+    """Return the probabilities (..., P) that pixels belong to their points, from squared deviations; 0 without one."""
+    near = np.exp(-squared / 2)
+    return np.asarray(np.where(frames.there, near / (near + frames.floors), 0.0))
+
+
+def linearised(
+    frames: PixelFrames, rotations: Array, translations: Array, temper: float = 1.0
+) -> tuple[Array, Array, Array]:
+    """Return the cost (...) of poses, half its gradient (..., 6) and half its curvature (..., 6, 6).
+
+    Steps are tx ty tz rx ry rz with R ← Exp(δr) R. The curvature is that of Gauss and Newton, wrong pixels left out by
+    their weights. temper: more than 1 gives weight to pixels that are so many times farther off (squared), to begin
+    with; the cost is not changed by it.
+    """
+    turned = frames.points @ rotations.swapaxes(-1, -2)
+    seen = turned + translations[..., None, :]
+    depth = (seen * frames.rays).sum(axis=-1)
+    front = (depth > _LEAST_DEPTH) & frames.there
+    depth = np.where(front, depth, 1.0)
+    off = (frames.projections @ seen[..., None])[..., 0] / depth[..., None]
+    squared = np.where(front, (off**2).sum(axis=-1), _BEHIND * frames.there)
+    floors = frames.floors
+    near = np.exp(-squared / 2)
+    cost = np.where(frames.there, -2 * np.log((near + floors) / (1 + floors)), 0.0).sum(axis=-1)
+    if temper != 1.0:
+        near = np.exp(-squared / (2 * temper))
+    root = np.sqrt(np.where(front, near / (near + floors), 0.0))
+    slopes = (frames.projections - off[..., None] * frames.rays[..., None, :]) * (root / depth)[..., None, None]
+    jacobian = np.empty((*slopes.shape[:-1], 6))
+    jacobian[..., :3] = slopes
+    arm = turned[..., None, :]
+    for axis, (one, other) in enumerate(((1, 2), (2, 0), (0, 1))):
+        jacobian[..., 3 + axis] = arm[..., one] * slopes[..., other] - arm[..., other] * slopes[..., one]
+    rows = jacobian.reshape(*jacobian.shape[:-3], -1, 6)
+    weighted = (off * root[..., None]).reshape(*rows.shape[:-1], 1)
+    across = rows.swapaxes(-1, -2)
+    return cost, (across @ weighted)[..., 0], across @ rows
+
+
+def minimised(frames: PixelFrames, rotations: Array, translations: Array) -> tuple[Array, Array, Array]:
+    """Return the poses (N, 3, 3), (N, 3) of the minima of frames next to some poses, and their costs (N)."""
+    best = linearised(frames, rotations, translations)
+    damping = np.full(len(rotations), 1e-3)
+    for temper in (16.0, 4.0, *(1.0,) * _REFINED):
+        gradient, curvature = best[1:] if temper == 1.0 else linearised(frames, rotations, translations, temper)[1:]
+        every = np.arange(6)
+        curvature = curvature.copy()
+        curvature[:, every, every] *= 1 + damping[:, None]
+        curvature[:, every, every] += _TINY * np.trace(curvature, axis1=1, axis2=2)[:, None] + _TINY
+        step = -np.linalg.solve(curvature, gradient[..., None])[..., 0]
+        tried = so3.exp(step[:, 3:]) @ rotations, translations + step[:, :3]
+        after = linearised(frames, *tried)
+        better = after[0] < best[0]
+        rotations = np.where(better[:, None, None], tried[0], rotations)
+        translations = np.where(better[:, None], tried[1], translations)
+        best = (
+            np.where(better, after[0], best[0]),
+            np.where(better[:, None], after[1], best[1]),
+            np.where(better[:, None, None], after[2], best[2]),
+        )
+        damping = np.where(better, damping / 5, damping * 10)
+    return rotations, translations, best[0]

@@ -1,0 +1,263 @@
+"""Poses followed over time on the pixels themselves: several hypotheses forward, all frames at once, flips searched."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.errors import InsufficientData
+from camcal.estimate.poses.records import Correspondences
+from camcal.estimate.tracking import hypotheses, noise_choice
+from camcal.estimate.tracking.flips import FAR, Searched, searched
+from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState
+from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward
+from camcal.estimate.tracking.measurements import FramePose, PoseMeasurements
+from camcal.estimate.tracking.noise_choice import Explained
+from camcal.estimate.tracking.pixel_batch import Chains
+from camcal.estimate.tracking.pixel_costs import PixelFrames, rightness, squares
+from camcal.estimate.tracking.process_noise import ProcessNoise
+from camcal.estimate.tracking.shaking import Shaking
+from camcal.geometry import rotation as so3
+
+_START_TRANSLATION, _START_ROTATION = 0.3, 10.0  # first guess: m²/s³ of an object 1 m away (by its square), rad²/s³
+_FEW = 6  # points up to which a frame's squares are summed for the noise; of more the median is taken
+_NOISE_RANGE = 0.3, 3.0  # factors by which the noise may be corrected
+_ENOUGH = 0.45  # share of right points in a frame that shows the object
+_LEAST_NOISE = 1e-2  # px, or of covariances the factor's root: exact pixels have none
+_NOTED = 0.02  # a correction that is worth it
+
+
+@dataclass(frozen=True, eq=False)
+class PixelTrack:
+    """What the pixels of N frames say of a motion.
+
+    used: (N,) the frames whose pixels count. linked: (N,) whether a frame's motion follows from that before it.
+    jerked: (N,) whether the velocity became another at once before it. poses, velocities (N, 6) and covariances (N, 6,
+    6) of the poses; p_wrong: (N,) the probability that another pose more than 10° away is the true one.
+    contradicted: (N,) whether all frames together say another pose than a bounded look-ahead.
+    surprises: (N, 6) whitened innovations of the forward pass, NaN where there are none.
+    shaking: what shakes single poses. noise: of the motion. sigma: of the pixels, in the unit of the views' noise.
+    """
+
+    used: Array
+    linked: Array
+    jerked: Array
+    rotations: Array
+    translations: Array
+    velocities: Array
+    covariances: Array
+    p_wrong: Array
+    contradicted: Array
+    surprises: Array
+    shaking: Shaking
+    noise: ProcessNoise
+    sigma: float
+
+
+def track_pixels(
+    camera: Camera,
+    stamps: Array,
+    views: Sequence[Correspondences | None],
+    poses: Sequence[FramePose | None],
+    *,
+    sigma: float | None = None,
+    noise: ProcessNoise | None = None,
+    lag: int | None = None,
+    max_gap: float = 1.0,
+) -> PixelTrack:
+    """Return the motion of an object in the camera's frame.
+
+    stamps: (N,) s, increasing. views: the object's points and pixels in every frame, None where it was not found.
+    poses: what single frames gave. sigma: standard deviation of a pixel coordinate, of covariances the root of their
+    factor; None to find it out. noise: of the motion, None to find it out. lag: frames of look-ahead, None for all.
+    Raises InsufficientData if no frame has a pose.
+    """
+    candidates = _candidates(PoseMeasurements.of(stamps, poses))
+    found_in = candidates.there[:, 0]
+    if not found_in.any():
+        raise InsufficientData("found in no frame")
+    views = [view if there else None for view, there in zip(views, found_in, strict=True)]
+    given = sigma is not None
+    frames = PixelFrames.of(camera, views, 1.0)
+    sigma = sigma or max(_first_noise(frames, candidates), _LEAST_NOISE)
+    frames = frames.with_noise(sigma)
+    distance = float(np.median(np.linalg.norm(candidates.translations[found_in, 0], axis=1)))
+    run = _Run(frames, candidates, np.asarray(stamps), distance, max_gap)
+    motion = FreeMotion(
+        (_START_TRANSLATION * distance**2, _START_ROTATION) if noise is None else (noise.translation, noise.rotation)
+    )
+    tune = noise is None
+    first, _ = run.followed(motion, Shaking(), tune=tune)
+    best = noise_choice.chosen(first, distance=distance, tune=tune)
+    if not given:
+        factor = float(np.clip(noise_choice.noise_factor(best.track, best.spread), *_NOISE_RANGE))
+        factor = max(factor, _LEAST_NOISE / sigma)
+        if abs(factor - 1) > _NOTED:
+            sigma *= factor
+            run = replace(run, frames=frames.with_noise(factor))
+    second, forward = run.followed(best.track.motion, best.shaking, tune=tune)
+    if lag is not None:
+        return run.with_lag(forward, second, lag, sigma, noise)
+    return run.whole(forward, searched(second), sigma, noise)
+
+
+def _candidates(measurements: PoseMeasurements) -> Candidates:
+    return Candidates(measurements.rotations, measurements.translations, np.isfinite(measurements.penalties))
+
+
+def _first_noise(frames: PixelFrames, candidates: Candidates) -> float:
+    """Return the standard deviation of the pixels from single poses, by medians: some frames and pixels are wrong."""
+    from scipy.stats import chi2
+
+    squared = squares(frames, candidates.rotations[:, 0], candidates.translations[:, 0])
+    values = []
+    for count, row, there in zip(frames.counts, squared, frames.there, strict=True):
+        if 4 <= count <= _FEW:
+            values.append(float(row.sum()) / chi2.median(2 * int(count) - 6))
+        elif count > _FEW:
+            values.append(float(np.median(row[there])) / chi2.median(2) * count / (count - 3))
+    return float(np.sqrt(np.median(values))) if values else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What is followed: pixels (noise 1), candidates, times, usual distance (m) and the longest gap (s)."""
+
+    frames: PixelFrames
+    candidates: Candidates
+    stamps: Array
+    distance: float
+    max_gap: float
+
+    def followed(self, motion: FreeMotion, shaking: Shaking, *, tune: bool) -> tuple[Explained, Forward]:
+        """Return the track that the best hypothesis leads to, from the first detection on."""
+        forward = hypotheses.followed(
+            self.frames,
+            self.candidates,
+            self.stamps,
+            motion,
+            noise_choice.covariance_for(shaking, self._places()),
+            self.distance,
+            self.max_gap,
+        )
+        chains, states = self._chains(forward, motion)
+        return noise_choice.explained(chains, motion, states, shaking, tune=tune), forward
+
+    def _places(self) -> Array:
+        there = self.candidates.there[:, 0]
+        return np.where(there[:, None], self.candidates.translations[:, 0], [0.0, 0.0, self.distance])
+
+    def _chains(self, forward: Forward, motion: FreeMotion) -> tuple[Chains, MotionState]:
+        path = _Path.of(forward, len(self.stamps) - 1)
+        first = path.first
+        stamps = self.stamps[first:]
+        seen = np.flatnonzero(self.candidates.there[first:, 0])
+        restarts = seen[1:][np.diff(stamps[seen]) > self.max_gap]
+        starts = np.zeros(len(stamps), dtype=int)
+        starts[restarts] = 1
+        anchors = np.zeros((len(stamps), motion.size))
+        unknown = motion.unknown(self.distance)
+        anchors[[0, *restarts]] = 1 / unknown
+        chains = Chains(
+            self.frames.at(np.arange(first, len(self.stamps))),
+            (path.kinds == MEASURED) | (path.kinds == BEGUN),
+            np.diff(stamps),
+            np.cumsum(starts),
+            (path.kinds[1:] == BEGUN) & (starts[1:] == 0),
+            unknown,
+            anchors,
+            None,
+        )
+        return chains, path.states
+
+    def whole(self, forward: Forward, result: Searched, sigma: float, noise: ProcessNoise | None) -> PixelTrack:
+        """Return what all frames together say."""
+        found = result.found
+        track, chains = found.track, found.track.chains
+        path = _Path.of(forward, len(self.stamps) - 1)
+        rotations, translations = track.poses
+        states = track.states._replace(rotations=rotations, translations=translations)
+        right = rightness(chains.frames, squares(chains.frames, rotations, translations)).sum(axis=1)
+        used = chains.used & (right > _ENOUGH * chains.frames.counts)
+        parts = (used, states, found.spread.poses, result.p_wrong, np.zeros(len(used), dtype=bool), path.surprises)
+        return self._given(found, parts, sigma, noise)
+
+    def with_lag(
+        self, forward: Forward, found: Explained, lag: int, sigma: float, noise: ProcessNoise | None
+    ) -> PixelTrack:
+        """Return what the frames up to `lag` later ones say of each frame."""
+        from camcal.estimate.tracking.lagged import lagged
+
+        states, covariances, p_wrong = lagged(forward, lag, FAR)
+        path = _Path.of(forward, len(self.stamps) - 1)
+        kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
+        shakes = noise_choice.covariance_for(found.shaking, states.translations)
+        used = (kinds == MEASURED) | (kinds == BEGUN)
+        apart = so3.angle_between(states.rotations, searched(found).found.track.poses[0]) > FAR
+        parts = (used, states, covariances[:, POSE, POSE] + shakes, p_wrong, apart, path.surprises)
+        return self._given(found, parts, sigma, noise)
+
+    def _given(
+        self,
+        found: Explained,
+        parts: tuple[Array, MotionState, Array, Array, Array, Array],
+        sigma: float,
+        noise: ProcessNoise | None,
+    ) -> PixelTrack:
+        """Return a track from what is known of its frames: in the order of the fields."""
+        used, states, covariances, p_wrong, contradicted, surprises = parts
+        first = len(self.stamps) - len(used)
+        chains, motion = found.track.chains, found.track.motion
+        translation, rotation = map(float, motion.densities)
+        return PixelTrack(
+            _padded(used, first),
+            _padded(np.concatenate([[False], chains.linked]), first),
+            _padded(np.concatenate([[False], chains.begun]), first),
+            _padded(states.rotations, first),
+            _padded(states.translations, first),
+            _padded(states.rates[:, 0], first),
+            _padded(covariances, first),
+            _padded(p_wrong, first),
+            _padded(contradicted, first),
+            _padded(surprises, first),
+            found.shaking,
+            noise or ProcessNoise(translation, rotation, fading=motion.fading),
+            sigma,
+        )
+
+
+def _padded(part: Array, first: int) -> Array:
+    """Return values of all frames from those after the first detection."""
+    if part.dtype == bool:
+        return np.concatenate([np.zeros(first, dtype=bool), part])
+    return np.concatenate([np.full((first, *part.shape[1:]), np.nan), part])
+
+
+def _best_kind(forward: Forward, frame: int) -> int:
+    known = forward.frames[frame]
+    return MEASURED if known is None else int(known.kinds[int(np.argmin(known.costs))])
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """The course of the best hypothesis: the first frame, states, kinds (M) and surprises (M, 6)."""
+
+    first: int
+    states: MotionState
+    kinds: Array
+    surprises: Array
+
+    @classmethod
+    def of(cls, forward: Forward, last: int) -> "_Path":
+        steps = forward.path(last)
+        at = [(forward.frames[frame], which) for frame, which in steps]
+        known = [(hypothesis, which) for hypothesis, which in at if hypothesis is not None]
+        states = [each.states.at(which) for each, which in known]
+        return cls(
+            steps[0][0],
+            MotionState(*map(np.stack, zip(*states, strict=True))),
+            np.array([each.kinds[which] for each, which in known]),
+            np.array([each.surprises[which] for each, which in known]),
+        )
