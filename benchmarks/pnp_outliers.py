@@ -4,8 +4,10 @@ A pinhole of 800 px, 1280 x 960; noise 1 px, threshold 3 sigma, confidence 0.999
 Errors are RMS (rotation / translation) over those of the maximum-likelihood fit to the true inliers alone, on the same
 trials, among poses without gross error; gross: NEES/6 > 100 by that fit's covariance, or no pose. ms: median a view.
 boards: 9 x 6 corners, 0.3 px, no outlier: how many of the poses are more than 5 deg wrong, or missing.
+regions: how often the 95 % region holds the truth, views of one cell estimated together with the noise known or
+    estimated, of all of them and of those that are not called ambiguous; gross errors; views that lost a right point.
 
-    python benchmarks/pnp_outliers.py [--trials 150] [--boards 500]
+    python benchmarks/pnp_outliers.py [--trials 150] [--boards 500] [--regions 4000]
 """
 
 import argparse
@@ -21,12 +23,26 @@ import numpy as np
 import pnp as clean
 from peers.pose_solvers import Solver, robust_solvers
 
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import (
+    AMBIGUOUS,
+    Correspondences,
+    PoseEstimate,
+    PoseOptions,
+    estimate_poses,
+    region_quantile,
+)
 from camcal.geometry.pose import Pose
 
 NOISE = 1.0
 CELLS = tuple(
     (flat, count, share) for flat in (False, True) for count, share in ((100, 0.0), (100, 0.5), (100, 0.8), (30, 0.8))
+)
+REGIONS = tuple(
+    (flat, count, share)
+    for count in (4, 6, 12, 30, 100)
+    for share in (0.0, 0.3, 0.5, 0.8)
+    for flat in (False, True)
+    if share == 0 or count - round(share * count) >= 6
 )
 GROSS = 100.0
 
@@ -35,6 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=150)
     parser.add_argument("--boards", type=int, default=500)
+    parser.add_argument("--regions", type=int, default=4000)
     arguments = parser.parse_args()
     print(f"OpenCV {cv2.__version__}, numpy {np.__version__}")
     cv2.setNumThreads(1)
@@ -54,6 +71,41 @@ def main() -> None:
     for name, solve in solvers.items():
         wrong = sum(is_wrong(each, solve(each.view.points, each.view.pixels, 0.9)) for each in boards)
         print(f"{name:24}{wrong:5d}", flush=True)
+
+    regions(arguments.regions)
+
+
+def regions(count: int) -> None:
+    print(f"\n{'regions':28}known    est. | not ambiguous: known  est. |  gross   lost")
+    for flat, points, share in REGIONS:
+        trials, _, information = spoilt_trials(count, points, share, flat=flat)
+        bad, row = round(share * points), []
+        for noise in (NOISE, None):
+            views, options = [each.view for each in trials], PoseOptions(noise_px=noise, outliers="many")
+            found = [outcome.value for outcome in estimate_poses(clean.CAMERA, views, options)]
+            row.append(np.array([_judged(*each, bad) for each in zip(trials, found, information, strict=True)]))
+        inside = [100 * each[:, 0].mean() for each in row]
+        clear = [100 * each[each[:, 1] <= AMBIGUOUS, 0].mean() for each in row]
+        gross, lost = 100 * row[0][:, 2:].mean(axis=0)
+        title = f"{'plane' if flat else '3-D'}, n = {points}, {100 * share:.0f} %"
+        print(
+            f"{title:25}{inside[0]:8.1f}{inside[1]:8.1f} |{clear[0]:21.1f}{clear[1]:6.1f} |{gross:7.2f}{lost:7.2f}",
+            flush=True,
+        )
+
+
+def _judged(
+    made: clean.Trial, found: PoseEstimate | None, information: np.ndarray, bad: int
+) -> tuple[bool, float, bool, bool]:
+    """Return whether the region holds the truth, the probability of another pose, and of gross errors and points lost
+    whether there are any.
+    """
+    if found is None:
+        return False, 0.0, True, True
+    error = made.error(found.transform)
+    inside = error @ np.linalg.solve(found.covariance, error) <= region_quantile(0.95, found.freedom)
+    gross = error @ information @ error / 6 > GROSS
+    return bool(inside), found.p_wrong, bool(gross), not found.inliers[bad:].all()
 
 
 def camcal(noise: float) -> Solver:
