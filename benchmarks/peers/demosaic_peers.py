@@ -1,4 +1,4 @@
-"""Demosaicing by other packages: colour-demosaicing, OpenCV, and LibRaw through rawpy.
+"""Demosaicing by others: colour-demosaicing, OpenCV, LibRaw through rawpy, and MLRI after its paper.
 
     INTERPRETER demosaic_peers.py                   answers requests, one JSON object a line, until the input ends
     INTERPRETER demosaic_peers.py IN.dng OUT.tiff   develops one file with LibRaw's AHD
@@ -46,7 +46,7 @@ def prepared(algorithm: str, source: str) -> Callable[[], Any]:
         return libraw(f"{source}.dng", algorithm.removeprefix(LIBRAW))
     mosaic = np.load(f"{source}.npy")
     package, name = algorithm.split(" ")
-    return partial({"cv2": opencv, "colour": colour_demosaicing}[package], mosaic, name)
+    return partial({"cv2": opencv, "colour": colour_demosaicing, "paper": of_papers}[package], mosaic, name)
 
 
 def colour_demosaicing(mosaic: np.ndarray, name: str) -> np.ndarray:
@@ -71,6 +71,12 @@ def opencv(mosaic: np.ndarray, name: str) -> np.ndarray:
         "EA": cv2.COLOR_BayerBG2BGR_EA,
     }
     return cv2.demosaicing(mosaic, codes[name])
+
+
+def of_papers(mosaic: np.ndarray, name: str) -> np.ndarray:
+    import mlri
+
+    return {"MLRI": mlri.mlri}[name](mosaic)
 
 
 def libraw(file: str, name: str) -> Callable[[], Any]:

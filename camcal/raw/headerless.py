@@ -93,6 +93,9 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     order = {"endian": layout.endian, "align": layout.align}
     values = unpack(content, layout.pixel_format, layout.size, stride=layout.stride, **order)
     _require_below_white(path, values, layout)
+    if layout.align == "msb":
+        words = unpack(content, layout.pixel_format, layout.size, stride=layout.stride, endian=layout.endian)
+        _require_upper_bits(path, words, layout)
     return values, layout.colours
 
 
@@ -134,6 +137,16 @@ def _require_below_white(path: Path, values: Array, layout: Layout) -> None:
     raise InvalidInput(
         f"samples go up to {largest}, {layout.pixel_format.name} ends at {white}; {hint}", where=str(path)
     )
+
+
+def _require_upper_bits(path: Path, words: Array, layout: Layout) -> None:
+    """Raise InvalidInput if 16-bit words that are to hold samples in their upper bits hold them in their lower ones."""
+    white, largest = layout.pixel_format.white, int(words.max())
+    if largest <= white and np.bitwise_or.reduce(words, axis=None) % (1 << (16 - layout.pixel_format.bits)):
+        raise InvalidInput(
+            f"words go up to {largest}: {layout.pixel_format.name} in their lower bits; leave out --align msb",
+            where=str(path),
+        )
 
 
 def length_of(path: Path) -> int:

@@ -90,8 +90,8 @@ def _usable(flats: Sequence[Level], phase: int, signal: Array, variance: Array) 
         name = flats[0].names[phase]
         clipped = min(level.clipped[phase] for level in flats)
         raise InsufficientData(
-            f"no flat frame between darkness and saturation: of the {name} pixels at least {100 * clipped:.2g} % are "
-            "at 0 or at white; expose less"
+            f"no flat frame between darkness and saturation: of the {name} pixels at least {100 * clipped:.3g} % are "
+            f"at 0 or at white ({flats[0].white:g}); expose less, or give the right --white"
         )
     peak = signal[whole][np.argmax(variance[whole])]
     below = whole & (signal <= _FITTED * peak)

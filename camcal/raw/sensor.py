@@ -58,6 +58,7 @@ def characterise(flats: Sequence[Level], darks: Sequence[Level]) -> Characterisa
     of frames of one level differed widely; InvalidInput if they differ in size.
     """
     _require_alike(flats, darks)
+    _require_light(flats, darks)
     _require_steady(flats, darks)
     darks = sorted(darks, key=lambda level: level.exposure_s or 0.0)
     names, white = flats[0].names, min(level.white for level in flats)
@@ -86,6 +87,17 @@ def _require_alike(flats: Sequence[Level], darks: Sequence[Level]) -> None:
         if (level.size, level.names) != (first.size, first.names):
             sizes = " and ".join(f"{size[0]} × {size[1]}" for size in (first.size, level.size))
             raise InvalidInput(f"frames of {sizes}, or of two patterns: flat and dark frames must be alike")
+
+
+def _require_light(flats: Sequence[Level], darks: Sequence[Level]) -> None:
+    brightest, dark = max(level.mean_dn.mean() for level in flats), min(level.mean_dn.mean() for level in darks)
+    if brightest < dark:
+        raise InsufficientData(
+            f"the flat frames are darker than the dark ones (mean {brightest:.4g} and {dark:.4g}): are they swapped?"
+        )
+    white, darkest = flats[0].white, min(level.mean_dn.min() for level in (*flats, *darks))
+    if darkest >= white:
+        raise InsufficientData(f"all counts are above the white level of {white:g}, {darkest:.4g} in the mean at least")
 
 
 def _drifts(flats: Sequence[Level], darks: Sequence[Level]) -> Iterator[tuple[Level, float]]:

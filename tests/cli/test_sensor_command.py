@@ -325,3 +325,20 @@ def test_an_optical_format_in_the_place_of_a_pixel_format_is_named(run, scene, t
     code, _, err = call(run, scene, tmp_path / "sensor.yaml", "--format", "Bayer13")
     assert code == 2
     assert "pixel format 'Bayer13' is unknown" in err
+
+
+def test_frames_and_outputs_that_are_mixed_up_are_named(run, scene, tmp_path):
+    swapped = ("sensor", scene / "darks", "--dark", scene / "flats", "--pattern", "RGGB", "-o", tmp_path / "s.yaml")
+    code, _, err = run(*swapped)
+    assert code == 4
+    assert "the flat frames are darker than the dark ones" in err
+    code, _, err = run("sensor", scene / "flats", "--dark", scene / "flats", *swapped[4:])
+    assert code == 2
+    assert "is given as a flat and as a dark frame" in err
+    code, _, err = call(run, scene, tmp_path)
+    assert code == 2
+    assert "is a folder; give the name of a file" in err
+    code, _, err = call(run, scene, tmp_path / "s.yaml", "--white", "20")
+    assert code == 4
+    assert "all counts are above the white level of 20" in err
+    assert not (tmp_path / "s.yaml").exists()

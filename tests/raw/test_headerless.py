@@ -196,3 +196,12 @@ def test_samples_of_all_sixteen_bits_and_black_frames_stay_where_they_are():
     assert detect_alignment(np.zeros((2, 2), np.uint16)) == (10, 0)
     # twelve bits whose last two are never used, as of a 10-bit converter: not in the upper bits
     assert detect_alignment(np.array([[0xFFC, 4]], np.uint16)) == (12, 0)
+
+
+def test_samples_in_the_lower_bits_are_not_taken_for_those_in_the_upper_ones(tmp_path):
+    path = written(tmp_path, pack(FRAMES[0], pixel_format_named("Mono12")))
+    with pytest.raises(InvalidInput, match=r"words go up to .*: Mono12 in their lower bits; leave out --align msb"):
+        read_headerless(path, layout("Mono12", align="msb"))
+    filled = FRAMES[0] << 4 | FRAMES[0] >> 8  # some cameras fill the low bits
+    path.write_bytes(filled.astype("<u2").tobytes())
+    np.testing.assert_array_equal(read_headerless(path, layout("Mono12", align="msb"))[0], FRAMES[0])

@@ -116,7 +116,7 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     known = [one.mean for one in darks if one.mean is not None]
     flats = _sets(options, progress, black=min(known, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
-    _refuse_overwriting(options, (*flats, *darks))
+    _require_own_paths(options, flats, darks)
     spread = _widened((*flats, *darks), options, progress)
     found = characterise(*(_levels(sets, spread, options, progress) for sets in (flats, darks)))
     warnings = (*_counts_warnings(found, spread, options), *found.warnings)
@@ -153,9 +153,16 @@ def _at_one_speed(
     return iso, kept[0], kept[1]
 
 
-def _refuse_overwriting(options: SensorOptions, sets: Sequence[FrameSet]) -> None:
+def _require_own_paths(options: SensorOptions, flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None:
+    """Raise InvalidInput if a frame is a flat and a dark one, or an output an input, a folder, or both outputs."""
+    of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
+    if both := of_light & of_darkness:
+        raise InvalidInput("is given as a flat and as a dark frame", where=str(min(both)))
     outputs = [path for path in (options.output, options.plot) if path is not None]
-    refuse_overwriting(outputs, [path for one in sets for path in one.paths])
+    refuse_overwriting(outputs, of_light | of_darkness)
+    for path in outputs:
+        if path.is_dir():
+            raise InvalidInput("is a folder; give the name of a file", where=str(path))
     if len({path.resolve() for path in outputs}) < len(outputs):
         raise InvalidInput("is asked for twice, as --output and as --plot", where=str(options.output))
 
