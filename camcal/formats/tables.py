@@ -156,6 +156,12 @@ def _converts(cell: str, convert: Callable[[str], float]) -> bool:
     return True
 
 
+def require_cell(path: Path) -> None:
+    """Raise InvalidInput for a file whose name no table can hold."""
+    if path.as_posix().splitlines() != [path.as_posix()]:
+        raise InvalidInput("has a line break in its name, which a table cannot hold; rename it", where=str(path))
+
+
 def cell(text: str) -> str:
     """Return a text as a CSV cell that `csv_rows` reads back; raises InvalidInput for a line break in it.
 

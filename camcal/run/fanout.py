@@ -31,6 +31,7 @@ __all__ = ["available_cores", "fan_out", "over_threads"]
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
 _PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
+_TASKS = 3  # of the system that a worker process takes: itself, the thread that watches its parent, one to spare
 _STARTS = 3  # workers in a row that may die before they are ready, until that is called a bug
 _GRACE = 0.5  # seconds a worker has to remove its temporary files when it is told to stop
 
@@ -48,7 +49,8 @@ def fan_out(
     """Return an iterator with one Outcome per item, in the order of `items`; work starts with the first one asked for.
 
     A CamcalError of `function` becomes the item's error; any other exception is a bug and is raised here.
-    jobs: threads or processes, by default the cores this process may use; 1 works in this thread.
+    jobs: threads or processes, by default the cores this process may use; 1 works in this thread, as does a process
+    that may start no other.
     processes: use worker processes; `function` and the items must then be picklable, and a worker that is killed,
     crashes or takes longer than `timeout` seconds costs its item only (ItemsFailed) and is replaced.
     OpenCV and BLAS have one thread per worker, so that results do not depend on `jobs`.
@@ -62,13 +64,33 @@ def fan_out(
     count = jobs or available_cores()
     if total is not None:
         count = min(count, max(total, 1))
-    if count == 1 and timeout is None:
+    possible = startable(_TASKS * count) // _TASKS if processes else startable(count)
+    count = min(count, max(possible, 1))
+    if possible < 1 or (count == 1 and timeout is None):
         outcomes = _inline(function, items)
     elif processes:
         outcomes = _Crew(function, items, count, timeout).outcomes()
     else:
         outcomes = _threaded(function, items, count)
     return _reported(outcomes, what, total, progress)
+
+
+def startable(count: int) -> int:
+    """Return how many of `count` threads the limits of this process, its user and its memory let start at once."""
+    end = threading.Event()
+    threads = [threading.Thread(target=end.wait, daemon=True) for _ in range(count)]
+    started: list[threading.Thread] = []
+    try:
+        for thread in threads:
+            thread.start()
+            started.append(thread)
+    except RuntimeError:  # "can't start new thread"
+        pass
+    finally:
+        end.set()
+        for thread in started:
+            thread.join()
+    return len(started)
 
 
 def _reported(
@@ -125,9 +147,14 @@ def over_threads(jobs: int | None = None) -> Iterator[Callable[[Callable[[Item],
     It returns when all are done, in whatever order; so the pieces must not depend on one another. An error of one of
     them is raised when the others are done. OpenCV has one thread per worker meanwhile.
     """
-    with _one_opencv_thread(), ThreadPoolExecutor(jobs or available_cores(), thread_name_prefix="camcal") as pool:
+    count = startable(jobs or available_cores())
+    with _one_opencv_thread(), ThreadPoolExecutor(max(count, 1), thread_name_prefix="camcal") as pool:
 
         def each(work: Callable[[Item], object], items: Iterable[Item]) -> None:
+            if not count:
+                for item in items:
+                    work(item)
+                return
             for done in [pool.submit(work, item) for item in items]:
                 done.result()
 

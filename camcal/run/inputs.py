@@ -1,6 +1,6 @@
 """What a command works on: files, folders and patterns become lists of images; `rig.yaml#left` a file and a camera.
 
-Files that camcal wrote into a folder are listed in `.camcal-output` there, one name per line (`record_outputs`). They
+Files that camcal wrote into a folder are listed in `.camcal-output` there, one name per line (`recorded`). They
 are left out beside other images, so that a second run does not read what the first one wrote; a folder with nothing
 else was named on purpose and is read.
 """
@@ -11,11 +11,12 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from camcal import files
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, in_one_line, reason
 from camcal.images.image import RAW_SUFFIXES
 
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
@@ -73,11 +74,44 @@ def require_there(path: Path) -> None:
 
 
 def record_outputs(folder: Path, names: Iterable[str]) -> None:
-    """Add file names to the list of what camcal wrote into `folder`."""
-    known = _outputs(folder) | set(names)
-    if known:
-        lines = "".join(f"{name}\n" for name in sorted(known, key=files.natural_key))
-        files.write_bytes(folder / OUTPUT_INDEX, os.fsencode(lines))  # a file name need not be UTF-8
+    """Add file names to the list of what camcal wrote into `folder`; runs that do so at once lose none."""
+    if added := set(names):
+        _change_list(folder, added, set())
+
+
+@contextmanager
+def recorded(folder: Path, names: Iterable[str]) -> Iterator[None]:
+    """List file names as outputs in `folder` while the block writes them, and after it those that are there.
+
+    A run that is killed leaves all of them listed, so that the next one takes none of them for an input.
+    """
+    planned = set(names)
+    is_new = not folder.exists()
+    record_outputs(folder, planned)
+    try:
+        yield
+    finally:
+        missing = {name for name in planned if not (folder / name).exists()}
+        if missing:
+            _change_list(folder, set(), missing)
+        if is_new:
+            with suppress(OSError):  # something is in it
+                folder.rmdir()
+
+
+def _change_list(folder: Path, added: AbstractSet[str], removed: AbstractSet[str]) -> None:
+    index = folder / OUTPUT_INDEX
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with files.locked(folder):
+            known = (_outputs(folder) | set(map(in_one_line, added))) - set(map(in_one_line, removed))
+            if known:
+                lines = "".join(f"{name}\n" for name in sorted(known, key=files.natural_key))
+                files.write_bytes(index, os.fsencode(lines))  # a file name need not be UTF-8
+            else:
+                index.unlink(missing_ok=True)
+    except OSError as error:
+        raise FileError(f"cannot be written: {reason(error)}", where=str(index)) from error
 
 
 def split_address(text: str) -> tuple[Path, str | None]:
@@ -140,12 +174,12 @@ def _is_medium(path: Path, known: AbstractSet[str]) -> bool:
 
 def _without_outputs(paths: list[Path]) -> list[Path]:
     written = {folder: _outputs(folder) for folder in {path.parent for path in paths}}
-    return [path for path in paths if path.name not in written[path.parent]] or paths
+    return [path for path in paths if in_one_line(path.name) not in written[path.parent]] or paths
 
 
 def _outputs(folder: Path) -> set[str]:
     index = folder / OUTPUT_INDEX
-    return set(os.fsdecode(files.read_bytes(index)).splitlines()) if index.is_file() else set()
+    return set(os.fsdecode(files.read_bytes(index)).split("\n")) - {""} if index.is_file() else set()
 
 
 def _contents(paths: Iterable[Path]) -> str:

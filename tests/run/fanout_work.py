@@ -69,6 +69,14 @@ def pid_then_hang(folder: Path, number: int) -> None:
     time.sleep(HANG_S)
 
 
+def greedy(path: Path) -> int:
+    import numpy as np
+
+    if path.name == "b.png":
+        np.empty(1 << 60, np.uint8)
+    return len(str(path))
+
+
 def killed_at(path: Path) -> int:
     if path.name == "b.png":
         os.kill(os.getpid(), signal.SIGKILL)

@@ -307,6 +307,34 @@ def test_pieces_of_one_work_are_done_on_threads_before_it_returns():
     assert done == [2, 1] * 25
 
 
+LIMITED = """
+import sys, threading
+sys.path.insert(0, sys.argv[1])
+import fanout_work as work
+from camcal.run.fanout import fan_out, over_threads
+threading.stack_size(1 << 46)  # no thread can start: there is no room for what it asks for
+for way in ({}, {"processes": True}):
+    print([outcome.value for outcome in fan_out(work.doubled, range(4), jobs=2, **way)])
+done = []
+with over_threads(2) as each:
+    each(done.append, range(3))
+print(done)
+"""
+
+
+def test_a_process_that_may_start_no_other_does_the_work_itself(start_python):
+    process = start_python("-c", LIMITED, Path(__file__).parent, stdout=subprocess.PIPE)
+    out, err = process.communicate(timeout=30)
+    assert (out, err) == ("[0, 2, 4, 6]\n[0, 2, 4, 6]\n[0, 1, 2]\n", "")
+
+
+def test_running_out_of_memory_costs_the_item_that_did():
+    outcomes = list(fan_out(work.greedy, [Path("a.png"), Path("b.png")], jobs=2))
+    assert outcomes[0].value == 5
+    assert isinstance(outcomes[1].error, FileError)
+    assert str(outcomes[1].error).startswith("b.png: out of memory: Unable to allocate 1.00 EiB")
+
+
 def test_an_error_in_a_piece_is_raised():
     def work(piece):
         if piece == 3:

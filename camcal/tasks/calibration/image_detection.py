@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board, Detection
@@ -33,6 +34,7 @@ class Seen:
 def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Seen:
     """Return what an image file shows of a board. Raises FileError or InvalidInput if it cannot be read."""
     path, board = task
+    require_cell(path)
     photograph = read_photograph(path, reading)
     sighting = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
     height, width = photograph.gray.shape

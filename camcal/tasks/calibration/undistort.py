@@ -15,7 +15,7 @@ from camcal.images.save import JPEG_QUALITY, KINDS, save
 from camcal.images.video import frames
 from camcal.images.views import PINHOLE, ViewOptions, make_view
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.run.inputs import Media, find_media, record_outputs
+from camcal.run.inputs import Media, find_media, record_outputs, recorded
 from camcal.run.outputs import refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
 from camcal.tasks.stereo.view_camera import (
@@ -115,13 +115,15 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     lenses = source.channels if options.align_channels else {}
     maps = align_channels(maps, lenses, view) if lenses else maps
     advice = ": if it was resized, not cropped, give --rescale"
-    outcomes = tuple(_drawn(Drawing(maps, options.border, options.quality, advice), outputs, media, options, progress))
-    require_success(outcomes)
-    if options.mask:
-        save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
-    write_view(camera_file, source, view, options.arguments(), progress, tuple(lenses))
-    written = [outcome.value.output.name for outcome in outcomes if outcome.value]
-    record_outputs(options.output, [*written, *([MASK_FILE] if options.mask else [])])
+    drawing = Drawing(maps, options.border, options.quality, advice)
+    names = [*(output.name for output in outputs.values()), *([MASK_FILE] if options.mask else [])]
+    with recorded(options.output, names):
+        outcomes = tuple(_drawn(drawing, outputs, media, options, progress))
+        require_success(outcomes)
+        if options.mask:
+            save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
+        write_view(camera_file, source, view, options.arguments(), progress, tuple(lenses))
+    record_outputs(options.output, [outcome.value.output.name for outcome in outcomes if outcome.value])
     return UndistortReport(
         view,
         outcomes,

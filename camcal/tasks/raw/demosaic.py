@@ -1,6 +1,7 @@
 """`camcal demosaic`: raw frames to images, as many at a time as there are cores."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES, missing_pattern
 from camcal.raw.tone import DEPTHS
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.inputs import find_images, record_outputs
+from camcal.run.inputs import find_images, recorded
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.tasks.raw import demosaic_settings
 from camcal.tasks.raw.raw_corrections import CorrectionFiles, RawInput
@@ -89,13 +90,14 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     for path in settings:
         demosaic_settings.require_own(path)
     corrections = options.corrections.load(options.reading, sources[0])
-    if len(sources) == 1:
-        outcomes = [_alone(sources[0], outputs, options, corrections)]
-    else:
-        work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
-        outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
-    if outputs[sources[0]] != options.output:
-        record_outputs(options.output, [outputs[outcome.item].name for outcome in outcomes if outcome.value])
+    into_a_folder = outputs[sources[0]] != options.output
+    names = [output.name for output in outputs.values()]
+    with recorded(options.output, names) if into_a_folder else nullcontext():
+        if len(sources) == 1:
+            outcomes = [_alone(sources[0], outputs, options, corrections)]
+        else:
+            work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
+            outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
     _warn_of_a_short_scale(outcomes, options.reading.white, progress)
     return outcomes
 

@@ -1,6 +1,7 @@
 """`camcal stereo check`: rectified pairs, looked at before anything is made of them."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.report import pair_check as words
 from camcal.report.pair_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import record_outputs
+from camcal.run.inputs import recorded
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
@@ -77,13 +78,17 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     pairs = find_pairs(options.left, options.right, options.recursive)
     pictures = _pictures(pairs, options.output)
     work = partial(_check_files, pictures=pictures)
-    if len(pairs) == 1:
-        outcomes = [Outcome(pairs[0], work(pairs[0]))]
-    else:
-        outcomes = list(fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress))
-    checked = [_warned(outcome.value, progress) for outcome in outcomes if outcome.value is not None]
-    if options.output is not None and options.output not in pictures.values():  # it is a folder
-        record_outputs(options.output, [pair.picture.name for pair in checked if pair.picture is not None])
+    is_folder = options.output is not None and options.output not in pictures.values()
+    names = [picture.name for picture in pictures.values()]
+    with recorded(options.output, names) if options.output is not None and is_folder else nullcontext():
+        if len(pairs) == 1:
+            outcomes = [Outcome(pairs[0], work(pairs[0]))]
+        else:
+            checks = fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress)
+            outcomes = list(checks)
+    for outcome in outcomes:
+        if outcome.value is not None:
+            _warn(outcome.value, progress)
     return outcomes
 
 
@@ -168,7 +173,6 @@ def _fault(check: PairCheck, max_rms: float) -> str | None:
     return f"rows are off by {rms:.2f} px (RMS), more than {max_rms:g} px" if rms > max_rms else None
 
 
-def _warned(pair: CheckedPair, progress: Progress) -> CheckedPair:
+def _warn(pair: CheckedPair, progress: Progress) -> None:
     if pair.check.finding is not None:
         progress.warn(f"{pair.left}: {FINDINGS[pair.check.finding]}")
-    return pair

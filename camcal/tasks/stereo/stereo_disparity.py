@@ -1,6 +1,7 @@
 """`camcal stereo disparity`: rectified pairs to disparity maps, and how far to believe them."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.raw.planes import one_by_one
 from camcal.report.disparity_pictures import disparity_picture, robust_range
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.inputs import record_outputs
+from camcal.run.inputs import recorded
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
 from camcal.stereo.acceptance import too_few
@@ -88,14 +89,12 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     outputs = _places(pairs, options)
     warn_of_file(options.camera_file, progress)
     work = partial(_match_files, options=options, outputs=outputs)
-    if len(pairs) == 1:
-        outcomes = [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
-    else:
-        outcomes = list(_all_alike(pairs, work, options, progress))
-    if options.output not in outputs.values():  # it is a folder
-        names = [name for outcome in outcomes if outcome.value for name in _names(outcome.value)]
-        record_outputs(options.output, names)
-    return outcomes
+    names = [path.name for output in outputs.values() for path in MapFiles.beside(output)]
+    into_a_folder = options.output not in outputs.values()
+    with recorded(options.output, names) if into_a_folder else nullcontext():
+        if len(pairs) == 1:
+            return [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
+        return list(_all_alike(pairs, work, options, progress))
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> None:
@@ -272,7 +271,3 @@ def _warned(matched: MatchedPair, progress: Progress) -> MatchedPair:
     for remark in matched.remarks:
         progress.warn(f"{matched.left}: {remark}")
     return matched
-
-
-def _names(matched: MatchedPair) -> list[str]:
-    return [path.name for path in MapFiles.beside(matched.output)]

@@ -1,0 +1,163 @@
+"""A run that is stopped or killed leaves no half file and no process, and can be repeated as it was."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from camcal.images.load import load
+from camcal.images.save import save
+
+PROGRAM = "from camcal.cli.main import main; main()"
+TEMPORARY = ".camcal.part-*"
+
+
+@pytest.fixture
+def mosaics(tmp_path):
+    """A folder of mosaics that take a while."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    rng = np.random.default_rng(1)
+    for number in range(12):
+        save(folder / f"{number}.pgm", rng.integers(0, 65000, (240, 320)).astype(np.uint16))
+    return folder
+
+
+def arguments(folder, *more):
+    return ["-c", PROGRAM, "demosaic", folder, "-o", folder, "--pattern", "RGGB", "--trust-pattern", "--quiet", *more]
+
+
+def wait_for(folder, pattern):
+    until = time.monotonic() + 60
+    while not list(folder.glob(pattern)):
+        assert time.monotonic() < until
+        time.sleep(0.002)
+
+
+def require_whole(folder, count=None):
+    """Every image that is there can be read, and nothing unfinished is."""
+    found = list(folder.glob("*.tiff"))
+    for path in found:
+        assert load(path).size == (320, 240)
+    assert list(folder.glob(TEMPORARY)) == []
+    assert count is None or len(found) == count
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+    ids=str,
+)
+def test_a_stopped_run_into_the_folder_it_reads_from_is_repeated_as_it_was(start_python, mosaics, number, code):
+    process = start_python(*arguments(mosaics))
+    wait_for(mosaics, "*.tiff")
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == code
+    assert err.startswith("camcal: error: ")
+    assert len(err.splitlines()) == 1
+    require_whole(mosaics)
+    again = start_python(*arguments(mosaics))
+    assert again.communicate(timeout=60)[1] == ""
+    assert again.returncode == 0
+    require_whole(mosaics, 12)
+
+
+def test_a_killed_run_is_repeated_and_its_temporary_files_are_swept(start_python, mosaics):
+    process = start_python(*arguments(mosaics))
+    wait_for(mosaics, TEMPORARY)
+    process.kill()
+    process.communicate()
+    (mosaics / ".camcal.part-old.tiff").write_bytes(b"half")
+    again = start_python(*arguments(mosaics))
+    assert again.communicate(timeout=60)[1] == ""
+    require_whole(mosaics, 12)
+
+
+def test_what_another_run_is_writing_is_not_swept(start_python, mosaics):
+    program = """
+import sys, time
+from pathlib import Path
+from camcal.files import replacing
+with replacing(Path(sys.argv[1])) as temporary:
+    temporary.write_text("whole")
+    Path(sys.argv[2]).touch()
+    time.sleep(float(sys.argv[3]))
+"""
+    writer = start_python("-c", program, mosaics / "slow.txt", mosaics / "begun", 2.0)
+    wait_for(mosaics, "begun")
+    other = start_python("-c", program, mosaics / "fast.txt", mosaics / "done", 0.0)
+    assert other.communicate(timeout=30)[1] == ""
+    assert writer.communicate(timeout=30)[1] == ""
+    assert (mosaics / "slow.txt").read_text() == "whole"
+    assert (mosaics / "fast.txt").read_text() == "whole"
+
+
+def test_runs_into_one_folder_keep_all_of_their_outputs_listed(start_python, tmp_path):
+    program = """
+import sys
+from pathlib import Path
+from camcal.run.inputs import record_outputs
+for number in range(40):
+    record_outputs(Path(sys.argv[1]), [f"{sys.argv[2]}{number}.png"])
+"""
+    runs = [start_python("-c", program, tmp_path, name) for name in "abc"]
+    assert [run.communicate(timeout=60)[1] for run in runs] == ["", "", ""]
+    assert len((tmp_path / ".camcal-output").read_text().splitlines()) == 120
+
+
+def gone(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+    return state == "Z"
+
+
+def workers_of(parent):
+    """Return the processes that a process started."""
+    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(parent)], capture_output=True, text=True, check=False)
+    return [int(word) for word in listed.stdout.split()]
+
+
+@pytest.mark.slow
+def test_a_hundred_killed_parents_leave_no_half_file_no_orphan_and_no_litter(start_python, tmp_path):
+    """Killed at any moment: while threads write images, and while worker processes detect."""
+    rng = np.random.default_rng(int(os.environ.get("CAMCAL_KILL_SEED", "1")))
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in range(6):
+        cv2.imwrite(str(folder / f"{number}.pgm"), rng.integers(0, 65000, (240, 320)).astype(np.uint16))
+    detect = ["-c", PROGRAM, "detect", folder, "-b", "chessboard:7x5:25mm", "-o", tmp_path / "d.csv", "--jobs", "2"]
+    orphans = 0
+    for turn in range(100):
+        process = start_python(*(arguments(folder, "--jobs", "2") if turn % 2 else detect))
+        if turn % 4 == 1:
+            wait_for(folder, TEMPORARY)
+        else:
+            time.sleep(float(rng.uniform(0.0, 3.0)))
+        workers = workers_of(process.pid)
+        process.kill()
+        process.communicate()
+        until = time.monotonic() + 5
+        while not all(map(gone, workers)) and time.monotonic() < until:
+            time.sleep(0.02)
+        orphans += sum(not gone(pid) for pid in workers)
+        for path in folder.glob("*.tiff"):
+            assert load(path).size == (320, 240)
+    assert orphans == 0
+    last = start_python(*arguments(folder))
+    assert last.communicate(timeout=60)[1] == ""
+    require_whole(folder, 6)
+    assert list(tmp_path.glob(TEMPORARY)) == []
+
+
+def test_the_program_of_these_tests_is_the_one_that_is_installed():
+    done = subprocess.run([sys.executable, "-c", PROGRAM, "--version"], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("camcal ")
