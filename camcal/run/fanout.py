@@ -17,7 +17,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, NamedTuple
@@ -26,6 +26,7 @@ from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run.cores import available_cores
 from camcal.run.startup import surroundings_of_a_worker
+from camcal.run.threads import one_opencv_thread, over_threads, startable
 
 __all__ = ["available_cores", "fan_out", "over_threads"]
 
@@ -75,24 +76,6 @@ def fan_out(
     return _reported(outcomes, what, total, progress)
 
 
-def startable(count: int) -> int:
-    """Return how many of `count` threads the limits of this process, its user and its memory let start at once."""
-    end = threading.Event()
-    threads = [threading.Thread(target=end.wait, daemon=True) for _ in range(count)]
-    started: list[threading.Thread] = []
-    try:
-        for thread in threads:
-            thread.start()
-            started.append(thread)
-    except RuntimeError:  # "can't start new thread"
-        pass
-    finally:
-        end.set()
-        for thread in started:
-            thread.join()
-    return len(started)
-
-
 def _reported(
     outcomes: Generator[Outcome[Item, Value]], what: str, total: int | None, progress: Progress
 ) -> Iterator[Outcome[Item, Value]]:
@@ -119,14 +102,14 @@ def _attempt(function: Callable[[Item], Value], item: Item) -> Outcome[Item, Val
 
 
 def _inline(function: Callable[[Item], Value], items: Iterable[Item]) -> Generator[Outcome[Item, Value]]:
-    with _one_opencv_thread():
+    with one_opencv_thread():
         for item in items:
             yield _attempt(function, item)
 
 
 def _threaded(function: Callable[[Item], Value], items: Iterable[Item], count: int) -> Generator[Outcome[Item, Value]]:
     window: deque[Future[Outcome[Item, Value]]] = deque()
-    with _one_opencv_thread():
+    with one_opencv_thread():
         pool = ThreadPoolExecutor(count, thread_name_prefix="camcal")
         try:
             for item in items:
@@ -138,39 +121,6 @@ def _threaded(function: Callable[[Item], Value], items: Iterable[Item], count: i
         finally:
             # Items at work are finished, so that no temporary file is left behind; the others are dropped.
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def over_threads(jobs: int | None = None) -> Iterator[Callable[[Callable[[Item], object], Iterable[Item]], None]]:
-    """Lend a function that does one piece of work for every item, on as many threads as there are cores.
-
-    It returns when all are done, in whatever order; so the pieces must not depend on one another. An error of one of
-    them is raised when the others are done. OpenCV has one thread per worker meanwhile.
-    """
-    count = startable(jobs or available_cores())
-    with _one_opencv_thread(), ThreadPoolExecutor(max(count, 1), thread_name_prefix="camcal") as pool:
-
-        def each(work: Callable[[Item], object], items: Iterable[Item]) -> None:
-            if not count:
-                for item in items:
-                    work(item)
-                return
-            for done in [pool.submit(work, item) for item in items]:
-                done.result()
-
-        yield each
-
-
-@contextmanager
-def _one_opencv_thread() -> Iterator[None]:
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 class _Bug(NamedTuple):

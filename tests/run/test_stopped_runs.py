@@ -42,7 +42,7 @@ def wait_for(folder, pattern):
 
 def require_whole(folder, count=None):
     """Every image that is there can be read, and nothing unfinished is."""
-    found = list(folder.glob("*.tiff"))
+    found = list(folder.glob("[0-9]*.tiff"))
     for path in found:
         assert load(path).size == (320, 240)
     assert list(folder.glob(TEMPORARY)) == []
@@ -56,7 +56,7 @@ def require_whole(folder, count=None):
 )
 def test_a_stopped_run_into_the_folder_it_reads_from_is_repeated_as_it_was(start_python, mosaics, number, code):
     process = start_python(*arguments(mosaics))
-    wait_for(mosaics, "*.tiff")
+    wait_for(mosaics, "[0-9]*.tiff")
     process.send_signal(number)
     _, err = process.communicate(timeout=30)
     assert process.returncode == code
@@ -149,7 +149,7 @@ def test_a_hundred_killed_parents_leave_no_half_file_no_orphan_and_no_litter(sta
         while not all(map(gone, workers)) and time.monotonic() < until:
             time.sleep(0.02)
         orphans += sum(not gone(pid) for pid in workers)
-        for path in folder.glob("*.tiff"):
+        for path in folder.glob("[0-9]*.tiff"):
             assert load(path).size == (320, 240)
     assert orphans == 0
     last = start_python(*arguments(folder))
