@@ -46,6 +46,27 @@ def padded(matches: Matcher) -> Matcher:
     return whole
 
 
+def filled(matches: Matcher) -> Matcher:
+    """Return a matcher whose gaps take the smaller disparity of both sides in the row, and empty rows the nearest."""
+
+    def dense(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
+        found = matches(left, right, count)
+        sides = np.fmin(last_known(found), last_known(found[:, ::-1])[:, ::-1])
+        whole = np.where(np.isfinite(found), found, sides)
+        rows = np.flatnonzero(np.isfinite(whole).any(axis=1))
+        if not rows.size:
+            return whole
+        return whole[rows[np.abs(np.arange(len(whole))[:, None] - rows).argmin(axis=1)]]
+
+    return dense
+
+
+def last_known(disparity: np.ndarray) -> np.ndarray:
+    """Return for each pixel (H, W) the last disparity of its row up to it, NaN if there is none."""
+    places = np.where(np.isfinite(disparity), np.arange(disparity.shape[1]), 0)
+    return np.take_along_axis(disparity, np.maximum.accumulate(places, axis=1), axis=1)
+
+
 def weighted_least_squares(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
     """Return what OpenCV's tutorial of the disparity filter makes of both maps."""
     matcher = create(count, 3, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
@@ -71,4 +92,6 @@ MATCHERS: Mapping[str, Matcher] = {
     "HH 3": semi_global(3, cv2.STEREO_SGBM_MODE_HH),
     "3WAY 3, WLS": weighted_least_squares,
     "3WAY 3, left padded": padded(THREE_WAY),
+    "3WAY 3, padded, filled": filled(padded(THREE_WAY)),
+    "HH 3, padded, filled": filled(padded(semi_global(3, cv2.STEREO_SGBM_MODE_HH))),
 }
