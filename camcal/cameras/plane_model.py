@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -148,11 +149,15 @@ class PlaneModel(ABC):
     def _read(self, parameters: Array) -> tuple[list[float], list[float], Distortion]:
         """Return the focal lengths, the principal point and the distortion of parameters (K,)."""
         values = require_shape(parameters, (len(self.parameter_names),), "parameters").tolist()
-        roles = {
-            role: tuple(self.coefficients.index(name) for name in names if name in self.coefficients)
-            for role, names in self.kinds.items()
-        }
-        return values[:2], values[2:4], Distortion(tuple(values[4:]), Roles(**roles))
+        return values[:2], values[2:4], Distortion(tuple(values[4:]), self._roles)
+
+    @cached_property
+    def _roles(self) -> Roles:
+        """Which of the coefficients, by their indices, play which role."""
+        indices = {name: index for index, name in enumerate(self.coefficients)}
+        return Roles(
+            **{role: tuple(indices[name] for name in names if name in indices) for role, names in self.kinds.items()}
+        )
 
 
 def _parts(count: int) -> Iterator[slice]:

@@ -10,6 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 
 SERIES_ANGLE = 1e-4
+_IDENTITY = np.eye(3)
 
 
 def hat(vector: Array) -> Array:
@@ -22,32 +23,39 @@ def hat(vector: Array) -> Array:
     return result
 
 
-def _coefficients(angle: Array) -> tuple[Array, Array, Array]:
-    """Return sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³."""
-    square = angle * angle
+def _of_sine(angle: Array) -> Array:
+    """Return sin θ/θ."""
     small = angle < SERIES_ANGLE
     safe = np.where(small, 1.0, angle)
-    sine, half = np.sin(safe), np.sin(safe / 2)
-    first = np.where(small, 1 - square / 6, sine / safe)
-    second = np.where(small, 0.5 - square / 24, 2 * half * half / safe**2)
+    return np.where(small, 1 - angle * angle / 6, np.sin(safe) / safe)
+
+
+def _of_cosine(angle: Array) -> Array:
+    """Return (1 - cos θ)/θ²."""
+    # 1 - cos θ = 2 sin²(θ/2), which does not cancel
+    return np.asarray(0.5 * _of_sine(angle / 2) ** 2)
+
+
+def _beyond_sine(angle: Array) -> Array:
+    """Return (θ - sin θ)/θ³."""
+    square, safe = angle * angle, np.where(angle < SERIES_ANGLE, 1.0, angle)
     # θ - sin θ cancels: below 0.1 the series to θ⁸ is the accurate one.
     series = 1 / 6 - square / 120 + square**2 / 5040 - square**3 / 362880 + square**4 / 39916800
-    third = np.where(angle < 0.1, series, (safe - sine) / safe**3)
-    return first, second, third
+    return np.where(angle < 0.1, series, (safe - np.sin(safe)) / safe**3)
 
 
 def exp(vector: Array) -> Array:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3)."""
-    first, second, _ = _coefficients(np.linalg.norm(vector, axis=-1))
+    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None]
     skew = hat(vector)
-    return np.asarray(np.eye(3) + first[..., None, None] * skew + second[..., None, None] * (skew @ skew))
+    return np.asarray(_IDENTITY + _of_sine(angle) * skew + _of_cosine(angle) * (skew @ skew))
 
 
 def exp_jacobian(vector: Array) -> Array:
     """Return the left Jacobian J (..., 3, 3): Exp(v + δ) ≈ Exp(J δ) Exp(v)."""
-    _, second, third = _coefficients(np.linalg.norm(vector, axis=-1))
+    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None]
     skew = hat(vector)
-    return np.asarray(np.eye(3) + second[..., None, None] * skew + third[..., None, None] * (skew @ skew))
+    return np.asarray(_IDENTITY + _of_cosine(angle) * skew + _beyond_sine(angle) * (skew @ skew))
 
 
 def log(rotation: Array) -> Array:

@@ -36,6 +36,7 @@ REASONS = (
 )
 _RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE = range(7)
 _CONVERGED = (_SETTLED, _HELD, _ROUNDED, _EXACT)
+_TINY = np.finfo(float).tiny
 _LEAST_DAMPING = 1e-12  # keeps the factors of a singular matrix real
 
 
@@ -126,7 +127,9 @@ def assemble(rows: Array, weights: Array | None = None, loss: Loss | None = None
         weights = loss.weight(squared) * (1.0 if weights is None else weights)
     if weights is not None:
         rows *= np.sqrt(weights)
-    gram = np.asarray(sum(part @ part.transpose(0, 2, 1) for part in rows.transpose(0, 2, 1, 3)))
+    gram = np.zeros((rows.shape[2], rows.shape[1], rows.shape[1]))
+    for part in rows.transpose(0, 2, 1, 3):
+        gram += part @ part.transpose(0, 2, 1)
     return Models(0.5 * gram[:, -1, -1] if cost is None else cost, gram[:, :-1, -1], gram[:, :-1, :-1])
 
 
@@ -188,11 +191,12 @@ class _Search:
         """Return the damped steps (A, P) and by how much (A,) the models say that they lower the costs."""
         normal, gradient = self.models.normal[alive], self.models.gradient[alive]
         diagonal = np.einsum("wii->wi", normal)
-        largest = np.maximum(diagonal.max(axis=1, keepdims=True), np.finfo(float).tiny)
+        largest = np.maximum(diagonal.max(axis=1, keepdims=True), _TINY)
         # a parameter no residual depends on must not make the damped matrix singular
         scale = 1 / np.sqrt(np.maximum(diagonal, 1e-12 * largest))
         scaled = normal * scale[:, :, None] * scale[:, None, :]
-        scaled += self.damping[alive, None, None] * np.eye(scaled.shape[-1])
+        on_diagonal = np.einsum("wii->wi", scaled)
+        on_diagonal += self.damping[alive, None]
         steps = -scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
         return steps, -0.5 * np.einsum("wi,wi->w", steps, gradient)
 
@@ -209,8 +213,10 @@ class _Search:
         self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 1.0
         self.states[at] = states
         self.models.put(at, trial, chosen)
-        at_end = np.select([settled, still, held], [_SETTLED, _ROUNDED, _HELD], _RUNNING)
-        self.reason[at] = np.where(cost <= self.exact[at], _EXACT, at_end)
+        reason = np.where(held, _HELD, _RUNNING)
+        for mask, why in ((still, _ROUNDED), (settled, _SETTLED), (cost <= self.exact[at], _EXACT)):
+            reason[mask] = why
+        self.reason[at] = reason
 
     def _reject(self, at: Array, promised: Array) -> None:
         rounded, stuck = promised <= UNSEEN * self.models.cost[at], self.damping[at] > MAX_DAMPING

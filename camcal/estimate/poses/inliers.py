@@ -91,6 +91,8 @@ class Settled:
 
 def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Settled:
     """Return where starts (S, 3, 4) of problems (S,) settle with their inliers."""
+    if not which.size:
+        return Settled(states, which, tuple(np.zeros((0, mask.shape[1]), bool) for mask in problems.masks), np.zeros(0))
     limits = agreement.limits(problems, which)
     # a start of three points is not near enough for all
     masks = _below(problems, states, which, 4 * limits, agreement)

@@ -10,7 +10,7 @@ from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.sightings import Sightings
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
-from camcal.solve.independent import Minima, Models, assemble, minimise_each
+from camcal.solve.independent import Minima, Models, assemble, joined, minimise_each
 
 ROUNDING = 1e-9  # px: what smaller residuals tell is the rounding of numbers, not noise
 PART = 8192  # rows at a time, whose temporaries stay in the processor's cache
@@ -89,10 +89,12 @@ class PoseProblems:
             for part in _parts(count, mask.shape[1]):
                 here = which[part]
                 rows, _, inside = sight.rows(states[part], self.view[here], mask[here])
-                if not inside.all():
+                sound = inside.all()
+                if not sound:
                     rows[:, :, ~inside] = 0.0
                 _add(total, part, assemble(rows))
-                total.cost[part][~inside] = np.inf
+                if not sound:
+                    total.cost[part][~inside] = np.inf
         if self.anchor is not None:
             _add(total, slice(None), self.anchor.models(states, self.view[which]))
         return total
@@ -118,14 +120,18 @@ class PoseProblems:
 
         A start at which some points are outside the lens's domain first follows the others.
         """
-        parts = zip(self.squared(states, which), self.masks, strict=True)
-        inside = tuple(np.isfinite(squared) & mask[which] for squared, mask in parts)
-        astray = np.flatnonzero(sum(there.sum(axis=1) for there in inside) < self.counts[which])
-        if astray.size:
-            partial = replace(self, view=self.view[which[astray]], masks=tuple(there[astray] for there in inside))
-            states = states.copy()
-            states[astray] = _settled(partial, states[astray], np.arange(len(astray))).states
-        return _settled(self, states, which)
+        found = _settled(self, states, which)
+        astray = np.flatnonzero(np.isinf(found.cost))
+        if not astray.size:
+            return found
+        here = which[astray]
+        parts = zip(self.squared(states[astray], here), self.masks, strict=True)
+        inside = tuple(np.isfinite(squared) & mask[here] for squared, mask in parts)
+        partial = replace(self, view=self.view[here], masks=inside)
+        others = np.flatnonzero(np.isfinite(found.cost))
+        followed = _settled(partial, states[astray], np.arange(len(astray))).states
+        together = joined(found.take(others), _settled(self, followed, here))
+        return together.take(np.argsort(np.concatenate([others, astray])))
 
 
 def _settled(problems: PoseProblems, states: Array, which: Array) -> Minima:

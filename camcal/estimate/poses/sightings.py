@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -119,7 +120,7 @@ class Sightings:
         projected = self.camera.model.project_with_jacobians(self.camera.parameters, in_camera.reshape(3, -1).T)
         shape = rotated.shape[1:]
         by_point = projected.d_point.transpose(1, 2, 0)
-        if np.any(self.frame.rotation != np.eye(3)):
+        if self._turns:
             by_point = np.einsum("ipn,pq->iqn", by_point, self.frame.rotation)
         rows = np.empty((2, 7, *shape))
         rows[:, :3] = by_point.reshape(2, 3, *shape)
@@ -133,10 +134,15 @@ class Sightings:
             np.copyto(rows, 0.0, where=~mask)
         return rows, by_lens, np.all(projected.valid.reshape(shape) | ~mask, axis=1)
 
+    @cached_property
+    def _turns(self) -> bool:
+        """Whether the frame's axes differ from the camera's."""
+        return bool(np.any(self.frame.rotation != np.eye(3)))
+
     def _in_camera(self, rotated: Array, translations: Array) -> Array:
         """Return points (3, S, N) in the camera, of those turned into the frame but not moved yet."""
         moved = rotated + translations.T[:, :, None]
-        if np.any(self.frame.rotation != np.eye(3)) or self.frame.translation.any():
+        if self._turns or self.frame.translation.any():
             moved = np.einsum("pq,qsn->psn", self.frame.rotation, moved) + self.frame.translation[:, None, None]
         return np.asarray(moved)
 
@@ -148,13 +154,7 @@ def _of(values: Array, view: Array) -> Array:
 
 def turned(rotations: Array, points: Array) -> Array:
     """Return points (3, S, N), or (3, 1, N) for all alike, turned by rotations (S, 3, 3)."""
-    result = np.empty((3, len(rotations), points.shape[2]))
-    for row in range(3):
-        first, second, third = rotations[:, row, :, None].transpose(1, 0, 2)
-        np.multiply(first, points[0], out=result[row])
-        result[row] += second * points[1]
-        result[row] += third * points[2]
-    return result
+    return np.ascontiguousarray((rotations @ points.transpose(1, 0, 2)).transpose(1, 0, 2))
 
 
 def _cross(first: Array, second: Array, result: Array) -> None:
