@@ -51,10 +51,13 @@ class Models:
     gradient: Array
     normal: Array
 
-    def put(self, at: Array, other: "Models", chosen: Array) -> None:
-        """Replace the models `at` by the chosen ones of the other."""
-        for own, new in ((self.cost, other.cost), (self.gradient, other.gradient), (self.normal, other.normal)):
-            own[at] = new[chosen]
+    def take(self, chosen: Array) -> "Models":
+        """Return some of the models."""
+        return Models(self.cost[chosen], self.gradient[chosen], self.normal[chosen])
+
+    def put(self, at: Array, other: "Models") -> None:
+        """Replace the models `at` by the others."""
+        self.cost[at], self.gradient[at], self.normal[at] = other.cost, other.gradient, other.normal
 
 
 class Problems(Protocol):
@@ -89,9 +92,8 @@ class Minima:
 
     def take(self, chosen: Array) -> "Minima":
         """Return some of the searches."""
-        models = Models(self.models.cost[chosen], self.models.gradient[chosen], self.models.normal[chosen])
         ends = self.iterations[chosen], self.converged[chosen], self.reason[chosen]
-        return Minima(self.states[chosen], self.which[chosen], models, *ends)
+        return Minima(self.states[chosen], self.which[chosen], self.models.take(chosen), *ends)
 
 
 def joined(first: Minima, second: Minima) -> Minima:
@@ -183,9 +185,12 @@ class _Search:
         self.iterations[alive] += 1
         self.blocked[alive] += ~np.isfinite(trial.cost)
         better = trial.cost <= self.models.cost[alive]
-        if not better.all():
-            self._reject(alive[~better], promised[~better])
-        self._accept(alive[better], states[better], trial, np.flatnonzero(better), promised[better])
+        if better.all():
+            self._accept(alive, states, trial, promised)
+            return
+        self._reject(alive[~better], promised[~better])
+        if better.any():
+            self._accept(alive[better], states[better], trial.take(better), promised[better])
 
     def _propose(self, alive: Array) -> tuple[Array, Array]:
         """Return the damped steps (A, P) and by how much (A,) the models say that they lower the costs."""
@@ -200,8 +205,8 @@ class _Search:
         steps = -scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
         return steps, -0.5 * np.einsum("wi,wi->w", steps, gradient)
 
-    def _accept(self, at: Array, states: Array, trial: Models, chosen: Array, promised: Array) -> None:
-        cost, damping = trial.cost[chosen], self.damping[at]
+    def _accept(self, at: Array, states: Array, trial: Models, promised: Array) -> None:
+        cost, damping = trial.cost, self.damping[at]
         fall = self.models.cost[at] - cost
         # a step cut short by damping promises little and proves nothing
         little = self.stopping.relative_decrease * np.maximum(cost, LEAST_COST)
@@ -212,7 +217,7 @@ class _Search:
         eased = damping * np.maximum(self.stopping.least, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
         self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 1.0
         self.states[at] = states
-        self.models.put(at, trial, chosen)
+        self.models.put(at, trial)
         reason = np.where(held, _HELD, _RUNNING)
         for mask, why in ((still, _ROUNDED), (settled, _SETTLED), (cost <= self.exact[at], _EXACT)):
             reason[mask] = why

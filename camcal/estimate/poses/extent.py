@@ -6,6 +6,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
+from camcal.geometry import rotation as so3
 
 IN_PLANE = 1e-4  # third spread over the first: below, points count as a plane
 NEAR_PLANE = 0.1  # below, a plane's second pose may be near a minimum too
@@ -75,7 +76,7 @@ class Extents:
     def tilt(self, states: Array, view: Array, eye: Array) -> Array:
         """Return the angles (S,), rad, between the lines of sight and the planes' normals, at most π/2."""
         sight, normal = self.sight_and_normal(states, view, eye)
-        across = np.linalg.norm(np.cross(sight, normal), axis=1)
+        across = np.linalg.norm((so3.hat(sight) @ normal[..., None])[..., 0], axis=1)
         return np.asarray(np.arctan2(across, np.abs(np.einsum("si,si->s", sight, normal))))
 
 

@@ -96,8 +96,8 @@ def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agree
     limits = agreement.limits(problems, which)
     # a start of three points is not near enough for all
     masks = _below(problems, states, which, 4 * limits, agreement)
-    states, masks = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen], agreement)
-    truncated = truncated_cost(problems, states, which, agreement)
+    states, masks, squares = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen], agreement)
+    truncated = _truncated(problems, states, which, squares, limits)
     enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= agreement.least
     return Settled(states, which, masks, np.where(enough, truncated, np.inf))
 
@@ -138,8 +138,13 @@ def approached(problems: PoseProblems, states: Array, which: Array, agreement: A
 
 def truncated_cost(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:
     """Return ½ Σ min(r², limit) (S,) of all points of the problems."""
-    total, limits = np.zeros(len(which)), agreement.limits(problems, which)
-    for squared, mask in zip(agreement.squared(problems, states, which), problems.masks, strict=True):
+    squares, limits = agreement.squared(problems, states, which), agreement.limits(problems, which)
+    return _truncated(problems, states, which, squares, limits)
+
+
+def _truncated(problems: PoseProblems, states: Array, which: Array, squares: tuple[Array, ...], limits: Array) -> Array:
+    total = np.zeros(len(which))
+    for squared, mask in zip(squares, problems.masks, strict=True):
         total += 0.5 * np.where(mask[which], np.minimum(squared, limits), 0.0).sum(axis=1)
     return total if problems.anchor is None else total + problems.anchor.models(states, problems.view[which]).cost
 
@@ -151,23 +156,27 @@ def _in_turns(
     masks: tuple[Array, ...],
     limits: Limits,
     agreement: Agreement,
-) -> tuple[Array, tuple[Array, ...]]:
-    """Return states (S, 3, 4) and masks after fits to the masks and new masks by the fits, until these stay."""
+) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
+    """Return states (S, 3, 4), masks and squared residuals (S, N) after fits to the masks and new masks by the fits,
+    until these stay.
+    """
     states, unsettled = states.copy(), np.arange(len(which))
+    squares = tuple(np.empty(mask.shape) for mask in masks)
     for _ in range(_TURNS):
         here = which[unsettled]
         own = problems.take(here).masked(tuple(mask[unsettled] for mask in masks))
-        states[unsettled] = own.minimise(states[unsettled], np.arange(len(here))).states
+        states[unsettled] = own.minimise(states[unsettled], np.arange(len(here)), rough=True).states
         squared = agreement.squared(problems, states[unsettled], here)
         most, changed = limits(np.concatenate(squared, axis=1), unsettled), np.zeros(len(here), dtype=bool)
-        for mask, every, each in zip(masks, problems.masks, squared, strict=True):
+        for mask, every, each, kept in zip(masks, problems.masks, squared, squares, strict=True):
+            kept[unsettled] = each
             new = _agreeing(each, most) & every[here]
             changed |= np.any(new != mask[unsettled], axis=1)
             mask[unsettled] = new
         unsettled = unsettled[changed]
         if not unsettled.size:
             break
-    return states, masks
+    return states, masks, squares
 
 
 def _below(

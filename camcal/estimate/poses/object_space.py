@@ -70,7 +70,7 @@ class SpaceErrors:
         columns = np.array([0, 1, 3, 4, 6, 7])
         flat = self.form[:, columns[:, None], columns]
         first = np.linalg.eigh(flat)[1][:, :, 0].reshape(-1, 3, 2)
-        third = np.cross(first[:, :, 0], first[:, :, 1])
+        third = (so3.hat(first[:, :, 0]) @ first[:, :, 1, None])[..., 0]
         size = np.linalg.norm(first, axis=1).mean(axis=1)[:, None, None]
         third /= np.maximum(np.linalg.norm(third, axis=1, keepdims=True), np.finfo(float).tiny)
         which = np.arange(len(first))

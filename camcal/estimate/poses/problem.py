@@ -14,7 +14,9 @@ from camcal.solve.independent import Minima, Models, assemble, joined, minimise_
 
 ROUNDING = 1e-9  # px: what smaller residuals tell is the rounding of numbers, not noise
 PART = 8192  # rows at a time, whose temporaries stay in the processor's cache
-_STOPPING = Stopping(relative_decrease=1e-6)  # the step that promises this is taken; what it leaves is far smaller
+# The step that promises this is taken; what it leaves is far smaller.
+_STOPPING = Stopping(relative_decrease=1e-6)
+_ROUGH = Stopping(relative_decrease=1e-3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +86,24 @@ class PoseProblems:
     def linearise(self, states: Array, which: Array) -> Models:
         """Return the quadratic models at states (S, 3, 4) of the problems `which` (S,)."""
         count = len(which)
+        if len(self.sights) == 1 and self.anchor is None and count * self.masks[0].shape[1] <= PART:
+            return self._of_camera(0, states, which)
         total = Models(np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6, 6)))
-        for sight, mask in zip(self.sights, self.masks, strict=True):
+        for camera, mask in enumerate(self.masks):
             for part in _parts(count, mask.shape[1]):
-                here = which[part]
-                rows, _, inside = sight.rows(states[part], self.view[here], mask[here])
-                sound = inside.all()
-                if not sound:
-                    rows[:, :, ~inside] = 0.0
-                _add(total, part, assemble(rows))
-                if not sound:
-                    total.cost[part][~inside] = np.inf
+                _add(total, part, self._of_camera(camera, states[part], which[part]))
         if self.anchor is not None:
             _add(total, slice(None), self.anchor.models(states, self.view[which]))
         return total
+
+    def _of_camera(self, camera: int, states: Array, which: Array) -> Models:
+        rows, _, inside = self.sights[camera].rows(states, self.view[which], self.masks[camera][which])
+        if inside.all():
+            return assemble(rows)
+        rows[:, :, ~inside] = 0.0
+        models = assemble(rows)
+        models.cost[~inside] = np.inf
+        return models
 
     def by_lens(self, states: Array, which: Array, camera: int) -> Array:
         """Return Jᵀ J_K (S, 6, K) of the pose and the parameters of one camera."""
@@ -115,12 +121,13 @@ class PoseProblems:
         """Return the states moved by steps (S, 6)."""
         return se3.retract(states, steps)
 
-    def minimise(self, states: Array, which: Array) -> Minima:
-        """Return the minima that starts (S, 3, 4) of the problems `which` (S,) lead to.
+    def minimise(self, states: Array, which: Array, *, rough: bool = False) -> Minima:
+        """Return the minima that starts (S, 3, 4) of the problems `which` (S,) lead to; rough: near enough for inliers.
 
         A start at which some points are outside the lens's domain first follows the others.
         """
-        found = _settled(self, states, which)
+        stopping = _ROUGH if rough else _STOPPING
+        found = _settled(self, states, which, stopping)
         astray = np.flatnonzero(np.isinf(found.cost))
         if not astray.size:
             return found
@@ -129,13 +136,13 @@ class PoseProblems:
         inside = tuple(np.isfinite(squared) & mask[here] for squared, mask in parts)
         partial = replace(self, view=self.view[here], masks=inside)
         others = np.flatnonzero(np.isfinite(found.cost))
-        followed = _settled(partial, states[astray], np.arange(len(astray))).states
-        together = joined(found.take(others), _settled(self, followed, here))
+        followed = _settled(partial, states[astray], np.arange(len(astray)), stopping).states
+        together = joined(found.take(others), _settled(self, followed, here, stopping))
         return together.take(np.argsort(np.concatenate([others, astray])))
 
 
-def _settled(problems: PoseProblems, states: Array, which: Array) -> Minima:
-    return minimise_each(problems, states, which, _STOPPING, problems.counts[which] * ROUNDING**2)
+def _settled(problems: PoseProblems, states: Array, which: Array, stopping: Stopping) -> Minima:
+    return minimise_each(problems, states, which, stopping, problems.counts[which] * ROUNDING**2)
 
 
 def _parts(count: int, length: int) -> Iterator[slice]:
