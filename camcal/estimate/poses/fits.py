@@ -141,12 +141,12 @@ def _problems(group: Group, options: PoseOptions) -> PoseProblems:
 
 
 def _plain(group: Group, options: PoseOptions) -> Fit:
-    problems, extents = _problems(group, options), Extents.of(*group.points())
-    return Fit(group, problems, pose_minima(problems, extents), extents)
+    problems = _problems(group, options)
+    return Fit(group, problems, pose_minima(problems, group.extents), group.extents)
 
 
 def _from_samples(group: Group, options: PoseOptions, agreement: Agreement) -> Fit:
-    problems, extents = _problems(group, options), Extents.of(*group.points())
+    problems, extents = _problems(group, options), group.extents
     found = _samples(problems, problems.view, options, agreement)
     found.append(settle(problems, *anchors(problems), agreement))
     together = reduce(Settled.joined, found)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,6 +58,11 @@ class Group:
         points = np.concatenate([sight.points for sight in self.sights], axis=2)
         return points, np.concatenate([sight.present for sight in self.sights], axis=1)
 
+    @cached_property
+    def extents(self) -> Extents:
+        """How the points of the items spread."""
+        return Extents.of(*self.points())
+
     def counts(self) -> list[list[int]]:
         """Return the number of points of every item and camera, those without a ray included."""
         return [[0 if view is None else len(view.points) for view in item] for item in self.views]
@@ -68,7 +74,7 @@ class Group:
     def obstacles(self, needed: int, *, started: bool) -> dict[int, str]:
         """Return by index why items cannot have a pose, for which `needed` points are; started: starts are known."""
         points, present = self.points()
-        narrowness = Extents.of(points, present).narrowness
+        narrowness = self.extents.narrowness
         different = _different(points, present)
         most = np.max([sight.present.sum(axis=1) for sight in self.sights], axis=0)
         found = {}

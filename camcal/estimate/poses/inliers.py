@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.extent import NEAR_PLANE, Extents
-from camcal.estimate.poses.minima import different, distinct, lowest
+from camcal.estimate.poses.minima import different, distinct, firsts, lowest
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.solve.independent import Minima
 
@@ -86,7 +86,7 @@ class Settled:
 
     def lowest(self) -> "Settled":
         """Return the first of each problem, of poses in the order of `different`."""
-        return self.take(np.flatnonzero(np.diff(self.which, prepend=-1)))
+        return self.take(firsts(self.which))
 
 
 def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Settled:
@@ -200,7 +200,7 @@ def choose(
     """
     best = found.different().lowest()
     best = best.take(extents.flatness[problems.view[best.which]] < NEAR_PLANE)
-    eye = problems.sights[0].frame.inverse().translation
+    eye = problems.sights[0].eye
     mirrored = extents.reflected(best.states, problems.view[best.which], eye)
     found = found.joined(settle(problems, mirrored, best.which, agreement)).different()
     for _ in range(_TURNS):

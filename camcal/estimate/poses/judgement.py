@@ -11,6 +11,7 @@ from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.extent import NEAR_PLANE, Extents
 from camcal.estimate.poses.inliers import Agreement
+from camcal.estimate.poses.minima import lowest
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.records import Alternative, PoseEstimate
 from camcal.geometry import rotation as so3
@@ -68,7 +69,7 @@ class Judgement:
 
     def estimates(self, frames: str, counts: Sequence[Sequence[int]]) -> list[PoseEstimate]:
         """Return the estimates of the problems; counts: the points of every camera's view, the absent ones included."""
-        first = np.flatnonzero(np.diff(self.minima.which, prepend=-1))
+        first = lowest(self.minima)
         ends = np.append(first[1:], len(self.minima.which))
         total, noise = self._covariances()
         found = self._minima(np.repeat(first, ends - first), total, noise)
@@ -102,10 +103,12 @@ class Judgement:
     def _covariances(self) -> tuple[Array, Array]:
         """Return the covariances (S, 6, 6) of the minima and the pixels' part of them."""
         inverse = _inverses(self.minima.models.normal)
-        noise = self.noise.sigma**2 * inverse
-        total = noise + _of_lenses(self.problems, self.minima, inverse) if self.intrinsics else noise
         moves = se3.shift_jacobians(self.minima.states, -self.centres[self.minima.which])
-        return moves @ total @ moves.transpose(0, 2, 1), moves @ noise @ moves.transpose(0, 2, 1)
+        noise = self.noise.sigma**2 * (moves @ inverse @ moves.transpose(0, 2, 1))
+        if not self.intrinsics or all(sight.camera.covariance is None for sight in self.problems.sights):
+            return noise, noise
+        lenses = _of_lenses(self.problems, self.minima, inverse)
+        return noise + moves @ lenses @ moves.transpose(0, 2, 1), noise
 
     def _minima(self, best: Array, total: Array, noise: Array) -> list[Alternative]:
         """Return what is said of every minimum; best: (S,) the lowest of the same problem."""
@@ -228,8 +231,7 @@ def _tilts(problems: PoseProblems, extents: Extents, states: Array) -> Array:
     tilts = np.full(len(states), np.nan)
     for sight, mask in zip(problems.sights, problems.masks, strict=True):
         chosen = np.isnan(tilts) & mask.any(axis=1)
-        eye = sight.frame.inverse().translation
-        tilts[chosen] = extents.tilt(states[chosen], problems.view[chosen], eye)
+        tilts[chosen] = extents.tilt(states[chosen], problems.view[chosen], sight.eye)
     return tilts
 
 

@@ -21,22 +21,22 @@ def pose_minima(problems: PoseProblems, extents: Extents) -> Minima:
     problems: one of each view, of all points present. A problem may have none: no start has its points in the domain.
     """
     if len(problems.sights) == 1:
-        return _with_second_poses(problems, extents, *_starts_of(problems))
+        return _with_second_poses(problems, extents, *_starts_of(problems, extents))
     found = []
     for sight in problems.sights:
         own = PoseProblems.of((sight,))
-        minima = _with_second_poses(own, Extents.of(sight.points, sight.present), *_starts_of(own))
+        spread = Extents.of(sight.points, sight.present)
+        minima = _with_second_poses(own, spread, *_starts_of(own, spread))
         found.append((minima.states, minima.which))
     found.append(anchors(problems))
     return refined(problems, *(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _starts_of(problems: PoseProblems) -> tuple[Array, Array]:
+def _starts_of(problems: PoseProblems, extents: Extents) -> tuple[Array, Array]:
     """Return starts (S, 3, 4), frame_T_object, of what one camera sees, and their problems (S,)."""
     sight = problems.sights[0]
-    states, which = starts(sight)
-    frame_T_camera = se3.of_poses([sight.frame.inverse()])
-    parts = (se3.compose(frame_T_camera, states), which), anchors(problems)
+    states, which = starts(sight, extents)
+    parts = (se3.compose(sight.inverse_frame, states), which), anchors(problems)
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
@@ -49,18 +49,19 @@ def anchors(problems: PoseProblems) -> tuple[Array, Array]:
 
 def _with_second_poses(problems: PoseProblems, extents: Extents, states: Array, which: Array) -> Minima:
     """Return the minima that starts lead to, and those that planes are mistaken for."""
-    eye = problems.sights[0].frame.inverse().translation
+    eye = problems.sights[0].eye
     flat = np.flatnonzero(extents.flatness[which] < NEAR_PLANE)
     second = extents.reflected(states[flat], which[flat], eye)
-    found = refined(problems, np.concatenate([states, second]), np.concatenate([which, which[flat]]))
+    of_second = which[flat]
+    found = refined(problems, np.concatenate([states, second]), np.concatenate([which, of_second]))
     # the reflection of a start far from its minimum may lie in another valley than that of the minimum
     best = found.take(lowest(found))
     best = best.take(extents.flatness[best.which] < NEAR_PLANE)
-    mirrors = extents.reflected(best.states, best.which, eye)
-    tried = _tried(best, (states, which), (extents.reflected(states, which, eye), which))
-    if tried.all():
+    best = best.take(~_tried(best, (states[flat], of_second), (second, of_second)))
+    if not len(best.which):
         return found
-    return different(joined(found, problems.minimise(mirrors[~tried], best.which[~tried])))
+    mirrors = extents.reflected(best.states, best.which, eye)
+    return different(joined(found, problems.minimise(mirrors, best.which)))
 
 
 def _tried(best: Minima, *starts: tuple[Array, Array]) -> Array:
@@ -91,7 +92,14 @@ def different(minima: Minima) -> Minima:
 
 def lowest(minima: Minima) -> Array:
     """Return the indices of the first of each problem, of minima in their order."""
-    return np.flatnonzero(np.diff(minima.which, prepend=-1))
+    return firsts(minima.which)
+
+
+def firsts(which: Array) -> Array:
+    """Return the indices at which the problems (S,), in their order, begin."""
+    begins = np.ones(len(which), dtype=bool)
+    np.not_equal(which[1:], which[:-1], out=begins[1:])
+    return begins.nonzero()[0]
 
 
 def distinct(states: Array, which: Array, cost: Array, tolerance: float, most: int) -> Array:
@@ -99,7 +107,9 @@ def distinct(states: Array, which: Array, cost: Array, tolerance: float, most: i
     the lowest first; tolerance: rad, and share of the distance.
     """
     order = np.lexsort((cost, which))
-    first = np.flatnonzero(np.diff(which[order], prepend=-1))
+    first = firsts(which[order])
+    if len(first) == len(order):
+        return order
     length = np.diff(first, append=len(order))
     width = min(int(length.max(initial=0)), _COMPARED)
     ranks = np.arange(width)

@@ -74,7 +74,9 @@ class SpaceErrors:
         size = np.linalg.norm(first, axis=1).mean(axis=1)[:, None, None]
         third /= np.maximum(np.linalg.norm(third, axis=1, keepdims=True), np.finfo(float).tiny)
         which = np.arange(len(first))
-        one, other = (self.states(_completed(sign * first / size, third), which) for sign in (1, -1))
+        turns = so3.nearest(np.concatenate([first / size, third[..., None]], axis=2))
+        # the sign of the homography is open, and with it that of the first two columns
+        one, other = (self.states(turns * signs, which) for signs in ([1, 1, 1], [-1, -1, 1]))
         return np.where(self.in_front(one, which)[:, None, None], one, other)
 
     def minima(self) -> tuple[Array, Array]:
@@ -89,11 +91,6 @@ class SpaceErrors:
         states = self.states(found.states, which)
         front = self.in_front(states, which)
         return states[front], which[front]
-
-
-def _completed(columns: Array, third: Array) -> Array:
-    """Return the rotations (W, 3, 3) nearest to two columns (W, 3, 2) and a third (W, 3)."""
-    return so3.nearest(np.concatenate([columns, third[..., None]], axis=2))
 
 
 @dataclass(frozen=True, eq=False)

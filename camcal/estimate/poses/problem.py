@@ -86,7 +86,7 @@ class PoseProblems:
     def linearise(self, states: Array, which: Array) -> Models:
         """Return the quadratic models at states (S, 3, 4) of the problems `which` (S,)."""
         count = len(which)
-        if len(self.sights) == 1 and self.anchor is None and count * self.masks[0].shape[1] <= PART:
+        if len(self.sights) == 1 and self.anchor is None and 0 < count * self.masks[0].shape[1] <= PART:
             return self._of_camera(0, states, which)
         total = Models(np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6, 6)))
         for camera, mask in enumerate(self.masks):

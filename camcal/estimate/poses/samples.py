@@ -81,7 +81,7 @@ def _drawn(problems: PoseProblems, count: int, rng: np.random.Generator) -> Arra
 def _of_one_camera(sight: Sightings, view: int, triplets: Array) -> Array:
     rays, points = (each[:, view][:, triplets].transpose(1, 2, 0) for each in (sight.rays, sight.points))
     states, _ = poses_of_triplets(rays, points)
-    return se3.compose(se3.of_poses([sight.frame.inverse()]), states)
+    return se3.compose(sight.inverse_frame, states)
 
 
 def _triplets(points: Array, count: int, rng: np.random.Generator) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.records import Correspondences
 from camcal.geometry.pose import Pose
 
@@ -133,6 +134,16 @@ class Sightings:
         if not mask.all():
             np.copyto(rows, 0.0, where=~mask)
         return rows, by_lens, np.all(projected.valid.reshape(shape) | ~mask, axis=1)
+
+    @cached_property
+    def inverse_frame(self) -> Array:
+        """frame_T_camera as a state (3, 4)."""
+        return se3.inverse(self.frame.matrix()[:3])
+
+    @property
+    def eye(self) -> Array:
+        """The camera's place (3,) in the frame."""
+        return self.inverse_frame[:, 3]
 
     @cached_property
     def _turns(self) -> bool:

@@ -16,12 +16,11 @@ FEW = 5  # points for which every choice of three gives starts: noise may have t
 _LEAST = 4  # points below which only triplets give starts
 
 
-def starts(sight: Sightings) -> tuple[Array, Array]:
-    """Return states (S, 3, 4), camera_T_object, and which view (S,) each belongs to.
+def starts(sight: Sightings, extents: Extents) -> tuple[Array, Array]:
+    """Return states (S, 3, 4), camera_T_object, and which view (S,) each belongs to; extents: of the views.
 
     A view of a plane has one, of a solid object several, of fewer than three points none.
     """
-    extents = Extents.of(sight.points, sight.present)
     counts = sight.present.sum(axis=1)
     enough = counts >= _LEAST
     flat, solid = enough & (extents.flatness < NEAR_PLANE), enough & (extents.flatness > IN_PLANE)

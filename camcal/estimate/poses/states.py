@@ -50,7 +50,8 @@ def shifted(states: Array, offsets: Array) -> Array:
 
 def shift_jacobians(states: Array, offsets: Array) -> Array:
     """Return d(step of a_T_c)/d(step of a_T_b) as (S, 6, 6), for states a_T_b and a shift of their origin."""
-    result = np.tile(np.eye(6), (len(states), 1, 1))
+    result = np.zeros((len(states), 6, 6))
+    result[:] = np.eye(6)
     result[:, :3, 3:] = -so3.hat((states[:, :, :3] @ offsets[..., None])[..., 0])
     return result
 
@@ -58,6 +59,6 @@ def shift_jacobians(states: Array, offsets: Array) -> Array:
 def near(first: Array, second: Array, tolerance: float) -> Array:
     """Return the mask (...) of pairs that agree to an angle (rad) and to a share of the distance."""
     # ‖R1 - R2‖ = 2 √2 sin(angle/2)
-    turn = np.linalg.norm(first[..., :3] - second[..., :3], axis=(-2, -1)) / np.sqrt(2)
-    shift = np.linalg.norm(first[..., 3] - second[..., 3], axis=-1)
-    return np.asarray((turn < tolerance) & (shift <= tolerance * np.linalg.norm(first[..., 3], axis=-1)))
+    apart = np.sum((first - second) ** 2, axis=-2)
+    turn, shift, distance = apart[..., :3].sum(axis=-1) / 2, apart[..., 3], np.sum(first[..., 3] ** 2, axis=-1)
+    return np.asarray((turn < tolerance**2) & (shift <= tolerance**2 * distance))
