@@ -202,7 +202,8 @@ def choose(
     best = best.take(extents.flatness[problems.view[best.which]] < NEAR_PLANE)
     eye = problems.sights[0].eye
     mirrored = extents.reflected(best.states, problems.view[best.which], eye)
-    found = found.joined(settle(problems, mirrored, best.which, agreement)).different()
+    rivals = _supported(problems, mirrored, best, agreement)
+    found = found.joined(settle(problems, mirrored[rivals], best.which[rivals], agreement)).different()
     for _ in range(_TURNS):
         own, minima = _on_best(problems, found, mirrored, best.which)
         ahead = minima.take(lowest(minima))
@@ -211,6 +212,13 @@ def choose(
             break
         found = found.joined(settle(problems, overtaken.states, overtaken.which, agreement)).different()
     return own, minima
+
+
+def _supported(problems: PoseProblems, states: Array, best: Settled, agreement: Agreement) -> Array:
+    """Return the mask (S,) of states near to which are half as many points as agree with the best poses (S,)."""
+    near = _below(problems, states, best.which, 4 * agreement.limits(problems, best.which), agreement)
+    count, most = (np.asarray(sum(mask.sum(axis=1) for mask in masks)) for masks in (near, best.masks))
+    return 2 * count >= most
 
 
 def _on_best(problems: PoseProblems, found: Settled, others: Array, of_others: Array) -> tuple[PoseProblems, Minima]:
