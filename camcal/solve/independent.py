@@ -35,7 +35,7 @@ REASONS = (
     "the start is outside the domain",
 )
 _RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE = range(7)
-_CONVERGED = (_SETTLED, _HELD, _ROUNDED, _EXACT)
+_CONVERGED = np.array([False, True, True, True, True, False, False])  # by reason
 _TINY = np.finfo(float).tiny
 _LEAST_DAMPING = 1e-12  # keeps the factors of a singular matrix real
 
@@ -148,7 +148,7 @@ def minimise_each(
         if not alive.size:
             break
         search.advance(alive)
-    converged = np.isin(search.reason, _CONVERGED)
+    converged = _CONVERGED[search.reason]
     return Minima(search.states, which, search.models, search.iterations, converged, search.reason)
 
 

@@ -44,10 +44,9 @@ class Noise:
 
 def scaled_eigenvalues(normal: Array) -> Array:
     """Return the eigenvalues (S, P), ascending, of normal matrices (S, P, P) scaled to a unit diagonal."""
-    scale = np.sqrt(np.einsum("sii->si", normal))
-    with np.errstate(all="ignore"):
-        scaled = normal / (scale[:, :, None] * scale[:, None, :])
-    return np.linalg.eigvalsh(np.where(np.all(scale > 0, axis=1)[:, None, None], scaled, 0.0))
+    # a parameter on which nothing depends has an eigenvalue of 0
+    scale = 1 / np.sqrt(np.maximum(np.einsum("sii->si", normal), np.finfo(float).tiny))
+    return np.linalg.eigvalsh(normal * scale[:, :, None] * scale[:, None, :])
 
 
 @dataclass(frozen=True, eq=False)

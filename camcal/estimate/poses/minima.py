@@ -55,26 +55,26 @@ def _with_second_poses(problems: PoseProblems, extents: Extents, states: Array, 
     of_second = which[flat]
     found = refined(problems, np.concatenate([states, second]), np.concatenate([which, of_second]))
     # the reflection of a start far from its minimum may lie in another valley than that of the minimum
-    best = found.take(lowest(found))
-    best = best.take(extents.flatness[best.which] < NEAR_PLANE)
-    best = best.take(~_tried(best, (states[flat], of_second), (second, of_second)))
-    if not len(best.which):
+    best = lowest(found)
+    best = best[extents.flatness[found.which[best]] < NEAR_PLANE]
+    best = best[~_tried(found.states[best], found.which[best], (states[flat], of_second), (second, of_second))]
+    if not best.size:
         return found
-    mirrors = extents.reflected(best.states, best.which, eye)
-    return different(joined(found, problems.minimise(mirrors, best.which)))
+    mirrors = extents.reflected(found.states[best], found.which[best], eye)
+    return different(joined(found, problems.minimise(mirrors, found.which[best])))
 
 
-def _tried(best: Minima, *starts: tuple[Array, Array]) -> Array:
-    """Return the mask (S,) of minima near the only start of their problems, or near its reflection.
+def _tried(minima: Array, problem: Array, *starts: tuple[Array, Array]) -> Array:
+    """Return the mask (S,) of minima (S, 3, 4) near the only start of their problems (S,), or near its reflection.
 
     The reflections of such minima lead where those of the starts did. starts: states and their problems, of each kind.
     """
-    tried = np.zeros(len(best.which), dtype=bool)
+    tried = np.zeros(len(problem), dtype=bool)
     for states, which in starts:
         order = np.argsort(which, kind="stable")
-        first = order[np.searchsorted(which[order], best.which)]
-        single = np.bincount(which)[best.which] == 1
-        tried |= single & se3.near(states[first], best.states, _SAME_START)
+        first = order[np.searchsorted(which[order], problem)]
+        single = np.bincount(which)[problem] == 1
+        tried |= single & se3.near(states[first], minima, _SAME_START)
     return tried
 
 
@@ -86,8 +86,10 @@ def refined(problems: PoseProblems, states: Array, which: Array) -> Minima:
 
 def different(minima: Minima) -> Minima:
     """Return the minima without repetitions, in the order of the problems and the lowest first."""
-    inside = minima.take(np.isfinite(minima.cost))
-    return inside.take(distinct(inside.states, inside.which, inside.cost, _SAME_MINIMUM, _COMPARED))
+    inside = np.isfinite(minima.cost)
+    if not inside.all():
+        minima = minima.take(inside)
+    return minima.take(distinct(minima.states, minima.which, minima.cost, _SAME_MINIMUM, _COMPARED))
 
 
 def lowest(minima: Minima) -> Array:
