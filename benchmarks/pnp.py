@@ -10,6 +10,8 @@ ambiguity: predicted and observed probability of the wrong one of a tag's two po
     are tilted by up to 75 deg, in all directions alike.
 rig: tags more than 10 deg wrong, by one camera and by two that are 0.5 m apart.
 throughput: 1000 views of a 54-point board, all of them at once, over a loop of cv2.solvePnP and cv2.solvePnPRefineLM.
+single: CPU time of one view alone, medians: that board with the noise given, 100 points of a plane half of which are
+    wrong, and the share of a view in the time of all views at once, beside what OpenCV takes for the board's.
 
     python benchmarks/pnp.py [--trials 800] [--sections errors coverage …]
 """
@@ -20,10 +22,11 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import median
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -55,6 +58,7 @@ CELLS = (
 )  # fmt: skip
 COVERED = ((4, False, 0.2), (6, False, 1.0), (54, False, 1.0), (4, True, 0.2), (6, True, 0.2), (54, True, 1.0))
 GROSS = 36.0
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Trial:
 def main() -> None:
     sections = {
         "errors": errors, "coverage": coverage, "lens": lens, "ambiguity": ambiguity, "rig": rig,
-        "throughput": throughput,
+        "throughput": throughput, "single": single,
     }  # fmt: skip
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=800)
@@ -280,6 +284,40 @@ def throughput(trials: int) -> None:
         peer.append(time.perf_counter() - middle)
     print(f"camcal {1000 * median(own):.0f} ms, OpenCV {1000 * median(peer):.0f} ms (medians)")
     print(f"ratio of medians {median(own) / median(peer):.2f}, of the fastest {min(own) / min(peer):.2f}")
+
+
+def single(trials: int) -> None:
+    rng = np.random.default_rng(7)
+    count = min(trials, 100)
+    boards = [trial(rng, BOARD, 0.3, (0.5, 1.0)).view for _ in range(count)]
+    known, wrong = PoseOptions(noise_px=0.3), PoseOptions(noise_px=0.5, outliers="many")
+    spoilt = []
+    for each in random_trials(count, 100, 0.5, flat=True, seed=7):
+        pixels = each.view.pixels.copy()
+        pixels[:50] = rng.uniform([0, 0], CAMERA.image_size, (50, 2))
+        spoilt.append(replace(each.view, pixels=pixels))
+    matrix = matrix_of(CAMERA)
+    cv2.setNumThreads(1)
+
+    def plain(view: Correspondences) -> None:
+        _, vector, place = cv2.solvePnP(view.points, view.pixels, matrix, None)
+        cv2.solvePnPRefineLM(view.points, view.pixels, matrix, None, vector, place)
+
+    together = cpu_ms(lambda views: estimate_poses(CAMERA, views, known), [boards] * 5) / count
+    print(f"board {cpu_ms(lambda view: estimate_poses(CAMERA, [view], known), boards):.2f} ms", end="")
+    print(f" (OpenCV {cpu_ms(plain, boards):.2f}, of all at once {together:.2f})", end="")
+    print(f", half wrong {cpu_ms(lambda view: estimate_poses(CAMERA, [view], wrong), spoilt):.2f} ms", flush=True)
+
+
+def cpu_ms(work: Callable[[Item], object], items: Sequence[Item]) -> float:
+    """Return the median CPU time, ms, of work on an item; the first is done once before."""
+    work(items[0])
+    times = []
+    for item in items:
+        start = time.process_time()
+        work(item)
+        times.append(time.process_time() - start)
+    return 1000 * median(times)
 
 
 if __name__ == "__main__":
