@@ -12,6 +12,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board
 from camcal.targets.corners.board_edges import BoardEdges, bright_depths, seen_cells
+from camcal.targets.corners.cells import Cells
 
 BOARD = Board("chessboard", 7, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (640, 480), np.array([500.0, 505, 322, 238, -0.25, 0.06, 1e-3, -5e-4, 0]))
@@ -87,3 +88,10 @@ def test_the_tag_lies_between_the_corners_of_an_aprilgrid():
 def test_circles_have_no_crossing_edges():
     with pytest.raises(InvalidInput, match="no edges cross"):
         BoardEdges.of(Board("circles", 5, 4, 0.02, diameter=0.01))
+
+
+def test_corners_that_the_lens_has_no_image_of_do_not_count_among_the_narrowest():
+    steps = np.array([[[3.0, 1.0], [0.0, 4.0]], [[20.0, 0.0], [0.0, 30.0]], np.full((2, 2), np.nan)])
+    cells = Cells(steps, np.zeros((3, 2)), np.ones((3, 2, 2)), np.ones((3, 2, 2)))
+    assert cells.narrowest() == pytest.approx(12 / np.sqrt(17))  # the area over the longer side
+    assert cells.take(np.array([1])).narrowest() == 20

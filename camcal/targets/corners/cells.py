@@ -42,7 +42,9 @@ class Cells:
     def narrowest(self) -> float:
         """Return the smallest distance (px) of an edge from the next corner beside it, inf of no cells."""
         lengths = np.linalg.norm(self.steps, axis=1)
-        heights = np.abs(np.linalg.det(self.steps))[:, None] / np.maximum(lengths, 1e-9)
+        (x_first, x_second), (y_first, y_second) = self.steps.transpose(1, 2, 0)
+        areas = np.abs(x_first * y_second - x_second * y_first)  # written out, as linalg.det warns of NaN
+        heights = areas[:, None] / np.maximum(lengths, 1e-9)
         return float(np.nanmin(heights, initial=np.inf))
 
     def crowded(self, blur_px: float) -> bool:
