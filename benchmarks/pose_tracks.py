@@ -1,6 +1,6 @@
 """Tags and boards followed over time: how often is the pose the mirrored or another wrong one, and is that said?
 
-Films are those of `tracking_scenes`: four kinds of motion × tags of 20, 45 and 100 px and boards of 54 corners × clean
+Videos are those of `tracking_scenes`: four kinds of motion × tags of 20, 45 and 100 px and boards of 54 corners × clean
 and dirty. A frame counts if it shows the target; it is wrong if the pose is more than 10° off or missing. `choice` is
 the pose of the single frame that is nearer to the truth: nobody can choose better without the other frames. `poses` is
 the filter that knows the poses of single frames only, as `camcal track POSES` has them. Coverage is the share of the
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from tracking_scenes import CENTRE, FOCAL, MOTIONS, SIZE, TARGETS, Film, films
+from tracking_scenes import CENTRE, FOCAL, MOTIONS, SIZE, TARGETS, Video, videos
 
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
@@ -35,7 +35,7 @@ MODES = {"batch": None, "lag": 15, "causal": 0}
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A mode on a film: shares of wrong frames, coverage, what was said of it, and the time it took.
+    """A mode on a video: shares of wrong frames, coverage, what was said of it, and the time it took.
 
     doubts: (K, 2) the probability that was given for another pose, and whether it was one.
     """
@@ -47,65 +47,65 @@ class Scored:
     doubts: Array
 
 
-def single_poses(film: Film) -> tuple[list[Correspondences | None], list[PoseEstimate | None]]:
-    """Return the views of a film and the poses of its single frames."""
+def single_poses(video: Video) -> tuple[list[Correspondences | None], list[PoseEstimate | None]]:
+    """Return the views of a video and the poses of its single frames."""
     views = [
-        Correspondences(str(index), film.points, pixels) if np.isfinite(pixels[0, 0]) else None
-        for index, pixels in enumerate(film.pixels)
+        Correspondences(str(index), video.points, pixels) if np.isfinite(pixels[0, 0]) else None
+        for index, pixels in enumerate(video.pixels)
     ]
     found = estimate_poses(CAMERA, [view for view in views if view], PoseOptions(outliers="few"))
     by_name = {one.item.image: one.value for one in found}
     return views, [by_name.get(str(index)) for index in range(len(views))]
 
 
-def off(rotation: Array, film: Film, frame: int) -> float:
-    return float(so3.angle_between(rotation, film.rotations[frame]))
+def off(rotation: Array, video: Video, frame: int) -> float:
+    return float(so3.angle_between(rotation, video.rotations[frame]))
 
 
-def of_single_frames(film: Film, poses: Sequence[PoseEstimate | None]) -> tuple[float, float]:
+def of_single_frames(video: Video, poses: Sequence[PoseEstimate | None]) -> tuple[float, float]:
     """Return the shares of wrong frames of single poses, and of the nearest of all poses that each frame allows."""
     first, nearest = [], []
-    for frame in np.flatnonzero(film.right):
+    for frame in np.flatnonzero(video.right):
         pose = poses[frame]
         allowed = [] if pose is None else [pose.transform, *(other.transform for other in pose.alternatives)]
-        angles = [off(each.rotation, film, frame) for each in allowed] or [np.pi]
+        angles = [off(each.rotation, video, frame) for each in allowed] or [np.pi]
         first.append(angles[0] > WRONG)
         nearest.append(min(angles) > WRONG)
     return float(np.mean(first)), float(np.mean(nearest))
 
 
-def scored(film: Film, track: Track, seconds: float) -> Scored:
-    frames = np.flatnonzero(film.right)
+def scored(video: Video, track: Track, seconds: float) -> Scored:
+    frames = np.flatnonzero(video.right)
     given = track.posed[frames]
-    turns = so3.log(np.nan_to_num(track.rotations[frames]) @ film.rotations[frames].swapaxes(-1, -2))
+    turns = so3.log(np.nan_to_num(track.rotations[frames]) @ video.rotations[frames].swapaxes(-1, -2))
     angles = np.where(given, np.linalg.norm(turns, axis=1), np.pi)
     right = angles < WRONG
-    steps = np.concatenate([track.translations[frames] - film.translations[frames], turns], axis=1)[right]
+    steps = np.concatenate([track.translations[frames] - video.translations[frames], turns], axis=1)[right]
     spread = track.covariances[frames][right]
     distance = np.einsum("ni,ni->n", steps, np.linalg.solve(spread, steps[..., None])[..., 0])
     doubts = np.stack([track.p_wrong[frames][given], ~right[given]], axis=1)
     verdict = track.consistency.verdict if track.consistency else "none"
     coverage = float(np.mean(distance < REGION)) if right.any() else float("nan")
-    return Scored(float(np.mean(~right)), coverage, verdict, 1e3 * seconds / len(film.stamps), doubts)
+    return Scored(float(np.mean(~right)), coverage, verdict, 1e3 * seconds / len(video.stamps), doubts)
 
 
-def run(film: Film, modes: Sequence[str]) -> dict[str, float | Scored]:
-    """Return what every method makes of a film, single frames as shares of wrong ones."""
-    views, poses = single_poses(film)
-    first, nearest = of_single_frames(film, poses)
+def run(video: Video, modes: Sequence[str]) -> dict[str, float | Scored]:
+    """Return what every method makes of a video, single frames as shares of wrong ones."""
+    views, poses = single_poses(video)
+    first, nearest = of_single_frames(video, poses)
     result: dict[str, float | Scored] = {"single": first, "choice": nearest}
     for mode in modes:
         begun = time.process_time()
         try:
             track = (
-                track_poses(film.stamps, poses, TrackOptions())
+                track_poses(video.stamps, poses, TrackOptions())
                 if mode == "poses"
-                else track_views(CAMERA, film.stamps, views, poses, TrackOptions(lag=MODES[mode]))
+                else track_views(CAMERA, video.stamps, views, poses, TrackOptions(lag=MODES[mode]))
             )
         except InsufficientData:
             result[mode] = Scored(1.0, float("nan"), "none", float("nan"), np.zeros((0, 2)))
             continue
-        result[mode] = scored(film, track, time.process_time() - begun)
+        result[mode] = scored(video, track, time.process_time() - begun)
     return result
 
 
@@ -113,13 +113,13 @@ def percent(values: Sequence[float]) -> str:
     return f"{100 * np.nanmean(values):.1f}" if len(values) else "-"
 
 
-def table(results: Sequence[tuple[Film, dict[str, float | Scored]]], modes: Sequence[str]) -> None:
+def table(results: Sequence[tuple[Video, dict[str, float | Scored]]], modes: Sequence[str]) -> None:
     """Print the shares by motion and target, then what holds for all."""
     columns = ["single", "choice", *modes]
     print("wrong, %".ljust(18), *(column.rjust(8) for column in columns), "worst".rjust(8), "coverage".rjust(9))
     groups = [(motion, target) for motion in MOTIONS for target in TARGETS] + [("all", "")]
     for motion, target in groups:
-        rows = [row for film, row in results if motion == "all" or (film.motion, film.target) == (motion, target)]
+        rows = [row for video, row in results if motion == "all" or (video.motion, video.target) == (motion, target)]
         cells = [percent([share(row[column]) for row in rows]) for column in columns]
         last = [row[modes[-1] if "batch" not in modes else "batch"] for row in rows]
         worst = f"{100 * max(share(each) for each in last):.1f}"
@@ -130,7 +130,7 @@ def table(results: Sequence[tuple[Film, dict[str, float | Scored]]], modes: Sequ
         told = [each for each in scores if isinstance(each, Scored)]
         unsaid = sum(each.wrong > 0.05 and each.verdict == "consistent" for each in told)
         cost = np.nanmedian([each.milliseconds for each in told])
-        print(f"{mode}: {unsaid} films wrong in more than 5 % and called consistent; {cost:.1f} ms a frame (median)")
+        print(f"{mode}: {unsaid} videos wrong in more than 5 % and called consistent; {cost:.1f} ms a frame (median)")
         doubts = np.concatenate([each.doubts for each in told])
         bounds = (0.0, 0.01, 0.1, 0.3, 0.5, 1.01)
         for low, high in pairwise(bounds):
@@ -153,13 +153,13 @@ def main() -> None:
     options = parser.parse_args()
     modes = options.modes.split(",")
     results = []
-    for film in films(range(*options.seeds), options.frames):
-        results.append((film, run(film, modes)))
+    for video in videos(range(*options.seeds), options.frames):
+        results.append((video, run(video, modes)))
         if options.verbose:
             cells = [f"{name} {100 * share(cell):.1f}" for name, cell in results[-1][1].items()]
             scores = [cell for cell in results[-1][1].values() if isinstance(cell, Scored)]
             cells += [f"{each.verdict} {100 * each.coverage:.0f} {each.milliseconds:.1f}" for each in scores]
-            print(film.name, *cells, sep=", ", flush=True)
+            print(video.name, *cells, sep=", ", flush=True)
     table(results, modes)
 
 

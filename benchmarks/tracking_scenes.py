@@ -1,7 +1,7 @@
-"""Filmed tags and boards with known poses: four kinds of motion, four targets, clean and dirty.
+"""Videos of tags and boards with known poses: four kinds of motion, four targets, clean and dirty.
 
-The projection and the motions are made here, of nothing that the package's own simulation uses. A film has 30 frames a
-second of a camera of 1280 × 960 pixels and f = 800 px; pixels have a noise of 0.3 px. Dirty films have gaps, frames
+The projection and the motions are made here, of nothing that the package's own simulation uses. A video has 30 frames a
+second of a camera of 1280 × 960 pixels and f = 800 px; pixels have a noise of 0.3 px. Dirty videos have gaps, frames
 without a detection, corners that are off by 5 to 60 px and frames in which something else was taken for the target.
 """
 
@@ -26,7 +26,7 @@ _VIBRATION = 1e-3, 4e-3  # rad, range of the standard deviation of the camera's 
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Video:
     """What a camera saw of a target in N frames, and where the target was.
 
     points: (P, 3) m. stamps: (N,) s. rotations, translations: camera_T_object, (N, 3, 3) and (N, 3) m. pixels:
@@ -45,17 +45,17 @@ class Film:
     dirty: bool
 
 
-def films(seeds: range, frames: int = 300) -> Iterator[Film]:
-    """Yield the films of all kinds, one for each seed."""
+def videos(seeds: range, frames: int = 300) -> Iterator[Video]:
+    """Yield the videos of all kinds, one for each seed."""
     for seed in seeds:
         for motion in MOTIONS:
             for target in TARGETS:
                 for dirty in (False, True):
-                    yield film(motion, target, dirty, seed, frames)
+                    yield video(motion, target, dirty, seed, frames)
 
 
-def film(motion: str, target: str, dirty: bool, seed: int, frames: int = 300) -> Film:
-    """Return a film of `frames` frames."""
+def video(motion: str, target: str, dirty: bool, seed: int, frames: int = 300) -> Video:
+    """Return a video of `frames` frames."""
     key = [seed, MOTIONS.index(motion), TARGETS.index(target), int(dirty), 20261]
     rng = np.random.default_rng(key)
     points = _BOARD if target == "board" else _CORNERS
@@ -72,7 +72,7 @@ def film(motion: str, target: str, dirty: bool, seed: int, frames: int = 300) ->
     if dirty:
         _spoil(pixels, right, points, rotations, places, rng)
     name = f"{motion}, {target}, {'dirty' if dirty else 'clean'}, seed {seed}"
-    return Film(name, points, stamps, rotations, places, pixels, right, motion, target, dirty)
+    return Video(name, points, stamps, rotations, places, pixels, right, motion, target, dirty)
 
 
 def _waves(stamps: Array, rng: np.random.Generator, slow: float, quick: float, count: int = 3) -> Array:
