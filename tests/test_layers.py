@@ -89,16 +89,18 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def imported(module: str, tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """Yield the line and the dotted name of everything a module imports, `from a import b` as a.b."""
-    parents = ["camcal", *module.split("/")[:-1]]
+@cache
+def imported(module: str, tree: ast.Module) -> tuple[tuple[int, str], ...]:
+    """Return the line and the dotted name of everything a module imports, `from a import b` as a.b."""
+    parents, found = ["camcal", *module.split("/")[:-1]], []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = parents[: len(parents) - node.level + 1] if node.level else []
             prefix = ".".join([*base, *([node.module] if node.module else [])])
-            yield from ((node.lineno, f"{prefix}.{alias.name}") for alias in node.names)
+            found += [(node.lineno, f"{prefix}.{alias.name}") for alias in node.names]
+    return tuple(found)
 
 
 def room(module: str) -> str:

@@ -127,8 +127,8 @@ def workers_of(parent):
 
 
 @pytest.mark.slow
-def test_a_hundred_killed_parents_leave_no_half_file_no_orphan_and_no_litter(start_python, tmp_path):
-    """Killed at any moment: while threads write images, and while worker processes detect."""
+def test_killed_parents_leave_no_half_file_no_orphan_and_no_litter(start_python, tmp_path):
+    """Killed at any moment: while threads write images, and while worker processes detect. CAMCAL_KILLS: how many."""
     rng = np.random.default_rng(int(os.environ.get("CAMCAL_KILL_SEED", "1")))
     folder = tmp_path / "frames"
     folder.mkdir()
@@ -136,7 +136,7 @@ def test_a_hundred_killed_parents_leave_no_half_file_no_orphan_and_no_litter(sta
         cv2.imwrite(str(folder / f"{number}.pgm"), rng.integers(0, 65000, (240, 320)).astype(np.uint16))
     detect = ["-c", PROGRAM, "detect", folder, "-b", "chessboard:7x5:25mm", "-o", tmp_path / "d.csv", "--jobs", "2"]
     orphans = 0
-    for turn in range(100):
+    for turn in range(int(os.environ.get("CAMCAL_KILLS", "20"))):
         process = start_python(*(arguments(folder, "--jobs", "2") if turn % 2 else detect))
         if turn % 4 == 1:
             wait_for(folder, TEMPORARY)
