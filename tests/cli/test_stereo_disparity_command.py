@@ -246,6 +246,7 @@ def test_a_line_is_printed_for_each_map_and_the_classes_if_asked_for(run, sequen
     assert run(*arguments, "--quiet")[:2] == (6, "")
 
 
+@pytest.mark.slow
 def test_the_number_of_cores_does_not_show_in_the_files(run, match, sequence, tmp_path):
     for jobs in (1, 2):
         assert match("-o", tmp_path / f"{jobs}" / "x.pfm", "--vis", quick=("--jobs", jobs))[0] == 0

@@ -199,6 +199,7 @@ def test_a_deleted_working_directory_is_named(tmp_path):
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_link_to_itself_and_a_name_that_is_too_long_are_file_errors(tmp_path):
     loop = tmp_path / "loop.png"
     loop.symlink_to(loop)

@@ -61,6 +61,7 @@ def test_swapped_images_have_the_opposite_range():
     assert_holds(shown_range(right, left), -truth)
 
 
+@pytest.mark.slow
 def test_large_images_have_large_disparities():
     truth = waves(180, 700, (4000, 3000))
     small = textured_pair(waves(18, 70, (400, 300)))
