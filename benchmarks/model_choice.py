@@ -34,11 +34,11 @@ from split_halves import CLIP, MODELS, held_out, make_table, numbered, read_view
 
 from camcal.calibrate.intrinsics import Calibration, Options, calibrate, compare_models
 from camcal.calibrate.model_choice import chosen
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board, Detection
-from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, select
+from camcal.tasks.calibration.model_selection import select
 
 COMPARED = ("opencv5", "kannala_brandt4", "kannala_brandt5t", "opencv8")
 PARTS = ("real", "simulated", "jitter")

@@ -23,7 +23,7 @@ import numpy as np
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, Options, calibrate
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
@@ -32,7 +32,7 @@ from camcal.quality.advise import advise
 from camcal.simulate.observe import observe
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, Detection
-from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, select
+from camcal.tasks.calibration.model_selection import select
 from camcal.tasks.calibration.name_groups import name_groups
 
 SIZE, NOISE = (1600, 1200), 0.1

@@ -11,6 +11,7 @@ from typer.core import TyperArgument, TyperGroup, TyperOption
 from typer.main import get_command
 
 from camcal.cli.main import app
+from camcal.cli.options import with_lens_models
 
 PAGE = Path(__file__).parents[1] / "docs" / "commands.md"
 EVERYWHERE = ("jobs", "recursive", "json", "quiet", "verbose", "config")  # described once, for all commands
@@ -60,7 +61,7 @@ def _spellings(parameter: Any) -> list[str]:
 
 def _row(parameter: Any) -> str:
     spelled = ", ".join(f"`{form}`" for form in _spellings(parameter))
-    said = parameter.help + _default(parameter) + (" Required." if parameter.required else "")
+    said = with_lens_models(parameter.help) + _default(parameter) + (" Required." if parameter.required else "")
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in (spelled, said)) + " |"
 
 

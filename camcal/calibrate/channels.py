@@ -29,7 +29,6 @@ from camcal.targets.board import Detection
 _CORNERS_A_PARAMETER = 5
 _LOSS = Cauchy(3.0)
 _ROUGH_ROUNDS, _ROUNDS = 2, 8
-_STAGES = (("fx", "fy", "cx", "cy"), ("fx", "fy", "cx", "cy", "k1", "p1", "p2"))  # then all that are free
 _SIGNIFICANCE = 1e-3  # as of the tiers of a board's shape
 _LATTICE = (33, 25)  # places where the aberration is looked at, the corners of the image among them
 
@@ -247,7 +246,7 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
     """
     names = problem.model.parameter_names
     share = problem.sigma**2 / (problem.sigma**2 + main_sigma**2)
-    for stage in _STAGES:
+    for stage in problem.model.colour_stages:
         free = np.array([index for index in problem.free if names[index] in stage], np.intp)
         freedom = len(problem.free) - len(free)
         if not len(free) or not freedom:

@@ -15,6 +15,7 @@ from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, 
 from camcal.calibrate.outliers import CUT, robust_sigma
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.calibrate.shape import odd_terms
+from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData
@@ -31,7 +32,6 @@ _POSING = Stopping(relative_decrease=1e-8, iterations=10)
 _SETTLING = Stopping(iterations=2)  # the lens is known, the poses are next to their minimum
 _ROUNDS = 8
 _GRID = (20, 15)  # of pixels at which lenses are compared
-_STAGES = (("fx", "fy", "k1"), ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
 _LOSS = Cauchy(3.0)
 
 
@@ -185,7 +185,7 @@ def _start(problem: BoardProblem, image_size: tuple[int, int], held: Array, gues
     if state is None:
         raise InsufficientData(
             f"no start was found for the lens model {problem.model.name}: its domain does not hold these corners; "
-            "try another --model (kannala_brandt4 for wide lenses) or a --guess"
+            f"try another --model ({WIDE_MODEL} for wide lenses) or a --guess"
         )
     return state
 
@@ -207,7 +207,7 @@ def _robust(
     problem = replace(problem, lens_spread=spread)
     names = problem.model.parameter_names
     everything = problem.free
-    stages = [np.array([i for i in everything if names[i] in stage], np.intp) for stage in _STAGES]
+    stages = [np.array([i for i in everything if names[i] in stage], np.intp) for stage in problem.model.stages]
     for free in (*stages, everything, everything):
         problem = replace(problem, free=free, loss=_LOSS, sigma=_sigma(problem, state))
         state = minimise(problem.within_domain(state), state, _ROUGH).state
@@ -221,7 +221,7 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
     if poses is None:
         raise InsufficientData(
             "a view has fewer than four corners that the lens model can describe: try another --model "
-            "(kannala_brandt4 for wide lenses)"
+            f"({WIDE_MODEL} for wide lenses)"
         )
     return replace(state, rotations=poses[0], translations=poses[1])
 

@@ -18,11 +18,10 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.problem import BoardProblem, Observations, State
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import WIDE_MODEL, model_named
 from camcal.solve.least_squares import linearise
 from camcal.targets.board import Board, Detection
 
-MODEL = "kannala_brandt4"  # holds narrow and wide lenses alike, and an estimate is all that is needed
 NOISE = 0.1  # px of error per px of blur; its bound grows with the root of the blur, what reaches in from beside faster
 SKEW = 0.05  # px of error per pixel a frame that things move: rows of most sensors are not exposed at one time
 POOR = 2.5  # times the error that a quarter of the frames stay below; what is worse is left out
@@ -186,7 +185,7 @@ def lens_information(views: Sequence[Detection], board: Board, errors: Array) ->
 
     errors: (V,) px, standard deviations of the points of each view. Zero where there is no first guess of a lens.
     """
-    model = model_named(MODEL)
+    model = model_named(WIDE_MODEL)  # an estimate is all that is needed
     observations = Observations.of([replace(view, covariance=None) for view in views])  # `errors` stand for it
     state = sweep_focal(model, board, observations, views[0].size)
     if state is None:

@@ -10,6 +10,7 @@ from camcal.calibrate.outliers import row_medians
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
 from camcal.calibrate.words import names_of, px_words
+from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.errors import InsufficientData
 from camcal.targets.board_map import polynomial_terms
 
@@ -127,7 +128,7 @@ def require_fit(
     if found.roughness <= _ROUGH and found.smoothness > SMOOTH:
         raise InsufficientData(
             f"{how}: {order} and errors are smooth over it, so the lens model ({model}) is wrong: try another --model "
-            "(kannala_brandt4 for wide lenses), or none"
+            f"({WIDE_MODEL} for wide lenses), or none"
         )
     if found.roughness <= _ROUGH and found.smoothness > 0:
         raise InsufficientData(
@@ -137,7 +138,7 @@ def require_fit(
     if found.roughness <= _ROUGH:
         raise InsufficientData(
             f"{how}: {order}, so the lens model ({model}) is wrong, or images are "
-            "blurred: try another --model (kannala_brandt4 for wide lenses), or none, and use sharper images"
+            f"blurred: try another --model ({WIDE_MODEL} for wide lenses), or none, and use sharper images"
         )
     raise InsufficientData(
         f"{how}: the board is not the one that --board describes, several cameras are mixed, or the lens model "

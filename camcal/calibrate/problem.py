@@ -130,7 +130,7 @@ class BoardProblem:
     free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether the offsets of the
     board's points move as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
     board as it is known to be, None for as drawn. lens_spread: (K,) standard deviations of the weak priors on the
-    lens parameters about zero, inf for none (see CameraModel.prior_std). term_std: (S,), offset_std: (3,) those of the
+    lens parameters about the model's prior_mean, inf for none. term_std: (S,), offset_std: (3,) those of the
     board's terms and offsets, in its unit. noise: (V,) the variance of a view's corners over that of a typical view.
     """
 
@@ -302,7 +302,8 @@ class BoardProblem:
         start, result = len(self.free), []
         if self.lens_spread is not None and start:
             spread = self.lens_spread[self.free]
-            result.append(_prior(state.parameters[self.free] / spread, 1 / spread, 0))
+            apart = (state.parameters - self.model.prior_mean)[self.free]
+            result.append(_prior(apart / spread, 1 / spread, 0))
         if self.terms and self.term_std is not None:
             result.append(_prior(state.shape / self.term_std, 1 / self.term_std, start))
         if self.offsets and self.offset_std is not None:

@@ -8,15 +8,33 @@ from camcal.cameras import brown, kannala_brandt, panoramic
 from camcal.cameras.model import CameraModel
 from camcal.errors import InvalidInput
 
-MODELS: Mapping[str, CameraModel] = MappingProxyType(
-    {model.name: model for model in (*brown.MODELS, *kannala_brandt.MODELS, *panoramic.MODELS)}
-)
+_REGISTERED: dict[str, CameraModel] = {
+    model.name: model
+    for model in (
+        *brown.MODELS,
+        *kannala_brandt.MODELS,
+        *panoramic.MODELS,
+    )
+}
+MODELS: Mapping[str, CameraModel] = MappingProxyType(_REGISTERED)
+
+DEFAULT_MODEL = "opencv5"  # of a lens of which nothing is known
+WIDE_MODEL = "kannala_brandt4"  # holds narrow and wide lenses alike
 
 
 def model_named(name: str) -> CameraModel:
-    """Return the lens model called `name`; raises InvalidInput with the nearest name there is."""
+    """Return the lens model called `name`, or with that alias; raises InvalidInput with the nearest name there is."""
     if name in MODELS:
         return MODELS[name]
-    near = get_close_matches(name, MODELS, n=1)
+    aliases = {alias: model for model in MODELS.values() for alias in model.aliases}
+    if name in aliases:
+        return aliases[name]
+    near = get_close_matches(name, [*MODELS, *aliases], n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"use one of {', '.join(MODELS)}"
     raise InvalidInput(f"lens model {name!r} is unknown; {hint}")
+
+
+def help_line() -> str:
+    """Return the lens models that cameras are calibrated with, as the help of a command names them."""
+    lenses = [model for model in MODELS.values() if not model.is_view]
+    return ", ".join(f"{model.name} ({', '.join(model.aliases)})" if model.aliases else model.name for model in lenses)

@@ -13,12 +13,22 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.plane_model import Flat, PlaneModel
+from camcal.cameras.parameter import Parameter
+from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
 
 SERIES_ANGLE = 1e-4
-# The powers of θ by which each coefficient's term grows relative to θ.
-RADIAL = {"k1": 2, "k2": 4, "k3": 6, "k4": 8, "k5": 10}
-TANGENTIAL = {"p1": 1, "p2": 1}
+# θ grows by k1 θ³ and so on.
+RADIAL = (
+    Parameter("k1", "numerator", growth=2, typical=-0.02, stage=1, colour_stage=2),
+    Parameter("k2", "numerator", growth=4, typical=0.003, stage=2),
+    Parameter("k3", "numerator", growth=6),
+    Parameter("k4", "numerator", growth=8),
+    Parameter("k5", "numerator", growth=10),
+)
+TANGENTIAL = (
+    Parameter("p1", "decentring", growth=1, typical=0.0008, stage=2, colour_stage=2),
+    Parameter("p2", "decentring", growth=1, typical=-0.0005, stage=2, colour_stage=2),
+)
 
 
 @dataclass(frozen=True)
@@ -28,12 +38,9 @@ class KannalaBrandt(PlaneModel):
     Distorted, that is θ (1 + k1 θ² + k2 θ⁴ + …), and the tangential terms are those of the point moved so.
     """
 
-    reach: ClassVar[float] = math.pi
-    kinds: ClassVar[dict[str, tuple[str, ...]]] = {"numerator": tuple(RADIAL), "decentring": tuple(TANGENTIAL)}
-    orders: ClassVar[dict[str, int]] = RADIAL | TANGENTIAL
     prior_reach: ClassVar[float] = math.pi / 2
 
-    def _flatten(self, points: Array) -> Flat:
+    def _flatten(self, points: Array, plane: Values) -> Flat:  # noqa: ARG002
         x, y, z = points.T
         radius = np.sqrt(x * x + y * y)
         scale = np.arctan2(radius, z) / radius
@@ -43,7 +50,10 @@ class KannalaBrandt(PlaneModel):
         # On the axis behind the camera, and at its centre, the scale is not finite: no place on the plane.
         return Flat(x * scale, y * scale, scale, np.isfinite(scale))
 
-    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
+    def _chain(
+        self, points: Array, flat: Flat, distorted: Distorted, focal: Values, plane: Values, slopes: Slopes
+    ) -> None:
+        del plane
         x, y, z = points.T
         square = x * x + y * y
         inverse = 1.0 / (square + z * z)
@@ -54,22 +64,25 @@ class KannalaBrandt(PlaneModel):
             bend[near] = -2.0 / 3.0 / z[near] ** 3
         across = bend * x * y
         along_x, along_y = flat.scale + bend * x * x, flat.scale + bend * y * y
-        slopes = ((distorted.x_x, distorted.x_y), (distorted.y_x, distorted.y_y))
-        for axis, (by_x, by_y), length in zip(d_point, slopes, focal, strict=True):
+        by_place = ((distorted.x_x, distorted.x_y), (distorted.y_x, distorted.y_y))
+        for axis, (by_x, by_y), length in zip(slopes.d_point, by_place, focal, strict=True):
             np.multiply(by_x * along_x + by_y * across, length, out=axis[0])
             np.multiply(by_x * across + by_y * along_y, length, out=axis[1])
             np.multiply((by_x * x + by_y * y) * inverse, -length, out=axis[2])
 
-    def _lift(self, x: Array, y: Array) -> Array:
+    def _lift(self, x: Array, y: Array, plane: Values) -> Array:  # noqa: ARG002
         angle = np.sqrt(x * x + y * y)
         scale = np.sinc(angle / np.pi)
         return np.stack([x * scale, y * scale, np.cos(angle)])
 
-    def _angle(self, radius: float) -> float:
+    def _angle(self, radius: float, plane: Values) -> float:  # noqa: ARG002
         return radius
+
+    def _reach(self, plane: Values) -> float:  # noqa: ARG002
+        return math.pi
 
 
 MODELS = (
-    KannalaBrandt("kannala_brandt4", ("k1", "k2", "k3", "k4")),
-    KannalaBrandt("kannala_brandt5t", (*RADIAL, *TANGENTIAL)),
+    KannalaBrandt("kannala_brandt4", RADIAL[:4], "wide lenses, beyond 180° as well", ("fisheye", "equidistant")),
+    KannalaBrandt("kannala_brandt5t", (*RADIAL, *TANGENTIAL), "wide lenses with decentred elements"),
 )

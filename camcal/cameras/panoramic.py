@@ -12,26 +12,21 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.model import Rays
-from camcal.cameras.plane_model import Flat, PlaneModel
+from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
 
 
 @dataclass(frozen=True)
 class Panorama(PlaneModel):
     """A plane without distortion; a pixel beyond the seam behind the camera has no ray."""
 
-    coefficients: tuple[str, ...] = ()
-    reach: ClassVar[float] = math.inf
-    kinds: ClassVar[dict[str, tuple[str, ...]]] = {}
-    orders: ClassVar[dict[str, int]] = {}
-    prior_reach: ClassVar[float] = math.inf
+    is_view: ClassVar[bool] = True
+    widest_deg: ClassVar[float] = 360.0  # the largest field of view across that an image can have
 
-    def unproject(self, parameters: Array, pixels: Array) -> Rays:
-        """Return the unit rays (N, 3) of pixels (N, 2)."""
-        rays = super().unproject(parameters, pixels)
-        return Rays(rays.directions, np.isfinite(rays.directions[:, 0]))
+    def half_width(self, fov: float) -> float:
+        """Return how far from the middle the plane reaches across for a field of view (rad)."""
+        return fov / 2
 
-    def _angle(self, radius: float) -> float:  # noqa: ARG002
+    def _angle(self, radius: float, plane: Values) -> float:  # noqa: ARG002
         return math.pi
 
 
@@ -40,21 +35,25 @@ class Cylinder(Panorama):
     """Azimuth across, height on a cylinder of radius 1 down: upright lines stay straight."""
 
     name: str = "cylinder"
+    summary: str = "view: u = fx·atan2(X, Z) + cx, v = fy·Y/√(X²+Z²) + cy"
 
-    def _flatten(self, points: Array) -> Flat:
+    def _flatten(self, points: Array, plane: Values) -> Flat:  # noqa: ARG002
         x, y, z = points.T
         scale = 1.0 / np.hypot(x, z)
         height = y * scale
         return Flat(np.arctan2(x, z), height, scale, _has_a_place(x, z, scale, height))
 
-    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
-        del distorted
+    def _chain(
+        self, points: Array, flat: Flat, distorted: Distorted, focal: Values, plane: Values, slopes: Slopes
+    ) -> None:
+        del distorted, plane
+        d_point = slopes.d_point
         x, y, z = points.T
         _turn(x, z, flat.scale, focal[0], d_point[0])
         cubed = -focal[1] * y * flat.scale**3
         d_point[1] = x * cubed, focal[1] * flat.scale, z * cubed
 
-    def _lift(self, x: Array, y: Array) -> Array:
+    def _lift(self, x: Array, y: Array, plane: Values) -> Array:  # noqa: ARG002
         there = np.where(np.abs(x) < np.pi, 1.0, np.nan)
         across = there / np.sqrt(1.0 + y * y)
         return np.stack([np.sin(x) * across, y * across, np.cos(x) * across])
@@ -65,22 +64,26 @@ class Equirectangular(Panorama):
     """Azimuth across, elevation down, both as angles."""
 
     name: str = "equirectangular"
+    summary: str = "view: u = fx·atan2(X, Z) + cx, v = fy·atan2(Y, √(X²+Z²)) + cy"
 
-    def _flatten(self, points: Array) -> Flat:
+    def _flatten(self, points: Array, plane: Values) -> Flat:  # noqa: ARG002
         x, y, z = points.T
         scale = 1.0 / np.hypot(x, z)
         height = y * scale
         return Flat(np.arctan2(x, z), np.arctan(height), scale, _has_a_place(x, z, scale, height))
 
-    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
-        del distorted
+    def _chain(
+        self, points: Array, flat: Flat, distorted: Distorted, focal: Values, plane: Values, slopes: Slopes
+    ) -> None:
+        del distorted, plane
+        d_point = slopes.d_point
         x, y, z = points.T
         _turn(x, z, flat.scale, focal[0], d_point[0])
         inverse = focal[1] / (x * x + y * y + z * z)
         leaning = -y * flat.scale * inverse
         d_point[1] = x * leaning, inverse / flat.scale, z * leaning
 
-    def _lift(self, x: Array, y: Array) -> Array:
+    def _lift(self, x: Array, y: Array, plane: Values) -> Array:  # noqa: ARG002
         there = np.where((np.abs(x) < np.pi) & (np.abs(y) < np.pi / 2), 1.0, np.nan)
         across = np.cos(y)
         return np.asarray(np.stack([np.sin(x) * across, np.sin(y), np.cos(x) * across]) * there)
@@ -91,14 +94,24 @@ class Stereographic(Panorama):
     """A point θ from the axis stands 2 tan(θ/2) from the middle: small shapes keep their form everywhere."""
 
     name: str = "stereographic"
+    summary: str = "view: (u, v) = (fx·2X/(R+Z) + cx, fy·2Y/(R+Z) + cy), R = √(X²+Y²+Z²)"
 
-    def _flatten(self, points: Array) -> Flat:
+    widest_deg: ClassVar[float] = 350.0
+
+    def half_width(self, fov: float) -> float:
+        """Return how far from the middle the plane reaches across for a field of view (rad)."""
+        return 2 * math.tan(fov / 4)
+
+    def _flatten(self, points: Array, plane: Values) -> Flat:  # noqa: ARG002
         x, y, z = points.T
         scale = 2.0 / (np.sqrt(x * x + y * y + z * z) + z)
         return Flat(x * scale, y * scale, scale, np.isfinite(scale))
 
-    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
-        del distorted
+    def _chain(
+        self, points: Array, flat: Flat, distorted: Distorted, focal: Values, plane: Values, slopes: Slopes
+    ) -> None:
+        del distorted, plane
+        d_point = slopes.d_point
         x, y, z = points.T
         bend = -0.5 * flat.scale**2
         inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
@@ -108,7 +121,7 @@ class Stereographic(Panorama):
         for rows, length in zip(d_point, focal, strict=True):
             np.multiply(rows, length, out=rows)
 
-    def _lift(self, x: Array, y: Array) -> Array:
+    def _lift(self, x: Array, y: Array, plane: Values) -> Array:  # noqa: ARG002
         quarter = 0.25 * (x * x + y * y)
         return np.asarray(np.stack([x, y, 1.0 - quarter]) / (1.0 + quarter))
 

@@ -5,7 +5,7 @@ The work goes in parts of PART points, whose temporaries stay in the processor's
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -15,10 +15,17 @@ import numpy as np
 from camcal.arrays import Array, require_shape
 from camcal.cameras.distortion import Distorted, Distortion, Gradient, Limit, Roles
 from camcal.cameras.model import Domain, Projection, ProjectionJacobians, Rays
+from camcal.cameras.parameter import Parameter, staged
 from camcal.cameras.undistortion import undistort
 
-CORE = ("fx", "fy", "cx", "cy")
+CORE = (
+    Parameter("fx", stage=1, colour_stage=1),
+    Parameter("fy", stage=1, colour_stage=1),
+    Parameter("cx", stage=2, colour_stage=1),
+    Parameter("cy", stage=2, colour_stage=1),
+)
 PART = 8192
+Values = Sequence[float]
 
 
 class Flat(NamedTuple):
@@ -30,50 +37,103 @@ class Flat(NamedTuple):
     front: Array
 
 
+class Slopes(NamedTuple):
+    """Where derivatives of the pixels go: by the points (2, 3, n) and by the S parameters of the plane (2, S, n)."""
+
+    d_point: Array
+    d_plane: Array
+
+
+class _Lens(NamedTuple):
+    """The parameters of one camera, sorted."""
+
+    focal: list[float]
+    centre: list[float]
+    plane: list[float]
+    distortion: Distortion
+
+
 @dataclass(frozen=True)
 class PlaneModel(ABC):
-    """A model with the parameters fx fy cx cy and distortion coefficients; a subclass says which plane it uses."""
+    """A model with the parameters fx fy cx cy, those of its plane, and distortion coefficients.
+
+    A subclass says which plane it uses. `plane` is the values of the plane's own parameters, empty where it has none.
+    """
 
     name: str
-    coefficients: tuple[str, ...]
+    coefficients: tuple[Parameter, ...] = ()
+    summary: str = ""
+    aliases: tuple[str, ...] = ()
 
-    reach: ClassVar[float]  # the largest radius on the plane
-    kinds: ClassVar[dict[str, tuple[str, ...]]]  # the coefficients of each of the Roles
-    # By which power of the radius on the plane each coefficient's term grows relative to the radius itself.
-    orders: ClassVar[dict[str, int]]
+    plane_parameters: ClassVar[tuple[Parameter, ...]] = ()
+    is_view: ClassVar[bool] = False
     # The largest radius at which priors are taken: with the high powers of a larger one they would be tighter than the
     # coefficients of real lenses need, and the corner of an image may lie outside the image circle of a wide lens.
-    prior_reach: ClassVar[float]
+    prior_reach: ClassVar[float] = math.inf
 
     @abstractmethod
-    def _flatten(self, points: Array) -> Flat:
+    def _flatten(self, points: Array, plane: Values) -> Flat:
         """Return points (n, 3) on the plane, NaN where they have no place on it."""
 
     @abstractmethod
-    def _chain(self, points: Array, flat: Flat, distorted: Distorted, focal: list[float], d_point: Array) -> None:
-        """Write the derivatives (2, 3, n) of the pixels by the points."""
+    def _chain(
+        self, points: Array, flat: Flat, distorted: Distorted, focal: Values, plane: Values, slopes: Slopes
+    ) -> None:
+        """Write the derivatives of the pixels by the points and by the parameters of the plane."""
 
     @abstractmethod
-    def _lift(self, x: Array, y: Array) -> Array:
+    def _lift(self, x: Array, y: Array, plane: Values) -> Array:
         """Return the unit rays (3, n) of places on the plane (n,)."""
 
     @abstractmethod
-    def _angle(self, radius: float) -> float:
-        """Return the angle (rad) from the axis at a radius on the plane."""
+    def _angle(self, radius: float, plane: Values) -> float:
+        """Return the angle (rad) from the axis at a radius on the plane, which may be inf."""
 
-    @property
+    def _reach(self, plane: Values) -> float:  # noqa: ARG002
+        """Return the largest radius on the plane."""
+        return math.inf
+
+    def is_pinhole(self, parameters: Array) -> bool:  # noqa: ARG002
+        """Return whether a camera of these parameters (K,) is a pinhole without distortion."""
+        return False
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return CORE + self.plane_parameters + self.coefficients
+
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        return CORE + self.coefficients
+        return tuple(own.name for own in self.parameters)
+
+    @cached_property
+    def stages(self) -> tuple[tuple[str, ...], ...]:
+        """The parameters that a calibration's start frees: the stiffest ones, then more; all are free in the end."""
+        return staged({own.name: own.stage for own in self.parameters})
+
+    @cached_property
+    def colour_stages(self) -> tuple[tuple[str, ...], ...]:
+        """The parameters that may differ between the colours of one lens: few, then more; all in the end."""
+        return staged({own.name: own.colour_stage for own in self.parameters})
+
+    @cached_property
+    def typical(self) -> Mapping[str, float]:
+        """The parameters that are not zero in an ordinary lens, for simulations."""
+        return {own.name: own.typical for own in self.parameters if own.typical}
+
+    @cached_property
+    def limits(self) -> Mapping[str, tuple[float, float]]:
+        """The smallest and largest values that parameters may have in a file."""
+        return {own.name: own.limits for own in self.parameters}
 
     def project(self, parameters: Array, points: Array) -> Projection:
         """Return the pixels (N, 2) of points (N, 3) in the camera frame."""
         points = require_shape(points, (None, 3), "points")
-        focal, centre, distortion = self._read(parameters)
-        limit = distortion.limit(self.reach)
+        focal, centre, plane, distortion = self._read(parameters)
+        limit = distortion.limit(self._reach(plane))
         pixels, valid = np.empty((2, len(points))), np.empty(len(points), dtype=bool)
         with np.errstate(all="ignore"):
             for part in _parts(len(points)):
-                flat = self._flatten(points[part])
+                flat = self._flatten(points[part], plane)
                 distorted = distortion.apply(flat.x, flat.y)
                 _to_pixels(distorted, focal, centre, pixels[:, part])
                 _blank(flat.front & limit.holds(distorted), valid[part], pixels[:, part])
@@ -84,19 +144,21 @@ class PlaneModel(ABC):
     ) -> ProjectionJacobians:
         """Return the pixels of points (N, 3) with d/dpoint (N, 2, 3) and d/dparameters (N, 2, K)."""
         points = require_shape(points, (None, 3), "points")
-        focal, centre, distortion = self._read(parameters)
-        limit = distortion.limit(self.reach) if within_domain else Limit(self.reach, math.inf)
+        focal, centre, plane, distortion = self._read(parameters)
+        reach, first = self._reach(plane), len(CORE) + len(plane)
+        limit = distortion.limit(reach) if within_domain else Limit(reach, math.inf)
         count = len(points)
         pixels, valid = np.empty((2, count)), np.empty(count, dtype=bool)
         d_point, d_parameters = np.empty((2, 3, count)), np.empty((2, len(self.parameter_names), count))
         with np.errstate(all="ignore"):
             for part in _parts(count):
-                flat = self._flatten(points[part])
+                flat = self._flatten(points[part], plane)
                 rows = d_parameters[:, :, part]
-                distorted = distortion.apply(flat.x, flat.y, Gradient(rows[:, len(CORE) :], focal))
+                distorted = distortion.apply(flat.x, flat.y, Gradient(rows[:, first:], focal))
                 _to_pixels(distorted, focal, centre, pixels[:, part])
                 _fill_core(distorted, rows)
-                self._chain(points[part], flat, distorted, focal, d_point[:, :, part])
+                slopes = Slopes(d_point[:, :, part], rows[:, len(CORE) : first])
+                self._chain(points[part], flat, distorted, focal, plane, slopes)
                 sound = limit.holds(distorted) if within_domain else np.isfinite(distorted.x + distorted.y)
                 inside = flat.front & sound
                 _blank(inside, valid[part], pixels[:, part], d_point[:, :, part], rows)
@@ -105,22 +167,22 @@ class PlaneModel(ABC):
     def unproject(self, parameters: Array, pixels: Array) -> Rays:
         """Return the unit rays (N, 3) of pixels (N, 2)."""
         pixels = require_shape(pixels, (None, 2), "pixels")
-        focal, centre, distortion = self._read(parameters)
-        limit = distortion.limit(self.reach)
+        focal, centre, plane, distortion = self._read(parameters)
+        limit = distortion.limit(self._reach(plane))
         directions, valid = np.empty((3, len(pixels))), np.empty(len(pixels), dtype=bool)
         with np.errstate(all="ignore"):
             for part in _parts(len(pixels)):
                 x_d, y_d = ((pixels[part, axis] - centre[axis]) / focal[axis] for axis in (0, 1))
                 x, y, solved = undistort(distortion, x_d, y_d, limit)
-                directions[:, part] = self._lift(x, y)
-                _blank(solved, valid[part], directions[:, part])
+                directions[:, part] = self._lift(x, y, plane)
+                _blank(solved & np.isfinite(directions[0, part]), valid[part], directions[:, part])
         return Rays(directions.T, valid)
 
     def domain(self, parameters: Array) -> Domain:
         """Return where the model is one-to-one; the radius is that of the radial part, without the other terms."""
-        focal, _, distortion = self._read(parameters)
-        limit = distortion.limit(self.reach)
-        return Domain(self._angle(limit.radius), min(focal) * limit.distorted)
+        focal, _, plane, distortion = self._read(parameters)
+        limit = distortion.limit(self._reach(plane))
+        return Domain(self._angle(limit.radius, plane), min(focal) * limit.distorted)
 
     def rescale(self, parameters: Array, scale: tuple[float, float], offset: tuple[float, float]) -> Array:
         """Return the parameters (K,) for an image resized by `scale` (x, y), then cropped at `offset` (x, y) px."""
@@ -132,39 +194,57 @@ class PlaneModel(ABC):
 
     def start(self, image_size: tuple[int, int], focal: float) -> Array:
         """Return parameters (K,) without distortion, centred in an image (width, height), of one focal length (px)."""
-        result = np.zeros(len(self.parameter_names))
-        result[:4] = focal, focal, (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
+        result = self.prior_mean
+        plane = result[len(CORE) : len(CORE) + len(self.plane_parameters)].tolist()
+        with np.errstate(all="ignore"):
+            on_axis = float(self._flatten(np.array([[0.0, 0.0, 1.0]]), plane).scale[0])  # of a small angle
+        result[:4] = focal / on_axis, focal / on_axis, (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
         return result
 
+    @property
+    def prior_mean(self) -> Array:
+        """The means (K,) of the weak priors, where estimates start; 0 for parameters that have none."""
+        return np.array([own.mean for own in self.parameters])
+
     def prior_std(self, image_size: tuple[int, int], focal: float) -> Array:
-        """Return the standard deviations (K,) of weak priors about zero, inf for parameters that have none.
+        """Return the standard deviations (K,) of the weak priors, inf for parameters that have none.
 
         The change of the radius by a coefficient's term alone, at the image corner, is taken to be 0 ± 100 %, which is
         more than most lenses have: coefficients that the data cannot tell apart stay finite. focal: px.
         """
         corner = min(math.hypot(*image_size) / 2 / focal, self.prior_reach)
-        stds = [corner ** -self.orders[name] for name in self.coefficients]
-        return np.array([math.inf] * len(CORE) + stds)
+        return np.array([own.prior_std(corner) for own in self.parameters])
 
-    def _read(self, parameters: Array) -> tuple[list[float], list[float], Distortion]:
-        """Return the focal lengths, the principal point and the distortion of parameters (K,)."""
-        values = require_shape(parameters, (len(self.parameter_names),), "parameters").tolist()
-        return values[:2], values[2:4], Distortion(tuple(values[4:]), self._roles)
+    def _read(self, parameters: Array) -> _Lens:
+        """Return what parameters (K,) say."""
+        values = require_shape(parameters, (len(self.parameters),), "parameters").tolist()
+        first = len(CORE) + len(self.plane_parameters)
+        return _Lens(values[:2], values[2:4], values[4:first], Distortion(tuple(values[first:]), self._roles))
 
     @cached_property
     def _roles(self) -> Roles:
         """Which of the coefficients, by their indices, play which role."""
-        indices = {name: index for index, name in enumerate(self.coefficients)}
-        return Roles(
-            **{role: tuple(indices[name] for name in names if name in indices) for role, names in self.kinds.items()}
-        )
+        roles = [own.role for own in self.coefficients]
+        return Roles(**{role: tuple(index for index, own in enumerate(roles) if own == role) for role in set(roles)})
+
+
+def chained(distorted: Distorted, focal: Values, by_x: Array, by_y: Array, slopes: Array) -> None:
+    """Write the derivatives (2, P, n) of the pixels, given those of the places on the plane, by_x, by_y (P, n).
+
+    What a plane's `_chain` needs, and for most planes all that it needs.
+    """
+    for axis, along_x, along_y, length in zip(
+        slopes, (distorted.x_x, distorted.y_x), (distorted.x_y, distorted.y_y), focal, strict=True
+    ):
+        np.multiply(by_x, length * along_x, out=axis)
+        np.add(axis, by_y * (length * along_y), out=axis)
 
 
 def _parts(count: int) -> Iterator[slice]:
     return (slice(start, start + PART) for start in range(0, count, PART))
 
 
-def _to_pixels(distorted: Distorted, focal: list[float], centre: list[float], pixels: Array) -> None:
+def _to_pixels(distorted: Distorted, focal: Values, centre: Values, pixels: Array) -> None:
     for row, value, scale, origin in zip(pixels, (distorted.x, distorted.y), focal, centre, strict=True):
         np.multiply(value, scale, out=row)
         np.add(row, origin, out=row)

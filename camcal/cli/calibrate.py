@@ -27,8 +27,9 @@ def calibrate(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4, kannala_brandt5t (wide lenses). "
-            "Default: opencv5, unless another one predicts views clearly better; it is said."
+            metavar="MODEL",
+            help=f"Lens model: {shared.LENS_MODELS}. "
+            "Default: opencv5, unless another one predicts views clearly better; it is said.",
         ),
     ] = None,
     fix: Annotated[

@@ -41,7 +41,7 @@ from camcal.cli import (
     undistort,
     view,
 )
-from camcal.cli.options import SETTINGS
+from camcal.cli.options import SETTINGS, LensModelCommand
 from camcal.cli.transform_options import NumbersCommand
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, InvalidInput, in_one_line, translated
 from camcal.images import limits
@@ -172,10 +172,10 @@ transform_app.command("check", cls=NumbersCommand)(transform_poses.check)
 transform_app.command("points", cls=NumbersCommand)(transform_poses.points)
 
 app.command("demo")(demo.demo)
-app.command("simulate")(simulate.simulate)
+app.command("simulate", cls=LensModelCommand)(simulate.simulate)
 app.command("board")(board.board)
 app.command("detect")(targets.detect)
-app.command("calibrate")(calibrate.calibrate)
+app.command("calibrate", cls=LensModelCommand)(calibrate.calibrate)
 app.command("undistort")(undistort.undistort)
 app.command("inspect")(inspect.inspect)
 app.command("demosaic")(demosaic.demosaic)

@@ -2,14 +2,15 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperOption
+from typer.core import TyperCommand, TyperOption
 
 if TYPE_CHECKING:
     from camcal.raw.reading import GivenLayout
 
+LENS_MODELS = "{lens models}"  # stands for their names in the help of an option
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 
 _MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
@@ -57,6 +58,26 @@ def _limit_pixels(millions: float | None) -> float | None:
             raise InvalidInput(f"--max-pixels {millions:g}: more than 0 and at most {_MOST_PIXELS:g} million")
         limits.set_max_pixels(round(millions * 1e6))
     return millions
+
+
+class LensModelCommand(TyperCommand):
+    """A command with an option for the lens model. Its help names the models, and imports them only then."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the help of the options."""
+        for option in self.params:
+            if isinstance(option, TyperOption) and option.help:
+                option.help = with_lens_models(option.help)
+        super().format_options(ctx, formatter)
+
+
+def with_lens_models(text: str) -> str:
+    """Return the text with the names of the lens models where it has LENS_MODELS."""
+    if LENS_MODELS not in text:
+        return text
+    from camcal.cameras.catalogue import help_line
+
+    return text.replace(LENS_MODELS, help_line())
 
 
 Output = Annotated[

@@ -29,9 +29,7 @@ def simulate(
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option(
-            help="Lens model: pinhole, opencv4/5/8/12/14, kannala_brandt4, kannala_brandt5t; by default opencv5."
-        ),
+        typer.Option(metavar="MODEL", help=f"Lens model: {shared.LENS_MODELS}; by default opencv5."),
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size of the images; by default 1280x960, of pairs 640x480.")

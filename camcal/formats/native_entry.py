@@ -30,6 +30,10 @@ SENSOR: Mapping[str, Check] = {
 }
 
 
+def _model(value: Any, path: str) -> Iterator[Fault]:
+    yield from one_of(tuple(MODELS), "model")(value, path)
+
+
 def _unchecked(_value: Any, _path: str) -> tuple[Fault, ...]:
     """Pass anything: native_lens checks it once the model is known."""
     return ()
@@ -37,7 +41,7 @@ def _unchecked(_value: Any, _path: str) -> tuple[Fault, ...]:
 
 _LENS = dict.fromkeys(("distortion", "fixed", "uncertainty"), _unchecked)
 _ENTRY = mapping(
-    {"image_size": items(integer(1), 2), "model": one_of(tuple(MODELS), "model"), "intrinsics": _unchecked},
+    {"image_size": items(integer(1), 2), "model": _model, "intrinsics": _unchecked},
     {
         **_LENS,
         "configuration": mapping({}, others=plain),

@@ -6,7 +6,6 @@ fixed: [k3]
 uncertainty: {std: {fx: 0.41, ...}, covariance_order: [fx, ...], covariance: [[...], ...]}
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,12 @@ import numpy as np
 from camcal.cameras.model import Camera, CameraModel
 from camcal.formats import covariance
 from camcal.formats.schema import did_you_mean, items, mapping, number, one_of
-from camcal.formats.strict_yaml import Check, Fault, child, nearest
+from camcal.formats.strict_yaml import Fault, child, nearest
 
 CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others are named under distortion
 
-_MIRRORED = " (mirrored image? flip the image instead)"
-_RANGES: Mapping[str, Check] = {
-    "fx": number(above=0, hint=_MIRRORED),
-    "fy": number(above=0, hint=_MIRRORED),
-    "tau_x": number(-math.pi / 2, math.pi / 2),
-    "tau_y": number(-math.pi / 2, math.pi / 2),
-}
+_FOCAL = ("fx", "fy")
+_POSITIVE = number(above=0, hint=" (mirrored image? flip the image instead)")
 PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
 _UNCERTAINTY = mapping(
     {},
@@ -79,7 +73,7 @@ def _check_names(values: Any, path: str, model: CameraModel, names: Sequence[str
     misspelt: set[str | None] = set()
     for name, value in values.items():
         if name in names:
-            yield from _RANGES.get(name, number())(value, child(path, name))
+            yield from (_POSITIVE if name in _FOCAL else number(*model.limits[name]))(value, child(path, name))
         else:
             misspelt.add(nearest(name, missing))
             yield Fault(child(path, name), f"model {model.name!r} has no {name!r} here{did_you_mean(name, missing)}")

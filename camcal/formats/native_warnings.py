@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from camcal.cameras import panoramic
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -25,7 +24,7 @@ def findings(file: CameraFile) -> Iterator[Fault]:
         path = child("cameras", name)
         yield from _principal_point(entry.camera, child(path, "intrinsics"))
         yield from _aspect(entry.camera, child(path, "intrinsics"))
-        if entry.camera.model not in panoramic.MODELS:  # a view, not a lens: it may show all around
+        if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
             yield from _opening(entry, child(path, "intrinsics"))
             yield from _folding(entry, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))

@@ -9,7 +9,7 @@ from camcal.arrays import Array
 from camcal.cameras import panoramic
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.image_circle import ImageCircle
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.validity import rim
 from camcal.errors import InvalidInput
 from camcal.images.crop import enclosing_box, largest_box
@@ -21,8 +21,8 @@ PROJECTIONS = (PINHOLE, *PANORAMAS)
 
 _PER_EDGE = 256  # samples of each edge of the image: between two of them it bends by less than 0.01 px
 _DENSEST = 16  # times that
-_WIDEST_PINHOLE = np.radians(179.0)
-_WIDEST = {PINHOLE: 179.0, "cylinder": 360.0, "equirectangular": 360.0, "stereographic": 350.0}  # degrees
+_WIDEST_PINHOLE_DEG = 179.0
+_WIDEST_PINHOLE = np.radians(_WIDEST_PINHOLE_DEG)
 _SHRINKS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1, 0.2)
 _CHECKED = 64  # pixels a side that are asked whether a crop holds
 
@@ -102,16 +102,19 @@ def _spanning(
     camera: Camera, circle: ImageCircle | None, projection: str, fov_deg: float | None, size: tuple[int, int]
 ) -> Camera:
     """Return the view that spans the field of view from edge to edge, or what the lens sees across."""
-    seen_deg = min(_WIDEST[projection], np.degrees(seen_across(camera, circle))) if fov_deg is None else fov_deg
+    seen_deg = min(_widest_deg(projection), np.degrees(seen_across(camera, circle))) if fov_deg is None else fov_deg
     fov = np.radians(seen_deg)
-    half_width = {
-        PINHOLE: np.tan(fov / 2),
-        "cylinder": fov / 2,
-        "equirectangular": fov / 2,
-        "stereographic": 2 * np.tan(fov / 4),
-    }[projection]
-    model = PANORAMAS.get(projection) or model_named(PINHOLE)
+    if projection == PINHOLE:
+        return _of_half_width(model_named(PINHOLE), size, np.tan(fov / 2))
+    return _of_half_width(PANORAMAS[projection], size, PANORAMAS[projection].half_width(fov))
+
+
+def _of_half_width(model: CameraModel, size: tuple[int, int], half_width: float) -> Camera:
     return Camera(model, size, model.start(size, size[0] / 2 / half_width))
+
+
+def _widest_deg(projection: str) -> float:
+    return _WIDEST_PINHOLE_DEG if projection == PINHOLE else PANORAMAS[projection].widest_deg
 
 
 def _cropped(
@@ -175,11 +178,11 @@ def _angles(rays: Array) -> Array:
 def _check_fov(projection: str, fov_deg: float) -> None:
     if not isfinite(fov_deg) or fov_deg <= 0:
         raise InvalidInput(f"a field of view is positive, found {fov_deg:g}°")
-    if fov_deg <= _WIDEST[projection]:
+    if fov_deg <= _widest_deg(projection):
         return
     if projection == PINHOLE:
         _refuse_pinhole(np.radians(fov_deg))
-    raise InvalidInput(f"a {projection} view holds up to {_WIDEST[projection]:g}°, asked for {fov_deg:g}°")
+    raise InvalidInput(f"a {projection} view holds up to {_widest_deg(projection):g}°, asked for {fov_deg:g}°")
 
 
 def _refuse_pinhole(widest: float) -> None:

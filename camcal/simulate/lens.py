@@ -8,9 +8,6 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InvalidInput
 
-# A barrel distortion that stays one-to-one at any field of view, and a little decentring.
-TYPICAL = {"k1": -0.2, "k2": 0.05, "p1": 0.0008, "p2": -0.0005}
-TYPICAL_FISHEYE = {"k1": -0.02, "k2": 0.003, "p1": 0.0008, "p2": -0.0005}
 WIDEST = 100.0  # half an image's width in focal lengths, 178.9° for a pinhole
 OFF_CENTRE = (0.006, -0.004)  # of the principal point, as shares of the image's width
 
@@ -37,8 +34,7 @@ def make_camera(
 
 def _distorted(model: CameraModel, parameters: Array, distortion: Mapping[str, float] | None) -> Array:
     if distortion is None:
-        typical = TYPICAL_FISHEYE if model.domain(parameters).max_theta > np.pi / 2 else TYPICAL
-        distortion = {name: value for name, value in typical.items() if name in model.parameter_names}
+        distortion = model.typical
     for name, value in distortion.items():
         if name not in model.parameter_names[4:]:
             known = ", ".join(model.parameter_names[4:]) or "none"

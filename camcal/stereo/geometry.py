@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.brown import Brown
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
@@ -40,7 +39,7 @@ class StereoGeometry:
 
 def pinhole_intrinsics(camera: Camera) -> tuple[float, float, float, float]:
     """Return fx, fy, cx, cy, pixels, of a camera without distortion; raises InvalidInput if it has any."""
-    if not isinstance(camera.model, Brown) or camera.parameters[4:].any():
+    if not camera.model.is_pinhole(camera.parameters):
         raise InvalidInput(f"the camera is distorted ({camera.model.name}); undistort or rectify the images first")
     fx, fy, cx, cy = camera.parameters[:4].tolist()
     return fx, fy, cx, cy

@@ -18,7 +18,7 @@ from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate, compare_models
 from camcal.calibrate.model_choice import GAIN, Contender, chosen, contender
 from camcal.calibrate.problem import Observations
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.directions import in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
@@ -28,7 +28,7 @@ from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.solve.least_squares import Stopping, minimise
 from camcal.targets.board import Board
 from camcal.tasks.calibration import model_selection
-from camcal.tasks.calibration.model_selection import CANDIDATES, DEFAULT_MODEL, select
+from camcal.tasks.calibration.model_selection import CANDIDATES, select
 
 FLAT = ShapeOptions(smooth=False, offsets=False)
 OPTIONS = Options(model_named(DEFAULT_MODEL), shape=FLAT)  # the model does not matter

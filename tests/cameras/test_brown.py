@@ -6,10 +6,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from camcal.cameras.brown import COEFFICIENTS, MODELS
+from camcal.cameras.brown import MODELS
 from camcal.cameras.catalogue import model_named
 
 FAMILY = {model.name: model for model in MODELS}
+COEFFICIENTS = FAMILY["opencv14"].parameter_names[4:]
 VALUES = (-0.28, 0.07, 0.002, -0.003, 0.01, 0.02, -0.01, 0.003, 0.01, -0.002, 0.005, 0.001, 0.12, -0.15)
 LENS = {"fx": 500.0, "fy": 505.0, "cx": 319.5, "cy": 241.25} | dict(zip(COEFFICIENTS, VALUES, strict=True))
 every_brown = pytest.mark.parametrize("model", MODELS, ids=FAMILY)

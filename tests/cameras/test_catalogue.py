@@ -1,20 +1,35 @@
 """The catalogue: its names, and the hint a misspelt one gets."""
 
+import re
+
 import pytest
 
-from camcal.cameras.catalogue import MODELS, model_named
+from camcal.cameras.catalogue import MODELS, WIDE_MODEL, help_line, model_named
 from camcal.errors import InvalidInput
 
 
-def test_models_are_found_by_their_names():
-    assert list(MODELS) == [
-        "pinhole", "opencv4", "opencv5", "opencv8", "opencv12", "opencv14", "kannala_brandt4", "kannala_brandt5t",
-        "cylinder", "equirectangular", "stereographic",
-    ]  # fmt: skip
-    assert all(model_named(name).name == name for name in MODELS)
+def test_models_are_found_by_their_names_and_aliases():
+    names = [name for model in MODELS.values() for name in (model.name, *model.aliases)]
+    assert len(names) == len(set(names))
+    for key, model in MODELS.items():
+        assert all(model_named(name) is model for name in (key, model.name, *model.aliases))
 
 
-@pytest.mark.parametrize(("wrong", "near"), [("opencv9", "opencv"), ("kanala_brandt", "kannala_brandt4")])
+def test_names_of_other_tools_are_understood():
+    assert model_named("fisheye") is model_named("equidistant") is MODELS[WIDE_MODEL]
+    assert model_named("plumb_bob").parameter_names[4:] == ("k1", "k2", "p1", "p2", "k3")
+    assert model_named("rational_polynomial").parameter_names[4:] == ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def test_the_help_names_every_lens_and_no_view():
+    assert set(re.findall(r"\w+", help_line())) == {
+        name for model in MODELS.values() if not model.is_view for name in (model.name, *model.aliases)
+    }
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"), [("opencv9", "opencv"), ("kanala_brandt", "kannala_brandt4"), ("plumbob", "plumb_bob")]
+)
 def test_a_misspelt_name_is_refused_with_the_nearest(wrong, near):
     with pytest.raises(InvalidInput, match=f"{wrong!r} is unknown; did you mean '{near}"):
         model_named(wrong)

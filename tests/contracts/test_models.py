@@ -7,13 +7,16 @@ import pickle
 
 import numpy as np
 import pytest
+import toy_model
 
-from camcal.cameras.catalogue import MODELS
+from camcal.cameras.catalogue import MODELS as REGISTERED
 from camcal.cameras.plane_model import PART
 from camcal.errors import InvalidInput
+from camcal.simulate.lens import make_camera
 from camcal.solve.differentiate import central_jacobian
 
 IMAGE_SIZE = (641, 481)
+MODELS = {**REGISTERED, **{model.name: model for model in toy_model.MODELS}}
 every_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 
 
@@ -22,7 +25,7 @@ def sample_parameters(model, seed=1):
     rng = np.random.default_rng(seed)
     parameters = model.start(IMAGE_SIZE, 500.0)
     parameters[:4] += [3.0, -4.0, 5.5, -7.25]
-    parameters[4:] = rng.uniform(-0.02, 0.02, len(parameters) - 4)
+    parameters[4:] += rng.uniform(-0.02, 0.02, len(parameters) - 4)
     return parameters
 
 
@@ -136,11 +139,13 @@ def test_domain_is_where_points_are_valid(model, seed):
 @every_model
 def test_solver_may_leave_the_domain(model):
     parameters = sample_parameters(model)
-    parameters[4:5] = -1.0
+    distorted = "k1" in model.parameter_names
+    if distorted:
+        parameters[model.parameter_names.index("k1")] = -1.0
     beyond = rays(np.array([1.2]), np.array([0.5]))
     strict = model.project_with_jacobians(parameters, beyond)
     free = model.project_with_jacobians(parameters, beyond, within_domain=False)
-    assert strict.valid.all() == (len(parameters) == 4)  # a lens without distortion has no fold
+    assert strict.valid.all() == (not distorted)  # a lens without distortion has no fold
     assert free.valid.all()
     assert np.isfinite(free.d_parameters).all()
     assert not model.project_with_jacobians(parameters, np.array([[0.0, 0, -1]]), within_domain=False).valid.any()
@@ -210,6 +215,44 @@ def test_every_coefficient_has_a_prior_and_no_other_parameter_has_one(model):
     spread = model.prior_std((1600, 1200), 1200.0)
     assert spread.shape == (len(model.parameter_names),)
     assert np.isinf(spread[:4]).all()  # fx fy cx cy
+    np.testing.assert_array_equal(model.prior_mean[4:], model.start((1600, 1200), 1200.0)[4:])
+    assert not model.prior_mean[:4].any()
     assert np.isfinite(spread[4:]).all()
     assert (spread[4:] > 0).all()
     np.testing.assert_array_equal(spread, model.prior_std((3200, 2400), 2400.0))  # the same lens at another resolution
+
+
+@every_model
+@pytest.mark.parametrize("of", ["stages", "colour_stages"])
+def test_stages_free_ever_more_of_the_parameters_and_focal_lengths_first(model, of):
+    stages = getattr(model, of)
+    assert {"fx", "fy"} <= set(stages[0])
+    for stage, following in zip(stages, (*stages[1:], model.parameter_names), strict=True):
+        assert set(stage) <= set(following)
+
+
+@every_model
+def test_an_ordinary_lens_is_within_the_limits_and_one_to_one_over_a_wide_image(model):
+    assert set(model.typical) <= set(model.parameter_names)
+    assert set(model.limits) == set(model.parameter_names)
+    camera = make_camera(model, (1280, 960), np.radians(100))
+    for name, (low, high) in model.limits.items():
+        assert low <= camera.value(name) <= high
+    corners = np.array([[-0.5, -0.5], [1279.5, -0.5], [1279.5, 959.5], [-0.5, 959.5]])
+    assert camera.unproject(corners).valid.all()
+
+
+@every_model
+def test_it_is_a_pinhole_only_where_points_on_a_plane_keep_their_shape(model):
+    for parameters in (model.start(IMAGE_SIZE, 500.0), sample_parameters(model)):
+        points = sample_points(model, parameters)
+        fx, fy, cx, cy = parameters[:4]
+        expected = points[:, :2] / points[:, 2:] * [fx, fy] + [cx, cy]
+        straight = np.abs(model.project(parameters, points).pixels - expected).max() < 1e-9
+        assert model.is_pinhole(parameters) == straight
+
+
+@every_model
+def test_it_says_what_it_is(model):
+    assert model.summary
+    assert model.name not in model.aliases

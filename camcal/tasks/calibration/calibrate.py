@@ -13,7 +13,7 @@ from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_co
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.model_choice import Contender
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.image_circle import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, provenance
@@ -28,7 +28,7 @@ from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
-from camcal.tasks.calibration.model_selection import DEFAULT_MODEL, Selection, select
+from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.name_groups import name_groups
 from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
 from camcal.tasks.calibration.second_look import renumbered, second_look

@@ -16,7 +16,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.words import names_of
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
 from camcal.targets.board import Board, Detection
@@ -32,7 +32,7 @@ from camcal.targets.mixed_sizes import (
 )
 
 OPTION = "--mixed-sizes"
-_MODELS = ("opencv5", "kannala_brandt4")  # of which the one with less noise tells how images were turned
+_MODELS = (DEFAULT_MODEL, WIDE_MODEL)  # of which the one with less noise tells how images were turned
 _CLEARER = 1.5  # times: how much larger the median residual of the other way must be
 _LIMIT = 5.0  # times the noise of the other views: the median residual of a view that fits
 _NAMED = 4  # images in a note

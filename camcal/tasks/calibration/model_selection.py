@@ -8,14 +8,13 @@ import numpy as np
 from camcal.calibrate import intrinsics
 from camcal.calibrate.intrinsics import Calibration, compare_models
 from camcal.calibrate.model_choice import GAIN, Contender, chosen
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.validity import folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.targets.board import Board, Detection
 
-DEFAULT_MODEL = "opencv5"
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero

@@ -8,7 +8,7 @@ from math import inf, sqrt
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.boards import load_board
@@ -30,7 +30,6 @@ _REACH = 1e4  # board sizes between which distances are looked for
 _MOST_PX = 1e6
 _SQUARE_PX, _CELL_PX = 8.0, 2.0  # of a chessboard, and of a marker's cell
 _STEEPEST = np.radians(80)
-_DISTORTED = "opencv5"  # what a lens that is known by its focal length alone will be calibrated with
 
 
 @dataclass(frozen=True)
@@ -261,7 +260,7 @@ def _blur_factor(setup: Setup, known: AtDistance) -> float:
 def _calibration(setup: Setup, board: Board, options: BoardOptions) -> tuple[Mapping[str, float] | None, str | None]:
     camera = _camera(setup)
     if not setup.measured:
-        model = model_named(_DISTORTED)
+        model = model_named(DEFAULT_MODEL)  # which it will be calibrated with
         camera = Camera(model, camera.image_size, model.start(camera.image_size, camera.value("fx")))
     rng = np.random.default_rng(0)
     try:

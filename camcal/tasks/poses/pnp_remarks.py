@@ -134,7 +134,7 @@ def of_lens(
 
 def _without_distortion(camera: Camera) -> Camera | None:
     """Return the pinhole camera of the same focal lengths and principal point, None where there is no distortion."""
-    if not camera.parameters[4:].any():
+    if camera.model.is_pinhole(camera.parameters):
         return None
     return Camera(model_named("pinhole"), camera.image_size, camera.parameters[:4])
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from camcal import files
-from camcal.cameras.catalogue import model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import boards, detections, native, provenance
@@ -47,7 +47,6 @@ __all__ = [
     "simulate",
 ]
 
-DEFAULT_MODEL = "opencv5"
 DEFAULT_SIZE = (1280, 960)
 DEFAULT_FOV = radians(70)
 IMAGES = "images"
