@@ -1,20 +1,20 @@
-"""The lens models by name: the one line that a new model adds."""
+"""The lens models by name. A new model adds a file, whose MODELS it lists, and the line with the name of that file."""
 
 from collections.abc import Mapping
 from difflib import get_close_matches
+from importlib import import_module
 from types import MappingProxyType
 
-from camcal.cameras import brown, kannala_brandt, panoramic
 from camcal.cameras.model import CameraModel
 from camcal.errors import InvalidInput
 
+_FILES = (
+    "brown",
+    "kannala_brandt",
+    "panoramic",
+)
 _REGISTERED: dict[str, CameraModel] = {
-    model.name: model
-    for model in (
-        *brown.MODELS,
-        *kannala_brandt.MODELS,
-        *panoramic.MODELS,
-    )
+    model.name: model for file in _FILES for model in import_module(f"camcal.cameras.{file}").MODELS
 }
 MODELS: Mapping[str, CameraModel] = MappingProxyType(_REGISTERED)
 
