@@ -34,7 +34,7 @@ from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, Detection
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.photographs import AS_IMAGES
+from camcal.tasks.calibration.options import AS_IMAGES
 from camcal.tasks.calibration.second_look import second_look
 
 SIZE, BOARD = (1280, 960), Board("chessboard", 9, 6, 0.04)

@@ -26,8 +26,8 @@ from camcal.images.save import save
 from camcal.raw.demosaic import demosaic
 from camcal.raw.reading import read_mosaic
 from camcal.simulate.sensor import lenses
-from camcal.tasks.calibration.calibrate import CalibrateOptions, CalibrateReport, calibrate
-from camcal.tasks.calibration.photographs import Reading
+from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
+from camcal.tasks.calibration.options import CalibrateOptions, Reading
 from camcal.tasks.simulation.simulate import Exposure, RawCamera, RawOptions, Sensor, SimulateOptions, simulate
 
 BOARD, PATTERN, ABERRATION_PX = "chessboard:9x6:40mm", "RGGB", 0.5

@@ -23,7 +23,8 @@ from real_sets import DATA, SETS
 from camcal.formats import native
 from camcal.formats.poses.record import Poses
 from camcal.report import pose_words
-from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.poses.pnp import PnpOptions, pnp
 
 

@@ -35,7 +35,8 @@ from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
 from camcal.targets.samples import Samples
-from camcal.tasks.calibration.photographs import Reading, agreeing_gains, photograph_of
+from camcal.tasks.calibration.options import Reading
+from camcal.tasks.calibration.photographs import agreeing_gains, photograph_of
 
 SIZE, PATTERN, BLACK, WHITE = (1280, 960), "RGGB", 64.0, 4095.0
 BOARD = Board("chessboard", 9, 6, 0.04)

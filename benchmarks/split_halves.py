@@ -60,8 +60,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import point_jacobian, retract
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board, Detection
-from camcal.tasks.calibration.calibrate import CalibrateOptions
 from camcal.tasks.calibration.calibrate import calibrate as calibrate_files
+from camcal.tasks.calibration.options import CalibrateOptions
 
 PROGRAMS = ("camcal", "plain", "base", "opencv", "mrcal", "lensboy")
 MORE_SETS = {

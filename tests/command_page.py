@@ -10,8 +10,10 @@ from typing import Any
 from typer.core import TyperArgument, TyperGroup, TyperOption
 from typer.main import get_command
 
+from camcal.cli.command import OptionsCommand, help_text, value_name
 from camcal.cli.main import app
 from camcal.cli.options import with_lens_models
+from camcal.options import Declared, by_group
 
 PAGE = Path(__file__).parents[1] / "docs" / "commands.md"
 EVERYWHERE = ("jobs", "recursive", "json", "quiet", "verbose", "config")  # described once, for all commands
@@ -39,6 +41,8 @@ def sections(page: str) -> dict[str, str]:
 
 def option_block(command: Any, name: str) -> str:
     """Return the synopsis and the table of options of a command, from its help."""
+    if isinstance(command, OptionsCommand):
+        return _declared_block(command, name)
     own = [parameter for parameter in command.params if parameter.name not in EVERYWHERE]
     needed = [each for each in own if isinstance(each, TyperArgument)]
     needed += [each for each in own if isinstance(each, TyperOption) and each.required]
@@ -47,6 +51,28 @@ def option_block(command: Any, name: str) -> str:
     shared = ", ".join(f"`{each.opts[0]}`" for each in command.params if each.name in EVERYWHERE)
     also = f"{'Also' if own else 'Only'} {shared}: [as everywhere](#options-of-every-command)."
     return "\n".join(["```", synopsis, "```", "", *table, also, ""])
+
+
+def _declared_block(command: OptionsCommand, name: str) -> str:
+    own = [each for each in command.declared if each.name.lstrip("-") not in EVERYWHERE]
+    needed = [f"[{each.name}]" if not each.required else each.name for each in own if each.positional]
+    needed += [f"{each.name} {value_name(each)}" for each in own if each.required and not each.positional]
+    rows = []
+    for group, members in by_group(own).items():
+        rows += [f"| **{group}** | |", *map(_declared_row, members)]
+    table = ["| argument or option | |", "|---|---|", *rows, ""] if own else []
+    shared = [each.name for each in command.declared if each.name.lstrip("-") in EVERYWHERE]
+    said = ", ".join(f"`{option}`" for option in (*shared, "--config", "--write-config"))
+    also = f"{'Also' if own else 'Only'} {said}: [as everywhere](#options-of-every-command)."
+    synopsis = " ".join(["camcal", name, *needed, "[OPTIONS]"])
+    return "\n".join(["```", synopsis, "```", "", *table, also, ""])
+
+
+def _declared_row(each: Declared) -> str:
+    first, *others = each.spellings
+    value = "" if each.positional or each.flag else f" {value_name(each)}"
+    spelled = ", ".join(f"`{form}`" for form in (first + value, *others, *([each.opposite] if each.opposite else [])))
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in (spelled, help_text(each))) + " |"
 
 
 def _spellings(parameter: Any) -> list[str]:

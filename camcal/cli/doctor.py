@@ -2,19 +2,14 @@
 
 from typing import TYPE_CHECKING
 
-from camcal.cli import options as shared
 from camcal.cli import show
+from camcal.cli.command import Call
 
 if TYPE_CHECKING:
     from camcal.tasks.doctor import Examination
 
 
-def doctor(
-    json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
-    config: shared.Config = None,
-) -> None:
+def doctor(call: Call) -> None:
     """Say what is installed and what is in the way.
 
     The exit code is 7 if anything is.
@@ -23,10 +18,7 @@ def doctor(
     from camcal.tasks.doctor import document, examine
 
     found = examine()
-    if json:
-        show.document("doctor", document(found))
-    elif not quiet:
-        _show(found, verbose)
+    call.give(lambda: document(found), lambda: _show(found, call.verbose))
     if found.problems:
         raise GateFailed("\n".join(found.problems))
 

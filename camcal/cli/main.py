@@ -16,39 +16,14 @@ import typer
 from typer.core import TyperGroup
 
 from camcal import __version__
-from camcal.cli import (
-    board,
-    calibrate,
-    demo,
-    demosaic,
-    doctor,
-    fit,
-    inspect,
-    optics,
-    pnp,
-    sensor,
-    show,
-    simulate,
-    smooth,
-    stereo_check,
-    stereo_cloud,
-    stereo_disparity,
-    stereo_eval,
-    targets,
-    track,
-    transform,
-    transform_poses,
-    undistort,
-    view,
-)
-from camcal.cli.options import SETTINGS, LensModelCommand
-from camcal.cli.transform_options import NumbersCommand
+from camcal.cli import show
+from camcal.cli.catalogue import CommandGroup
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, InvalidInput, in_one_line, translated
 from camcal.images import limits
 from camcal.run.startup import BLAS_THREADS, Stopped, stop_on_signals
 
 
-class Boundary(TyperGroup):
+class Boundary(CommandGroup):
     """The root of all commands; whatever happens below it leaves here as an exit code, a line, and JSON if asked for.
 
     A bug alone leaves as the exception it is: Python shows the traceback and exits with 1.
@@ -56,6 +31,7 @@ class Boundary(TyperGroup):
 
     def main(self, args: Sequence[str] | None = None, *_: Any, **__: Any) -> NoReturn:
         arguments = list(sys.argv[1:] if args is None else args)
+        self._main_shell_completion({}, "camcal")  # only where the shell asks, by a variable of the environment
         with show.documents() as shown:
             try:
                 with self.make_context("camcal", list(arguments)) as context:
@@ -101,19 +77,10 @@ class Boundary(TyperGroup):
 def _usage_error(error: typer.TyperException, command: str) -> InvalidInput:
     """Return the one-line form of what typer says in several, naming the settings file if the value came from there."""
     words = " ".join(error.format_message().split()).rstrip(".")
-    line = _settings_line(getattr(error, "ctx", None), getattr(error, "param", None))
+    from camcal.cli.command import settings_line
+
+    line = settings_line(getattr(error, "ctx", None), getattr(getattr(error, "param", None), "name", None))
     return InvalidInput(words, where=line) if line else InvalidInput(f"{words}; see '{command} --help'")
-
-
-def _settings_line(context: Any, parameter: Any) -> str | None:
-    """Return the file and line that a refused value came from, None if it does not come from a settings file."""
-    if context is None or parameter is None:
-        return None
-    source = context.get_parameter_source(parameter.name)
-    if source is None or source.name != "DEFAULT_MAP":
-        return None
-    line: str = context.meta[SETTINGS][parameter.name]
-    return line
 
 
 def _described(error: BaseException) -> tuple[int, str, str, str | None]:
@@ -135,60 +102,19 @@ def _show_version(wanted: bool) -> None:
 
 app = typer.Typer(
     cls=Boundary,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["--help", "-h"], "max_content_width": 100},
 )
 
 
-@app.callback(invoke_without_command=True)
+@app.callback()
 def camcal(
-    context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Print the version and leave.")
+        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Calibrate, rectify and measure with cameras from the shell, and know when not to trust the result."""
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help(), err=True)
-        raise typer.Exit(InvalidInput.exit_code)
-
-
-stereo_app = typer.Typer(help="What two cameras measure.")
-stereo_app.command("check")(stereo_check.check)
-stereo_app.command("disparity")(stereo_disparity.disparity)
-stereo_app.command("cloud")(stereo_cloud.cloud)
-stereo_app.command("eval")(stereo_eval.evaluate)
-
-transform_app = typer.Typer(help="Poses and frames: compose, invert, chain, convert, apply.")
-transform_app.command("chain", cls=NumbersCommand)(transform.chain)
-transform_app.command("eval", cls=NumbersCommand)(transform.evaluate)
-transform_app.command("compose", cls=NumbersCommand)(transform.compose)
-transform_app.command("invert", cls=NumbersCommand)(transform.invert)
-transform_app.command("convert", cls=NumbersCommand)(transform_poses.convert)
-transform_app.command("average", cls=NumbersCommand)(transform_poses.average)
-transform_app.command("check", cls=NumbersCommand)(transform_poses.check)
-transform_app.command("points", cls=NumbersCommand)(transform_poses.points)
-
-app.command("demo")(demo.demo)
-app.command("simulate", cls=LensModelCommand)(simulate.simulate)
-app.command("board")(board.board)
-app.command("detect")(targets.detect)
-app.command("calibrate", cls=LensModelCommand)(calibrate.calibrate)
-app.command("undistort")(undistort.undistort)
-app.command("inspect")(inspect.inspect)
-app.command("demosaic")(demosaic.demosaic)
-app.command("sensor")(sensor.sensor)
-app.add_typer(stereo_app, name="stereo")
-app.command("view")(view.view)
-app.command("pnp")(pnp.pnp)
-app.command("track")(track.track)
-app.command("smooth")(smooth.smooth)
-app.command("fit")(fit.fit)
-app.add_typer(transform_app, name="transform")
-app.command("optics")(optics.optics)
-app.command("doctor")(doctor.doctor)
 
 
 def main() -> None:

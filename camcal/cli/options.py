@@ -8,34 +8,37 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 if TYPE_CHECKING:
-    from camcal.raw.reading import GivenLayout
-
-LENS_MODELS = "{lens models}"  # stands for their names in the help of an option
-SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
+    from camcal.raw.options import GivenLayout
 
 _MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
-_OF_THE_CALL = {"config", "help", "json"}  # they say how a command is called, not what it does
 
 
 def _apply_settings(context: typer.Context, path: Path | None) -> Path | None:
     """Let a settings file give the defaults of the options that are not on the command line."""
-    if path is None:
-        return None
-    from camcal.run.settings import read_settings
+    from camcal.cli.command import apply_settings
 
-    options = {
-        max(option.opts, key=len).lstrip("-").replace("-", "_"): option
-        for option in context.command.params
-        if isinstance(option, TyperOption)
-    }
-    several = {name: option.multiple or option.nargs != 1 for name, option in options.items()}
-    settings = read_settings(path, {name: value for name, value in several.items() if name not in _OF_THE_CALL})
-    context.default_map = {
-        options[name].name: str(value).lower() if isinstance(value, bool) and not options[name].is_flag else value
-        for name, value in settings.values.items()
-    }
-    context.meta[SETTINGS] = {options[name].name: f"{settings.where}:{line}" for name, line in settings.lines.items()}
-    return path
+    return apply_settings(context, path)
+
+
+LENS_MODELS = "{lens models}"  # stands for their names in the help of an option
+
+
+class LensModelCommand(TyperCommand):
+    """A command with an option for the lens model. Its help names the models, and imports them only then."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the help of the options."""
+        for option in self.params:
+            if isinstance(option, TyperOption) and option.help:
+                option.help = with_lens_models(option.help)
+        super().format_options(ctx, formatter)
+
+
+def with_lens_models(text: str) -> str:
+    """Return the text with the names of the lens models where it has LENS_MODELS."""
+    from camcal.tasks.options import lens_models
+
+    return text.replace(LENS_MODELS, lens_models()) if LENS_MODELS in text else text
 
 
 def _not_the_settings(context: typer.Context, path: Path | None) -> Path | None:
@@ -58,26 +61,6 @@ def _limit_pixels(millions: float | None) -> float | None:
             raise InvalidInput(f"--max-pixels {millions:g}: more than 0 and at most {_MOST_PIXELS:g} million")
         limits.set_max_pixels(round(millions * 1e6))
     return millions
-
-
-class LensModelCommand(TyperCommand):
-    """A command with an option for the lens model. Its help names the models, and imports them only then."""
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the help of the options."""
-        for option in self.params:
-            if isinstance(option, TyperOption) and option.help:
-                option.help = with_lens_models(option.help)
-        super().format_options(ctx, formatter)
-
-
-def with_lens_models(text: str) -> str:
-    """Return the text with the names of the lens models where it has LENS_MODELS."""
-    if LENS_MODELS not in text:
-        return text
-    from camcal.cameras.catalogue import help_line
-
-    return text.replace(LENS_MODELS, help_line())
 
 
 Output = Annotated[
@@ -188,7 +171,7 @@ def given_layout(
     frame: int | None = None,
 ) -> "GivenLayout":
     """Return what the options say of header-less files; raises InvalidInput for a size or a format that is none."""
-    from camcal.raw.reading import GivenLayout
+    from camcal.raw.options import GivenLayout
 
     shape = None if size is None else parse_size(size)
     return GivenLayout(pixel_format, shape, stride, offset, endian, align, frame)

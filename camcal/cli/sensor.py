@@ -9,7 +9,7 @@ from camcal.cli import options as shared
 from camcal.cli import show
 
 if TYPE_CHECKING:
-    from camcal.raw.reading import GivenLayout
+    from camcal.raw.options import GivenLayout
     from camcal.tasks.raw.sensor import SensorOptions, SensorReport
 
 

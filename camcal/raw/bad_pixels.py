@@ -13,7 +13,8 @@ from camcal.images.load import load
 from camcal.images.npy import read_npy, write_npy
 from camcal.images.save import save
 from camcal.raw.dark_frame import stack
-from camcal.raw.mosaic import MONO, cell_side, is_x_trans, phases
+from camcal.raw.mosaic import cell_side, is_x_trans, phases
+from camcal.raw.options import MONO
 
 MASK_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm"})
 TEXT_SUFFIXES = frozenset({"", ".txt", ".badpixels"})  # dcraw looks for a file that is named .badpixels

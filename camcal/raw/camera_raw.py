@@ -11,7 +11,8 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.images import exif, limits
 from camcal.raw.capture import capture_of
-from camcal.raw.mosaic import MONO, Mosaic, cell_side, is_x_trans, phases, require_pattern
+from camcal.raw.mosaic import Mosaic, cell_side, is_x_trans, phases, require_pattern
+from camcal.raw.options import MONO
 
 _ORIENTATIONS = (1, 2, 4, 3, 5, 8, 6, 7)  # as EXIF counts them, by LibRaw's bits: mirror in x, in y, then transpose
 

@@ -15,7 +15,8 @@ from camcal.raw import bad_pixels
 from camcal.raw.balance import GRAY_WORLD, NO_BALANCE, Balance, Gains, balance_in_place
 from camcal.raw.colour_matrix import NO_MATRIX, apply_matrix, colour_matrix
 from camcal.raw.demosaic import AUTO, GRAY, NONE, demosaic, require_algorithm
-from camcal.raw.mosaic import MONO, Mosaic, full_scale, phases
+from camcal.raw.mosaic import Mosaic, full_scale, phases
+from camcal.raw.options import MONO
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.tone import DEPTHS, LINEAR, encode, quantise, require_tone
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.raw.mosaic import MONO, PATTERNS, require_pattern
+from camcal.raw.mosaic import require_pattern
+from camcal.raw.options import MONO, PATTERNS
 from camcal.raw.pixel_formats import FAMILIES, PixelFormat, frame_bytes, require_byte_order, row_bytes, unpack
 
 # Of the sensors and the modes that cameras for measuring have, (width, height); the most common ones first.

@@ -13,7 +13,8 @@ from scipy.ndimage import uniform_filter
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.counting import Counted
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, channel_names
+from camcal.raw.mosaic import Mosaic, by_place, channel_names
+from camcal.raw.options import MONO, PATTERNS
 
 _BOX = 9  # samples a side that the pattern is compared with, so that slow shading is not taken for it
 _FEWEST = 2 * _BOX  # samples of a phase along a side

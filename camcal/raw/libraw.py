@@ -11,7 +11,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.dng import dng_bytes
-from camcal.raw.mosaic import MONO, Mosaic, cell_side, is_x_trans
+from camcal.raw.mosaic import Mosaic, cell_side, is_x_trans
+from camcal.raw.options import MONO
 
 X_TRANS_NAME = "AHD"  # under this name LibRaw runs Markesteijn's filter on X-Trans
 

@@ -12,9 +12,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-
-PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR")
-MONO = "MONO"
+from camcal.raw.options import MONO, PATTERNS
 
 _X_TRANS_LETTERS = 36
 

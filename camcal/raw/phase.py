@@ -14,7 +14,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.raw.mosaic import PATTERNS, Mosaic
+from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import PATTERNS
 
 _BLOCK = 12  # pixels
 _MOST_BLOCKS = 1 << 14  # 2.4 megapixels: more of them change nothing

@@ -14,11 +14,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.raw.mosaic import MONO
+from camcal.raw.options import ALIGNS, ENDIANS, MONO
 from camcal.raw.packing import BLOCK_PIXELS, Packing, gige_vision, lsb_first, mipi, msb_first, unpack_rows
-
-ENDIANS = ("little", "big")
-ALIGNS = ("lsb", "msb")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,58 +1,15 @@
 """Reading raw frames of every kind: camera raw files, bare mosaics in image files, header-less dumps of a sensor."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.images.load import load
 from camcal.raw.camera_raw import read_camera_raw
-from camcal.raw.headerless import Layout, missing_layout, read_headerless
-from camcal.raw.mosaic import PATTERNS, Mosaic, full_scale
-from camcal.raw.pixel_formats import pixel_format_named
-
-BARE_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy"})
-HEADERLESS_SUFFIXES = frozenset({".raw", ".bin"})
-
-
-@dataclass(frozen=True)
-class GivenLayout:
-    """What is said of header-less files; see `Layout`. format: a name that `pixel_format_named` knows.
-
-    Raises InvalidInput for a format it does not know.
-    """
-
-    format: str | None = None
-    size: tuple[int, int] | None = None
-    stride: int | None = None
-    offset: int = 0
-    endian: str = "little"
-    align: str = "lsb"
-    frame: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.format is not None:
-            pixel_format_named(self.format)
-
-    def complete(self, path: Path, pattern: str | None) -> Layout:
-        """Return the layout of a file; raises InvalidInput, with what fits its length, if format or size is missing."""
-        pixel_format = None if self.format is None else pixel_format_named(self.format)
-        if pixel_format is None or self.size is None:
-            raise missing_layout(path, pixel_format, self.size, self.offset)
-        return Layout(pixel_format, self.size, self.stride, self.offset, self.endian, self.align, pattern, self.frame)
-
-    def settings(self) -> dict[str, Any]:
-        """Return what was said as options of a command, without what is so by default."""
-        size = None if self.size is None else "{}x{}".format(*self.size)
-        said = {"format": self.format, "size": size, "stride": self.stride, "offset": self.offset or None}
-        order = {"endian": self.endian, "align": self.align, "frame": self.frame}
-        standard = {"endian": "little", "align": "lsb", "frame": None}
-        return said | {name: value for name, value in order.items() if value != standard[name]}
-
-
-NO_LAYOUT = GivenLayout()
+from camcal.raw.headerless import read_headerless
+from camcal.raw.mosaic import Mosaic, full_scale
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, PATTERNS, GivenLayout
 
 
 def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT) -> Mosaic:

@@ -3,17 +3,23 @@
 Keys that begin with x_ are notes: whoever wrote the file may keep anything there, and nothing of it is read.
 """
 
-from collections.abc import Iterator, Mapping
+import json
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from camcal import files
+from camcal.errors import CamcalError
 from camcal.formats import strict_yaml
 from camcal.formats.strict_yaml import Fault
+from camcal.options import Declared, by_group
 
 Value = str | bool | list[str]
 
 _NOTE = "x_"
+_WIDTH = 110  # columns of a file that is written
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,14 @@ def read_settings(path: Path, options: Mapping[str, bool]) -> Settings:
     """Return the settings in a YAML file whose keys are option names, written with - or _.
 
     options: the names (with underscores) the command has, and whether they take several values.
+    A file of comments alone sets nothing.
     Raises FileError if it is no YAML mapping, InvalidInput listing with file and line every key that is unknown or
     given twice and every value that is not a plain one.
     """
-    document = strict_yaml.load(path, lambda data, _: _faults(data, options))
+    text = files.read_text(path)
+    if not any(line.strip() and not line.lstrip().startswith("#") for line in text.splitlines()):
+        return Settings(str(path), {}, {})
+    document = strict_yaml.parse(text, str(path), lambda data, _: _faults(data, options))
     named = {key.replace("-", "_"): key for key in document if not key.startswith(_NOTE)}
     return Settings(
         where=document.where,
@@ -74,3 +84,54 @@ def _typed(value: Any, *, several: bool) -> Value:
     if several:
         return [str(item) for item in (value if isinstance(value, list) else [value])]
     return value if isinstance(value, bool) else str(value)
+
+
+def write_settings(path: Path, command: str, options: Sequence[Declared], values: Mapping[Declared, Any]) -> None:
+    """Write a settings file of a command with every option explained: those with values set, the others commented out.
+
+    Arguments stand in its first line: they belong on the command line.
+    """
+    arguments = [word for each in options if each.positional for word in _argument_words(each, values)]
+    lines = [
+        f"# camcal {' '.join((command, *arguments))} --config {path.name}",
+        "# An option on the command line comes before the one in this file.",
+    ]
+    for group, members in by_group([each for each in options if not each.positional]).items():
+        lines += ["", f"# ---- {group} ----"]
+        for each in members:
+            lines += ["", *textwrap.wrap(each.help, _WIDTH, initial_indent="# ", subsequent_indent="# ")]
+            lines.append(
+                f"{each.key}: {_yaml(each, values[each])}" if each in values else f"# {each.key}: {_other(each)}"
+            )
+    files.write_text(path, "\n".join([*lines, ""]))
+
+
+def _argument_words(each: Declared, values: Mapping[Declared, Any]) -> list[str]:
+    if each in values:
+        return each.words(values[each])
+    return [each.name if each.required else f"[{each.name}]"]
+
+
+def _other(each: Declared) -> str:
+    """Return what an option that is not set could say: its default, or what stands for its value."""
+    if each.required or each.default in (None, "", (), float("inf")):
+        return each.option.metavar or ("true" if each.flag else "…")
+    return _yaml(each, each.default)
+
+
+def _yaml(each: Declared, value: Any) -> str:
+    """Return a value as a settings file has it."""
+    texts = each.texts(value)
+    if each.flag:
+        return texts[0]
+    written = [text if _is_plain(text) else json.dumps(text, ensure_ascii=False) for text in texts]
+    return f"[{', '.join(written)}]" if each.several or each.option.values > 1 else written[0]
+
+
+def _is_plain(text: str) -> bool:
+    """Return whether YAML gives a text back as it stands, in a list and with a comment behind it too."""
+    try:
+        value = strict_yaml.parse(f"value: [{text}] # note\n", text).data["value"]
+    except CamcalError:
+        return False
+    return len(value) == 1 and isinstance(value[0], (str, int, float)) and str(value[0]) == text

@@ -10,7 +10,8 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.raw.mosaic import MONO, require_pattern
+from camcal.raw.mosaic import require_pattern
+from camcal.raw.options import MONO
 from camcal.simulate.render import Exposure, evenly_lit, light
 from camcal.simulate.sensor import FixedPattern, Sensor, expose, filtered, lenses
 from camcal.simulate.shapes import Shape

@@ -136,7 +136,7 @@ def test_fix_and_guess_reach_the_solver(run, table, tmp_path):
         (["--board", "chessboard:9by6"], 2, "9by6"),
         (["--guess", "nowhere.yaml"], 3, "no such file"),
         (["--max-rejected", "200"], 2, "max-rejected"),
-        (["--require", "good"], 2, "--require good: can only be trustworthy"),
+        (["--require", "good"], 2, "'--require': 'good' is not one of trustworthy"),
         (["--max-uncertainty", "0"], 2, "--max-uncertainty 0 is not above 0"),
         (["--max-uncertainty", "nan"], 2, "--max-uncertainty nan is not above 0"),
     ],

@@ -93,7 +93,7 @@ def test_a_table_of_corners_has_no_channels(run, scene, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--algorithm", "ri"], "algorithm 'ri' is unknown"),
+        (["--algorithm", "ri"], "'ri' is not one of green, gray"),
         (["--algorithm", "gray", "--channels"], "leave --algorithm out"),
     ],
 )

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +14,9 @@ import pytest
 import typer
 
 from camcal import __version__
-from camcal.cli import options as shared
 from camcal.cli import show
+from camcal.cli.catalogue import COMMANDS, CommandGroup
+from camcal.cli.command import Call, command
 from camcal.cli.main import Boundary
 from camcal.cli.main import app as camcal_app
 from camcal.errors import (
@@ -25,28 +27,30 @@ from camcal.errors import (
     ItemsFailed,
     NotConverged,
 )
+from camcal.options import Argument, Option, OptionsRecord
+from camcal.tasks.options import Jobs
 
 ERRORS = {
     error.kind: error for error in (InvalidInput, FileError, InsufficientData, NotConverged, ItemsFailed, GateFailed)
 }
 
 
-def work(
-    kind: Annotated[str, typer.Argument()] = "",
-    square: Annotated[float, typer.Option("--square-mm")] = 1.0,
-    names: Annotated[list[str], typer.Option("--name")] = [],  # noqa: B006 - typer's way
-    label: str = "none",
-    flat_board: Annotated[bool, typer.Option("--flat-board")] = False,
-    after_document: Annotated[bool, typer.Option("--after-document")] = False,
-    jobs: shared.Jobs = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
-    config: shared.Config = None,
-) -> None:
+@dataclass(frozen=True)
+class WorkOptions(OptionsRecord):
+    kind: Annotated[str, Argument("How to fail.", metavar="KIND")] = ""
+    square: Annotated[float, Option("A length.", names="--square-mm")] = 1.0
+    names: Annotated[tuple[str, ...], Option("Names.", names="--name")] = ()
+    label: Annotated[str, Option("A label.")] = "none"
+    flat: Annotated[bool, Option("A flag.", names="--flat-board")] = False
+    after_document: Annotated[bool, Option("Show the document first.")] = False
+    jobs: Jobs = None
+
+
+def work(options: WorkOptions, call: Call) -> None:
     """Work, or fail in the way asked for."""
-    values = {"square_mm": square, "names": names, "label": label, "flat": flat_board, "jobs": jobs}
-    if after_document or (as_json and not kind):
+    kind = options.kind
+    if options.after_document or (call.json and not kind):
+        values = {name: value for name, value in vars(options).items() if name not in ("kind", "after_document")}
         show.document("work", values)
     if kind == "bug":
         raise KeyError(kind)
@@ -56,15 +60,16 @@ def work(
         raise ERRORS[kind]("is wrong\nb.yaml:3: is wrong too", where="a.yaml")
 
 
+def rest(call: Call) -> None:
+    """Rest."""
+
+
 @pytest.fixture(scope="module")
 def app():
-    app = typer.Typer(cls=Boundary, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    nested = typer.Typer()
-    nested.command("work")(work)
-    nested.command("rest")(lambda: None)
-    app.command("work")(work)
-    app.add_typer(nested, name="nested")
-    return app
+    nested = CommandGroup(
+        name="nested", commands={"work": command("nested work", work), "rest": command("nested rest", rest)}
+    )
+    return Boundary(name="camcal", commands={"work": command("work", work), "nested": nested}, rich_markup_mode=None)
 
 
 @pytest.fixture
@@ -93,7 +98,6 @@ def test_success_exits_with_zero_and_says_nothing_of_its_own(run):
     ("arguments", "line"),
     [
         (["wrk"], "No such command 'wrk'. Did you mean 'work'?; see 'camcal --help'"),
-        (["nested"], "Missing command; see 'camcal nested --help'"),
         (["work", "--job", "2"], "No such option: --job (Possible options: --jobs, --json); see 'camcal work --help'"),
         (["work", "--jobs"], "Option '--jobs' requires an argument; see 'camcal work --help'"),
         (["work", "--flat-board=3"], "Option '--flat-board' does not take a value; see 'camcal work --help'"),
@@ -178,20 +182,20 @@ def test_the_version_is_printed(run):
 
 
 def test_every_command_has_help_and_the_options_all_share():
-    for command, parameters in every_command(typer.main.get_command(camcal_app)):
-        assert command.help, command.name
+    for each, parameters in every_command(typer.main.get_command(camcal_app)):
+        assert each.help, each.name
         names = {option for parameter in parameters for option in parameter.opts}
-        assert {"--json", "--quiet", "--verbose", "--config"} <= names, command.name
+        assert {"--json", "--quiet", "--verbose", "--config"} <= names, each.name
         for parameter in parameters:
-            assert parameter.help, f"{command.name} {parameter.name}"
+            assert parameter.help, f"{each.name} {parameter.name}"
 
 
 def every_command(group):
-    for command in group.commands.values():
-        if hasattr(command, "commands"):
-            yield from every_command(command)
+    for each in group.commands.values():
+        if hasattr(each, "commands"):
+            yield from every_command(each)
         else:
-            yield command, [parameter for parameter in command.params if parameter.name != "help"]
+            yield each, [parameter for parameter in each.params if parameter.name != "help"]
 
 
 @pytest.fixture
@@ -209,7 +213,7 @@ def test_a_settings_file_gives_defaults_and_the_command_line_comes_first(run, se
     _, out, _ = run("work", "--json", "--jobs", "3", "--config", path, "--square-mm", "30")
     assert json.loads(out) == {
         "schema": "camcal/work/1",
-        "square_mm": 30.0,
+        "square": 30.0,
         "names": ["a", "b"],
         "label": "7",
         "flat": True,
@@ -324,3 +328,70 @@ def test_help_imports_nothing_heavy():
     process = subprocess.run([sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True)
     assert "camcal.cli.main" in process.stderr.split()
     assert not heavy & set(process.stderr.split())
+
+
+def test_no_command_imports_the_core_before_it_is_run():
+    program = (
+        "import sys\n"
+        "from camcal.cli.catalogue import COMMANDS, Commands\n"
+        "for group in ('', 'stereo', 'transform'):\n"
+        "    for each in Commands(group).values():\n"
+        "        each.get_params\n"
+        "print(*sys.modules)"
+    )
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "camcal.cli.stereo_cloud" in process.stdout.split()
+    assert not {"numpy", "scipy", "cv2", "yaml", "matplotlib"} & set(process.stdout.split())
+
+
+@pytest.mark.parametrize("group", ["stereo", "transform"])
+def test_a_group_alone_prints_its_help(run, group):
+    code, out, err = run(group, app=camcal_app)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"Usage: camcal {group} [OPTIONS] COMMAND")
+
+
+def test_no_line_of_the_list_of_commands_is_cut(run):
+    out = run("--help", app=camcal_app)[1]
+    assert all(f"  {entry.name} " in out and entry.summary in out for entry in COMMANDS if " " not in entry.name)
+    assert "…" not in out
+
+
+def test_the_options_of_a_command_stand_under_the_titles_of_their_groups(run):
+    out = run("calibrate", "--help", app=camcal_app)[1]
+    titles = [line.rstrip(":") for line in out.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert titles == ["Input", "Board", "Lens", "Raw frames", "Method", "Checks", "Output", "General"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_is_told_how_to_complete_commands(shell, start_python):
+    variables = {"_CAMCAL_COMPLETE": f"complete_{shell}", "COMP_WORDS": "camcal cal", "COMP_CWORD": "1"}
+    program = "from camcal.cli.main import main; main()"
+    variables |= {"_TYPER_COMPLETE_ARGS": "camcal cal", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    process = start_python("-c", program, env=os.environ | variables, stdout=subprocess.PIPE)
+    assert "calibrate" in process.communicate()[0]
+
+
+def test_a_settings_file_that_was_written_says_all_and_changes_nothing(run, tmp_path):
+    path = tmp_path / "work.yaml"
+    code, out, _ = run("work", "--write-config", str(path), "--name", "a", "--name", "b: c", "--square-mm", "2.5")
+    assert (code, out) == (0, f"wrote {path}\n")
+    content = path.read_text()
+    assert content.startswith("# camcal work [KIND] --config work.yaml\n")
+    assert "\n# A label.\n# label: none\n" in content
+    document = run("work", "--json", "--config", str(path))[1]
+    assert json.loads(document)["names"] == ["a", "b: c"]
+    assert json.loads(document)["square"] == 2.5
+    again = tmp_path / "again" / "work.yaml"
+    again.parent.mkdir()
+    run("work", "--config", str(path), "--write-config", str(again))
+    assert again.read_text() == content
+    run("work", "--write-config", str(path))
+    assert run("work", "--config", str(path)) == (0, "", "")
+
+
+def test_a_value_that_yaml_would_read_in_another_way_is_quoted(run, tmp_path):
+    path = tmp_path / "work.yaml"
+    texts = ["on", "0:128", "1e3", "007", "#", "a, b", "- x", "null", "é"]
+    run("work", "--write-config", str(path), *(word for text in texts for word in ("--name", text)))
+    assert json.loads(run("work", "--json", "--config", str(path))[1])["names"] == texts

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.balance import Balance
 from camcal.raw.develop import Corrections, Development, develop, linearise, negative
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, sites
+from camcal.raw.mosaic import Mosaic, sites
+from camcal.raw.options import MONO, PATTERNS
 from camcal.raw.tone import encode, quantise
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.raw.flat_field import flat_gain
-from camcal.raw.mosaic import MONO, phases
+from camcal.raw.mosaic import phases
+from camcal.raw.options import MONO
 
 HEIGHT, WIDTH = 121, 160
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]

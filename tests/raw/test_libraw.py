@@ -6,7 +6,8 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.raw.demosaic import demosaic
 from camcal.raw.libraw import demosaic_with_libraw, names, require_name
-from camcal.raw.mosaic import PATTERNS, sites
+from camcal.raw.mosaic import sites
+from camcal.raw.options import PATTERNS
 
 X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"
 COLOUR = (20000, 40000, 10000)  # blue, green, red

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic
+from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import MONO, PATTERNS
 from camcal.raw.phase import check_phase, green_diagonal
 
 DARK = np.zeros((2, 2))

@@ -6,7 +6,8 @@ from bayer import random_mosaic
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.raw.mosaic import PATTERNS, sites
+from camcal.raw.mosaic import sites
+from camcal.raw.options import PATTERNS
 from camcal.raw.planes import Plane
 from camcal.raw.scales import Counts, Proportional, Root, scale_of
 

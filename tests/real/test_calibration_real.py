@@ -3,7 +3,8 @@
 import pytest
 
 from camcal.formats import native
-from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.options import CalibrateOptions
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,8 @@ from camcal.targets.board import parse_board
 from camcal.targets.checker.charuco_search import search_charuco
 from camcal.targets.checker.chessboard import find_chessboard
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.detect import DetectOptions, detect_images
+from camcal.tasks.calibration.detect import detect_images
+from camcal.tasks.calibration.options import DetectOptions
 
 GOPRO = "chessboard/udacity-gopro-wide"
 TRINOCULAR = "multicam/boofcv-trinocular"

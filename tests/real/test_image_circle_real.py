@@ -13,8 +13,9 @@ from camcal.images.image_circle import ImageCircleSearch, evenly_spaced
 from camcal.images.load import load_gray
 from camcal.images.views import ViewOptions
 from camcal.targets.board import parse_board
-from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
-from camcal.tasks.calibration.detect import DetectOptions, detect_images
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.detect import detect_images
+from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 
 # principal points px: the first as published with the set, the others calibrated with cv2.fisheye from its images

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.raw.mosaic import PATTERNS, Mosaic, sites
+from camcal.raw.mosaic import Mosaic, sites
+from camcal.raw.options import PATTERNS
 from camcal.raw.phase import check_phase
 from camcal.raw.reading import read_mosaic
 

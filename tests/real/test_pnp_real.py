@@ -9,7 +9,8 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
 from camcal.report import pose_words
-from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.poses.pnp import PnpOptions, pnp
 from camcal.tasks.poses.pnp_views import Looking
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from camcal.calibrate.frames import MOVING
-from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
-from camcal.tasks.calibration.video_frames import FrameOptions
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.options import CalibrateOptions, FrameOptions
 
 
 def test_a_film_of_a_moving_camera_gives_the_published_lens(real_data, tmp_path):

@@ -7,8 +7,8 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.run.inputs import find_media
 from camcal.targets.board import Board
-from camcal.tasks.calibration.detect import DetectOptions, detect_images
-from camcal.tasks.calibration.video_frames import FrameOptions
+from camcal.tasks.calibration.detect import detect_images
+from camcal.tasks.calibration.options import DetectOptions, FrameOptions
 
 BOARD = Board("chessboard", 6, 5, 0.03)
 

@@ -15,7 +15,8 @@ from camcal.formats import detections
 from camcal.targets.board import Board, Detection, parse_board
 from camcal.tasks.calibration import which_board
 from camcal.tasks.calibration.board_remarks import nothing_found
-from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
+from camcal.tasks.calibration.detect import detect_images, document
+from camcal.tasks.calibration.options import DetectOptions
 
 BOARD = Board("chessboard", 6, 5, 0.03)
 CHARUCO = parse_board("charuco:6x4:40mm:30mm:DICT_4X4_50")
@@ -197,7 +198,7 @@ def test_images_of_other_sizes_are_used_if_asked_for(tmp_path):
     whole = found(tmp_path).detections.views[3]
     image = cv2.imread(str(tmp_path / "3.png"), cv2.IMREAD_UNCHANGED)
     cv2.imwrite(str(tmp_path / "3.png"), cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR))
-    assert found(tmp_path).detections.views[3].reason.endswith(": twice as large")
+    assert found(tmp_path).detections.views[3].reason.endswith(": twice as large; --mixed-sizes uses it")
     left_out = found(tmp_path, mixed_sizes=False)
     assert left_out.detections.views[3].reason.endswith(": twice as large; --mixed-sizes uses it")
     report = found(tmp_path, mixed_sizes=True, draw=tmp_path / "drawn")

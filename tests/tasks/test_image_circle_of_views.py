@@ -22,10 +22,10 @@ from camcal.simulate.observe import observe
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, Detection, Detections
 from camcal.tasks.calibration import model_selection
-from camcal.tasks.calibration.calibrate import CalibrateOptions, calibrate
-from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.detect import detect_images, document
 from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
-from camcal.tasks.calibration.photographs import AS_IMAGES
+from camcal.tasks.calibration.options import AS_IMAGES, CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.video_frames import Film
 
 SIZE = (400, 300)

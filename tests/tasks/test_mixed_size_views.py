@@ -20,7 +20,7 @@ from camcal.targets.board import Board, Detection, Detections, parse_board
 from camcal.targets.mixed_sizes import CLOCKWISE, COUNTER_CLOCKWISE, pixel_map
 from camcal.tasks.calibration.board_views import board_views
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.photographs import AS_IMAGES
+from camcal.tasks.calibration.options import AS_IMAGES
 from camcal.tasks.calibration.second_look import _samples
 
 SIZE = (640, 480)

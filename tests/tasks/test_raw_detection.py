@@ -14,16 +14,18 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
+from camcal.options import given_words
 from camcal.raw.demosaic import demosaic
 from camcal.raw.dng import write_dng
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, sites
+from camcal.raw.mosaic import Mosaic, sites
+from camcal.raw.options import MONO, PATTERNS, GivenLayout
 from camcal.raw.pixel_formats import pack, pixel_format_named
-from camcal.raw.reading import GivenLayout
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board, parse_board
-from camcal.tasks.calibration.detect import MIXED, DetectOptions, detect_images
-from camcal.tasks.calibration.photographs import Reading, agreeing_gains, photograph_of, read_photograph
+from camcal.tasks.calibration.detect import MIXED, detect_images
+from camcal.tasks.calibration.options import DetectOptions, Reading
+from camcal.tasks.calibration.photographs import agreeing_gains, photograph_of, read_photograph
 
 SIZE = (480, 360)
 BOARD = Board("chessboard", 8, 5, 0.03)
@@ -163,8 +165,8 @@ def test_a_wrong_phase_is_refused_with_the_likely_ones(tmp_path):
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"pattern": "RGBG"}, "pattern 'RGBG' is unknown"),
-        ({"algorithm": "ri"}, "algorithm 'ri' is unknown; corners are found in green or gray"),
+        ({"pattern": "RGBG"}, "'--pattern': 'RGBG' is not one of RGGB, GRBG"),
+        ({"algorithm": "ri"}, "'--algorithm': 'ri' is not one of green, gray"),
         ({"algorithm": "gray", "colours": True}, "against green"),
     ],
 )
@@ -223,5 +225,5 @@ def test_layouts_are_offered_for_a_header_less_file_without_one(tmp_path):
 
 
 def test_a_layout_is_repeated_as_options():
-    options = Reading(layout=GivenLayout("pRAA", (640, 480), stride=832)).arguments()
+    options = given_words(Reading(layout=GivenLayout("pRAA", (640, 480), stride=832)))
     assert options == ["--format", "pRAA", "--size", "640x480", "--stride", "832"]

@@ -25,9 +25,9 @@ from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, parse_board
 from camcal.tasks.calibration.board_views import board_views
-from camcal.tasks.calibration.detect import DetectOptions, detect_images, document
-from camcal.tasks.calibration.photographs import Reading
-from camcal.tasks.calibration.video_frames import FrameOptions, survey
+from camcal.tasks.calibration.detect import detect_images, document
+from camcal.tasks.calibration.options import DetectOptions, FrameOptions, Reading
+from camcal.tasks.calibration.video_frames import survey
 
 BOARD = Board("chessboard", 7, 4, 0.03)
 CHARUCO = parse_board("charuco:7x5:40mm:30mm:DICT_4X4_50")
@@ -224,8 +224,8 @@ def test_a_video_is_no_raw_frame(shot):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"most": 0}, "--max-frames 0: use 1 or more"),
-        ({"every": -1}, "--every -1: use 1 or more"),
+        ({"most": 0}, "'--max-frames': 0 is less than 1"),
+        ({"every": -1}, "'--every': -1 is less than 1"),
         ({"most": 3, "whole": True}, "leave --max-frames out"),
     ],
 )

@@ -6,12 +6,14 @@ from pathlib import Path
 
 from camcal.errors import InvalidInput
 from camcal.formats import boards, detections
+from camcal.options import given_words
 from camcal.progress import Progress
 from camcal.targets.board import Board, Detection, Detections
-from camcal.tasks.calibration.detect import DetectOptions, detect_images
+from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, read_photograph
-from camcal.tasks.calibration.video_frames import BEST_FRAMES, Film, FrameOptions, FrameRecord
+from camcal.tasks.calibration.options import AS_IMAGES, BEST_FRAMES, DetectOptions, FrameOptions, Reading
+from camcal.tasks.calibration.photographs import read_photograph
+from camcal.tasks.calibration.video_frames import Film, FrameRecord
 
 DETECTION_SUFFIXES = (".csv", ".vnl")
 
@@ -60,7 +62,7 @@ def board_views(
     if tables and len(inputs) > 1:
         raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])
     if tables and reading != AS_IMAGES:
-        option = reading.arguments()[0]
+        option = given_words(reading)[0]
         raise InvalidInput(f"{option} is about images, and a detections file holds corners already", where=tables[0])
     if tables:
         path = Path(tables[0])

@@ -15,13 +15,14 @@ from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.image_circle import ImageCircle
-from camcal.errors import InsufficientData, InvalidInput, NotConverged
-from camcal.formats import detections, native, provenance
+from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
+from camcal.formats import detections, native, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict
+from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
-from camcal.report.calibration import view_record
+from camcal.report.calibration import as_data, contenders_data, uncertainty_data, view_record
 from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import find_media, split_address
 from camcal.run.outputs import refuse_overwriting
@@ -30,44 +31,10 @@ from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews,
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.name_groups import name_groups
-from camcal.tasks.calibration.photographs import AS_IMAGES, Reading
+from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.second_look import renumbered, second_look
-from camcal.tasks.calibration.video_frames import BEST_FRAMES, FrameOptions, FrameRecord
-
-
-@dataclass(frozen=True)
-class CalibrateOptions:
-    """What to calibrate from and how; see `camcal calibrate --help`.
-
-    inputs: images, folders and globs, or one detections file. model: None for DEFAULT_MODEL, or where
-    another one predicts views clearly better, that one. board: a board file or short form, None when the
-    detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height)
-    of the images of a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own.
-    frames: which ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are.
-    mixed_sizes: whether images turned by 90°, of half the size or off by a pixel or two are used.
-    refine: measure the corners once more along the edges that the calibrated lens expects, and calibrate with these;
-    None: where there are images.
-    """
-
-    inputs: tuple[str, ...]
-    output: Path
-    board: str | None = None
-    model: str | None = None
-    fix: tuple[str, ...] = ()
-    guess: str | None = None
-    flat_board: bool = False
-    free_corners: bool = True
-    max_rejected: float = 0.1
-    name: str = "camera"
-    save_detections: Path | None = None
-    image_size: tuple[int, int] | None = None
-    recursive: bool = False
-    jobs: int | None = None
-    reading: Reading = AS_IMAGES
-    frames: FrameOptions = BEST_FRAMES
-    parts: bool = False
-    refine: bool | None = None
-    mixed_sizes: bool = False
+from camcal.tasks.calibration.video_frames import FrameRecord
+from camcal.tasks.calibration.video_frames import as_data as frame_data
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +118,17 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     )
 
 
+def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
+    """Raise GateFailed if the result is not what the options require; the camera file is written all the same."""
+    figures = report.uncertainty.figures()
+    reached = figures.get("inside_rms_px", figures["rms_px"])
+    if options.require and not report.advice.trustworthy:
+        raise GateFailed(f"--require {options.require}: {report.advice.reasons[0]}")
+    most = options.max_uncertainty
+    if most is not None and not reached <= most:
+        raise GateFailed(f"--max-uncertainty {most:g}: the projection uncertainty is {reached:.3g} px")
+
+
 def _require_outputs(options: CalibrateOptions) -> None:
     """Raise InvalidInput if a result has no place of its own, or that of an input; FileError for inputs not there."""
     table = options.save_detections
@@ -228,8 +206,6 @@ def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
 
 
 def _solver_options(options: CalibrateOptions, guess: CameraEntry | None) -> intrinsics.Options:
-    if not 0 <= options.max_rejected <= 1:
-        raise InvalidInput(f"--max-rejected {options.max_rejected:g} is not a share between 0 and 1")
     return intrinsics.Options(
         model_named(options.model or DEFAULT_MODEL),
         options.fix,
@@ -289,6 +265,27 @@ def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
     return {"aberration": figures} if figures else {}
 
 
+def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    advice = report.advice
+    lenses = {"channels": channel_data(report.channels)} if report.channels else {}
+    return {
+        "output": options.output,
+        **as_data(report.calibration),
+        "uncertainty": uncertainty_data(report.uncertainty),
+        "image_circle": native_entry.circle_block(report.file.cameras[options.name].image_circle),
+        "trustworthy": advice.trustworthy,
+        "reasons": advice.reasons,
+        "remarks": advice.remarks,
+        "findings": [vars(found) for found in advice.findings],
+        "contenders": contenders_data(report.contenders),
+        "frames": [frame_data(record) for record in report.frames],
+        "notes": report.notes,
+        "failed": report.failed,
+        **lenses,
+    }
+
+
 def channel_data(channels: Mapping[str, Channel]) -> dict[str, Any]:
     """Return the lens of every colour and its aberration as plain data for --json."""
     figures = channel_figures(channels)
@@ -319,15 +316,9 @@ def quality_figures(calibration: Calibration) -> dict[str, float]:
 
 
 def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str, Any]:
-    arguments = ["calibrate", *options.inputs, *(["--board", options.board] if options.board else [])]
-    arguments += ["--model", options.model] if options.model else []
-    arguments += [*(["--fix", ",".join(options.fix)] if options.fix else [])]
-    arguments += ["--guess", options.guess] if options.guess else []
-    arguments += ["--flat-board"] if options.flat_board else []
-    arguments += [] if options.refine is None else ["--refine" if options.refine else "--no-refine"]
-    arguments += [*options.reading.arguments(), *options.frames.arguments(), *(["--partial"] if options.parts else [])]
-    arguments += ["--mixed-sizes"] if options.mixed_sizes else []
-    return provenance.build(arguments, calibration.board, [_image(view) for view in calibration.views])
+    return provenance.build(
+        command_line("calibrate", options), calibration.board, [_image(view) for view in calibration.views]
+    )
 
 
 def _image(view: View) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from camcal.run.fanout import fan_out
 from camcal.run.inputs import record_outputs
 from camcal.run.outputs import refuse_collisions, refuse_overwriting
 from camcal.targets.board import Detection
-from camcal.tasks.calibration.photographs import Reading, read_photograph
+from camcal.tasks.calibration.options import Reading
+from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
 SUFFIX = "_corners.png"

@@ -9,7 +9,8 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.progress import SILENT, Progress
 from camcal.simulate.observe import Truth
 from camcal.simulate.shapes import Shape
-from camcal.tasks.calibration.calibrate import CalibrateOptions, CalibrateReport, calibrate
+from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
+from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.undistort import UndistortOptions, UndistortReport, undistort
 from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateOptions, SimulateReport, simulate
 

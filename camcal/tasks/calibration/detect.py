@@ -18,12 +18,11 @@ from camcal.tasks.calibration.corner_drawing import draw, pictures
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, with_circle
 from camcal.tasks.calibration.image_detection import Seen, detect_file, search
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.photographs import AS_IMAGES, Reading, require_colours
+from camcal.tasks.calibration.options import AS_IMAGES, DetectOptions
+from camcal.tasks.calibration.photographs import require_colours
 from camcal.tasks.calibration.video_frames import (
-    BEST_FRAMES,
     Film,
     FrameLook,
-    FrameOptions,
     FrameRecord,
     as_data,
     look_at,
@@ -39,28 +38,6 @@ MIXED = (
     "red and blue come from demosaiced images, which mix them with green: the aberration may be wrong by tenths of a "
     "pixel; use raw frames"
 )
-
-
-@dataclass(frozen=True)
-class DetectOptions:
-    """Images and videos (files, folders, globs), the board that is looked for, and the detections file, None for none.
-
-    reading: what is made of camera raw files and bare mosaics. frames: which ones of videos are taken. draw: a folder
-    for pictures of what was found. parts: whether parts of a chessboard will do that show which part they are.
-    mixed_sizes: whether images of another size than most are used where it is known how the sizes are related; None is
-    no, by a command without that option.
-    """
-
-    inputs: Sequence[Path | str]
-    board: Board
-    output: Path | None = None
-    recursive: bool = False
-    jobs: int | None = None
-    reading: Reading = AS_IMAGES
-    frames: FrameOptions = BEST_FRAMES
-    draw: Path | None = None
-    parts: bool = False
-    mixed_sizes: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,22 +71,23 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere; only pictures are
     drawn then.
     """
-    require_findable(options.board, partial=options.parts)
-    require_colours(options.board, options.reading)
+    asked = _board(options)
+    require_findable(asked, partial=options.parts)
+    require_colours(asked, options.reading)
     media = _media(options)
     _require_outputs(options, media)
     films = [survey(video, options.frames, progress) for video in media.videos]
     material = Material(media.images, films, options.reading, options.jobs, progress)
-    board = arranged(options.board, material) if options.board.type == CHARUCO else options.board
+    board = arranged(asked, material) if asked.type == CHARUCO else asked
     seen, errors = _seen(media.images, board, options, progress)
     looks, lost = _looks(films, board, options, progress)
     errors += [*(film.error for film in films if film.error is not None), *lost]
     found = [item.view for item in seen] + [look.view for look in looks]
     others = [item.other for item in seen] + [look.other for look in looks]
     _require_readable(found, errors)
-    instead = other_board(options.board, board, found, material) if board.type == CHARUCO else None
+    instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
     nothing = nothing_found(found, others, board, parts=options.parts)
-    if error := instead.error(found, options.board) if instead else nothing:
+    if error := instead.error(found, asked) if instead else nothing:
         _drawn([item.view for item in seen], films, options, progress)  # here the reasons are wanted most
         raise error
     size = usual_size(found)
@@ -126,7 +104,7 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     return DetectReport(
         result,
         (
-            *remarks(views, board, options.board),
+            *remarks(views, board, asked),
             *sized.notes,
             *circle_notes(result.circles.get("")),
             *mixed,
@@ -138,6 +116,12 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
         tuple(films),
         _drawn(sized.in_files(before), films, options, progress),
     )
+
+
+def _board(options: DetectOptions) -> Board:
+    if options.board is None:
+        raise InvalidInput("--board is needed, such as --board chessboard:9x6:25mm")
+    return boards.load_board(options.board) if isinstance(options.board, str) else options.board
 
 
 def _drawn(

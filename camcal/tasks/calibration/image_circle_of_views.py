@@ -11,7 +11,8 @@ from camcal.formats.camera_file import CameraEntry
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
 from camcal.targets.board import Detection, Detections
 from camcal.tasks.calibration.mixed_sizes import usual_size
-from camcal.tasks.calibration.photographs import Reading, read_photograph
+from camcal.tasks.calibration.options import Reading
+from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
 

@@ -10,7 +10,8 @@ from camcal.progress import Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board, Detection
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.photographs import Reading, in_colours, read_photograph
+from camcal.tasks.calibration.options import Reading
+from camcal.tasks.calibration.photographs import in_colours, read_photograph
 
 TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
 

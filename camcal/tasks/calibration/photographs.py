@@ -17,16 +17,16 @@ from camcal.images.load import gray_8bit, gray_levels, load
 from camcal.raw.balance import Gains, balance_in_place
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
-from camcal.raw.mosaic import MONO, PATTERNS, Mosaic, by_place, sites
+from camcal.raw.mosaic import Mosaic, by_place, sites
+from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, PATTERNS
 from camcal.raw.phase import check_phase
-from camcal.raw.reading import HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
+from camcal.raw.reading import read_mosaic
 from camcal.targets.board import Board, Detection
 from camcal.targets.corners.measure import measure
 from camcal.targets.samples import Samples
 from camcal.targets.sighting import Sighting
+from camcal.tasks.calibration.options import AS_IMAGES, GRAY, GREEN, Reading
 
-GREEN, GRAY = "green", "gray"
-ALGORITHMS = (GREEN, GRAY)
 COLOURS = ("red", "blue")
 
 _CHANNELS = {"blue": 0, "green": 1, "red": 2}  # of colour images
@@ -34,47 +34,6 @@ _GRAY_LEVELS, _ROUNDING = 255.0, 1e-6
 _BRIGHTEST = 0.999  # of the samples; what is above may be a lamp
 _USED_CELLS = 1 << 17
 _CLIPPED = 0.98
-
-
-@dataclass(frozen=True)
-class Reading:
-    """How photographs of a board are read.
-
-    pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
-    algorithm: what is made of a raw frame, one of ALGORITHMS. colours: measure corners in red and in blue as well.
-    layout: of header-less files.
-    """
-
-    pattern: str | None = None
-    algorithm: str = GREEN
-    colours: bool = False
-    layout: GivenLayout = NO_LAYOUT
-
-    def __post_init__(self) -> None:
-        if self.pattern is not None and self.pattern not in (*PATTERNS, MONO):
-            raise InvalidInput(f"pattern {self.pattern!r} is unknown; use one of {', '.join((*PATTERNS, MONO))}")
-        if self.algorithm not in ALGORITHMS:
-            raise InvalidInput(
-                f"algorithm {self.algorithm!r} is unknown; corners are found in {' or '.join(ALGORITHMS)}"
-            )
-        if self.colours and self.algorithm != GREEN:
-            raise InvalidInput("channels are measured against green: leave --algorithm out")
-
-    def arguments(self) -> list[str]:
-        """Return the options of a command line that read so."""
-        pattern = ["--pattern", self.pattern] if self.pattern else []
-        algorithm = ["--algorithm", self.algorithm] if self.algorithm != GREEN else []
-        said = {name: value for name, value in self.layout.settings().items() if value is not None}
-        layout = [part for name, value in said.items() for part in (f"--{name}", f"{value}")]
-        return [*pattern, *algorithm, *(["--channels"] if self.colours else []), *layout]
-
-    @property
-    def suffixes(self) -> frozenset[str]:
-        """Suffixes that are read in folders beside those of images: of header-less files, if their layout is given."""
-        return frozenset() if self.layout == NO_LAYOUT else HEADERLESS_SUFFIXES
-
-
-AS_IMAGES = Reading()
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ from camcal.targets.corners.board_edges import seen_cells, signs
 from camcal.targets.corners.second_look import Expected, look_again
 from camcal.targets.mixed_sizes import NEAR, size_relation
 from camcal.targets.samples import Samples
-from camcal.tasks.calibration.photographs import Reading, read_photograph
+from camcal.tasks.calibration.options import Reading
+from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
 _BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares

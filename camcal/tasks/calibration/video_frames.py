@@ -26,36 +26,11 @@ from camcal.progress import Progress
 from camcal.targets.board import Board, Detection
 from camcal.targets.detect import SEED, detect
 from camcal.targets.edge_blur import edge_blur
+from camcal.tasks.calibration.options import FrameOptions
 
 COLUMNS = ("frame", "corners", "blur px", "motion px", "order", "reason")
-MOST = 40
 LOOKS = 8  # frames that are searched for every one that may be chosen
 _SAMPLE = 6  # frames of a video on which the arrangement of a ChArUco board is found out
-
-
-@dataclass(frozen=True)
-class FrameOptions:
-    """Which frames of videos are taken: at most `most`, chosen among every `every`-th one; whole: all of these."""
-
-    most: int = MOST
-    every: int = 1
-    whole: bool = False
-
-    def __post_init__(self) -> None:
-        for name, value in (("--max-frames", self.most), ("--every", self.every)):
-            if value < 1:
-                raise InvalidInput(f"{name} {value}: use 1 or more")
-        if self.whole and self.most != MOST:
-            raise InvalidInput("--all-frames takes all there are; leave --max-frames out")
-
-    def arguments(self) -> list[str]:
-        """Return the options of a command line that choose so."""
-        most = ["--max-frames", str(self.most)] if self.most != MOST else []
-        every = ["--every", str(self.every)] if self.every != 1 else []
-        return [*most, *every, *(["--all-frames"] if self.whole else [])]
-
-
-BEST_FRAMES = FrameOptions()
 
 
 class Frame(NamedTuple):

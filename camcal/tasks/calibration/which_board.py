@@ -18,7 +18,8 @@ from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, 
 from camcal.targets.detect import SEED
 from camcal.tasks.calibration.board_remarks import OtherBoard
 from camcal.tasks.calibration.image_detection import detect_file, search
-from camcal.tasks.calibration.photographs import Reading, read_photograph
+from camcal.tasks.calibration.options import Reading
+from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.calibration.video_frames import Film, Frame, look_at
 
 SAMPLE = 6  # images on which it is found out

@@ -9,8 +9,7 @@ import numpy as np
 
 from camcal.progress import SILENT, Progress
 from camcal.raw import bad_pixels
-from camcal.raw.mosaic import MONO
-from camcal.raw.reading import HEADERLESS_SUFFIXES
+from camcal.raw.options import HEADERLESS_SUFFIXES, MONO
 from camcal.run.inputs import find_images
 from camcal.run.outputs import refuse_overwriting
 from camcal.tasks.raw.raw_corrections import RawInput

@@ -18,9 +18,10 @@ from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.phase import check_phase
 from camcal.raw.planes import Each, one_by_one
-from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES, missing_pattern
+from camcal.raw.reading import missing_pattern
 from camcal.raw.tone import DEPTHS
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import find_images, recorded

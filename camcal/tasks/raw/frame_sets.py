@@ -12,7 +12,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.image import RAW_SUFFIXES
 from camcal.progress import Progress, values_of
 from camcal.raw.mosaic import Capture
-from camcal.raw.reading import HEADERLESS_SUFFIXES
+from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images
 from camcal.tasks.raw.raw_corrections import RawInput

@@ -12,8 +12,9 @@ from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import Fit, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout
 from camcal.raw.pixel_formats import pixel_format_named
-from camcal.raw.reading import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
+from camcal.raw.reading import read_mosaic
 
 LAYOUT_COLUMNS = ("size", "stride", "format")
 CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white")

@@ -12,9 +12,9 @@ from camcal.images.save import save
 from camcal.raw.balance import GRAY_WORLD, Balance
 from camcal.raw.demosaic import HALF
 from camcal.raw.develop import Development, develop
-from camcal.raw.mosaic import PATTERNS, Mosaic
+from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import HEADERLESS_SUFFIXES, PATTERNS
 from camcal.raw.phase import green_diagonal
-from camcal.raw.reading import HEADERLESS_SUFFIXES
 from camcal.run.inputs import find_images, record_outputs
 from camcal.tasks.raw.demosaic import DemosaicOptions
 

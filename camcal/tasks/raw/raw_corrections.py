@@ -10,8 +10,9 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw import bad_pixels, dark_frame, flat_field
 from camcal.raw.develop import NO_CORRECTIONS, Corrections, linearise
-from camcal.raw.mosaic import MONO, Mosaic, channel_names
-from camcal.raw.reading import HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout, read_mosaic
+from camcal.raw.mosaic import Mosaic, channel_names
+from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, GivenLayout
+from camcal.raw.reading import read_mosaic
 from camcal.run.inputs import find_images
 
 _FOUR = ("R", "Gr", "Gb", "B")  # the order in which four black levels are given

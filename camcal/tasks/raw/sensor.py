@@ -20,8 +20,8 @@ from camcal.raw.bit_depth import Widened
 from camcal.raw.emva import Figures
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic, require_pattern
+from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.raw.photon_transfer import Curve, Figure
-from camcal.raw.reading import NO_LAYOUT, GivenLayout
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report import figures
 from camcal.run.fanout import fan_out

@@ -1,0 +1,312 @@
+"""A command made of its options: what typer parses, what the help says, and the records the command is called with.
+
+A command is a function `f(options, call)` of an options record and a Call: it runs one task and shows what comes out.
+Its docstring is its help.
+"""
+
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import takewhile
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+from typer.core import TyperCommand, TyperOption
+
+from camcal.cli import show
+from camcal.errors import InvalidInput
+from camcal.images import limits
+from camcal.options import GENERAL, OUTPUT, Argument, Declared, Option, assembled, by_group, declared
+from camcal.progress import Progress
+
+SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
+WRITE_SETTINGS = "--write-config"
+
+_NOT_SET = {"config", "write_config", "help", "json"}  # they say how a command is called, not what it does
+_MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
+_NEGATIVE = re.compile(r"-[0-9.]")
+
+
+@dataclass(frozen=True)
+class Call:
+    """How a command is called: what each of them takes beside the options of its task."""
+
+    command: str
+    json: Annotated[bool, Option("Print one JSON document on stdout and nothing else.", group=GENERAL)] = False
+    quiet: Annotated[bool, Option("Only warnings and errors.", group=GENERAL, names="--quiet -q")] = False
+    verbose: Annotated[bool, Option("List everything.", group=GENERAL, names="--verbose -v")] = False
+
+    def prepare(self) -> None:
+        """Set what holds for the whole process."""
+
+    @property
+    def progress(self) -> Progress:
+        """What a task reports to."""
+        return show.progress(self.quiet)
+
+    def give(self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None]) -> None:
+        """Print a result: as the one JSON document, or in words, or not at all."""
+        if self.json:
+            show.document(self.command, document())
+        elif not self.quiet:
+            words()
+
+
+@dataclass(frozen=True)
+class ImageCall(Call):
+    """How a command is called that decodes images."""
+
+    max_pixels: Annotated[
+        float | None,
+        Option(
+            "Images with more million pixels are refused before they are decoded; by default 300.",
+            metavar="MILLIONS",
+            group=GENERAL,
+        ),
+    ] = None
+
+    def prepare(self) -> None:
+        """Set how many pixels an image may have; every reader asks for it, and worker processes inherit it."""
+        if self.max_pixels is None:
+            return
+        if not 0 < self.max_pixels <= _MOST_PIXELS:
+            raise InvalidInput(f"--max-pixels {self.max_pixels:g}: more than 0 and at most {_MOST_PIXELS:g} million")
+        limits.set_max_pixels(round(self.max_pixels * 1e6))
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """The options of a command that has none of its own."""
+
+
+class OptionsCommand(TyperCommand):
+    """A command whose options are declared by records, which `command` makes."""
+
+    declared: Sequence[Declared] = ()
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse a command line, in which numbers below zero may be arguments where the command takes such.
+
+        Nothing is required of one that only writes a settings file.
+        """
+        named = takewhile(lambda text: text != "--", args)
+        if any(text.partition("=")[0] == WRITE_SETTINGS for text in named):
+            for parameter in self.params:
+                parameter.required = False
+        if any(isinstance(each.option, Argument) and each.option.numbers for each in self.declared):
+            args = [f" {text}" if _NEGATIVE.match(text) else text for text in args]
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options under the titles of their groups, those of typer's own parameters with the general ones."""
+        others: list[Any] = [each for each in self.get_params(ctx) if each.name in _NOT_SET - {"json"}]
+        for group, members in by_group(self.declared).items():
+            rows = [(usage(each), help_text(each)) for each in members]
+            if group == GENERAL:
+                rows += [(f"{', '.join(each.opts)} {each.metavar or ''}".strip(), each.help) for each in others]
+            with formatter.section(group):
+                formatter.write_dl(rows)
+
+
+def usage(each: Declared) -> str:
+    """Return how an option is written, with all its spellings and its value."""
+    if each.positional:
+        return each.name
+    spelled = ", ".join(sorted(each.spellings, key=len))
+    return f"{spelled} {value_name(each)}".strip()
+
+
+def value_name(each: Declared) -> str:
+    """Return what stands for the value of an option in its usage, of a flag the name that switches it off."""
+    if each.flag:
+        return f"/ {each.opposite}" if each.opposite else ""
+    return each.option.metavar or each.name.lstrip("-").upper()
+
+
+def help_text(each: Declared) -> str:
+    """Return the help of an option, with its default where that is not said in words."""
+    said = each.help
+    if each.required:
+        return f"{said} Required."
+    if each.default in (None, "", False, (), float("inf")) or "default" in said:
+        return said
+    return f"{said} By default {'on' if each.default is True else ' '.join(each.texts(each.default))}."
+
+
+def command(name: str, function: Callable[..., None]) -> OptionsCommand:
+    """Return the command of a function `f(options, call)` under its full name, such as 'stereo cloud'."""
+    maker = _Maker(name, function)
+    alone = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    alone.command(name.rpartition(" ")[2], cls=OptionsCommand)(maker.callback())
+    made = typer.main.get_command(alone)
+    assert isinstance(made, OptionsCommand)
+    made.declared = maker.every
+    return made
+
+
+@dataclass(frozen=True)
+class _Maker:
+    """What a command is made of: its full name and the function that it calls."""
+
+    name: str
+    function: Callable[..., None]
+
+    @cached_property
+    def records(self) -> tuple[type, type]:
+        """The options record, if it takes one, and the kind of Call that the function takes."""
+        hints = get_type_hints(self.function)
+        return hints.get("options", NoOptions), hints["call"]
+
+    @cached_property
+    def every(self) -> tuple[Declared, ...]:
+        """All options, those of the task first."""
+        return tuple(each for record in self.records for each in declared(record))
+
+    def callback(self) -> Callable[..., None]:
+        """Return the function that typer calls: it takes texts and flags, and its signature lists all options."""
+
+        def run(context: typer.Context, config: Path | None, write_config: Path | None, **given: Any) -> None:
+            values = self.values(context, given)
+            if write_config is not None:
+                from camcal.run.settings import write_settings
+
+                settable = [each for each in self.every if each.path[-1] not in _NOT_SET]
+                write_settings(write_config, self.name, settable, values)
+                show.text(f"wrote {write_config}")
+            else:
+                self.start(values, config)
+
+        run.__doc__ = self.function.__doc__
+        run.__signature__ = inspect.Signature([*_CONTEXT, *map(_parameter, self.every), *_SETTINGS])  # type: ignore[attr-defined]
+        run.__annotations__ = {}
+        return run
+
+    def values(self, context: typer.Context, given: Mapping[str, Any]) -> dict[Declared, Any]:
+        """Return the values of the options that were given; raises InvalidInput, saying where a wrong one stands."""
+        values = {}
+        for each in self.every:
+            text = given[_python_name(each)]
+            if text is None or (each.several and not text):
+                continue
+            try:
+                values[each] = each.read(text)
+            except InvalidInput as error:
+                line = settings_line(context, _python_name(each))
+                hint = "" if line else f"; see 'camcal {self.name} --help'"
+                raise InvalidInput(f"{error.message}{hint}", where=line) from error
+        return values
+
+    def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
+        """Call the function with the records that these values make."""
+        options, call = (
+            {each.path: values[each] for each in declared(record) if each in values} for record in self.records
+        )
+        called = self.records[1](self.name, **{path[0]: value for path, value in call.items()})
+        called.prepare()
+        if config is not None:
+            _keep(config, values)
+        chosen = {} if self.records[0] is NoOptions else {"options": assembled(self.records[0], options)}
+        self.function(**chosen, call=called)
+
+
+def _keep(settings: Path, values: Mapping[Declared, Any]) -> None:
+    """Refuse to write a result over the settings file that was just read."""
+    from camcal.run.outputs import refuse_overwriting
+
+    outputs = [value for each, value in values.items() if each.option.group == OUTPUT and isinstance(value, Path)]
+    refuse_overwriting(outputs, [settings])
+
+
+def _python_name(each: Declared) -> str:
+    """Return the name of an option's parameter, which only typer sees; fields may be called as Python's keywords."""
+    return "_".join((*each.path, "option"))
+
+
+def _parameter(each: Declared) -> inspect.Parameter:
+    """Return the parameter that typer makes an option or argument of: texts, which the option itself reads."""
+    kind: Any = bool if each.flag else str
+    if each.several:
+        kind = list[str]
+    elif each.option.values > 1:
+        kind = tuple.__class_getitem__((str,) * each.option.values)
+    help_ = each.option.help if isinstance(each.option.help, str) else value_name(each)  # typer shows it in completions
+    metavar = each.option.metavar or None
+    if each.positional:
+        info: Any = typer.Argument(metavar=metavar, help=help_)
+    else:
+        names = [f"{each.name}/{each.opposite}" if each.opposite else each.name, *each.spellings[1:]]
+        info = typer.Option(*names, metavar=None if each.flag else value_name(each), help=help_)
+    default = inspect.Parameter.empty if each.required else None
+    return inspect.Parameter(
+        _python_name(each), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind | None, info]
+    )
+
+
+def apply_settings(context: typer.Context, path: Path | None) -> Path | None:
+    """Let a settings file give the options that are not on the command line."""
+    if path is None:
+        return None
+    from camcal.run.settings import read_settings
+
+    options = {
+        max(option.opts, key=len).lstrip("-").replace("-", "_"): option
+        for option in context.command.params
+        if isinstance(option, TyperOption)
+    }
+    several = {name: option.multiple or option.nargs != 1 for name, option in options.items()}
+    settings = read_settings(path, {name: value for name, value in several.items() if name not in _NOT_SET})
+    context.default_map = {
+        options[name].name: str(value).lower() if isinstance(value, bool) and not options[name].is_flag else value
+        for name, value in settings.values.items()
+    }
+    context.meta[SETTINGS] = {options[name].name: f"{settings.where}:{line}" for name, line in settings.lines.items()}
+    return path
+
+
+def settings_line(context: Any, parameter: str | None) -> str | None:
+    """Return the file and line of a parameter's value, None if it does not come from a settings file."""
+    if context is None or parameter is None:
+        return None
+    source = context.get_parameter_source(parameter)
+    if source is None or source.name != "DEFAULT_MAP":
+        return None
+    line: str = context.meta[SETTINGS][parameter]
+    return line
+
+
+def _keyword(name: str, annotation: Any, **default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, **default)
+
+
+_CONTEXT = (_keyword("context", typer.Context),)
+_SETTINGS = (
+    _keyword(
+        "config",
+        Annotated[
+            Path | None,
+            typer.Option(
+                "--config",
+                metavar="FILE",
+                is_eager=True,
+                callback=apply_settings,
+                help="Options from a YAML file (option: value); those on the command line come first.",
+            ),
+        ],
+        default=None,
+    ),
+    _keyword(
+        "write_config",
+        Annotated[
+            Path | None,
+            typer.Option(
+                WRITE_SETTINGS,
+                metavar="FILE",
+                help="Write such a file with all options explained, those given set, and do nothing else.",
+            ),
+        ],
+        default=None,
+    ),
+)

@@ -1,0 +1,269 @@
+"""The options of the commands that calibrate, look for boards, and use cameras."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from camcal.errors import InvalidInput
+from camcal.options import (
+    BOARD,
+    CHECKS,
+    INPUT,
+    LENS,
+    NAMES,
+    OUTPUT,
+    PERCENT,
+    RAW_FRAMES,
+    SIZE,
+    Argument,
+    Option,
+    OptionsRecord,
+    Without,
+)
+from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.tasks.options import BOARD_OPTION, OUTPUT_OPTION, BoardText, Jobs, Output, Recursive, lens_models
+
+if TYPE_CHECKING:
+    from camcal.targets.board import Board
+
+GREEN, GRAY = "green", "gray"
+ALGORITHMS = (GREEN, GRAY)
+MOST_FRAMES = 40
+TRUSTWORTHY = "trustworthy"
+
+
+@dataclass(frozen=True)
+class Reading(OptionsRecord):
+    """How photographs of a board are read.
+
+    pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
+    algorithm: what is made of a raw frame, one of ALGORITHMS. colours: measure corners in red and in blue as well.
+    layout: of header-less files.
+    """
+
+    pattern: Annotated[
+        str | None,
+        Option(
+            "Gray images are bare mosaics with these colours in their first 2x2 pixels: RGGB, GRBG, GBRG, BGGR.",
+            metavar="LETTERS",
+            group=RAW_FRAMES,
+            choices=(*PATTERNS, MONO),
+        ),
+    ] = None
+    algorithm: Annotated[
+        str,
+        Option(
+            "Of raw frames: green, which a lens's lateral chromatic aberration leaves alone, or gray, all samples "
+            "balanced: as good as a monochrome sensor where the lens has no such aberration.",
+            metavar="NAME",
+            group=RAW_FRAMES,
+            choices=ALGORITHMS,
+        ),
+    ] = GREEN
+    colours: Annotated[
+        bool,
+        Option(
+            "Estimate a lens for red and one for blue too, and with them the lateral chromatic aberration: best "
+            "from raw frames, whose samples no demosaicing has mixed.",
+            group=LENS,
+            names="--channels",
+        ),
+    ] = False
+    layout: Annotated[GivenLayout, Without(("frame",))] = NO_LAYOUT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.colours and self.algorithm != GREEN:
+            raise InvalidInput("channels are measured against green: leave --algorithm out")
+
+    @property
+    def suffixes(self) -> frozenset[str]:
+        """Suffixes that are read in folders beside those of images: of header-less files, if their layout is given."""
+        return frozenset() if self.layout == NO_LAYOUT else HEADERLESS_SUFFIXES
+
+
+AS_IMAGES = Reading()
+
+
+@dataclass(frozen=True)
+class FrameOptions(OptionsRecord):
+    """Which frames of videos are taken: at most `most`, chosen among every `every`-th one; whole: all of these."""
+
+    most: Annotated[
+        int,
+        Option(
+            "Frames of videos to take at most: sharp ones that tell most of the lens.",
+            metavar="N",
+            group=INPUT,
+            names="--max-frames",
+            least=1,
+        ),
+    ] = MOST_FRAMES
+    every: Annotated[int, Option("Look at every K-th frame of a video only.", metavar="K", group=INPUT, least=1)] = 1
+    whole: Annotated[bool, Option("Take all frames of videos, not chosen ones.", group=INPUT, names="--all-frames")] = (
+        False
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.whole and self.most != MOST_FRAMES:
+            raise InvalidInput("--all-frames takes all there are; leave --max-frames out")
+
+
+BEST_FRAMES = FrameOptions()
+
+Parts = Annotated[
+    bool,
+    Option("Use parts of a chessboard too where they show which part they are.", group=BOARD, names="--partial"),
+]
+MixedSizes = Annotated[
+    bool | None,
+    Option(
+        "Use images of another size than most too: of half or twice the size, turned by 90 degrees, or a pixel or two "
+        "off.",
+        group=INPUT,
+        names="--mixed-sizes",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class DetectOptions(OptionsRecord):
+    """Images and videos (files, folders, globs), the board that is looked for, and the detections file, None for none.
+
+    board: a board, its file or its short form. reading: what is made of camera raw files and bare mosaics. frames:
+    which ones of videos are taken. draw: a folder for pictures of what was found. parts: whether parts of a chessboard
+    will do that show which part they are. mixed_sizes: whether images of another size than most are used where it is
+    known how the sizes are related; None is no, by a command without that option.
+    """
+
+    inputs: Annotated[tuple[str, ...], Argument("Images, videos, folders and quoted globs.", metavar="IMAGES…")]
+    board: Annotated["Board | str | None", BOARD_OPTION] = None
+    output: Annotated[Path | None, OUTPUT_OPTION] = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+    reading: Annotated[Reading, Without(("colours",))] = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    draw: Annotated[
+        Path | None,
+        Option(
+            "Write a picture of every image with its corners, or why there are none.",
+            metavar="FOLDER",
+            group=OUTPUT,
+            recorded=False,
+        ),
+    ] = None
+    parts: Parts = False
+    mixed_sizes: MixedSizes = False
+
+
+@dataclass(frozen=True)
+class CalibrateOptions(OptionsRecord):
+    """What to calibrate from and how; see `camcal calibrate --help`.
+
+    inputs: images, folders and globs, or one detections file. model: None for the usual one, or where another one
+    predicts views clearly better, that one. board: a board file or short form, None when the detections file names it.
+    max_rejected: share of the corners, 0 to 1. image_size: (width, height) of the images of a .vnl file. reading: what
+    is made of raw frames, and whether red and blue get lenses of their own. frames: which ones of videos are taken.
+    parts: whether parts of a chessboard will do that show which part they are. refine: measure the corners once more
+    along the edges that the calibrated lens expects, and calibrate with these; None: where there are images.
+    mixed_sizes: whether images turned by 90°, of half the size or off by a pixel or two are used. require,
+    max_uncertainty (px): what the result has to be, see `require_good`.
+    """
+
+    inputs: Annotated[
+        tuple[str, ...],
+        Argument("Images, videos, folders, globs; or a detections file.", metavar="IMAGES…|DETECTIONS"),
+    ]
+    output: Output
+    board: BoardText = None
+    model: Annotated[
+        str | None,
+        Option(
+            lambda: (
+                f"Lens model: {lens_models()}. "
+                "Default: opencv5, unless another one predicts views clearly better; it is said."
+            ),
+            metavar="MODEL",
+            group=LENS,
+        ),
+    ] = None
+    fix: Annotated[
+        tuple[str, ...],
+        Option(
+            "Lens parameters to hold, such as k3 or p1,p2: at 0, or the guess's.",
+            metavar="NAMES",
+            group=LENS,
+            type=NAMES,
+        ),
+    ] = ()
+    guess: Annotated[
+        str | None,
+        Option("A camera file to start from; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
+    ] = None
+    flat_board: Annotated[bool, Option("Take the board as drawn; by default its shape is estimated.", group=BOARD)] = (
+        False
+    )
+    free_corners: Annotated[bool, Option("Estimate an offset of every corner of the board.", group=BOARD)] = True
+    max_rejected: Annotated[
+        float,
+        Option(
+            "Refuse the result if more corners than this are off by 4 % of a square.",
+            metavar="PERCENT",
+            group=CHECKS,
+            type=PERCENT,
+            least=0,
+            most=1,
+        ),
+    ] = 0.1
+    name: Annotated[str, Option("Name of the camera in the file.", metavar="NAME", group=OUTPUT)] = "camera"
+    save_detections: Annotated[
+        Path | None,
+        Option(
+            "Write the corners too, so that a second solve needs no images.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+        ),
+    ] = None
+    image_size: Annotated[
+        tuple[int, int] | None,
+        Option("Size of the images of a .vnl file, which does not say.", metavar="WxH", group=INPUT, type=SIZE),
+    ] = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+    reading: Reading = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    parts: Parts = False
+    refine: Annotated[
+        bool | None,
+        Option(
+            "Measure the corners once more along the edges that the calibrated lens expects, look for those that "
+            "were missed, and calibrate with them; by default where there are images.",
+        ),
+    ] = None
+    mixed_sizes: MixedSizes = False
+    require: Annotated[
+        str | None,
+        Option(
+            "Exit with 7 if the result is not to be trusted.",
+            metavar=TRUSTWORTHY,
+            group=CHECKS,
+            choices=(TRUSTWORTHY,),
+            recorded=False,
+        ),
+    ] = None
+    max_uncertainty: Annotated[
+        float | None,
+        Option(
+            "Exit with 7 if the projection uncertainty (1 sigma, RMS where corners were seen) is larger.",
+            metavar="PX",
+            group=CHECKS,
+            recorded=False,
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_uncertainty is not None and not self.max_uncertainty > 0:
+            raise InvalidInput(f"--max-uncertainty {self.max_uncertainty:g} is not above 0")

@@ -1,0 +1,59 @@
+"""The options that several tasks share, each declared once.
+
+No module of options imports the core: a command knows its options before it runs, and its help is there at once.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+from camcal.options import BOARD, GENERAL, INPUT, OUTPUT, RAW_FRAMES, TEXT, Option
+
+OUTPUT_OPTION = Option(
+    "Where to write the result.", metavar="PATH", group=OUTPUT, names="--output -o", recorded=False, required=True
+)
+Output = Annotated[Path, OUTPUT_OPTION]
+Jobs = Annotated[
+    int | None,
+    Option(
+        "Cores to work on; by default all this process may use.",
+        metavar="N",
+        group=GENERAL,
+        names="--jobs -j",
+        least=1,
+        recorded=False,
+    ),
+]
+Recursive = Annotated[bool, Option("Read the folders below a folder too.", group=INPUT, names="--recursive -r")]
+BOARD_OPTION = Option(
+    "A board file, or a short form such as chessboard:9x6:25mm (inner corners), "
+    "charuco:9x7:30mm:22mm:DICT_5X5_100 (squares), aprilgrid:6x6:88mm:0.3 (tags) or circles:10x8:25mm:15mm.",
+    metavar="BOARD",
+    group=BOARD,
+    names="--board -b",
+    type=TEXT,
+)
+BoardText = Annotated[str | None, BOARD_OPTION]
+CameraName = Annotated[
+    str | None,
+    Option(
+        "Which camera of a file with several; FILE#NAME does the same.",
+        metavar="NAME",
+        group=INPUT,
+        names="--camera",
+    ),
+]
+Pattern = Annotated[
+    str | None,
+    Option(
+        "Colours of the first 2x2 pixels of bare mosaics: RGGB, GRBG, GBRG, BGGR; or MONO.",
+        metavar="LETTERS",
+        group=RAW_FRAMES,
+    ),
+]
+
+
+def lens_models() -> str:
+    """Return the names of the lens models, for a help: only that imports them."""
+    from camcal.cameras.catalogue import help_line
+
+    return help_line()
