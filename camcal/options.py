@@ -86,10 +86,11 @@ _BY_TYPE = {str: TEXT, Path: PATH, int: INTEGER, float: NUMBER}
 class Option:
     """What a user is told of an option, and what it takes.
 
-    help: a sentence or two, or what makes them where that needs more than the options. names: the spellings, the long one first, as '--output -o' or '--landscape/--portrait'; by default that of the
-    field. type: by default that of the field. values: so many texts make one value. least, most: of the field's value.
-    recorded: whether it belongs to the command that a result records; what changes no number does not. required: it has
-    to be given on a command line, although the field has a default.
+    help: sentences, or a function that makes them where that needs more than the options. names: the spellings, the
+    long one first, as '--output -o' or '--landscape/--portrait'; by default that of the field. type: by default that
+    of the field. values: so many texts make one value. least, most: of the field's value. recorded: whether it belongs
+    to the command that a result records; what changes no number does not. required: it has to be given on a command
+    line, although the field has a default.
     """
 
     help: str | Callable[[], str]
