@@ -34,12 +34,12 @@ import cv2
 import numpy as np
 
 from camcal.raw.demosaic import demosaic
-from camcal.raw.develop import Development
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
+from camcal.raw.options import Development
 from camcal.run.fanout import over_threads
-from camcal.tasks.raw.demosaic import DemosaicOptions
 from camcal.tasks.raw.demosaic import demosaic as demosaic_files
+from camcal.tasks.raw.options import DemosaicOptions
 
 PEERS = Path(__file__).parent / "peers" / "demosaic_peers.py"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -323,7 +323,7 @@ def print_development(source: Path, interpreter: str | None, repeats: int) -> No
     """Print the time from a raw file to a TIFF of 16 bits, everybody with all threads."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         ours, theirs = Path(folder) / "camcal.tiff", Path(folder) / "libraw.tiff"
-        options = DemosaicOptions([source], ours, development=Development(depth="16"))
+        options = DemosaicOptions((str(source),), ours, development=Development(depth="16"))
         camcal = [Path(sysconfig.get_path("scripts")) / "camcal", "demosaic", source, "-o", ours, "--depth", "16", "-q"]
         compiled = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": folder}  # as after pip install
         run = partial(subprocess.run, check=True, env=os.environ | compiled)

@@ -11,7 +11,7 @@ import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from importlib import import_module
-from math import isfinite
+from math import isfinite, pi
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -41,6 +41,12 @@ def number_text(value: float) -> str:
     return f"{value:.12g}"
 
 
+def exact_text(value: float) -> str:
+    """Return a number as a person writes it, with as many digits as give the very same one back."""
+    text = number_text(value)
+    return text if parse_number(text) == value else repr(float(value))
+
+
 def scaled(factor: float, needed: str = "a number") -> ValueType:
     """Return the type of numbers that are given in a unit of their own, factor × that of the field."""
     return ValueType(lambda text: parse_number(text) * factor, lambda value: number_text(value / factor), needed)
@@ -55,7 +61,7 @@ def separated(needed: str, separator: str = ",", count: int | None = None) -> Va
             raise ValueError(text)
         return numbers
 
-    return ValueType(read, lambda values: separator.join(map(number_text, values)), needed)
+    return ValueType(read, lambda values: separator.join(map(exact_text, values)), needed)
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -72,8 +78,10 @@ def parse_size(text: str) -> tuple[int, int]:
 TEXT = ValueType(str, str, "a text")
 PATH = ValueType(Path, str, "a path")
 INTEGER = ValueType(parse_integer, str, "a whole number")
-NUMBER = ValueType(parse_number, number_text, "a number")
+NUMBER = ValueType(parse_number, exact_text, "a number")
 PERCENT = ValueType(lambda text: parse_number(text) / 100, lambda value: number_text(100 * value), "a number")
+MILLIMETRES, MICROMETRES, MILLISECONDS = scaled(1e-3), scaled(1e-6), scaled(1e-3)
+DEGREES = scaled(pi / 180)
 NUMBERS = separated("numbers, separated by commas")
 SIZE = ValueType(parse_size, lambda size: "{}x{}".format(*size), "a size, written as WIDTHxHEIGHT such as 1920x1080")
 NAMES = ValueType(
@@ -246,6 +254,12 @@ class Declared:
         if self.positional:
             return texts
         return [self.name, *texts] if not self.several else [word for text in texts for word in (self.name, text)]
+
+    def setting(self, value: Any) -> bool | str | list[str]:
+        """Return a value as settings files have it."""
+        if self.type is None:
+            return bool(value)
+        return self.texts(value) if self.several or self.option.values > 1 else self.written(value)
 
     def of(self, options: Any) -> Any:
         """Return its value in an options record."""

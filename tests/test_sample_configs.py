@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import pytest
+from command_page import REGISTERED
 
+from camcal.cli.command import OptionsCommand
 from camcal.cli.main import app
 from camcal.formats import boards, native, tags
 
@@ -41,6 +43,27 @@ LOADERS = {"boards": load_board, "cameras": load_camera, "tags": load_tags, ".":
 def test_a_sample_is_loaded_by_what_it_is_a_sample_of(name):
     path = Path(name)
     LOADERS[path.parent.as_posix()](FOLDER / path)
+
+
+def converted() -> list[str]:
+    """Return the settings of commands whose options are declared by records."""
+    return [name for name in FILES if "/" not in name and isinstance(REGISTERED[command_of(name)], OptionsCommand)]
+
+
+def command_of(name: str) -> str:
+    """Return the command that a file at the top is named after, in its first words at least."""
+    words = Path(name).stem.split("_")
+    joined = (" ".join(words[:count]) for count in range(len(words), 0, -1))
+    return next(command for command in joined if command in REGISTERED)
+
+
+@pytest.mark.parametrize("name", converted())
+def test_a_sample_is_what_its_command_writes(name, tmp_path, capsys):
+    path, again = FOLDER / name, tmp_path / name
+    with pytest.raises(SystemExit) as ended:
+        app([*command_of(name).split(), "--config", str(path), "--write-config", str(again)])
+    assert (ended.value.code or 0, capsys.readouterr().out) == (0, f"wrote {again}\n")
+    assert again.read_text() == path.read_text()
 
 
 def test_there_are_samples_of_every_kind():

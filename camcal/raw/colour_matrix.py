@@ -9,8 +9,8 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
 from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import NO_MATRIX
 
-NO_MATRIX = "none"
 SRGB = "srgb"
 
 # IEC 61966-2-1, table 1: linear sRGB to CIE XYZ, white D65.

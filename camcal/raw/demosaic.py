@@ -15,12 +15,11 @@ from camcal.errors import InvalidInput
 from camcal.raw import libraw, simple_filters
 from camcal.raw.malvar import malvar
 from camcal.raw.mosaic import cell_side, full_scale, is_x_trans
-from camcal.raw.options import MONO
+from camcal.raw.options import AUTO, MONO
 from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
 from camcal.raw.vng import vng
 
-AUTO = "auto"
 RI = "ri"
 LIBRAW = "libraw:"
 NONE = "none"

@@ -4,56 +4,30 @@ In that order, and every step is neutral unless asked for. Light is linear, 0 at
 tone curve; white balance acts on the mosaic, because filters compare neighbours of different colours.
 """
 
-from dataclasses import dataclass, field, replace
-from math import isfinite
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw import bad_pixels
-from camcal.raw.balance import GRAY_WORLD, NO_BALANCE, Balance, Gains, balance_in_place
-from camcal.raw.colour_matrix import NO_MATRIX, apply_matrix, colour_matrix
-from camcal.raw.demosaic import AUTO, GRAY, NONE, demosaic, require_algorithm
+from camcal.raw.balance import balance_in_place, found_gains
+from camcal.raw.colour_matrix import apply_matrix, colour_matrix
+from camcal.raw.demosaic import GRAY, NONE, demosaic
 from camcal.raw.mosaic import Mosaic, full_scale, phases
-from camcal.raw.options import MONO
+from camcal.raw.options import (
+    AUTO,
+    GRAY_WORLD,
+    LINEAR,
+    MONO,
+    NO_BALANCE,
+    NO_MATRIX,
+    Balance,
+    Development,
+    Gains,
+)
 from camcal.raw.planes import Each, one_by_one
-from camcal.raw.tone import DEPTHS, LINEAR, encode, quantise, require_tone
-
-ENCODINGS = ("linear", "gamma")
-
-
-@dataclass(frozen=True)
-class Development:
-    """What is done to a raw frame.
-
-    balance: see `Balance`. exposure: stops by which the light is multiplied. colour: see `colour_matrix`. tone: linear,
-    power:2.2 (v becomes v^(1/2.2)), srgb or bt709. depth: 8, 16 or float; None keeps that of the raw frame. encoding:
-    what the counts are, linear in light or gamma-encoded; None takes 8 bits that nothing is done to for gamma-encoded.
-    """
-
-    algorithm: str = AUTO
-    balance: Balance = field(default_factory=Balance)
-    exposure: float = 0.0
-    colour: str = NO_MATRIX
-    tone: str = LINEAR
-    depth: str | None = None
-    encoding: str | None = None
-
-    def __post_init__(self) -> None:
-        require_algorithm(self.algorithm)
-        require_tone(self.tone)
-        if self.depth is not None and self.depth not in DEPTHS:
-            raise InvalidInput(f"depth {self.depth!r} is unknown; use one of {', '.join(DEPTHS)}")
-        if self.encoding is not None and self.encoding not in ENCODINGS:
-            raise InvalidInput(f"encoding {self.encoding!r} is unknown; use {' or '.join(ENCODINGS)}")
-        if not (isfinite(self.exposure) and abs(self.exposure) <= 20):
-            raise InvalidInput(f"an exposure of {self.exposure:g} stops; give -20 to 20")
-
-    @property
-    def is_neutral(self) -> bool:
-        """Whether light stays as it is until it is demosaiced."""
-        return self.balance.text == NO_BALANCE and self.exposure == 0 and self.colour == NO_MATRIX
+from camcal.raw.tone import DTYPES, encode, quantise
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +91,7 @@ def develop(
     else:
         pixels, gains = _from_light(frame, development, corrections, each)
         linear = development.encoding != "gamma"
-    depth = DEPTHS[development.depth] if development.depth else frame.values.dtype
+    depth = DTYPES[development.depth] if development.depth else frame.values.dtype
     return Picture(_finished(pixels, development.tone, depth), gains, linear, clipped_shares(frame))
 
 
@@ -181,7 +155,7 @@ def balanced_light(frame: Mosaic, development: Development, corrections: Correct
     balance = development.balance
     if development.algorithm == GRAY and balance.text == NO_BALANCE:
         balance = Balance(GRAY_WORLD)
-    gains = None if frame.pattern == MONO else balance.find(light, frame.pattern, frame.camera_gains)
+    gains = None if frame.pattern == MONO else found_gains(balance, light, frame.pattern, frame.camera_gains)
     if gains is not None:
         balance_in_place(light, frame.pattern, gains)
     if development.exposure:

@@ -1,10 +1,13 @@
-"""What is said of raw frames beforehand: the names of colour filter patterns, the layout of header-less files."""
+"""What is said of raw frames beforehand, and what is to be done to them: patterns, layouts, balance, development."""
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
+from camcal.errors import InvalidInput
 from camcal.options import RAW_FRAMES, SIZE, Option, OptionsRecord
+from camcal.parsing import parse_integer, parse_numbers
 
 if TYPE_CHECKING:
     from camcal.raw.headerless import Layout
@@ -15,13 +18,23 @@ BARE_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy"})
 HEADERLESS_SUFFIXES = frozenset({".raw", ".bin"})
 ENDIANS = ("little", "big")
 ALIGNS = ("lsb", "msb")
+AUTO = "auto"
+NO_BALANCE, CAMERA, GRAY_WORLD, PATCH = "none", "camera", "gray-world", "patch:"
+NORMALISATIONS = ("min", "green")
+NO_MATRIX = "none"
+LINEAR = "linear"
+DEPTHS = ("8", "16", "float")
+ENCODINGS = (LINEAR, "gamma")
+DEVELOPMENT = "Development"  # title of the options of what is done to a frame
+
+Gains = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class GivenLayout(OptionsRecord):
     """What is said of header-less files; see `Layout`. format: a name that `pixel_format_named` knows.
 
-    Raises InvalidInput for a format it does not know.
+    Raises InvalidInput for a format it does not know, naming the other option if it is a sensor's optical format.
     """
 
     format: Annotated[
@@ -50,10 +63,17 @@ class GivenLayout(OptionsRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.format is not None:
-            from camcal.raw.pixel_formats import pixel_format_named
+        if self.format is None:
+            return
+        from camcal.raw.pixel_formats import pixel_format_named
 
+        try:
             pixel_format_named(self.format)
+        except InvalidInput:
+            if not _is_optical(self.format):
+                raise
+            words = "--format is the pixel format of header-less files; the optical one is --sensor-format"
+            raise InvalidInput(f"{words} {self.format}, of camcal sensor") from None
 
     def complete(self, path: Path, pattern: str | None) -> "Layout":
         """Return the layout of a file; raises InvalidInput, with what fits its length, if format or size is missing."""
@@ -65,13 +85,148 @@ class GivenLayout(OptionsRecord):
             raise missing_layout(path, pixel_format, self.size, self.offset)
         return Layout(pixel_format, self.size, self.stride, self.offset, self.endian, self.align, pattern, self.frame)
 
-    def settings(self) -> dict[str, Any]:
-        """Return what was said as options of a command, without what is so by default."""
-        size = None if self.size is None else "{}x{}".format(*self.size)
-        said = {"format": self.format, "size": size, "stride": self.stride, "offset": self.offset or None}
-        order = {"endian": self.endian, "align": self.align, "frame": self.frame}
-        standard = {"endian": "little", "align": "lsb", "frame": None}
-        return said | {name: value for name, value in order.items() if value != standard[name]}
-
 
 NO_LAYOUT = GivenLayout()
+
+
+def _is_optical(name: str) -> bool:
+    """Return whether this is the optical format of a sensor, such as 1/2.8."""
+    from camcal.optics.sensor_format import sensor_format
+
+    try:
+        sensor_format(name)
+    except InvalidInput:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class Balance(OptionsRecord):
+    """How the gains are found: none, camera, gray-world, patch:X,Y,W,H (a gray area), or three gains R,G,B.
+
+    normalise: gains that are found are scaled so that the smallest is 1 ("min": what is saturated turns white) or
+    that of green ("green": green keeps its level). Three gains are taken as they are.
+    """
+
+    text: Annotated[
+        str,
+        Option(
+            "White balance: none, camera, gray-world, patch:X,Y,W,H, or gains R,G,B.",
+            metavar="BALANCE",
+            group=DEVELOPMENT,
+            names="--wb",
+        ),
+    ] = NO_BALANCE
+    normalise: Annotated[
+        str,
+        Option(
+            "Which of the gains that are found is 1: the smallest, or green's.",
+            metavar="min|green",
+            group=DEVELOPMENT,
+            names="--wb-normalize",
+            choices=NORMALISATIONS,
+        ),
+    ] = NORMALISATIONS[0]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.text.startswith(PATCH):
+            self.patch()
+        elif self.text not in (NO_BALANCE, CAMERA, GRAY_WORLD):
+            self.gains()
+
+    def patch(self) -> tuple[int, int, int, int]:
+        """Return x, y, width and height of the gray area; raises InvalidInput unless it is four such numbers."""
+        parts = self.text.removeprefix(PATCH).split(",")
+        if len(parts) != 4 or not all(part.strip().isdecimal() for part in parts):
+            raise InvalidInput(f"white balance {self.text!r}: a gray area is patch:X,Y,WIDTH,HEIGHT in pixels")
+        x, y, width, height = (parse_integer(part) for part in parts)
+        return x, y, width, height
+
+    def gains(self) -> Gains:
+        """Return the three gains that were given; raises InvalidInput unless they are positive numbers."""
+        try:
+            red, green, blue = parse_numbers(self.text.split(","))
+        except ValueError:
+            known = f"{NO_BALANCE}, {CAMERA}, {GRAY_WORLD}, {PATCH}X,Y,W,H or three gains R,G,B"
+            raise InvalidInput(f"white balance {self.text!r} is unknown; use {known}") from None
+        if not all(isfinite(gain) and gain > 0 for gain in (red, green, blue)):
+            raise InvalidInput(f"white balance {self.text!r}: gains must be positive numbers")
+        return red, green, blue
+
+
+NOT_BALANCED = Balance()
+
+
+@dataclass(frozen=True)
+class Development(OptionsRecord):
+    """What is done to a raw frame.
+
+    balance: see `Balance`. exposure: stops by which the light is multiplied. colour: see `colour_matrix`. tone: linear,
+    power:2.2 (v becomes v^(1/2.2)), srgb or bt709. depth: 8, 16 or float; None keeps that of the raw frame. encoding:
+    what the counts are, linear in light or gamma-encoded; None takes 8 bits that nothing is done to for gamma-encoded.
+    """
+
+    algorithm: Annotated[
+        str,
+        Option(
+            "auto (ri), ri, malvar, bilinear, ea, vng, half, green, gray, none, or libraw:AHD and its like.",
+            metavar="NAME",
+            group=DEVELOPMENT,
+        ),
+    ] = AUTO
+    balance: Balance = NOT_BALANCED
+    exposure: Annotated[
+        float,
+        Option(
+            "Exposure: linear light is multiplied by 2^STOPS.",
+            metavar="STOPS",
+            group=DEVELOPMENT,
+            names="--ev",
+            least=-20,
+            most=20,
+        ),
+    ] = 0.0
+    colour: Annotated[
+        str,
+        Option(
+            "none, srgb (by what the camera file says), or a file of nine numbers.",
+            metavar="MATRIX",
+            group=DEVELOPMENT,
+        ),
+    ] = NO_MATRIX
+    tone: Annotated[
+        str,
+        Option("linear, power:2.2 (v becomes v^(1/2.2)), srgb or bt709.", metavar="CURVE", group=DEVELOPMENT),
+    ] = LINEAR
+    depth: Annotated[
+        str | None,
+        Option(
+            "Depth of the images; by default that of the input.",
+            metavar="8|16|float",
+            group=DEVELOPMENT,
+            choices=DEPTHS,
+        ),
+    ] = None
+    encoding: Annotated[
+        str | None,
+        Option(
+            "What the counts are; 8 bits nothing is done to pass for gamma.",
+            metavar="linear|gamma",
+            group=DEVELOPMENT,
+            choices=ENCODINGS,
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        from camcal.raw.demosaic import require_algorithm
+        from camcal.raw.tone import require_tone
+
+        super().__post_init__()
+        require_algorithm(self.algorithm)
+        require_tone(self.tone)
+
+    @property
+    def is_neutral(self) -> bool:
+        """Whether light stays as it is until it is demosaiced."""
+        return self.balance.text == NO_BALANCE and self.exposure == 0 and self.colour == NO_MATRIX

@@ -10,12 +10,12 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
+from camcal.raw.options import DEPTHS, LINEAR
 from camcal.raw.planes import rounded
 
-LINEAR = "linear"
 TONES = (LINEAR, "srgb", "bt709")
-DEPTHS: Mapping[str, np.dtype[Any]] = MappingProxyType(
-    {"8": np.dtype(np.uint8), "16": np.dtype(np.uint16), "float": np.dtype(np.float32)}
+DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
+    dict(zip(DEPTHS, map(np.dtype, (np.uint8, np.uint16, np.float32)), strict=True))
 )
 
 _POWER = re.compile(r"power:([0-9]+(?:\.[0-9]*)?|\.[0-9]+)$")

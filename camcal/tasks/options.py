@@ -3,10 +3,12 @@
 No module of options imports the core: a command knows its options before it runs, and its help is there at once.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import BOARD, GENERAL, INPUT, OUTPUT, RAW_FRAMES, TEXT, Option
+from camcal.options import BOARD, GENERAL, INPUT, OUTPUT, RAW_FRAMES, TEXT, Argument, Option, OptionsRecord
+from camcal.raw.options import MONO, NO_LAYOUT, PATTERNS, GivenLayout
 
 OUTPUT_OPTION = Option(
     "Where to write the result.", metavar="PATH", group=OUTPUT, names="--output -o", recorded=False, required=True
@@ -48,8 +50,41 @@ Pattern = Annotated[
         "Colours of the first 2x2 pixels of bare mosaics: RGGB, GRBG, GBRG, BGGR; or MONO.",
         metavar="LETTERS",
         group=RAW_FRAMES,
+        choices=(*PATTERNS, MONO),
     ),
 ]
+
+
+@dataclass(frozen=True)
+class InspectOptions(OptionsRecord):
+    """A camera file, or FILE#NAME for one of its cameras; or a raw frame, its pattern and layout as far as needed.
+
+    get: the path of one value in a camera file.
+    """
+
+    file: Annotated[
+        str,
+        Argument(
+            "A camera file, or FILE#NAME for one of several cameras; or a raw frame: of a camera (.dng, .cr2, …), "
+            "a bare mosaic (PNG, TIFF, PGM, NPY), a dump of a sensor (.raw, .bin).",
+            metavar="FILE",
+        ),
+    ]
+    get: Annotated[
+        str | None,
+        Option("Print one value only, such as cameras.left.intrinsics.fx; lists as JSON.", metavar="KEY", group=OUTPUT),
+    ] = None
+    camera: CameraName = None
+    pattern: Pattern = None
+    layout: GivenLayout = NO_LAYOUT
+
+    @property
+    def address(self) -> tuple[Path, str | None]:
+        """The file, and the camera in it that is meant; None for all of them."""
+        from camcal.run.inputs import split_address
+
+        path, name = split_address(self.file)
+        return path, self.camera or name
 
 
 def lens_models() -> str:

@@ -237,6 +237,8 @@ def test_what_was_found_on_the_way_is_noted_beside_the_options(run, tmp_path):
     assert run("demosaic", source, *arguments, "-o", tmp_path / "image.tiff", "-q")[0] == 0
     noted = yaml.safe_load((tmp_path / "image.tiff.yaml").read_text())
     assert noted["algorithm"] == "half"
+    assert [noted[name] for name in ("pattern", "colour", "tone", "depth")] == ["RGGB", "none", "linear", "16"]
+    assert noted["encoding"] == "linear"
     assert len(noted["wb"].split(",")) == 3
     assert noted["x_record"]["image_size"] == [35, 30]
     assert noted["x_record"]["pixel_of_the_mosaic"] == "(2 x + 0.5, 2 y + 0.5)"

@@ -80,6 +80,7 @@ def test_a_sensor_file_is_written_and_its_block_fits_a_camera_file(run, scene, t
     assert data["format"] == "camcal-sensor"
     assert list(data["curves"]) == ["R", "Gr", "Gb", "B"]
     assert len(data["provenance"]["images"]) == 24
+    assert data["provenance"]["command"].endswith("darks --pattern RGGB --sensor-format 1/2.8")
 
 
 def test_a_white_level_gives_the_bits(run, scene, tmp_path):
@@ -218,7 +219,7 @@ def test_an_input_is_never_overwritten(run, bench):
     ("options", "message"),
     [
         (["--exposure", "1,2,3"], "3 exposures for 1 inputs"),
-        (["--exposure", "fast"], "write seconds"),
+        (["--exposure", "fast"], "is not seconds, written as 0.01,0.02"),
         (["--exposure", "-1"], "above 0"),
         (["--sensor-format", "1/2.8", "--pitch-um", "3"], "leave out"),
         (["--sensor-format", "fullframe"], "Did you mean 'full frame'"),

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.balance import Balance
-from camcal.raw.develop import Corrections, Development, develop, linearise, negative
+from camcal.raw.balance import found_gains
+from camcal.raw.develop import Corrections, develop, linearise, negative
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import MONO, PATTERNS
+from camcal.raw.options import MONO, PATTERNS, Balance, Development
 from camcal.raw.tone import encode, quantise
 
 
@@ -30,7 +30,7 @@ def coloured_light(red, green, blue, pattern="RGGB", shape=(8, 10)):
 
 
 def gains_of(mosaic, balance, normalise="min"):
-    return Balance(balance, normalise).find(linearise(mosaic), mosaic.pattern, mosaic.camera_gains)
+    return found_gains(Balance(balance, normalise), linearise(mosaic), mosaic.pattern, mosaic.camera_gains)
 
 
 def test_black_becomes_zero_and_white_one_for_every_phase():
@@ -163,8 +163,8 @@ def test_the_depth_of_the_frame_is_kept_when_none_is_asked_for():
     [
         ({"algorithm": "menon"}, "ri, malvar"),
         ({"algorithm": "libraw:AMAZE"}, "AHD"),
-        ({"encoding": "log"}, "linear or gamma"),
-        ({"exposure": float("nan")}, "stops"),
+        ({"encoding": "log"}, "linear, gamma"),
+        ({"exposure": float("nan")}, "--ev"),
         ({"tone": "gamma"}, "power:GAMMA"),
         ({"tone": "power:0"}, "unknown"),
         ({"tone": "power:-2"}, "unknown"),
@@ -186,7 +186,7 @@ def test_a_balance_that_does_not_exist_is_refused_with_those_that_do(balance, me
 
 
 def test_gains_are_normalised_by_the_smallest_or_by_green_only():
-    with pytest.raises(InvalidInput, match="min or green"):
+    with pytest.raises(InvalidInput, match="min, green"):
         Balance("camera", "max")
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.raw.develop import Development, develop
+from camcal.raw.develop import develop
+from camcal.raw.options import Development
 from camcal.raw.reading import read_mosaic
 
 

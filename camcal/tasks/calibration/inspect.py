@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,14 +16,7 @@ from camcal.formats.schema import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
 from camcal.targets.surface import CLASSES, RATIOS, Surface
 from camcal.tasks.calibration.image_circle_of_views import circle_notes
-
-
-@dataclass(frozen=True)
-class InspectOptions:
-    """Which file, and which of its cameras: all of them if None."""
-
-    path: Path
-    camera: str | None = None
+from camcal.tasks.options import InspectOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +33,12 @@ class Inspection:
 
 def inspect(options: InspectOptions) -> Inspection:
     """Return what a camera file holds; raises InvalidInput or FileError as `native.read` does."""
-    document = strict_yaml.load(options.path, native.check)
-    file = native.from_document(document, options.path.parent)
-    if options.camera is not None:
-        native.select(file, options.camera, str(options.path))
-    names = list(file.cameras) if options.camera is None else [options.camera]
+    path, camera = options.address
+    document = strict_yaml.load(path, native.check)
+    file = native.from_document(document, path.parent)
+    if camera is not None:
+        native.select(file, camera, str(path))
+    names = list(file.cameras) if camera is None else [camera]
     return Inspection(document, file, {name: _field_deg(file.cameras[name]) for name in names})
 
 

@@ -1,7 +1,6 @@
 """`camcal demosaic --make-bad-pixel-map`: the pixels of a sensor that dark frames give away."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,8 @@ from camcal.raw import bad_pixels
 from camcal.raw.options import HEADERLESS_SUFFIXES, MONO
 from camcal.run.inputs import find_images
 from camcal.run.outputs import refuse_overwriting
-from camcal.tasks.raw.raw_corrections import RawInput
-
-
-@dataclass(frozen=True)
-class BadPixelMapOptions:
-    """Dark frames (files, folders, globs) and the file of the map: text as dcraw reads it, PNG or NPY."""
-
-    inputs: Sequence[Path | str]
-    output: Path
-    reading: RawInput = field(default_factory=RawInput)
-    recursive: bool = False
+from camcal.tasks.raw.options import DemosaicOptions
+from camcal.tasks.raw.raw_corrections import read_frame
 
 
 @dataclass(frozen=True)
@@ -35,20 +25,20 @@ class BadPixelMap:
     pixels: int
 
 
-def make_bad_pixel_map(options: BadPixelMapOptions, progress: Progress = SILENT) -> BadPixelMap:
-    """Return what was found after writing the map.
+def make_bad_pixel_map(options: DemosaicOptions, progress: Progress = SILENT) -> BadPixelMap:
+    """Return what was found after writing the map to options.output: text as dcraw reads it, PNG or NPY.
 
     Raises FileError or InvalidInput for files that are no raw frames of one size, InsufficientData if too many pixels
     stand out to be called bad.
     """
     sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
     refuse_overwriting([options.output], sources)
-    pattern = options.reading.pattern or options.reading.read(sources[0]).pattern
+    pattern = options.reading.pattern or read_frame(sources[0], options.reading).pattern
     progress.start("dark frames", len(sources))
 
     def counts() -> Any:
         for source in sources:
-            yield options.reading.read(source).values
+            yield read_frame(source, options.reading).values
             progress.advance()
 
     mask = bad_pixels.make_map(counts(), pattern or MONO)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,50 +11,26 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.images.image import Image
 from camcal.images.save import KINDS, save
+from camcal.options import NUMBERS
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.raw.balance import NO_BALANCE
 from camcal.raw.bit_depth import likely_white
 from camcal.raw.demosaic import HALF, resolved
-from camcal.raw.develop import Corrections, Development, Picture, clipped_shares, develop, negative
+from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_BALANCE
 from camcal.raw.phase import check_phase
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
-from camcal.raw.tone import DEPTHS
+from camcal.raw.tone import DTYPES
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.inputs import find_images, recorded
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.tasks.raw import demosaic_settings
-from camcal.tasks.raw.raw_corrections import CorrectionFiles, RawInput
+from camcal.tasks.raw.options import DemosaicOptions
+from camcal.tasks.raw.raw_corrections import load_corrections, read_frame
 
 DNG = ".dng"
-DEFAULT_TYPE = "tiff"  # 16-bit PNG takes seventeen times as long to write
-TYPES = ("tiff", "png", "ppm", "npy", "dng")
-
-
-@dataclass(frozen=True)
-class DemosaicOptions:
-    """Raw frames (files, folders, globs), where the images go, and what is done to them.
-
-    output: a file for a single frame, otherwise a folder of files of a type. trust_pattern: do not ask the frames
-    whether green stands where the pattern says.
-    """
-
-    inputs: Sequence[Path | str]
-    output: Path
-    reading: RawInput = field(default_factory=RawInput)
-    development: Development = field(default_factory=Development)
-    corrections: CorrectionFiles = field(default_factory=CorrectionFiles)
-    type: str = DEFAULT_TYPE
-    trust_pattern: bool = False
-    recursive: bool = False
-    jobs: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.type not in TYPES:
-            raise InvalidInput(f"type {self.type!r} is unknown; use one of {', '.join(TYPES)}")
 
 
 @dataclass(frozen=True)
@@ -90,7 +66,7 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     refuse_overwriting(settings, sources)
     for path in settings:
         demosaic_settings.require_own(path)
-    corrections = options.corrections.load(options.reading, sources[0])
+    corrections = load_corrections(options.corrections, options.reading, sources[0])
     into_a_folder = outputs[sources[0]] != options.output
     names = [output.name for output in outputs.values()]
     with recorded(options.output, names) if into_a_folder else nullcontext():
@@ -127,7 +103,7 @@ def _develop_file(
 def _developed(
     source: Path, output: Path, options: DemosaicOptions, corrections: Corrections, each: Each
 ) -> DevelopedFrame:
-    frame = options.reading.read(source)
+    frame = read_frame(source, options.reading)
     if not options.trust_pattern:
         check_phase(frame)
     settings = demosaic_settings.path_beside(output)
@@ -150,38 +126,22 @@ def _developed(
         clipped=picture.clipped,
         gains=picture.gains,
     )
-    files.write_text(
-        settings, demosaic_settings.text(_settings(options, picture, frame.pattern), _record(frame, developed, options))
-    )
+    repeating = _repeating(options, picture, frame.pattern)
+    files.write_text(settings, demosaic_settings.text(repeating, _record(frame, developed, options)))
     return developed
 
 
-def _settings(options: DemosaicOptions, picture: Picture, pattern: str) -> dict[str, Any]:
+def _repeating(options: DemosaicOptions, picture: Picture, pattern: str) -> DemosaicOptions:
     """Return the options that repeat a development, with what was found in place of what was to be found."""
-    reading, development, corrections = options.reading, options.development, options.corrections
-    depth = next(name for name, dtype in DEPTHS.items() if dtype == picture.pixels.dtype)
-    return {
-        "pattern": reading.pattern,
-        **reading.layout.settings(),
-        "black": _numbers(reading.black),
-        "white": _numbers((reading.white,) if reading.white is not None else None),
-        "dark": [str(path) for path in corrections.dark],
-        "bad-pixels": None if corrections.bad is None else str(corrections.bad),
-        "flat": [str(path) for path in corrections.flat],
-        "wb": _numbers(picture.gains) or NO_BALANCE,
-        "ev": _numbers((development.exposure,)) if development.exposure else None,
-        "algorithm": resolved(development.algorithm, pattern),
-        "encoding": "linear" if picture.linear else "gamma",
-        "colour": development.colour,
-        "tone": development.tone,
-        "depth": depth,
-        "trust-pattern": options.trust_pattern or None,
-    }
-
-
-def _numbers(values: Sequence[float] | None) -> str | None:
-    """Return numbers as a text that gives the very same ones when it is read."""
-    return None if values is None else ",".join(repr(float(value)) for value in values)
+    gains = NO_BALANCE if picture.gains is None else NUMBERS.write(picture.gains)
+    development = replace(
+        options.development,
+        balance=replace(options.development.balance, text=gains),
+        algorithm=resolved(options.development.algorithm, pattern),
+        encoding="linear" if picture.linear else "gamma",
+        depth=next(name for name, dtype in DTYPES.items() if dtype == picture.pixels.dtype),
+    )
+    return replace(options, development=development)
 
 
 def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) -> dict[str, Any]:

@@ -8,7 +8,9 @@ import camcal
 from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import emit
+from camcal.options import declared
 from camcal.raw.mosaic import Mosaic
+from camcal.tasks.raw.options import DemosaicOptions
 
 SUFFIX = ".yaml"
 _COMMENT = "What camcal demosaic did; given to --config, this file repeats it."
@@ -25,10 +27,18 @@ def require_own(path: Path) -> None:
         raise InvalidInput("was not written by 'camcal demosaic' and is kept; choose another output", where=str(path))
 
 
-def text(settings: Mapping[str, Any], record: Mapping[str, Any]) -> str:
-    """Return the settings file: options of the command by name, and under x_record what was found on the way."""
-    said = {name: value for name, value in settings.items() if value not in (None, (), [])}
-    return emit.document({**said, "x_record": {"camcal": camcal.__version__, **record}}, _COMMENT)
+def text(options: DemosaicOptions, record: Mapping[str, Any]) -> str:
+    """Return the settings file: options of the command by name, and under x_record what was found on the way.
+
+    Of the development it has everything, so that another version with other defaults repeats it too.
+    """
+    recorded = [each for each in declared(DemosaicOptions) if each.option.recorded and not each.positional]
+    settings = {
+        each.key: each.setting(value)
+        for each in recorded
+        if (value := each.of(options)) is not None and (value != each.default or each.path[0] == "development")
+    }
+    return emit.document({**settings, "x_record": {"camcal": camcal.__version__, **record}}, _COMMENT)
 
 
 def capture_facts(frame: Mosaic) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from camcal.raw.mosaic import Capture
 from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import find_images
-from camcal.tasks.raw.raw_corrections import RawInput
+from camcal.tasks.raw.options import RawInput
+from camcal.tasks.raw.raw_corrections import read_frame
 
 _EXPOSURE = re.compile(r"(?:^|[_ -])([0-9]+(?:\.[0-9]+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
 _ISO = re.compile(r"(?:^|[_ -])iso ?([0-9]+)(?:$|[_ -])", re.IGNORECASE)
@@ -90,7 +91,7 @@ def _named(one: Path | str, exposure_s: float | None) -> list[_Seen]:
 
 
 def _read(item: _Seen, reading: RawInput) -> _Seen:
-    frame = reading.read(item.path)
+    frame = read_frame(item.path, reading)
     told: Capture = frame.capture
     exposure = told.exposure_s if item.exposure_s is None else item.exposure_s
     return _Seen(item.path, exposure, told.iso if item.iso is None else item.iso, float(frame.values.mean()))

@@ -12,9 +12,10 @@ from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import Fit, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
+from camcal.tasks.options import InspectOptions
 
 LAYOUT_COLUMNS = ("size", "stride", "format")
 CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white")
@@ -22,20 +23,6 @@ CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white
 _BARS = " ▁▂▃▄▅▆▇█"
 _UPRIGHT = 1
 _LONG_S = 0.3  # exposures below are written as fractions, as on cameras
-
-
-@dataclass(frozen=True)
-class InspectRawOptions:
-    """Which raw frame; the pattern of a bare mosaic or a header-less file, and the layout of the latter."""
-
-    path: Path
-    pattern: str | None = None
-    layout: GivenLayout = NO_LAYOUT
-
-    @property
-    def says_too_little(self) -> bool:
-        """Whether the file has no header and its layout is not given."""
-        return self.path.suffix.lower() in HEADERLESS_SUFFIXES and None in (self.layout.format, self.layout.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +39,17 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in RAW_SUFFIXES | BARE_SUFFIXES | HEADERLESS_SUFFIXES
 
 
-def inspect_raw(options: InspectRawOptions) -> RawInspection:
+def says_too_little(options: InspectOptions) -> bool:
+    """Return whether the file has no header and its layout is not given."""
+    unknown = None in (options.layout.format, options.layout.size)
+    return options.address[0].suffix.lower() in HEADERLESS_SUFFIXES and unknown
+
+
+def inspect_raw(options: InspectOptions) -> RawInspection:
     """Return what a raw frame holds; raises FileError and InvalidInput as `read_mosaic` does."""
-    frame = read_mosaic(options.path, options.pattern, options.layout)
-    return RawInspection(options.path, frame, channel_facts(frame))
+    path, _ = options.address
+    frame = read_mosaic(path, options.pattern, options.layout)
+    return RawInspection(path, frame, channel_facts(frame))
 
 
 @dataclass(frozen=True)
@@ -67,15 +61,15 @@ class LayoutGuess:
     fits: tuple[Fit, ...]
 
 
-def guess_layout(options: InspectRawOptions) -> LayoutGuess:
+def guess_layout(options: InspectOptions) -> LayoutGuess:
     """Return what a header-less file may be by its length, keeping the format, size and offset that are given.
 
     Raises FileError if it is missing or empty, InvalidInput for a format that does not exist.
     """
-    given = options.layout
+    given, (path, _) = options.layout, options.address
     pixel_format = None if given.format is None else pixel_format_named(given.format)
-    length = length_of(options.path)
-    return LayoutGuess(options.path, length, tuple(fitting_layouts(length - given.offset, pixel_format, given.size)))
+    length = length_of(path)
+    return LayoutGuess(path, length, tuple(fitting_layouts(length - given.offset, pixel_format, given.size)))
 
 
 def guess_title(guess: LayoutGuess) -> str:

@@ -9,14 +9,14 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.images.save import save
-from camcal.raw.balance import GRAY_WORLD, Balance
 from camcal.raw.demosaic import HALF
-from camcal.raw.develop import Development, develop
+from camcal.raw.develop import develop
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.options import HEADERLESS_SUFFIXES, PATTERNS
+from camcal.raw.options import GRAY_WORLD, HEADERLESS_SUFFIXES, PATTERNS, Balance, Development
 from camcal.raw.phase import green_diagonal
 from camcal.run.inputs import find_images, record_outputs
-from camcal.tasks.raw.demosaic import DemosaicOptions
+from camcal.tasks.raw.options import DemosaicOptions
+from camcal.tasks.raw.raw_corrections import read_frame
 
 _LONGEST = 480  # pixels of a thumbnail's longer side
 
@@ -39,7 +39,7 @@ def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
     look = Development(HALF, Balance(GRAY_WORLD), tone="srgb", depth="8")
     written = []
     for source in find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES):
-        frame = replace(options.reading, pattern=options.reading.pattern or PATTERNS[0]).read(source)
+        frame = read_frame(source, replace(options.reading, pattern=options.reading.pattern or PATTERNS[0]))
         if frame.pattern not in PATTERNS:
             raise InvalidInput(f"has the pattern {frame.pattern}, not one of four", where=str(source))
         thumbnails = {}

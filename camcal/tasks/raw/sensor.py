@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from math import ceil, isfinite, log2
+from math import ceil, log2
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +14,21 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import emit, provenance
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
+from camcal.options import command_line
 from camcal.progress import SILENT, Progress, values_of
 from camcal.raw import bit_depth
 from camcal.raw.bit_depth import Widened
 from camcal.raw.emva import Figures
 from camcal.raw.level import Level, measure_level
-from camcal.raw.mosaic import Mosaic, require_pattern
-from camcal.raw.options import NO_LAYOUT, GivenLayout
+from camcal.raw.mosaic import Mosaic
 from camcal.raw.photon_transfer import Curve, Figure
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report import figures
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import refuse_overwriting
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
-from camcal.tasks.raw.raw_corrections import RawInput
+from camcal.tasks.raw.options import RawInput, SensorOptions
+from camcal.tasks.raw.raw_corrections import read_frame
 
 FORMAT, VERSION = "camcal-sensor", 1
 COMMENT = "camcal sensor file. DN: counts, e: electrons. The block `sensor` goes into a camera file as it is."
@@ -46,48 +47,6 @@ _WORDS = {
     "linearity_error": ("linearity error", 100.0, "%"),
     "dark_current_e_s": ("dark current", 1.0, "e/s"),
 }
-
-
-@dataclass(frozen=True)
-class SensorOptions:
-    """Flat and dark frames (files, folders, globs), and what is known of them.
-
-    pattern, layout: see `read_mosaic`. exposures: seconds, one for all flats or one for each input; dark_exposures:
-    likewise. iso: which frames to use, or what all were taken at where files do not say. white: counts at saturation.
-    pitch: of the pixels, metres; sensor_format: a name such as 1/2.8, which gives the pitch. plot: a file for the
-    figure.
-    """
-
-    flats: Sequence[Path | str]
-    darks: Sequence[Path | str]
-    output: Path
-    pattern: str | None = None
-    layout: GivenLayout = NO_LAYOUT
-    exposures: Sequence[float] = ()
-    dark_exposures: Sequence[float] = ()
-    iso: float | None = None
-    white: float | None = None
-    pitch: float | None = None
-    sensor_format: str | None = None
-    plot: Path | None = None
-    jobs: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.pattern is not None:
-            require_pattern(self.pattern)
-        for value in (*self.exposures, *self.dark_exposures):
-            if not (isfinite(value) and value > 0):
-                raise InvalidInput(f"an exposure of {value:g} s: use seconds above 0")
-        for number, name in ((self.pitch, "pixel pitch"), (self.white, "white level"), (self.iso, "ISO speed")):
-            if number is not None and not (isfinite(number) and number > 0):
-                raise InvalidInput(f"a {name} of {number:g}: use a number above 0")
-        if self.pitch is not None and self.sensor_format is not None:
-            raise InvalidInput("--sensor-format gives the pixel pitch: leave out --pitch-um, or the format")
-
-    @property
-    def reading(self) -> RawInput:
-        """How the frames are read."""
-        return RawInput(self.pattern, self.layout)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +136,7 @@ def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progres
 
 
 def _used_counts(path: Path, reading: RawInput) -> Array:
-    return bit_depth.used_counts(reading.read(path))
+    return bit_depth.used_counts(read_frame(path, reading))
 
 
 def _levels(
@@ -188,7 +147,7 @@ def _levels(
 
 
 def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
-    frames = (_own_counts(reading.read(path), spread) for path in one.paths)
+    frames = (_own_counts(read_frame(path, reading), spread) for path in one.paths)
     try:
         return measure_level(frames, one.exposure_s, _own_white(white, spread))
     except CamcalError as error:
@@ -240,14 +199,13 @@ def sensor_block(report: SensorReport) -> dict[str, Any]:
 
 def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
     found = report.sensor
-    arguments = ["sensor", *map(str, options.flats), "--dark", *map(str, options.darks)]
     images = [{"file": path.as_posix()} for one in (*report.flats, *report.darks) for path in one.paths]
     return {
         "format": FORMAT,
         "version": VERSION,
         **_content(report),
         "curves": {name: _curve(curve) for name, curve in found.curves.items()},
-        "provenance": provenance.build(arguments, None, images),
+        "provenance": provenance.build(command_line("sensor", options), None, images),
     }
 
 
