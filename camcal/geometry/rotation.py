@@ -46,9 +46,10 @@ def _beyond_sine(angle: Array) -> Array:
 
 def exp(vector: Array) -> Array:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3)."""
-    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None]
-    skew = hat(vector)
-    return np.asarray(_IDENTITY + _of_sine(angle) * skew + _of_cosine(angle) * (skew @ skew))
+    half = 0.5 * np.sqrt((vector * vector).sum(axis=-1))[..., None, None]
+    skew, sine = hat(vector), _of_sine(half)
+    # sin θ/θ and (1 - cos θ)/θ² by half the angle, without cancelling
+    return np.asarray(_IDENTITY + sine * np.cos(half) * skew + 0.5 * sine**2 * (skew @ skew))
 
 
 def exp_jacobian(vector: Array) -> Array:

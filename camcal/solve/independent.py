@@ -33,9 +33,11 @@ REASONS = (
     "the residuals are met exactly",
     "no step lowers the cost",
     "the start is outside the domain",
+    "far above the lowest minimum of the problem",
 )
-_RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE = range(7)
-_CONVERGED = np.array([False, True, True, True, True, False, False])  # by reason
+_RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE, _HOPELESS = range(8)
+_CONVERGED = np.array([False, True, True, True, True, False, False, False])  # by reason
+_REACH = 1000.0  # times what an undamped step promises: further down, a search does not come
 _TINY = np.finfo(float).tiny
 _LEAST_DAMPING = 1e-12  # keeps the factors of a singular matrix real
 
@@ -136,13 +138,20 @@ def assemble(rows: Array, weights: Array | None = None, loss: Loss | None = None
 
 
 def minimise_each(
-    problems: Problems, states: Array, which: Array, stopping: Stopping = STOPPING, exact: Array | float = 0.0
+    problems: Problems,
+    states: Array,
+    which: Array,
+    stopping: Stopping = STOPPING,
+    exact: Array | float = 0.0,
+    worth: Array | float = np.inf,
 ) -> Minima:
     """Return the states that minimise ½ Σ ρ(‖r‖²) of the problems `which` (S,), each started at its state (S, …).
 
     A problem may be started several times. exact: the costs, (S,) or one, below which residuals are all rounding.
+    worth: how many times, (S,) or one, the lowest cost of the same problem a minimum may be; searches that will not
+    come down to that end early.
     """
-    search = _Search.of(problems, states, which, stopping, exact)
+    search = _Search.of(problems, states, which, stopping, exact, worth)
     for _ in range(stopping.iterations):
         alive = np.flatnonzero(search.reason == _RUNNING)
         if not alive.size:
@@ -160,6 +169,7 @@ class _Search:
     which: Array
     stopping: Stopping
     exact: Array
+    worth: Array
     states: Array
     models: Models
     damping: Array
@@ -169,17 +179,31 @@ class _Search:
     reason: Array
 
     @classmethod
-    def of(cls, problems: Problems, states: Array, which: Array, stopping: Stopping, exact: Array | float) -> "_Search":
+    def of(
+        cls,
+        problems: Problems,
+        states: Array,
+        which: Array,
+        stopping: Stopping,
+        exact: Array | float,
+        worth: Array | float,
+    ) -> "_Search":
         models, count = problems.linearise(states, which), len(which)
-        limits = np.broadcast_to(np.asarray(exact, dtype=float), (count,))
+        limits, factors = (np.broadcast_to(np.asarray(each, dtype=float), (count,)) for each in (exact, worth))
         reason = np.where(np.isfinite(models.cost), np.where(models.cost <= limits, _EXACT, _RUNNING), _OUTSIDE)
         counters = np.zeros(count, np.intp), np.zeros(count, np.intp)
         damping = np.full(count, stopping.damping), np.ones(count)
-        return cls(problems, which, stopping, limits, states.copy(), models, *damping, *counters, reason)
+        return cls(problems, which, stopping, limits, factors, states.copy(), models, *damping, *counters, reason)
 
     def advance(self, alive: Array) -> None:
         """Take one step of the searches `alive` (A,), or find that it leads nowhere and damp the next one more."""
         steps, promised = self._propose(alive)
+        hopeless = self._hopeless(alive, promised)
+        if hopeless.any():
+            self.reason[alive[hopeless]] = _HOPELESS
+            alive, steps, promised = alive[~hopeless], steps[~hopeless], promised[~hopeless]
+            if not alive.size:
+                return
         states = self.problems.retract(self.states[alive], steps)
         trial = self.problems.linearise(states, self.which[alive])
         self.iterations[alive] += 1
@@ -191,6 +215,17 @@ class _Search:
         self._reject(alive[~better], promised[~better])
         if better.any():
             self._accept(alive[better], states[better], trial.take(better), promised[better])
+
+    def _hopeless(self, alive: Array, promised: Array) -> Array:
+        """Return the mask (A,) of searches that will stay far above another one of their problems."""
+        if len(self.which) == 1 or np.isinf(self.worth[0]):
+            return np.zeros(len(alive), dtype=bool)
+        lowest = np.full(self.which.max() + 1, np.inf)
+        np.minimum.at(lowest, self.which, self.models.cost)
+        bound = self.models.cost[alive] - _REACH * promised
+        return np.asarray(
+            (bound > self.worth[alive] * lowest[self.which[alive]]) & (self.damping[alive] < ALL_BUT_FULL)
+        )
 
     def _propose(self, alive: Array) -> tuple[Array, Array]:
         """Return the damped steps (A, P) and by how much (A,) the models say that they lower the costs."""

@@ -147,3 +147,34 @@ def test_a_parameter_that_nothing_depends_on_stays():
 
     found = minimise_each(Half(), np.array([[0.0, 7.0], [1.0, 8.0]]), np.arange(2))
     np.testing.assert_allclose(found.states, [[2, 7], [2, 8]], atol=1e-6)
+
+
+def test_searches_far_above_another_of_their_problem_end_early_and_no_others():
+    """Two wells, the one at x near 1 being the higher; the second problem has a level that makes both alike."""
+    starts = np.array([[-2.0], [2.0], [-2.0], [2.0]])
+    which = np.array([0, 0, 1, 1])
+    wells = Wells(np.array([0.0, 30.0]))
+    full = minimise_each(wells, starts, which)
+    early = minimise_each(wells, starts, which, worth=np.full(4, 10.0))
+    assert full.converged.all()
+    np.testing.assert_array_equal(early.converged, [True, False, True, True])
+    assert REASONS[early.reason[1]] == "far above the lowest minimum of the problem"
+    np.testing.assert_array_equal(early.states[[0, 2, 3]], full.states[[0, 2, 3]])
+    assert early.cost[1] > 10 * early.cost[0]
+
+
+@dataclass(frozen=True)
+class Wells:
+    """Residuals x² - 1, (x + 1) / 2 and a level, one of each problem."""
+
+    level: np.ndarray
+
+    def linearise(self, states, which):
+        x = states[:, 0]
+        residuals = np.stack([x**2 - 1, (x + 1) / 2, self.level[which]])
+        slopes = np.stack([2 * x, np.full_like(x, 0.5), np.zeros_like(x)])
+        rows = np.stack([slopes, residuals]).transpose(0, 2, 1)[None]
+        return assemble(rows)
+
+    def retract(self, states, steps):
+        return states + steps

@@ -20,6 +20,7 @@ from camcal.estimate.poses.inliers import (
     choose,
     likeliest_threshold,
     settle,
+    squared_as_new,
     truncated_cost,
 )
 from camcal.estimate.poses.judgement import Noise
@@ -27,13 +28,18 @@ from camcal.estimate.poses.minima import anchors, lowest, pose_minima
 from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems
 from camcal.estimate.poses.records import PoseOptions
 from camcal.estimate.poses.samples import Sampling, sampled
+from camcal.estimate.poses.starts import FEW
 from camcal.solve.independent import Minima, joined
 
 MIN_POINTS = 4
 _TELLING = 6  # points of which one can be told to be wrong by the others
 _ESTIMATIONS = 3  # of noise and inliers in turns
 _EQUAL = 1e-6  # share by which the costs of poses that are the same may differ
+_FAR = 25.0  # times the limit of a squared residual: from there, no point is thought to be right
 _TURNS = 3  # of the share of wrong points and the limit that follows
+
+Starts = tuple[Array, Array]  # states (S, 3, 4) and the items (S,) they are of
+_NO_STARTS: Starts = np.zeros((0, 3, 4)), np.zeros(0, np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +64,7 @@ class Fit:
         minima = replace(minima, which=renumbered[minima.which])
         return Fit(self.group.take(chosen), problems, minima, self.extents)
 
-    def starts(self) -> tuple[Array, Array]:
+    def starts(self) -> Starts:
         """Return the states (S, 3, 4) that may lead to the best pose, and their items (S,)."""
         if self.found is None:
             return self.minima.states, self.minima.which
@@ -106,15 +112,30 @@ def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[Fit], N
 
 
 def pooled(fits: Sequence[Fit], agreement: Agreement | None = None) -> Noise:
-    """Return the noise that the residuals of all fits tell; agreement: what cut off the largest, if anything did."""
-    squares, freedom, variances = 0.0, 0, 0.0
+    """Return the noise that the residuals of all fits tell; agreement: what cut off the largest, if anything did.
+
+    Minima that fit nearly as well as the lowest count by their probability: the lowest of two is less than the true
+    one's on average, as it is the other one's part of the time.
+    """
+    freedom, variances = 0, 0.0
     for fit in fits:
         each = 2 * fit.problems.counts - 6
         cut = agreement is not None and fit.problems.counts >= agreement.whole
-        squares += float(2 * fit.minima.cost[lowest(fit.minima)].sum())
         freedom += int(each.sum())
         variances += float(np.sum(each * np.where(cut, KEPT_VARIANCE, 1.0)))
-    return Noise(max(float(np.sqrt(squares / max(variances, 1.0))), ROUNDING), freedom)
+    least = sum(float(2 * fit.minima.cost[lowest(fit.minima)].sum()) for fit in fits)
+    if variances > 0 and least > 0:
+        least = sum(_expected_squares(fit.minima, least / variances) for fit in fits)
+    return Noise(max(float(np.sqrt(least / max(variances, 1.0))), ROUNDING), freedom)
+
+
+def _expected_squares(minima: Minima, variance: float) -> float:
+    """Return the expected sum of the squares of all problems, each at its minima by their probability."""
+    first = lowest(minima)
+    least = np.repeat(minima.cost[first], np.diff(first, append=len(minima.which)))
+    odds = np.exp(-(minima.cost - least) / variance)
+    squares = np.bincount(minima.which, 2 * odds * minima.cost)
+    return float(np.sum(squares[minima.which[first]] / np.bincount(minima.which, odds)[minima.which[first]]))
 
 
 def points_needed(options: PoseOptions) -> int:
@@ -149,6 +170,11 @@ def _from_samples(group: Group, options: PoseOptions, agreement: Agreement) -> F
     problems, extents = _problems(group, options), group.extents
     found = _samples(problems, problems.view, options, agreement)
     found.append(settle(problems, *anchors(problems), agreement))
+    # of so few points, samples are few as well, and may all miss a plane's second pose
+    few = np.flatnonzero(problems.counts <= FEW)
+    if few.size:
+        minima = _plain(group.take(few), options).minima
+        found.append(settle(problems, minima.states, few[minima.which], agreement))
     together = reduce(Settled.joined, found)
     return Fit(group, *choose(problems, together, extents, agreement), extents, together)
 
@@ -189,18 +215,20 @@ def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
     """Return the fit to all points that are more likely right than wrong; sigma: of a whitened coordinate.
 
     A limit that 99.73 % of right points keep to loses one in many views, the one that is off most: their poses would be
-    worse than they claim. Only views with points left out change.
+    worse than they claim, and those of views that have no point to spare would be missing. Only views with points left
+    out change.
     """
     every = PoseProblems.of(fit.group.sights, fit.problems.anchor)
-    spoilt = np.flatnonzero((fit.problems.counts > 0) & (fit.problems.counts < every.counts))
+    spoilt = np.flatnonzero(fit.problems.counts < every.counts)
     if not spoilt.size:
         return fit
     areas = _areas(fit.group, options)
     agreement = _likeliest_agreement(every, fit.problems.masks, areas, options, sigma)
-    items = spoilt[_undecided(fit, every, agreement)[spoilt]]
+    starts = _joined_starts(fit.starts(), _readmitted(fit, every, agreement, sigma), _of_lost(fit, options))
+    items = spoilt[_undecided(fit, every, agreement, starts)[spoilt]]
     if not items.size:
         return fit
-    problems, (states, which) = every.take(items), _of_items(*fit.starts(), items)
+    problems, (states, which) = every.take(items), _of_items(*starts, items)
     chosen = fit.problems.take(items)
     for _ in range(_TURNS):
         agreement = _likeliest_agreement(problems, chosen.masks, areas[items], options, sigma)
@@ -218,8 +246,45 @@ def _likeliest_agreement(
     return replace(agreement_of(options, sigma), threshold=threshold)
 
 
-def _undecided(fit: Fit, every: PoseProblems, agreement: Agreement) -> Array:
-    """Return the mask (P,) of problems whose inliers would change, or of which another pose found comes first."""
+def _readmitted(fit: Fit, every: PoseProblems, agreement: Agreement, sigma: float) -> Starts:
+    """Return the best poses fitted to the points left out as well that they would not be far from, were these right.
+
+    A pose of few points is uncertain where it has none: there, a right point may be many times the noise away from it.
+    """
+    best = fit.minima.take(lowest(fit.minima))
+    near, limits = np.zeros(len(best.which), dtype=bool), agreement.limits(every, best.which)
+    for squared, mask in zip(agreement.squared(every, best.states, best.which), fit.problems.masks, strict=True):
+        near |= np.any((squared <= _FAR * limits) & ~mask[best.which], axis=1)
+    if not near.any():
+        return _NO_STARTS
+    best, limits = best.take(near), limits[near]
+    masks, more = [], np.zeros(len(best.which), dtype=bool)
+    for squared, mask in zip(squared_as_new(every, best, sigma), fit.problems.masks, strict=True):
+        masks.append(mask[best.which] | (squared <= limits))
+        more |= np.any(masks[-1] != mask[best.which], axis=1)
+    if not more.any():
+        return _NO_STARTS
+    best = best.take(more)
+    wider = every.take(best.which).masked(tuple(mask[more] for mask in masks))
+    return wider.minimise(best.states, np.arange(len(best.which)), rough=True).states, best.which
+
+
+def _of_lost(fit: Fit, options: PoseOptions) -> Starts:
+    """Return the poses of the views that have none so far, from all their points."""
+    lost = np.flatnonzero(fit.problems.counts == 0)
+    if not lost.size:
+        return _NO_STARTS
+    minima = _plain(fit.group.take(lost), options).minima
+    return minima.states, lost[minima.which]
+
+
+def _joined_starts(*parts: Starts) -> Starts:
+    states, which = zip(*parts, strict=True)
+    return np.concatenate(states), np.concatenate(which)
+
+
+def _undecided(fit: Fit, every: PoseProblems, agreement: Agreement, starts: Starts) -> Array:
+    """Return the mask (P,) of problems whose inliers would change, or of which another start comes first."""
     best = fit.minima.take(lowest(fit.minima))
     limits, changed = agreement.limits(every, best.which), np.zeros(len(best.which), dtype=bool)
     parts = agreement.squared(every, best.states, best.which), every.masks, fit.problems.masks
@@ -227,7 +292,7 @@ def _undecided(fit: Fit, every: PoseProblems, agreement: Agreement) -> Array:
         changed |= np.any(((squared <= limits) & mask[best.which]) != inliers[best.which], axis=1)
     undecided = np.zeros(len(every.view), dtype=bool)
     undecided[best.which] = changed
-    states, which = fit.starts()
+    states, which = starts
     least = np.full(len(every.view), np.inf)
     least[best.which] = truncated_cost(every, best.states, best.which, agreement)
     ahead = truncated_cost(every, states, which, agreement) < least[which] * (1 - _EQUAL)

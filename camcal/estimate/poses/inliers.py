@@ -9,6 +9,7 @@ from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.extent import NEAR_PLANE, Extents
 from camcal.estimate.poses.minima import different, distinct, firsts, lowest
+from camcal.estimate.poses.moments import inverses
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.solve.independent import Minima
 
@@ -109,15 +110,33 @@ def likeliest_threshold(problems: PoseProblems, masks: tuple[Array, ...], areas:
     of the points outside the masks. sigma: standard deviation of a whitened coordinate.
     """
     inliers, variance = np.zeros(len(areas)), np.zeros(len(areas))
-    for sight, mask in zip(problems.sights, masks, strict=True):
+    for sight, mask, every in zip(problems.sights, masks, problems.masks, strict=True):
         inliers += mask.sum(axis=1)
-        variance += np.where(mask, sight.variances()[problems.view], 0.0).sum(axis=1)
+        variance += np.where(every, sight.variances()[problems.view], 0.0).sum(axis=1)
     # as if half a point more of either kind had been seen: none is certain
     odds = (inliers + 0.5) / (np.maximum(problems.counts - inliers, 0) + 0.5)
-    typical = sigma**2 * variance / np.maximum(inliers, 1)
+    typical = sigma**2 * variance / np.maximum(problems.counts, 1)
     with np.errstate(divide="ignore"):
         squared = 2 * (np.log(areas) + np.log(odds) - np.log(2 * np.pi * typical))
     return np.asarray(sigma * np.sqrt(np.maximum(squared, WIDTH**2)))
+
+
+def squared_as_new(problems: PoseProblems, minima: Minima, sigma: float) -> tuple[Array, ...]:
+    """Return rᵀ S⁻¹ r + σ² ln |S| (S, N) of whitened residuals r of all points of the problems, for every camera.
+
+    σ² S is the covariance of r at a right point that the pose was not fitted to, S = I + J H⁻¹ Jᵀ; compared with the
+    limit of the likeliest threshold, the sum tells whether the point is one. sigma: of a whitened coordinate.
+    """
+    found, inverse = [], inverses(minima.models.normal)
+    for sight, mask in zip(problems.sights, problems.masks, strict=True):
+        rows, _, _ = sight.rows(minima.states, problems.view[minima.which], mask[minima.which])
+        moves, (u, v) = rows[:, :6], rows[:, 6]
+        spread = np.einsum("ipsn,spq,jqsn->ijsn", moves, inverse, moves, optimize=True)
+        first, both, last = 1 + spread[0, 0], spread[0, 1], 1 + spread[1, 1]
+        determinant = first * last - both * both
+        squared = (last * u * u - 2 * both * u * v + first * v * v) / determinant + sigma**2 * np.log(determinant)
+        found.append(np.where(mask[minima.which], np.nan_to_num(squared, nan=np.inf), np.inf))
+    return tuple(found)
 
 
 def approached(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:

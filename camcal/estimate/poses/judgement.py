@@ -12,6 +12,7 @@ from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.extent import NEAR_PLANE, Extents
 from camcal.estimate.poses.inliers import Agreement
 from camcal.estimate.poses.minima import lowest
+from camcal.estimate.poses.moments import covariances, inverses
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.records import Alternative, PoseEstimate
 from camcal.geometry import rotation as so3
@@ -20,7 +21,6 @@ from camcal.solve.independent import REASONS, Minima
 
 SINGULAR = 1e-10  # smallest eigenvalue of the scaled normal matrix of a pose that the points fix
 _ROUNDED = 1e-6  # px: a noise below is the rounding of numbers, which differs from view to view
-_HELD = 1e-14  # keeps the normal matrices of other minima from having no inverse
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,11 @@ class Judgement:
 
     def _covariances(self) -> tuple[Array, Array]:
         """Return the covariances (S, 6, 6) of the minima and the pixels' part of them."""
-        inverse = _inverses(self.minima.models.normal)
-        moves = se3.shift_jacobians(self.minima.states, -self.centres[self.minima.which])
-        noise = self.noise.sigma**2 * (moves @ inverse @ moves.transpose(0, 2, 1))
+        noise = covariances(self.problems, self.minima, self.centres, self.noise.sigma)
         if not self.intrinsics or all(sight.camera.covariance is None for sight in self.problems.sights):
             return noise, noise
-        lenses = _of_lenses(self.problems, self.minima, inverse)
+        lenses = _of_lenses(self.problems, self.minima)
+        moves = se3.shift_jacobians(self.minima.states, -self.centres[self.minima.which])
         return noise + moves @ lenses @ moves.transpose(0, 2, 1), noise
 
     def _minima(self, best: Array, total: Array, noise: Array) -> list[Alternative]:
@@ -196,16 +195,9 @@ class _Figures(NamedTuple):
     tilt_rad: float | None
 
 
-def _inverses(normal: Array) -> Array:
-    """Return the inverses of normal matrices (S, 6, 6); of singular ones, something large."""
-    scale = 1 / np.sqrt(np.maximum(np.einsum("sii->si", normal), np.finfo(float).tiny))
-    both = scale[:, :, None] * scale[:, None, :]
-    inverse = np.linalg.inv(normal * both + _HELD * np.eye(6))
-    return np.asarray((inverse + inverse.transpose(0, 2, 1)) / 2 * both)
-
-
-def _of_lenses(problems: PoseProblems, minima: Minima, inverse: Array) -> Array:
+def _of_lenses(problems: PoseProblems, minima: Minima) -> Array:
     """Return G Σ Gᵀ (S, 6, 6) summed over the cameras with a covariance Σ, where G = -H⁻¹ Jᵀ J_K."""
+    inverse = inverses(minima.models.normal)
     total = np.zeros_like(inverse)
     for camera, sight in enumerate(problems.sights):
         if sight.camera.covariance is not None:

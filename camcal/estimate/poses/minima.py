@@ -80,8 +80,11 @@ def _tried(minima: Array, problem: Array, *starts: tuple[Array, Array]) -> Array
 
 def refined(problems: PoseProblems, states: Array, which: Array) -> Minima:
     """Return the different minima that the most promising starts (S, 3, 4) of problems (S,) lead to."""
-    chosen = distinct(states, which, problems.cost(states, which), _SAME_START, _STARTS)
-    return different(problems.minimise(states[chosen], which[chosen]))
+    # two starts are faster followed than told apart
+    if np.bincount(which).max(initial=0) > 2:
+        chosen = distinct(states, which, problems.cost(states, which), _SAME_START, _STARTS)
+        states, which = states[chosen], which[chosen]
+    return different(problems.minimise(states, which))
 
 
 def different(minima: Minima) -> Minima:
@@ -89,7 +92,9 @@ def different(minima: Minima) -> Minima:
     inside = np.isfinite(minima.cost)
     if not inside.all():
         minima = minima.take(inside)
-    return minima.take(distinct(minima.states, minima.which, minima.cost, _SAME_MINIMUM, _COMPARED))
+    # searches that ended early are near their minima only
+    tolerance = np.where(minima.converged, _SAME_MINIMUM, _SAME_START)
+    return minima.take(distinct(minima.states, minima.which, minima.cost, tolerance, _COMPARED))
 
 
 def lowest(minima: Minima) -> Array:
@@ -104,9 +109,9 @@ def firsts(which: Array) -> Array:
     return begins.nonzero()[0]
 
 
-def distinct(states: Array, which: Array, cost: Array, tolerance: float, most: int) -> Array:
+def distinct(states: Array, which: Array, cost: Array, tolerance: Array | float, most: int) -> Array:
     """Return the indices of up to `most` states of each problem that no lower one is near to, problems in order and
-    the lowest first; tolerance: rad, and share of the distance.
+    the lowest first; tolerance: rad, and share of the distance, (S,) or one for all.
     """
     order = np.lexsort((cost, which))
     first = firsts(which[order])
@@ -117,7 +122,8 @@ def distinct(states: Array, which: Array, cost: Array, tolerance: float, most: i
     ranks = np.arange(width)
     table = order[np.minimum(first[:, None] + ranks, len(order) - 1)]
     there = ranks < length[:, None]
-    close = se3.near(states[table][:, :, None], states[table][:, None], tolerance)
+    own = np.broadcast_to(tolerance, len(order))[table][:, None]
+    close = se3.near(states[table][:, :, None], states[table][:, None], own)
     kept = there.copy()
     for rank in range(1, width):
         kept[:, rank] &= ~np.any(close[:, :rank, rank] & kept[:, :rank], axis=1)

@@ -17,6 +17,9 @@ PART = 8192  # rows at a time, whose temporaries stay in the processor's cache
 # The step that promises this is taken; what it leaves is far smaller.
 _STOPPING = Stopping(relative_decrease=1e-6)
 _ROUGH = Stopping(relative_decrease=1e-3)
+# Minima are sought to the end up to this many times the lowest cost, and if their probability, with the noise estimated
+# from the one view, may be this large.
+_LEAST_WORTH, _DOUBT = 10.0, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +145,9 @@ class PoseProblems:
 
 
 def _settled(problems: PoseProblems, states: Array, which: Array, stopping: Stopping) -> Minima:
-    return minimise_each(problems, states, which, stopping, problems.counts[which] * ROUNDING**2)
+    counts = problems.counts[which]
+    worth = _LEAST_WORTH + _DOUBT ** (-2 / np.maximum(2 * counts - 6, 1))
+    return minimise_each(problems, states, which, stopping, counts * ROUNDING**2, worth)
 
 
 def _parts(count: int, length: int) -> Iterator[slice]:

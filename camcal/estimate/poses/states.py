@@ -56,7 +56,7 @@ def shift_jacobians(states: Array, offsets: Array) -> Array:
     return result
 
 
-def near(first: Array, second: Array, tolerance: float) -> Array:
+def near(first: Array, second: Array, tolerance: Array | float) -> Array:
     """Return the mask (...) of pairs that agree to an angle (rad) and to a share of the distance."""
     # ‖R1 - R2‖ = 2 √2 sin(angle/2)
     apart = np.sum((first - second) ** 2, axis=-2)
