@@ -11,7 +11,7 @@ import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from importlib import import_module
-from math import isfinite, pi
+from math import isfinite, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -227,6 +227,8 @@ class Declared:
                 raise self.invalid(f"{item!r} is not one of {', '.join(option.choices)}")
             if item is None or isinstance(item, (str, bool)) or (option.least is None and option.most is None):
                 continue
+            if isnan(item):
+                raise self.invalid("nan is no number")
             if option.least is not None and not item >= option.least:
                 raise self.invalid(f"{self.written(item)} is less than {self.written(option.least)}")
             if option.most is not None and not item <= option.most:

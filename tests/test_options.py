@@ -120,7 +120,12 @@ def test_a_text_that_does_not_do_is_refused_by_name(name, text, message):
     assert caught.value.message == message
 
 
-@pytest.mark.parametrize("wrong", [{"count": 0}, {"count": 10}, {"tone": "flat"}, {"count": nan}])
+def test_what_is_no_number_is_out_of_every_range():
+    with pytest.raises(InvalidInput, match="nan is no number"):
+        Inner(count=nan)
+
+
+@pytest.mark.parametrize("wrong", [{"count": 0}, {"count": 10}, {"tone": "flat"}])
 def test_a_program_is_refused_what_a_command_line_is(wrong):
     with pytest.raises(InvalidInput, match="Invalid value for '--"):
         Inner(**wrong)

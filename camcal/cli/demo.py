@@ -1,42 +1,26 @@
 """`camcal demo`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from camcal.cli import options as shared
 from camcal.cli import show
+from camcal.cli.command import Call
+from camcal.tasks.calibration.options import DemoOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.demo import DemoReport
 
 
-def demo(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Where to leave images, results and an explanation.")
-    ] = Path("camcal-demo"),
-    views: Annotated[int, typer.Option(metavar="N", help="Number of photographs.")] = 20,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed gives other poses and noise.")] = 0,
-    jobs: shared.Jobs = None,
-    json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
-    config: shared.Config = None,
-) -> None:
+def demo(options: DemoOptions, call: Call) -> None:
     """See the main job without any input: a board is photographed, the camera calibrated, an image undistorted.
 
     The photographs are rendered with a known lens and a slightly bent board, so that truth stands beside estimate.
     """
-    from camcal.tasks.calibration.demo import DemoOptions, document
     from camcal.tasks.calibration.demo import demo as run
+    from camcal.tasks.calibration.demo import document
 
-    options = DemoOptions(output, views, seed, jobs)
-    report = run(options, show.progress(quiet))
-    if json:
-        show.document("demo", document(report, options))
-    elif not quiet:
-        _show(report, output, verbose)
+    report = run(options, call.progress)
+    call.give(lambda: document(report, options), lambda: _show(report, options.output, call.verbose))
 
 
 def _show(report: "DemoReport", output: Path, verbose: bool) -> None:

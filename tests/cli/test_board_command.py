@@ -122,7 +122,7 @@ def test_the_board_file_of_another_board_is_kept(run, tmp_path):
         (("chessboard:9x6:300mm", "-o", "a.pdf"), "use --paper 3160x2265mm, or 110.1 mm in place of 300 mm"),
         ((CHESSBOARD, "-o", "a.pdf", "--margin", "-1"), "a margin of -1 mm: use 0 to 1000"),
         ((CHESSBOARD, "-o", "a.pdf", "--dpi", "300"), "--dpi is for .png"),
-        ((CHESSBOARD, "-o", "a.png", "--dpi", "nan"), "--dpi nan: use 1 to 100000"),
+        ((CHESSBOARD, "-o", "a.png", "--dpi", "nan"), "Invalid value for '--dpi': nan is no number"),
         ((CHESSBOARD, "-o", "a.png", "--dpi", "3"), "it takes 4: use 5 dpi or more"),
         ((CHESSBOARD, "-o", "a.png", "--dpi", "9999"), "at most 400 million"),
         (("charuco:5x7:35mm:26mm:DICT_5X5_100", "-o", "a.pdf", "--kalibr", "k.yaml"), "Kalibr does not know"),

@@ -11,47 +11,15 @@ from camcal.formats.board_text import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
-from camcal.targets.printing.draw import KINDS, Sheet, encoded, page_of, require_fine
+from camcal.targets.printing.draw import Sheet, encoded, page_of, require_fine
 from camcal.targets.printing.footer import RULER_MM, Footer
 from camcal.targets.printing.ink import MM, Ink, ink_of
 from camcal.targets.printing.page import Page
 from camcal.targets.printing.paper import Paper, paper_named
 from camcal.targets.printing.png import size_in_pixels
+from camcal.tasks.calibration.options import SheetOptions
 
-BOARD_FILE = ".yaml"
 DPI = 254.0  # ten pixels a millimetre
-
-
-@dataclass(frozen=True)
-class SheetOptions:
-    """A board (its file or its short form), the file to draw it into, and the paper.
-
-    paper: a name or a size such as 300x400mm, None for the smallest of A4 … A0 that does. landscape: None for what
-    fits. margin_mm: what the printer cannot reach. dpi: of PNG. kalibr: where a target file for Kalibr goes.
-    """
-
-    board: str
-    output: Path
-    paper: str | None = None
-    landscape: bool | None = None
-    margin_mm: float = 5.0
-    ruler: bool = True
-    dpi: float | None = None
-    kalibr: Path | None = None
-
-    def __post_init__(self) -> None:
-        suffix = self.output.suffix.lower()
-        if suffix not in KINDS:
-            raise InvalidInput(f"boards are drawn as {', '.join(KINDS)}", where=str(self.output))
-        if self.dpi is not None and suffix != ".png":
-            raise InvalidInput(f"--dpi is for .png; {suffix} has no pixels")
-        if self.dpi is not None and not 1 <= self.dpi <= 100_000:
-            raise InvalidInput(f"--dpi {self.dpi:g}: use 1 to 100000")
-
-    @property
-    def board_file(self) -> Path:
-        """Where the board file goes."""
-        return self.output.with_suffix(BOARD_FILE)
 
 
 @dataclass(frozen=True, eq=False)

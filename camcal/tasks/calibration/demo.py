@@ -1,7 +1,6 @@
 """`camcal demo`: the main job on photographs of our own, so that the truth stands beside the estimate."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from camcal import files
@@ -10,7 +9,7 @@ from camcal.progress import SILENT, Progress
 from camcal.simulate.observe import Truth
 from camcal.simulate.shapes import Shape
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
-from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
 from camcal.tasks.calibration.undistort import UndistortOptions, UndistortReport, undistort
 from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateOptions, SimulateReport, simulate
 
@@ -49,16 +48,6 @@ With photographs of your own, of a board of your own, this is all:
 
 camcal calibrate photos --board chessboard:9x6:25mm -o camera.yaml
 """
-
-
-@dataclass(frozen=True)
-class DemoOptions:
-    """Where to leave the demonstration, how many photographs, which ones, and how many cores to work on."""
-
-    output: Path
-    views: int = 20
-    seed: int = 0
-    jobs: int | None = None
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ GREEN, GRAY = "green", "gray"
 ALGORITHMS = (GREEN, GRAY)
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
+SHEET = "Sheet"
 
 
 @dataclass(frozen=True)
@@ -267,3 +268,97 @@ class CalibrateOptions(OptionsRecord):
         super().__post_init__()
         if self.max_uncertainty is not None and not self.max_uncertainty > 0:
             raise InvalidInput(f"--max-uncertainty {self.max_uncertainty:g} is not above 0")
+
+
+@dataclass(frozen=True)
+class SheetOptions(OptionsRecord):
+    """A board (its file or its short form), the file to draw it into, and the paper.
+
+    paper: a name or a size such as 300x400mm, None for the smallest of A4 … A0 that does. landscape: None for what
+    fits. margin_mm: what the printer cannot reach. dpi: of PNG. kalibr: where a target file for Kalibr goes.
+    """
+
+    board: Annotated[
+        str, Argument("A board file, or a short form such as chessboard:9x6:25mm.", metavar="BOARD", group=BOARD)
+    ]
+    output: Annotated[
+        Path,
+        Option(
+            "What to draw: .pdf, .svg or .png. FILE.yaml beside it is the board file.",
+            metavar="FILE",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ]
+    paper: Annotated[
+        str | None,
+        Option(
+            "A4, A3, A2, A1, A0, Letter, Legal, Tabloid or a size such as 300x400mm; by default the smallest of A4 to "
+            "A0 that the board fits on.",
+            metavar="NAME|WxHmm",
+            group=SHEET,
+        ),
+    ] = None
+    landscape: Annotated[
+        bool | None,
+        Option("How the paper lies; by default as the board fits.", group=SHEET, names="--landscape/--portrait"),
+    ] = None
+    margin_mm: Annotated[
+        float,
+        Option(
+            "Edge of the paper that the printer does not reach; it stays empty.",
+            metavar="MM",
+            group=SHEET,
+            names="--margin",
+        ),
+    ] = 5.0
+    ruler: Annotated[bool, Option("A ruler of 100 mm below the board to check the print with.", group=SHEET)] = True
+    dpi: Annotated[
+        float | None,
+        Option(
+            "Resolution of a PNG; by default 254, ten pixels a millimetre.",
+            metavar="N",
+            group=OUTPUT,
+            least=1,
+            most=100_000,
+        ),
+    ] = None
+    kalibr: Annotated[
+        Path | None,
+        Option("Write the board for Kalibr too, as its target YAML.", metavar="FILE", group=OUTPUT, recorded=False),
+    ] = None
+
+    def __post_init__(self) -> None:
+        from camcal.targets.printing.draw import KINDS
+
+        super().__post_init__()
+        suffix = self.output.suffix.lower()
+        if suffix not in KINDS:
+            raise InvalidInput(f"boards are drawn as {', '.join(KINDS)}", where=str(self.output))
+        if self.dpi is not None and suffix != ".png":
+            raise InvalidInput(f"--dpi is for .png; {suffix} has no pixels")
+
+    @property
+    def board_file(self) -> Path:
+        """Where the board file goes."""
+        return self.output.with_suffix(".yaml")
+
+
+@dataclass(frozen=True)
+class DemoOptions(OptionsRecord):
+    """Where to leave the demonstration, how many photographs, which ones, and how many cores to work on."""
+
+    output: Annotated[
+        Path,
+        Option(
+            "Where to leave images, results and an explanation.",
+            metavar="DIR",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = Path("camcal-demo")
+    views: Annotated[int, Option("Number of photographs.", metavar="N", group=INPUT)] = 20
+    seed: Annotated[int, Option("Another seed gives other poses and noise.", metavar="N", group=INPUT, least=0)] = 0
+    jobs: Jobs = None

@@ -11,7 +11,6 @@ from camcal.arrays import Array
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.formats.boards import load_board
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.optics import light, precision
@@ -23,38 +22,12 @@ from camcal.targets.boards.types import TAG_BORDER
 from camcal.targets.markers.families import family_named
 from camcal.tasks.lenses.optics_figures import AtDistance, at_distance
 from camcal.tasks.lenses.optics_setup import Setup
+from camcal.tasks.lenses.options import BoardOptions
 
 _BORDER = 1.0  # squares around the corners that must be in the image
 _HALVINGS = 24  # of a factor of 2 between distances: to 4e-8
 _REACH = 1e4  # board sizes between which distances are looked for
-_MOST_PX = 1e6
 _SQUARE_PX, _CELL_PX = 8.0, 2.0  # of a chessboard, and of a marker's cell
-_STEEPEST = np.radians(80)
-
-
-@dataclass(frozen=True)
-class BoardOptions:
-    """A board (file or short form), its tilt (rad) about the vertical, and what is asked of it.
-
-    noise_px: of a corner of a sharp board at rest. share: of the image's width or height that the board is to take.
-    least_px: the smallest square that is still detected, None for what the kind of board needs. views: of a
-    calibration.
-    """
-
-    board: str
-    tilt: float = 0.0
-    noise_px: float = 0.1
-    share: float = 0.6
-    least_px: float | None = None
-    views: int = 20
-
-    def __post_init__(self) -> None:
-        if not abs(self.tilt) <= _STEEPEST:
-            raise InvalidInput(f"--tilt must be within ±80°, found {np.degrees(self.tilt):g}°")
-        if not 0 < self.share <= 1:
-            raise InvalidInput(f"--share must be more than 0 and at most 1, found {self.share:g}")
-        if not all(0 < pixels <= _MOST_PX for pixels in (self.noise_px, self.least_px) if pixels is not None):
-            raise InvalidInput(f"--noise and --least-square must be more than 0 and at most {_MOST_PX:g} px")
 
 
 @dataclass(frozen=True)
@@ -97,12 +70,12 @@ class BoardPlan:
     reason: str | None
 
 
-def plan_board(setup: Setup, options: BoardOptions, distances: Sequence[float]) -> BoardPlan:
+def plan_board(setup: Setup, wanted: Board, options: BoardOptions, distances: Sequence[float]) -> BoardPlan:
     """Return what to expect of a board before a camera, at some distances (m) or where it takes the wanted share.
 
-    Raises InvalidInput for a board that is none or of unknown size, or a camera that is not known well enough.
+    Raises InvalidInput for a board of unknown size, or a camera that is not known well enough.
     """
-    camera, board = _camera(setup), _upright(load_board(options.board), setup)
+    camera, board = _camera(setup), _upright(wanted, setup)
     if board.square is None:
         raise InvalidInput("the board's size is unknown; add the side of a square, such as chessboard:9x6:25mm")
     held = _Held(camera, board, options.tilt)

@@ -8,13 +8,15 @@ from pathlib import Path
 from camcal import files
 from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
+from camcal.formats.boards import load_board
 from camcal.progress import SILENT, Progress
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.boards.types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
-from camcal.tasks.lenses.board_plan import BoardOptions, BoardPlan, plan_board
-from camcal.tasks.lenses.optics_setup import OpticsOptions, Setup, set_up
+from camcal.tasks.lenses.board_plan import BoardPlan, plan_board
+from camcal.tasks.lenses.optics_setup import Setup, set_up
+from camcal.tasks.lenses.options import OpticsOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,28 +40,24 @@ class OpticsReport:
     plot: Path | None
 
 
-def optics(
-    options: OpticsOptions,
-    board: BoardOptions | None = None,
-    plot: Path | None = None,
-    progress: Progress = SILENT,
-) -> OpticsReport:
+def optics(options: OpticsOptions, progress: Progress = SILENT) -> OpticsReport:
     """Return all that can be said of a lens in use, after drawing its blur over distance if a file is named.
 
     Raises InvalidInput for options that contradict each other, or that say too little for any figure, for the board
     or for the plot; FileError for a file that cannot be read or written.
     """
-    if plot is not None:
-        _require_drawable(plot, options.camera)
-    report = _report(set_up(options), board, plot)
-    if plot is not None:
-        _draw(report, plot)
+    if options.plot is not None:
+        _require_drawable(options.plot, options.camera)
+    report = _report(set_up(options))
+    if options.plot is not None:
+        _draw(report, options.plot)
     for warning in report.warnings:
         progress.warn(warning)
     return report
 
 
-def _report(setup: Setup, board: BoardOptions | None, plot: Path | None) -> OpticsReport:
+def _report(setup: Setup) -> OpticsReport:
+    plan, plot = setup.options.plan, setup.options.plot
     distances = setup.options.distances or tuple(value for value in (setup.focus,) if value and isfinite(value))
     report = OpticsReport(
         setup,
@@ -70,7 +68,7 @@ def _report(setup: Setup, board: BoardOptions | None, plot: Path | None) -> Opti
         part.exposure(setup),
         part.image_circle(setup),
         tuple(part.at_distance(setup, distance) for distance in distances),
-        None if board is None else plan_board(setup, board, distances),
+        None if plan.board is None else plan_board(setup, load_board(plan.board), plan, distances),
         part.missing(setup),
         (),
         plot,

@@ -16,10 +16,8 @@ from camcal.optics import lens
 from camcal.optics.light import effective_f_number
 from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
 from camcal.run.inputs import split_address
+from camcal.tasks.lenses.options import OpticsOptions, is_possible
 
-SOLVABLE = ("f", "wd", "sensor")
-_LEAST, _MOST = 1e-12, 1e12  # in SI units and pixels: beyond, products of lengths overflow, and nothing is real
-_MOST_PIXELS = 1_000_000  # of an image's side
 _DISAGREE = 0.05  # of two ways to the same length: more than lenses and data sheets are off
 _FILE, _SOLVER = "camera file", "--solve"
 _NUMBER = r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
@@ -29,71 +27,6 @@ _METRES = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3}
 # what --solve finds: the option that would say it, and its name in a setup
 _SOLVED = {"f": ("--focal", "focal"), "wd": ("--focus", "focus"), "sensor": ("--sensor", "sensor")}
 _SOLVE_FROM = {"focal": "--focal", "focus": "--focus", "sensor": "--sensor (or --pitch-um and --size)"}
-
-
-@dataclass(frozen=True)
-class OpticsOptions:
-    """What is given of a lens; None is unknown. Lengths in metres, times in seconds.
-
-    camera: a camera file (FILE or FILE#NAME), name: of the camera in it. sensor: a format's name, or WxH in mm.
-    pitch: of the pixels. size: of the image, pixels. focus: distance in focus. circle: of confusion, such as 5um or
-    1px, None for one pixel. image_circle: diameter that the lens lights. speed: across the line of sight, m/s.
-    distances: to say figures for. solve: f, wd or sensor, so that `width` fills the image.
-    """
-
-    camera: str | None = None
-    name: str | None = None
-    focal: float | None = None
-    sensor: str | None = None
-    pitch: float | None = None
-    size: tuple[int, int] | None = None
-    f_number: float | None = None
-    focus: float | None = None
-    circle: str | None = None
-    wavelength: float = 550e-9
-    image_circle: float | None = None
-    speed: float | None = None
-    exposure: float | None = None
-    baseline: float | None = None
-    disparity_noise: float = 0.25
-    distances: tuple[float, ...] = ()
-    solve: str | None = None
-    width: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, (words, factor) in _POSITIVE.items():
-            value = getattr(self, name)
-            if value is not None and not (_is_possible(value) or (name == "focus" and value == inf)):
-                reason = "is beyond all reason" if 0 < value < inf else "must be more than 0 and finite"
-                raise InvalidInput(f"{words} {reason}, found {factor * value:g}")
-        if not all(map(_is_possible, self.distances)):
-            raise InvalidInput(f"--distance must be more than 0 m and at most {_MOST:g} m")
-        if self.size is not None and max(self.size) > _MOST_PIXELS:
-            raise InvalidInput(f"--size: an image side of {max(self.size):g} pixels is beyond all reason")
-        if self.solve is not None and self.solve not in SOLVABLE:
-            raise InvalidInput(f"--solve {self.solve!r}: use one of {', '.join(SOLVABLE)}")
-        if (self.solve is None) != (self.width is None):
-            raise InvalidInput("--solve f, wd or sensor and --width METRES, what is to fill the image, go together")
-
-
-# option and the factor to its unit
-_POSITIVE = {
-    "focal": ("--focal", 1e3),
-    "pitch": ("--pitch-um", 1e6),
-    "f_number": ("--f-number", 1.0),
-    "focus": ("--focus", 1.0),
-    "wavelength": ("--wavelength", 1e9),
-    "image_circle": ("--image-circle", 1e3),
-    "speed": ("--speed", 1.0),
-    "exposure": ("--exposure", 1e3),
-    "baseline": ("--baseline", 1.0),
-    "disparity_noise": ("--disparity-noise", 1.0),
-    "width": ("--width", 1.0),
-}
-
-
-def _is_possible(value: float) -> bool:
-    return _LEAST <= value <= _MOST
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +132,7 @@ def _with_sensor(setup: Setup) -> Setup:
 def _sensor(text: str) -> tuple[SensorFormat, str | None]:
     """Return a sensor from the name of its format or from WxH in mm, and what to know of a name."""
     match = _MILLIMETRES.fullmatch(text.strip())
-    if match and _is_possible(float(match[1])) and _is_possible(float(match[2])):
+    if match and is_possible(float(match[1])) and is_possible(float(match[2])):
         return SensorFormat(text, float(match[1]), float(match[2])), None
     known = sensor_format(text)
     return known, f"{known.name} is a name: its diagonal is about {known.diagonal_mm:.2f} mm, and makers differ"
@@ -282,7 +215,7 @@ def _with_circle(setup: Setup) -> Setup:
     if text is None:
         return replace(setup, circle=setup.pitch, sources={**setup.sources, "circle": "one pixel"})
     match = _CIRCLE.fullmatch(text.strip())
-    if not match or not _is_possible(float(match[1])):
+    if not match or not is_possible(float(match[1])):
         raise InvalidInput(f"--coc {text!r}: write a diameter with its unit, such as 5um, 0.03mm or 1.5px")
     if match[2] != "px":
         return replace(setup, circle=float(match[1]) * _METRES[match[2]])
