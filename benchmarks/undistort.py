@@ -27,12 +27,14 @@ from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.load import load
+from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.save import save
 from camcal.images.scratch import Scratch
-from camcal.images.views import ViewOptions, make_view
+from camcal.images.views import make_view
 from camcal.run.fanout import available_cores
-from camcal.tasks.calibration.undistort import UndistortOptions, undistort
+from camcal.tasks.calibration.undistort import undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SIZE = (4000, 3000)
 CAMERA = Camera(
@@ -83,7 +85,7 @@ def plain_loop(sources: list[Path], folder: Path) -> None:
 
 
 def camcal(folder: Path) -> None:
-    undistort(UndistortOptions(str(folder / "camera.yaml"), [folder / "in"], folder / "camcal", view=KEEP))
+    undistort(UndistortOptions(str(folder / "camera.yaml"), folder / "camcal", (str(folder / "in"),), view=KEEP))
 
 
 def difference(folder: Path) -> int:

@@ -23,6 +23,7 @@ from camcal import errors
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cli.command import OptionsCommand, parameter_name
 from camcal.cli.main import app
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -149,7 +150,10 @@ def refused(words: list[str]) -> str | None:
         if isinstance(command, TyperGroup):
             command.parse_args(command.context_class(command), list(words))
             return None if words and words[0].startswith("-") else f"no command: {' '.join([*names, *words])}"
-        command.make_context(" ".join(names), list(words))
+        given = command.make_context(" ".join(names), list(words)).params
+        for each in command.declared if isinstance(command, OptionsCommand) else ():
+            if given[parameter_name(each)]:
+                each.read(given[parameter_name(each)])
     except (typer.TyperException, errors.CamcalError) as error:
         return f"{' '.join(names)}: {error}"
     except typer.Exit:

@@ -188,13 +188,13 @@ class _Maker:
         """Return the values of the options that were given; raises InvalidInput, saying where a wrong one stands."""
         values = {}
         for each in self.every:
-            text = given[_python_name(each)]
+            text = given[parameter_name(each)]
             if text is None or (each.several and not text):
                 continue
             try:
                 values[each] = each.read(text)
             except InvalidInput as error:
-                line = settings_line(context, _python_name(each))
+                line = settings_line(context, parameter_name(each))
                 hint = "" if line else f"; see 'camcal {self.name} --help'"
                 raise InvalidInput(f"{error.message}{hint}", where=line) from error
         return values
@@ -220,7 +220,7 @@ def _keep(settings: Path, values: Mapping[Declared, Any]) -> None:
     refuse_overwriting(outputs, [settings])
 
 
-def _python_name(each: Declared) -> str:
+def parameter_name(each: Declared) -> str:
     """Return the name of an option's parameter, which only typer sees; fields may be called as Python's keywords."""
     return "_".join((*each.path, "option"))
 
@@ -241,7 +241,7 @@ def _parameter(each: Declared) -> inspect.Parameter:
         info = typer.Option(*names, metavar=None if each.flag else value_name(each), help=help_)
     default = inspect.Parameter.empty if each.required else None
     return inspect.Parameter(
-        _python_name(each), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind | None, info]
+        parameter_name(each), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind | None, info]
     )
 
 

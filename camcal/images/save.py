@@ -14,10 +14,9 @@ from camcal.errors import FileError, InvalidInput
 from camcal.images import containers, exif
 from camcal.images.image import Image
 from camcal.images.npy import write_npy
+from camcal.images.options import JPEG_QUALITY
 
 __all__ = ["KINDS", "require_kind", "save"]
-
-JPEG_QUALITY = 95  # what OpenCV writes when nothing is said
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """The cameras that images are undistorted to: a pinhole that crops or keeps, or a panorama for lenses beyond it."""
 
-from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
@@ -14,8 +13,8 @@ from camcal.cameras.validity import rim
 from camcal.errors import InvalidInput
 from camcal.images.crop import enclosing_box, largest_box
 from camcal.images.lattice import LONGEST_SIDE, Trace
+from camcal.images.options import PINHOLE, ViewOptions
 
-PINHOLE = "pinhole"
 PANORAMAS = {model.name: model for model in panoramic.MODELS}
 PROJECTIONS = (PINHOLE, *PANORAMAS)
 
@@ -25,47 +24,6 @@ _WIDEST_PINHOLE_DEG = 179.0
 _WIDEST_PINHOLE = np.radians(_WIDEST_PINHOLE_DEG)
 _SHRINKS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1, 0.2)
 _CHECKED = 64  # pixels a side that are asked whether a crop holds
-
-
-@dataclass(frozen=True)
-class ViewOptions:
-    """What a view shows.
-
-    alpha: a pinhole from 0, the largest crop without an empty pixel, to 1, every pixel of the source; None is 0.
-    keep_k: the source's own focal lengths and principal point. size: width and height, None the source's.
-    projection: pinhole, cylinder, equirectangular or stereographic. fov_deg: field of view across the width.
-    stretch: the crop may have another shape than the view; its pixels are then not square.
-    """
-
-    alpha: float | None = None
-    keep_k: bool = False
-    size: tuple[int, int] | None = None
-    projection: str = PINHOLE
-    fov_deg: float | None = None
-    stretch: bool = False
-
-    def __post_init__(self) -> None:
-        if self.projection not in PROJECTIONS:
-            raise InvalidInput(f"projection {self.projection!r} is unknown; use one of {', '.join(PROJECTIONS)}")
-        if self.size is not None and not 2 <= min(self.size) <= max(self.size) <= LONGEST_SIDE:
-            raise InvalidInput("a view has 2 … {} pixels a side, asked for {}x{}".format(LONGEST_SIDE, *self.size))
-        if self.alpha is not None and not 0 <= self.alpha <= 1:
-            raise InvalidInput(f"alpha is 0 (crop all black) … 1 (keep all pixels), found {self.alpha:g}")
-        chosen = [
-            name
-            for name, given in (
-                ("--alpha", self.alpha is not None),
-                ("--keep-k", self.keep_k),
-                ("--fov", self.fov_deg is not None),
-            )
-            if given
-        ]
-        if len(chosen) > 1:
-            raise InvalidInput(f"{' and '.join(chosen)} exclude each other: each says what the view shows")
-        if self.projection != PINHOLE and (self.alpha is not None or self.keep_k or self.stretch):
-            raise InvalidInput(f"--alpha, --keep-k and --stretch are for a pinhole; a {self.projection} takes --fov")
-        if self.fov_deg is not None:
-            _check_fov(self.projection, self.fov_deg)
 
 
 def make_view(camera: Camera, options: ViewOptions, circle: ImageCircle | None = None) -> Camera:
@@ -175,7 +133,14 @@ def _angles(rays: Array) -> Array:
     return np.asarray(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
 
 
-def _check_fov(projection: str, fov_deg: float) -> None:
+def require_possible(projection: str, size: tuple[int, int] | None, fov_deg: float | None) -> None:
+    """Raise InvalidInput for a projection that does not exist, and what no view of it can have; None is open."""
+    if projection not in PROJECTIONS:
+        raise InvalidInput(f"projection {projection!r} is unknown; use one of {', '.join(PROJECTIONS)}")
+    if size is not None and not 2 <= min(size) <= max(size) <= LONGEST_SIDE:
+        raise InvalidInput("a view has 2 … {} pixels a side, asked for {}x{}".format(LONGEST_SIDE, *size))
+    if fov_deg is None:
+        return
     if not isfinite(fov_deg) or fov_deg <= 0:
         raise InvalidInput(f"a field of view is positive, found {fov_deg:g}°")
     if fov_deg <= _widest_deg(projection):

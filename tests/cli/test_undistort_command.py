@@ -67,7 +67,8 @@ def test_every_option_reaches_the_images(run, folder):
     assert image.shape == (60, 90, 3)
     assert (image[mask == 0] == [1, 2, 3]).all()
     command = native.read(folder / "out" / "camera.yaml").provenance["command"]
-    expected = "camcal undistort lens.yaml photos/1.png --alpha 1.0 --size 90x60 --interpolation nearest"
+    expected = "camcal undistort lens.yaml photos/1.png --alpha 1 --size 90x60 --interpolation nearest --border 1,2,3 "
+    expected += "--format tiff"
     assert command == expected
 
 
@@ -113,13 +114,17 @@ def test_points_are_undistorted_and_distorted_back(run, folder):
         (["photos/1.png", "photos", "-o", "out"], 3, "photos/1.png"),
         (["lens.yaml#right", "photos", "-o", "out"], 2, "no camera 'right'"),
         (["lens.yaml", "photos", "-o", "photos"], 2, "is an input and is not overwritten"),
-        (["lens.yaml", "photos", "-o", "out", "--alpha", "2"], 2, "alpha is 0"),
-        (["lens.yaml", "photos", "-o", "out", "--size", "12"], 2, "write 1920x1080"),
+        (["lens.yaml", "photos", "-o", "out", "--alpha", "2"], 2, "2 is more than 1"),
+        (["lens.yaml", "photos", "-o", "out", "--size", "12"], 2, "such as 1920x1080"),
         (["lens.yaml", "photos", "-o", "out", "--size", "40000x20"], 2, "2 … 32766 pixels a side"),
-        (["lens.yaml", "photos", "-o", "out", "--border", "red"], 2, "--border: border 'red'"),
+        (
+            ["lens.yaml", "photos", "-o", "out", "--border", "red"],
+            2,
+            "Invalid value for '--border': 'red' is not numbers",
+        ),
         (["lens.yaml", "photos", "-o", "out", "--border", "300"], 2, "300 does not fit uint8"),
         (["lens.yaml", "photos", "-o", "out", "--interpolation", "best"], 2, "use one of nearest-truncate"),
-        (["lens.yaml", "photos", "-o", "out", "--format", "gif"], 2, "use one of jpg"),
+        (["lens.yaml", "photos", "-o", "out", "--format", "gif"], 2, "is not one of jpg"),
         (["lens.yaml", "photos", "-o", "out", "--distort"], 2, "--distort is for --points"),
         (["lens.yaml", "photos", "-o", "out", "--points", "p.csv"], 2, "--points takes no images"),
         (["lens.yaml", "--points", "p.csv", "-o", "out"], 3, "no such file"),

@@ -6,8 +6,9 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
+from camcal.images.options import ViewOptions
 from camcal.images.remap import INTERPOLATIONS, align_channels, build_maps
-from camcal.images.views import ViewOptions, make_view
+from camcal.images.views import make_view
 from camcal.simulate.sensor import lenses
 
 SIZE = (160, 120)

@@ -11,9 +11,10 @@ from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.images.lattice import STEP, Trace, bands, exact_bands
+from camcal.images.options import ViewOptions
 from camcal.images.remap import INTERPOLATIONS, Maps, build_maps
 from camcal.images.scratch import Scratch
-from camcal.images.views import ViewOptions, make_view
+from camcal.images.views import make_view
 
 
 def camera(model, size, *parameters):

@@ -7,8 +7,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.images.lattice import Trace
+from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
-from camcal.images.views import ViewOptions, make_view, seen_across
+from camcal.images.views import make_view, seen_across
 
 
 def camera(model, size, *parameters):
@@ -147,8 +148,8 @@ def test_a_pinhole_that_is_to_hold_half_the_world_is_refused_with_what_can(optio
         ({"fov_deg": 360.0, "projection": "stereographic"}, "up to 350°"),
         ({"fov_deg": -3.0}, "is positive"),
         ({"fov_deg": float("nan")}, "is positive"),
-        ({"alpha": 1.5}, "alpha is 0"),
-        ({"alpha": float("nan")}, "alpha is 0"),
+        ({"alpha": 1.5}, "'--alpha': 1.5 is more than 1"),
+        ({"alpha": float("nan")}, "'--alpha': nan is no number"),
         ({"alpha": 0.5, "keep_k": True}, "--alpha and --keep-k exclude each other"),
         ({"alpha": 0.5, "fov_deg": 90.0}, "exclude each other"),
         ({"projection": "cylinder", "alpha": 0.5}, "are for a pinhole"),

@@ -11,12 +11,13 @@ import pytest
 
 from camcal.images.image_circle import ImageCircleSearch, evenly_spaced
 from camcal.images.load import load_gray
-from camcal.images.views import ViewOptions
+from camcal.images.options import ViewOptions
 from camcal.targets.board import parse_board
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
-from camcal.tasks.calibration.undistort import UndistortOptions, undistort
+from camcal.tasks.calibration.undistort import undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 # principal points px: the first as published with the set, the others calibrated with cv2.fisheye from its images
 FISHEYES = {
@@ -79,7 +80,7 @@ def test_a_calibration_from_the_table_of_a_fisheye_knows_its_circle_and_its_view
     view = ViewOptions(projection="stereographic", fov_deg=250.0)
     drawn = undistort(
         UndistortOptions(
-            str(tmp_path / "camera.yaml"), images[:1], tmp_path / "view", view=view, mask=True, format="png"
+            str(tmp_path / "camera.yaml"), tmp_path / "view", (str(images[0]),), view=view, mask=True, format="png"
         )
     )
     disc = 2 * drawn.view.value("fx") * np.tan(np.radians(108) / 2)  # the model ends before the circle, at 107 to 109°

@@ -9,8 +9,9 @@ from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.load import load
-from camcal.images.views import ViewOptions
-from camcal.tasks.calibration.undistort import UndistortOptions, undistort
+from camcal.images.options import ViewOptions
+from camcal.tasks.calibration.undistort import undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 # the camera of the image, as the textbook states it (EuRoC cam0)
 PARAMETERS = np.array([458.654, 457.296, 367.215, 248.375, -0.28340811, 0.07395907, 0.00019359, 1.76187114e-05])
@@ -29,7 +30,7 @@ def undistorted(scene, folder, **options):
     native.write(folder / "lens.yaml", CameraFile({"cam0": CameraEntry(Camera(
         model_named("opencv4"), (752, 480), PARAMETERS
     ))}))  # fmt: skip
-    undistort(UndistortOptions(str(folder / "lens.yaml"), [scene], folder / "out", **options))
+    undistort(UndistortOptions(str(folder / "lens.yaml"), folder / "out", (str(scene),), **options))
     return load(folder / "out" / scene.name).pixels
 
 

@@ -9,8 +9,9 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.images.views import ViewOptions
-from camcal.tasks.calibration.undistort_points import PointsOptions, move_pixels, undistort_points
+from camcal.images.options import ViewOptions
+from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.calibration.undistort_points import move_pixels, undistort_points
 
 LENS = Camera(model_named("opencv5"), (640, 480), np.array([400.0, 402, 325, 236, -0.3, 0.08, 1e-3, -1e-3, 0]))
 FISHEYE = Camera(model_named("kannala_brandt4"), (640, 480), np.array([150.0, 150, 320, 240, 0, 0, 0, 0]))
@@ -27,7 +28,7 @@ def folder(tmp_path, monkeypatch):
 
 def run(folder, text, camera="lens.yaml", output="moved.csv", **options):
     (folder / "points.csv").write_text(text)
-    return undistort_points(PointsOptions(camera, folder / "points.csv", folder / output, **options))
+    return undistort_points(UndistortOptions(camera, folder / output, points=folder / "points.csv", **options))
 
 
 def rows(path):
@@ -49,7 +50,9 @@ def test_there_and_back_is_where_it_began(folder):
     pixels = np.random.default_rng(0).uniform([5, 5], [635, 475], (200, 2))
     run(folder, "u,v\n" + "".join(f"{u:.12g},{v:.12g}\n" for u, v in pixels))
     (folder / "moved.csv").rename(folder / "view.csv")
-    report = undistort_points(PointsOptions("lens.yaml", folder / "view.csv", folder / "back.csv", distort=True))
+    report = undistort_points(
+        UndistortOptions("lens.yaml", folder / "back.csv", points=folder / "view.csv", distort=True)
+    )
     back = np.array(rows(folder / "back.csv")[1:], dtype=float)
     np.testing.assert_allclose(back, pixels, atol=1e-8)  # 12 digits of 600 px, and the inverse's 1e-12
     assert report.camera_file is None

@@ -1,5 +1,7 @@
 """Undistorting whole sets: what is written, what is kept, and what becomes of images that cannot be."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -13,10 +15,12 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.image import Image
 from camcal.images.load import load
+from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.save import save
-from camcal.images.views import ViewOptions, make_view
-from camcal.tasks.calibration.undistort import UndistortOptions, undistort
+from camcal.images.views import make_view
+from camcal.tasks.calibration.undistort import undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SIZE = (120, 80)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([90.0, 91, 61, 39, -0.25, 0.06, 1e-3, -1e-3, 0]))
@@ -44,7 +48,7 @@ def folder(tmp_path, monkeypatch):
 
 def run(folder, *inputs, camera="lens.yaml#left", output="out", **options):
     given = [folder / name for name in inputs] or [folder / "photos"]
-    return undistort(UndistortOptions(camera, given, folder / output, **options))
+    return undistort(UndistortOptions(camera, folder / output, given, **options))
 
 
 class Listener:
@@ -191,7 +195,7 @@ def test_a_mask_says_which_pixels_have_a_source(folder):
 
 def test_a_second_run_does_not_read_what_the_first_wrote(folder):
     run(folder, output="photos/out", mask=True)
-    report = undistort(UndistortOptions("lens.yaml#left", [folder / "photos"], folder / "again", recursive=True))
+    report = undistort(UndistortOptions("lens.yaml#left", folder / "again", (str(folder / "photos"),), recursive=True))
     assert len(report.outcomes) == 3
 
 
@@ -256,7 +260,9 @@ def test_a_resized_camera_has_its_image_circle_resized(folder):
 def test_another_view_into_the_same_folder_is_warned_of_and_the_same_view_is_not(folder):
     listener = Listener()
     for alpha in (0.0, 0.0, 1.0):
-        options = UndistortOptions("lens.yaml#left", [folder / "photos"], folder / "out", view=ViewOptions(alpha=alpha))
+        options = UndistortOptions(
+            "lens.yaml#left", folder / "out", (str(folder / "photos"),), view=ViewOptions(alpha=alpha)
+        )
         undistort(options, listener)
     assert sum("replaces the camera of another view" in warning for warning in listener.warnings) == 1
 
@@ -264,7 +270,7 @@ def test_another_view_into_the_same_folder_is_warned_of_and_the_same_view_is_not
 def test_a_pinhole_that_shrinks_the_middle_is_warned_of(folder):
     listener = Listener()
     view = ViewOptions(fov_deg=170)
-    undistort(UndistortOptions("lens.yaml#fish", [folder / "photos"], folder / "out", view=view), listener)
+    undistort(UndistortOptions("lens.yaml#fish", folder / "out", (str(folder / "photos"),), view=view), listener)
     assert "shrinks to" in listener.warnings[-1]
 
 
@@ -274,7 +280,7 @@ def test_a_fisheye_becomes_a_panorama_that_other_commands_can_read(folder):
     camera = native.read_camera(folder / "out" / "camera.yaml")
     assert (camera.model.name, camera.image_size) == ("equirectangular", (300, 150))
     assert load(folder / "out" / "1.png").size == (300, 150)
-    again = undistort(UndistortOptions("out/camera.yaml", ["out"], folder / "back", view=ViewOptions(fov_deg=60)))
+    again = undistort(UndistortOptions("out/camera.yaml", folder / "back", ("out",), view=ViewOptions(fov_deg=60)))
     assert again.valid == 1
 
 
@@ -318,7 +324,9 @@ def test_a_video_of_another_size_is_one_failure_not_one_for_each_frame(film, fol
     assert [outcome.item.name for outcome in report.failed] == ["film.avi"]
 
 
-@pytest.mark.parametrize(("options", "words"), [({"format": "gif"}, "use one of jpg"), ({"quality": 0}, "1 … 100")])
+@pytest.mark.parametrize(
+    ("options", "words"), [({"format": "gif"}, "is not one of jpg"), ({"quality": 0}, "0 is less than 1")]
+)
 def test_options_that_make_no_sense_are_refused(options, words):
     with pytest.raises(InvalidInput, match=words):
-        UndistortOptions("lens.yaml", ["a.png"], "out", **options)
+        UndistortOptions("lens.yaml", Path("out"), ("a.png",), **options)

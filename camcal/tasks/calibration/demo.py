@@ -10,7 +10,8 @@ from camcal.simulate.observe import Truth
 from camcal.simulate.shapes import Shape
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
 from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
-from camcal.tasks.calibration.undistort import UndistortOptions, UndistortReport, undistort
+from camcal.tasks.calibration.undistort import UndistortReport, undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateOptions, SimulateReport, simulate
 
 PRINTED_BOARD = "chessboard:10x7:30mm"
@@ -93,7 +94,8 @@ def demo(options: DemoOptions, progress: Progress = SILENT) -> DemoReport:
         progress,
     )
     undistorted = undistort(
-        UndistortOptions(str(folder / CAMERA), [simulated.images[0]], folder / UNDISTORTED, jobs=options.jobs), progress
+        UndistortOptions(str(folder / CAMERA), folder / UNDISTORTED, (str(simulated.images[0]),), jobs=options.jobs),
+        progress,
     )
     files.write_text(folder / README, _README.format(count=len(simulated.images)))
     return DemoReport(simulated, calibrated, undistorted, compare(simulated.truth, calibrated.calibration))

@@ -1,7 +1,7 @@
 """`camcal undistort`: images and videos to straight lines, and the camera file that fits what was written."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,69 +10,25 @@ import numpy as np
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images.load import load
+from camcal.images.options import PINHOLE
 from camcal.images.remap import align_channels, build_maps
-from camcal.images.save import JPEG_QUALITY, KINDS, save
+from camcal.images.save import KINDS, save
 from camcal.images.video import frames
-from camcal.images.views import PINHOLE, ViewOptions, make_view
+from camcal.images.views import make_view
+from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.inputs import Media, find_media, record_outputs, recorded
 from camcal.run.outputs import refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
-from camcal.tasks.stereo.view_camera import (
-    SourceCamera,
-    read_source,
-    require_own,
-    view_arguments,
-    write_view,
-)
+from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.stereo.view_camera import SourceCamera, read_source, require_own, write_view
 
 CAMERA_FILE = "camera.yaml"
 MASK_FILE = "valid_mask.png"
-FORMATS = ("jpg", "png", "tiff", "npy")
 
 _OTHERWISE = {".pfm": ".tiff"}  # of the types that are read and not written; all others become PNG
 _FRAME_SUFFIX = ".jpg"
 _SHRUNK = 0.25  # of the size it had: below that, the middle of an image is worth a warning
-
-
-@dataclass(frozen=True)
-class UndistortOptions:
-    """What to undistort and how; see `camcal undistort --help`.
-
-    camera: a camera file or FILE#NAME. output: a folder. border: one number, or one for each channel.
-    format: one of FORMATS, None keeps the type of the source. mask: write which pixels have a source, too.
-    rescale: fit the camera to images that were resized. align_channels: draw the colours of colour images through their
-    own lenses, where the camera file has them.
-    """
-
-    camera: str
-    inputs: Sequence[Path | str]
-    output: Path
-    camera_name: str | None = None
-    view: ViewOptions = field(default_factory=ViewOptions)
-    interpolation: str = "linear"
-    border: tuple[float, ...] = (0.0,)
-    mask: bool = False
-    format: str | None = None
-    quality: int = JPEG_QUALITY
-    rescale: bool = False
-    align_channels: bool = True
-    recursive: bool = False
-    jobs: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.format is not None and self.format not in FORMATS:
-            raise InvalidInput(f"format {self.format!r} is unknown; use one of {', '.join(FORMATS)}")
-        if not 1 <= self.quality <= 100:
-            raise InvalidInput(f"JPEG quality is 1 … 100, found {self.quality}")
-
-    def arguments(self) -> list[str]:
-        """Return the command line that gives the same images."""
-        kind = ["--interpolation", self.interpolation] if self.interpolation != "linear" else []
-        flags = ["--rescale"] if self.rescale else []
-        flags += [] if self.align_channels else ["--no-align-channels"]
-        inputs = [str(path) for path in self.inputs]
-        return ["undistort", self.camera, *inputs, *view_arguments(self.camera_name, self.view), *kind, *flags]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +78,7 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
         require_success(outcomes)
         if options.mask:
             save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
-        write_view(camera_file, source, view, options.arguments(), progress, tuple(lenses))
+        write_view(camera_file, source, view, command_line("undistort", options), progress, tuple(lenses))
     record_outputs(options.output, [outcome.value.output.name for outcome in outcomes if outcome.value])
     return UndistortReport(
         view,

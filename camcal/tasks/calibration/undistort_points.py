@@ -1,6 +1,6 @@
 """`camcal undistort --points`: a table of pixels of the distorted image to pixels of the view, and the reverse."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,29 +12,15 @@ from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
-from camcal.images.views import ViewOptions, make_view
+from camcal.images.views import make_view
+from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
-from camcal.tasks.stereo.view_camera import read_source, require_own, view_arguments, write_view
+from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.stereo.view_camera import read_source, require_own, write_view
 
 _PIXEL = ("u", "v")
 _DIGITS = 12
-
-
-@dataclass(frozen=True)
-class PointsOptions:
-    """Which pixels to move; see `camcal undistort --help`.
-
-    points: a CSV file with columns u, v and any others. output: a CSV file, or a folder for one of the same name.
-    distort: from pixels of the view to pixels of the image the camera took.
-    """
-
-    camera: str
-    points: Path
-    output: Path
-    camera_name: str | None = None
-    view: ViewOptions = field(default_factory=ViewOptions)
-    distort: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +36,13 @@ class PointsReport:
     lost: int
 
 
-def undistort_points(options: PointsOptions, progress: Progress = SILENT) -> PointsReport:
+def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> PointsReport:
     """Return what was written to options.output: the table with other u and v, empty where a point has no place.
 
     Raises InvalidInput for a table without u and v, or with something else than numbers in them; FileError.
     """
+    if options.points is None:
+        raise InvalidInput("no points are given; name a table with --points")
     source = read_source(options.camera, options.camera_name, progress)
     output = options.output if options.output.suffix else options.output / options.points.name
     camera_file = None if options.distort else output.with_suffix(".camera.yaml")
@@ -71,9 +59,7 @@ def undistort_points(options: PointsOptions, progress: Progress = SILENT) -> Poi
         moved = move_pixels(source.camera, view, _lit(pixels, source.circle))
     files.write_text(output, _text(table, moved))
     if camera_file is not None:
-        arguments = ["undistort", options.camera, "--points", str(options.points)]
-        arguments += view_arguments(options.camera_name, options.view)
-        write_view(camera_file, source, view, arguments, progress)
+        write_view(camera_file, source, view, command_line("undistort", options), progress)
     return PointsReport(output, camera_file, len(moved), int(np.isnan(moved[:, 0]).sum()))
 
 

@@ -12,7 +12,6 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Verdict
-from camcal.images.views import PINHOLE, ViewOptions
 from camcal.progress import Progress
 from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
@@ -84,17 +83,3 @@ def _same(one: Camera, other: Camera) -> bool:
     same_kind = one.model == other.model and one.image_size == other.image_size
     # 12 digits are written
     return same_kind and np.allclose(one.parameters, other.parameters, rtol=1e-10, atol=1e-10)
-
-
-def view_arguments(camera_name: str | None, view: ViewOptions) -> list[str]:
-    """Return the options of a command line that choose a view."""
-    given = {
-        "--camera": camera_name,
-        "--alpha": view.alpha,
-        "--size": "{}x{}".format(*view.size) if view.size else None,
-        "--projection": view.projection if view.projection != PINHOLE else None,
-        "--fov": view.fov_deg,
-    }
-    flags = {"--keep-k": view.keep_k, "--stretch": view.stretch}
-    arguments = [part for name, value in given.items() if value is not None for part in (name, f"{value}")]
-    return arguments + [name for name, wanted in flags.items() if wanted]

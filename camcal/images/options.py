@@ -1,0 +1,66 @@
+"""What a view shows, as it is asked for: the records that commands take their options from."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from camcal.errors import InvalidInput
+from camcal.options import SIZE, Option, OptionsRecord
+
+PINHOLE = "pinhole"
+JPEG_QUALITY = 95  # what OpenCV writes when nothing is said
+VIEW = "View"  # title of these options
+
+
+@dataclass(frozen=True)
+class ViewOptions(OptionsRecord):
+    """What a view shows.
+
+    alpha: a pinhole from 0, the largest crop without an empty pixel, to 1, every pixel of the source; None is 0.
+    keep_k: the source's own focal lengths and principal point. size: width and height, None the source's.
+    projection: pinhole, cylinder, equirectangular or stereographic. fov_deg: field of view across the width.
+    stretch: the crop may have another shape than the view; its pixels are then not square.
+    """
+
+    alpha: Annotated[
+        float | None,
+        Option(
+            "From 0, crop all black (the default), to 1, keep all pixels of the image.",
+            metavar="0…1",
+            group=VIEW,
+            least=0,
+            most=1,
+        ),
+    ] = None
+    keep_k: Annotated[bool, Option("Keep focal lengths and principal point, whatever that shows.", group=VIEW)] = False
+    size: Annotated[
+        tuple[int, int] | None,
+        Option("Size of the new images; by default that of the camera.", metavar="WxH", group=VIEW, type=SIZE),
+    ] = None
+    projection: Annotated[
+        str,
+        Option(
+            "pinhole; for lenses of 180° and more cylinder, equirectangular, stereographic.", metavar="NAME", group=VIEW
+        ),
+    ] = PINHOLE
+    fov_deg: Annotated[
+        float | None,
+        Option(
+            "Field of view across the width; by default what the lens sees.",
+            metavar="DEGREES",
+            group=VIEW,
+            names="--fov",
+        ),
+    ] = None
+    stretch: Annotated[bool, Option("Let pixels be oblong where that shows more, as OpenCV does.", group=VIEW)] = False
+
+    def __post_init__(self) -> None:
+        from camcal.images.views import require_possible
+
+        super().__post_init__()
+        given = {"--alpha": self.alpha is not None, "--keep-k": self.keep_k, "--fov": self.fov_deg is not None}
+        chosen = [name for name, wanted in given.items() if wanted]
+        if len(chosen) > 1:
+            raise InvalidInput(f"{' and '.join(chosen)} exclude each other: each says what the view shows")
+        if self.projection != PINHOLE and (self.alpha is not None or self.keep_k or self.stretch):
+            raise InvalidInput(f"--alpha, --keep-k and --stretch are for a pinhole; a {self.projection} takes --fov")
+        require_possible(self.projection, self.size, self.fov_deg)
