@@ -22,8 +22,9 @@ from stereo_pairs import pairs_in
 
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.match import QUALITIES, estimated
+from camcal.stereo.matching.match import estimated
 from camcal.stereo.matching.preparation import prepare
+from camcal.stereo.options import QUALITIES
 
 SHARE = 0.68
 SAMPLES = 4000  # pixels of a class of a pair; neighbours tell the same

@@ -36,7 +36,8 @@ from peers.opencv_stereo import MATCHERS, Matcher
 from slanted_scenes import slanted_scenes
 from stereo_pairs import Pair, pairs_in
 
-from camcal.stereo.matching.match import MatchOptions, match
+from camcal.stereo.matching.match import match
+from camcal.stereo.options import MatchOptions
 from camcal.stereo.truth.evaluate import evaluate
 
 NOISE = 5.0

@@ -32,7 +32,7 @@ _HOMES = {
     "InsufficientData": "errors:InsufficientData",
     "InvalidInput": "errors:InvalidInput",
     "MODELS": "cameras.catalogue:MODELS",
-    "MatchOptions": "stereo.matching.match:MatchOptions",
+    "MatchOptions": "stereo.options:MatchOptions",
     "Mosaic": "raw.mosaic:Mosaic",
     "NamedTransform": "geometry.named:NamedTransform",
     "NotConverged": "errors:NotConverged",

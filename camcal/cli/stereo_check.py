@@ -1,60 +1,29 @@
 """`camcal stereo check`."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from camcal.cli import options as shared
 from camcal.cli import show
+from camcal.cli.command import ImageCall
+from camcal.tasks.stereo.options import StereoCheckOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
     from camcal.tasks.stereo.stereo_check import CheckedPair, Pair
 
 
-def check(
-    left: Annotated[
-        str, typer.Argument(metavar="LEFT", help="The left image, or a folder or quoted pattern of several.")
-    ],
-    right: Annotated[str, typer.Argument(metavar="RIGHT", help="The right image, or as many as there are left ones.")],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="PATH", help="A picture of the check (.png); a folder for several pairs."
-        ),
-    ] = None,
-    max_rms: Annotated[
-        float | None,
-        typer.Option(
-            metavar="PIXELS",
-            help="Exit with 7 if rows are off by more (RMS), or the pair is swapped or one image twice; try 0.5.",
-        ),
-    ] = None,
-    recursive: shared.Recursive = False,
-    jobs: shared.Jobs = None,
-    max_pixels: shared.MaxPixels = None,
-    json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
-    config: shared.Config = None,
-) -> None:
+def check(options: StereoCheckOptions, call: ImageCall) -> None:
     """Say how good a rectified pair is: how far rows are off and where, swapped or repeated images, exposure, range.
 
     Every number comes with its standard error. Below 0.1 px rows need nothing, up to 0.5 px 'camcal stereo disparity'
     puts them right, and more is worth a new rectification.
     """
     from camcal.errors import ItemsFailed
-    from camcal.tasks.stereo.stereo_check import StereoCheckOptions, document, require_good, stereo_check
+    from camcal.tasks.stereo.stereo_check import document, require_good, stereo_check
 
-    options = StereoCheckOptions((left,), (right,), output, max_rms, recursive, jobs)
-    outcomes = stereo_check(options, show.progress(quiet))
-    if json:
-        show.document("stereo check", document(outcomes))
-    elif not quiet:
-        _show(outcomes, verbose)
-    require_good(outcomes, max_rms)
+    outcomes = stereo_check(options, call.progress)
+    call.give(lambda: document(outcomes), lambda: _show(outcomes, call.verbose))
+    require_good(outcomes, options.max_rms)
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
         raise ItemsFailed(f"{len(failed)} of {len(outcomes)} pairs failed, the rest is checked")

@@ -1,12 +1,11 @@
 """`camcal stereo eval`: what a disparity map is worth."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from camcal.cli import options as shared
 from camcal.cli import show
+from camcal.cli.command import ImageCall
+from camcal.tasks.stereo.options import EvalOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
@@ -14,63 +13,7 @@ if TYPE_CHECKING:
 LISTED = 10
 
 
-def evaluate(
-    disparity: Annotated[
-        Path, typer.Argument(metavar="DISPARITY", help="Disparity map of the left image, or a folder of maps.")
-    ],
-    truth: Annotated[
-        Path, typer.Argument(metavar="TRUTH", help="The true disparity, or a folder in the same natural order.")
-    ],
-    camera_file: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="CAMERA",
-            help="Camera file of the rectified pair or FILE#NAME; or Middlebury's or KITTI's calib.txt. For depth.",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="PATH", help="Where to write the error picture; for folders a folder."),
-    ] = None,
-    scale: Annotated[
-        float | None,
-        typer.Option(
-            metavar="COUNTS",
-            help="Counts of the map per pixel; by default its sidecar's, or 256 for 16-bit (signed: 16), else 1.",
-        ),
-    ] = None,
-    truth_scale: Annotated[
-        float | None, typer.Option(metavar="COUNTS", help="The same of the truth, such as 4 for Middlebury 2003.")
-    ] = None,
-    mask: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="What both cameras see: where 8 bits are 255, or 16 bits not 0.")
-    ] = None,
-    right_truth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="True disparity of the right image: tells what is occluded.")
-    ] = None,
-    sigma: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Uncertainty of every pixel; by default the sidecar's.")
-    ] = None,
-    confidence: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Confidence class of every pixel; by default the sidecar's.")
-    ] = None,
-    camera: shared.CameraName = None,
-    fx: Annotated[float | None, typer.Option(metavar="PIXELS", help="Focal length, for errors of the depth.")] = None,
-    baseline: shared.Baseline = None,
-    doffs: shared.Doffs = None,
-    gate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FIGURE=LIMIT", help="Fail (exit 7) if a figure is worse: bad2=2.5, bad2:all=5. Repeatable."
-        ),
-    ] = None,
-    jobs: shared.Jobs = None,
-    max_pixels: shared.MaxPixels = None,
-    json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
-    config: shared.Config = None,
-) -> None:
+def evaluate(options: EvalOptions, call: ImageCall) -> None:
     """Compare a disparity map with the truth: bad pixels, D1, averages, quantiles, depth errors, uncertainty.
 
     Figures stand in four columns: nocc counts the pixels both cameras see, all every pixel with a truth; a pixel
@@ -78,18 +21,10 @@ def evaluate(
     truth itself, warped to the right image, tells what is occluded.
     """
     from camcal.errors import GateFailed, ItemsFailed
-    from camcal.tasks.stereo.rectified_pair import GeometryOptions
-    from camcal.tasks.stereo.stereo_eval import EvalOptions, document, stereo_eval
-    from camcal.tasks.stereo.truth_pairs import TruthPair
+    from camcal.tasks.stereo.stereo_eval import document, stereo_eval
 
-    files = TruthPair(disparity, truth, mask, right_truth, sigma, confidence)
-    geometry = GeometryOptions(camera, fx=fx, baseline=baseline, doffs=doffs)
-    options = EvalOptions(files, scale, truth_scale, camera_file, geometry, output, tuple(gate or ()), jobs)
-    report = stereo_eval(options, show.progress(quiet))
-    if json:
-        show.document("stereo eval", document(report))
-    elif not quiet:
-        _show(report, verbose)
+    report = stereo_eval(options, call.progress)
+    call.give(lambda: document(report), lambda: _show(report, call.verbose))
     broken = [f"{verdict.gate} (found {verdict.value:.4g})" for verdict in report.verdicts if not verdict.passed]
     if broken:
         raise GateFailed(f"gate failed: {', '.join(broken)}")

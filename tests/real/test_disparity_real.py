@@ -10,7 +10,8 @@ from textured import darker, noisy
 
 from camcal.formats import disparity
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.match import ALL, BALANCED, BEST, FAST, MatchOptions, match
+from camcal.stereo.matching.match import match
+from camcal.stereo.options import ALL, BALANCED, BEST, FAST, MatchOptions
 from camcal.stereo.truth.evaluate import evaluate
 from camcal.stereo.truth.visibility import seen_by_both
 

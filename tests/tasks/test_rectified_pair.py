@@ -11,7 +11,8 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.pose import Pose
 from camcal.stereo.geometry import StereoGeometry
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair, geometry_of, pair_of
+from camcal.tasks.stereo.options import GeometryOptions
+from camcal.tasks.stereo.rectified_pair import RectifiedPair, geometry_of, pair_of
 
 SIZE = (640, 480)
 KNOWN = StereoGeometry(500.0, 501.0, 320.0, 240.0, 0.25, 3.0)

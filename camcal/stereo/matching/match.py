@@ -1,13 +1,11 @@
 """A rectified pair to its disparity, with how sure it is of every pixel."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
 from camcal.raw.planes import Each, one_by_one
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
@@ -27,40 +25,11 @@ from camcal.stereo.matching.uncertainty import (
     standard_deviation,
     widened,
 )
-
-FAST, BALANCED, BEST = "fast", "balanced", "best"
-QUALITIES = (FAST, BALANCED, BEST)
-NOTHING, BACKGROUND, ALL = "none", "background", "all"
-FILLS = (NOTHING, BACKGROUND, ALL)
+from camcal.stereo.options import BACKGROUND, BALANCED, BEST, FAST, NOTHING, MatchOptions
 
 _WEIGHTS = {FAST: OF_A_SINGLE_PASS, BALANCED: OF_THE_CENSUS, BEST: OF_TWO_MATCHERS}
 # Times smaller: the evidence of the fast quality takes no time, and that of a large pair half of the memory.
 _REDUCED, _REDUCED_LARGE = 4, 2
-
-
-@dataclass(frozen=True)
-class MatchOptions:
-    """How a pair is matched.
-
-    quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
-    fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
-    if they are measurably off; None: unless quality is fast. expose_alike: bring it to the left one's exposure.
-    """
-
-    quality: str = BEST
-    search: tuple[int, int] | None = None
-    fill: str = NOTHING
-    align_rows: bool | None = None
-    expose_alike: bool = True
-
-    def __post_init__(self) -> None:
-        for name, known in (("quality", QUALITIES), ("fill", FILLS)):
-            if getattr(self, name) not in known:
-                raise InvalidInput(f"{name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
-
-    @property
-    def aligns(self) -> bool:
-        return self.quality != FAST if self.align_rows is None else self.align_rows
 
 
 def match(left: Array, right: Array, options: MatchOptions | None = None, each: Each = one_by_one) -> Disparity:

@@ -1,7 +1,7 @@
 """`camcal stereo cloud`: a disparity map and what is known of its pair to a point cloud."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,70 +22,18 @@ from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
 from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import OPTICAL, UNITS, Frame, frame_named
-from camcal.stereo.points.outliers import ORGANISED, RADIUS
+from camcal.stereo.points.frames import UNITS, Frame, frame_named
+from camcal.stereo.points.outliers import RADIUS
 from camcal.stereo.points.selection import Selected, Selection, depth_figures, select
-from camcal.stereo.points.vertices import METRES, VertexStream
+from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.stereo import rectified_pair
+from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
 from camcal.tasks.stereo.map_sources import named_file, stereo_image
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair
+from camcal.tasks.stereo.rectified_pair import RectifiedPair
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
 _FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates are worth a warning
-
-
-@dataclass(frozen=True)
-class PointOptions:
-    """Which pixels become points. See `stereo.points.selection.Selection` for what is not said here.
-
-    depth: metres. crop: xmin, xmax, ymin, ymax, zmin, zmax, metres. mask: an image, not zero where points are wanted.
-    max_sigma: largest standard deviation of the depth, percent of it. min_confidence: a number or a name of
-    `Confidence`. sigma_disparity: pixels, for all pixels alike. outliers: organised, radius, radius:METRES or none.
-    voxel: side, metres.
-    """
-
-    depth: tuple[float, float] = (0.0, float("inf"))
-    crop: tuple[float, ...] | None = None
-    mask: Path | None = None
-    max_sigma: float | None = None
-    min_confidence: str | None = None
-    sigma_disparity: float | None = None
-    stride: int = 1
-    outliers: str = ORGANISED
-    voxel: float | None = None
-    max_points: int | None = None
-
-
-@dataclass(frozen=True)
-class VertexOptions:
-    """What is said of a point, and where. frame, unit: see `stereo.points.frames`. pose: file of the camera's place."""
-
-    frame: str = OPTICAL
-    unit: str = METRES
-    pose: Path | None = None
-    normals: bool = False
-    sigma: bool = False
-    organised: bool = False
-    ascii_text: bool = False
-
-
-@dataclass(frozen=True)
-class CloudOptions:
-    """A disparity map, the left image, and where the geometry comes from.
-
-    files: the image and the camera file (FILE or FILE#NAME), either or both, told apart by the suffix; what is not
-    given is taken from the sidecar of the map. scale: counts of the file per pixel of disparity, None by its type.
-    """
-
-    disparity: Path
-    output: Path
-    files: tuple[str, ...] = ()
-    geometry: GeometryOptions = field(default_factory=GeometryOptions)
-    scale: float | None = None
-    points: PointOptions = field(default_factory=PointOptions)
-    vertices: VertexOptions = field(default_factory=VertexOptions)
-    jobs: int | None = None
 
 
 @dataclass(frozen=True)
@@ -196,10 +144,10 @@ def _selection(options: PointOptions) -> Selection:
     if options.crop is not None and len(options.crop) != 6:
         raise InvalidInput(f"--crop needs six numbers, xmin,xmax,ymin,ymax,zmin,zmax, found {len(options.crop)}")
     return Selection(
-        depth=options.depth,
+        depth=(options.min_depth, options.max_depth),
         crop=None if options.crop is None else np.reshape(options.crop, (3, 2)),
         mask=_mask(options.mask) if options.mask else None,
-        max_sigma=None if options.max_sigma is None else options.max_sigma / 100,
+        max_sigma=options.max_sigma,
         min_confidence=None if options.min_confidence is None else _confidence(options.min_confidence),
         stride=options.stride,
         outliers=method,

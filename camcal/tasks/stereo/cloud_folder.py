@@ -12,7 +12,8 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import place
 from camcal.tasks.stereo import cloud
-from camcal.tasks.stereo.cloud import CloudOptions, CloudReport, stereo_cloud
+from camcal.tasks.stereo.cloud import CloudReport, stereo_cloud
+from camcal.tasks.stereo.cloud_options import CloudOptions
 
 _SUFFIX = ".ply"
 
@@ -31,8 +32,10 @@ def cloud_folder(options: CloudOptions, progress: Progress = SILENT) -> list[Out
 
 
 def _one(path: Path, options: CloudOptions, outputs: Mapping[Path, Path], progress: Progress) -> CloudReport:
-    named = tuple(_image_of(path, Path(text)) if Path(text).is_dir() else text for text in options.files)
-    return stereo_cloud(replace(options, disparity=path, output=outputs[path], files=named, jobs=1), progress)
+    named = [_image_of(path, Path(text)) if Path(text).is_dir() else text for text in options.files]
+    image, camera_file, *_ = (*named, None, None)
+    each = replace(options, disparity=path, output=outputs[path], image=image, camera_file=camera_file, jobs=1)
+    return stereo_cloud(each, progress)
 
 
 def _image_of(path: Path, folder: Path) -> str:

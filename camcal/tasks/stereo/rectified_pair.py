@@ -15,27 +15,11 @@ from camcal.progress import SILENT, Progress
 from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+from camcal.tasks.stereo.options import GeometryOptions
 
 SUFFIXES = (".yaml", ".yml", pair_calibration.SUFFIX)  # of files that know cameras
 
 _NEEDED = ("fx", "cx", "cy", "baseline")
-
-
-@dataclass(frozen=True)
-class GeometryOptions:
-    """What the command line says of a pair. camera: name of the left one in the file. fx … doffs: pixels and metres."""
-
-    camera: str | None = None
-    fx: float | None = None
-    fy: float | None = None
-    cx: float | None = None
-    cy: float | None = None
-    baseline: float | None = None
-    doffs: float | None = None
-
-    def numbers(self) -> dict[str, float]:
-        """Return the numbers that are given, by name."""
-        return {name: value for name, value in asdict(self).items() if name != "camera" and value is not None}
 
 
 @dataclass(frozen=True)

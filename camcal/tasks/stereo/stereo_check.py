@@ -11,7 +11,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import CamcalError, GateFailed, InvalidInput
+from camcal.errors import CamcalError, GateFailed
 from camcal.images.load import gray_8bit, load
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report import pair_check as words
@@ -22,30 +22,11 @@ from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
 from camcal.stereo.pair.pair_order import FINDINGS
+from camcal.tasks.stereo.options import StereoCheckOptions
 
 _SUFFIX = "_check.png"
 
 Pair = tuple[Path, Path]
-
-
-@dataclass(frozen=True)
-class StereoCheckOptions:
-    """Pairs (files, folders, patterns of either side), where their pictures go, and what they must hold.
-
-    output: a file for a single pair, otherwise a folder. max_rms: the largest root mean square that rows may be off,
-    pixels; with it, pairs that are swapped or one image twice fail too.
-    """
-
-    left: Sequence[Path | str]
-    right: Sequence[Path | str]
-    output: Path | None = None
-    max_rms: float | None = None
-    recursive: bool = False
-    jobs: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.max_rms is not None and not self.max_rms > 0:
-            raise InvalidInput(f"--max-rms must be more than 0 px, found {self.max_rms:g}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,56 +27,14 @@ from camcal.run.pairs import find_pairs
 from camcal.stereo.acceptance import too_few
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.learned import learned_disparity
-from camcal.stereo.matching.match import BEST, MatchOptions, match_prepared
+from camcal.stereo.matching.match import match_prepared
 from camcal.stereo.matching.preparation import prepare
+from camcal.stereo.options import BEST
 from camcal.tasks.stereo.matched_pair import Figures, Limits, MapFiles, MatchedPair, Pair
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, RectifiedPair, pair_of, warn_of_file
-
-TYPES = tuple(suffix[1:] for suffix in maps.SUFFIXES)
-OWN, ONNX = "own", "onnx"
-ENGINES = (OWN, ONNX)
+from camcal.tasks.stereo.options import ONNX, OWN, DisparityOptions
+from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_file
 
 _AT_THE_END = 0.01  # share of the pixels in the last pixel of the range that is no chance
-
-
-@dataclass(frozen=True)
-class DisparityOptions:
-    """Pairs (files, folders, patterns of either side), where their maps go, and how they are matched.
-
-    output: a file for a single pair, otherwise a folder. camera_file: of the rectified pair, FILE or FILE#NAME.
-    type: of the files in a folder. model: the network of the engine onnx. picture: draw each map. map_only: write no
-    uncertainty and no classes beside it.
-    """
-
-    left: Sequence[Path | str]
-    right: Sequence[Path | str]
-    output: Path
-    camera_file: str | None = None
-    geometry: GeometryOptions = field(default_factory=GeometryOptions)
-    matching: MatchOptions = field(default_factory=MatchOptions)
-    model: Path | None = None
-    type: str = "tiff"
-    picture: bool = False
-    map_only: bool = False
-    recursive: bool = False
-    jobs: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.type not in TYPES:
-            raise InvalidInput(f"type {self.type!r} is unknown; use one of {', '.join(TYPES)}")
-        if self.model is not None and self.matching != MatchOptions():
-            raise InvalidInput(
-                "a network takes no --quality, --range, --fill, --align-rows, --exposure; leave them out"
-            )
-
-
-def network_of(engine: str, model: Path | None) -> Path | None:
-    """Return the network that matches, None for camcal's own matchers; raises InvalidInput if one is missing."""
-    if engine not in ENGINES:
-        raise InvalidInput(f"engine {engine!r} is unknown; use one of {', '.join(ENGINES)}")
-    if (engine == ONNX) != (model is not None):
-        raise InvalidInput("--engine onnx and --model FILE go together")
-    return model
 
 
 def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> list[Outcome[Pair, MatchedPair]]:

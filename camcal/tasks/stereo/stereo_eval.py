@@ -1,7 +1,7 @@
 """`camcal stereo eval`: disparity maps against the truth, with gates."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,8 +24,9 @@ from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
 from camcal.stereo.truth.visibility import seen_by_both, unhidden
 from camcal.tasks.stereo.map_sources import named_file
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, geometry_of, warn_of_file
-from camcal.tasks.stereo.truth_pairs import TruthPair, truth_pairs
+from camcal.tasks.stereo.options import EvalOptions, TruthPair
+from camcal.tasks.stereo.rectified_pair import geometry_of, warn_of_file
+from camcal.tasks.stereo.truth_pairs import truth_pairs
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
 
@@ -33,26 +34,6 @@ _SEEN = 255  # in Middlebury's masks; 128 is occluded
 _LIKELY_SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 256.0)
 _ALIKE = 0.05  # of the ratio of medians, for a scale to be the likely one
 _SAMPLES = 1 << 16
-
-
-@dataclass(frozen=True)
-class EvalOptions:
-    """Disparity maps and truths, how to read them, and what is asked of them.
-
-    files: one file of each kind, or folders. scale, truth_scale: counts per pixel of disparity, None by the sidecar or
-    the type of file. camera_file: FILE or FILE#NAME of the rectified pair. geometry: comes before that, and both before
-    the sidecars. output: an error picture, or a folder of them. gates: such as "bad2=2.5" or
-    "bad2:all=5": the worst that will do.
-    """
-
-    files: TruthPair
-    scale: float | None = None
-    truth_scale: float | None = None
-    camera_file: str | None = None
-    geometry: GeometryOptions = field(default_factory=GeometryOptions)
-    output: Path | None = None
-    gates: Sequence[str] = ()
-    jobs: int | None = None
 
 
 @dataclass(frozen=True)

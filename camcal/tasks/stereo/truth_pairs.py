@@ -1,35 +1,13 @@
 """Disparity maps with the truth they are held against: one of each, or folders of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
 
 from camcal.errors import InvalidInput
 from camcal.formats.disparity import maps_in
 from camcal.run.inputs import require_there
 from camcal.run.pairs import paired
-
-
-@dataclass(frozen=True)
-class TruthPair:
-    """The files that belong to one disparity map; as options, folders of them.
-
-    truth: of the left image. mask: what both cameras see. right_truth: of the right image, which tells that as well.
-    sigma, confidence: the uncertainty and the class of every pixel.
-    """
-
-    disparity: Path
-    truth: Path
-    mask: Path | None = None
-    right_truth: Path | None = None
-    sigma: Path | None = None
-    confidence: Path | None = None
-
-    @property
-    def files(self) -> Mapping[str, Path]:
-        """What there is, by name."""
-        found = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: path for name, path in found.items() if path is not None}
+from camcal.tasks.stereo.options import TruthPair
 
 
 def truth_pairs(given: TruthPair) -> list[TruthPair]:

@@ -27,6 +27,7 @@ from camcal.report.cloud_views import turn, view_of
 from camcal.run.inputs import require_there
 from camcal.run.outputs import refuse_overwriting
 from camcal.stereo.points.vertices import VertexStream
+from camcal.tasks.stereo.options import ViewOptions
 from camcal.tasks.stereo.view_source import cloud_in, cloud_of, is_cloud
 
 PAGE, PICTURE, FILM, RECORDING, WINDOW = "page", "picture", "film", "recording", "window"
@@ -42,57 +43,19 @@ _WIDTH = {PICTURE: 1280, FILM: 640}
 _SWING = 50.0  # degrees; farther aside, what a camera has not seen is most of the picture
 
 
-@dataclass(frozen=True)
-class ViewOptions:
-    """A point cloud or a disparity map, and how it is shown.
-
-    output: its suffix is one of KINDS; None for the window of the Rerun viewer. image: the left image of a disparity
-    map. frame: where the axes of a cloud point, by name or in words; None for what its file says. colour: one of
-    `cloud_paint.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
-    montage: four views in its place. size: (width, height) of a picture or film. max_points: None for MOST_POINTS.
-    turn: degrees of a film, None for once round, or to and fro before what a camera saw.
-    """
-
-    source: Path
-    output: Path | None = None
-    image: Path | None = None
-    frame: str | None = None
-    colour: str | None = None
-    view: str = "camera"
-    montage: bool = False
-    size: tuple[int, int] | None = None
-    point_size: float = 1.0
-    max_points: int | None = None
-    turn: float | None = None
-    frames: int = 60
-    rerun: bool = False
-
-    def __post_init__(self) -> None:
-        if not 0.1 <= self.point_size <= 10:
-            raise InvalidInput(f"points are 0.1 to 10 times as large as usual, not {self.point_size:g}")
-        if self.max_points is not None and self.max_points < 1:
-            raise InvalidInput(f"at least one point is shown, not {self.max_points}")
-        if self.turn is not None and not 0 < self.turn <= 360:
-            raise InvalidInput(f"a turn is more than 0 and at most 360 degrees, not {self.turn:g}")
-        if self.montage and self.view != ViewOptions.view:
-            raise InvalidInput("--montage has views of its own; leave --view out")
-        if self.frames < 2:
-            raise InvalidInput(f"a film has at least 2 frames, not {self.frames}")
-
-    @property
-    def kind(self) -> str:
-        """What is made, one of KINDS or WINDOW. Raises InvalidInput for a suffix that is none, or without any."""
-        if self.output is None:
-            if self.rerun:
-                return WINDOW
-            raise InvalidInput(f"say where to write: -o with a name that ends in {', '.join(KINDS)}")
-        kind = KINDS.get(self.output.suffix.lower())
-        if kind is None or (self.rerun and kind != RECORDING):
-            fitting = cloud_recording.SUFFIX if self.rerun else ", ".join(KINDS)
-            raise InvalidInput(
-                f"{self.output.suffix or 'no suffix'} is not written; use {fitting}", where=str(self.output)
-            )
-        return kind
+def kind_of(options: ViewOptions) -> str:
+    """Return what is made, one of KINDS or WINDOW. Raises InvalidInput for a suffix that is none, or without any."""
+    if options.output is None:
+        if options.rerun:
+            return WINDOW
+        raise InvalidInput(f"say where to write: -o with a name that ends in {', '.join(KINDS)}")
+    kind = KINDS.get(options.output.suffix.lower())
+    if kind is None or (options.rerun and kind != RECORDING):
+        fitting = cloud_recording.SUFFIX if options.rerun else ", ".join(KINDS)
+        raise InvalidInput(
+            f"{options.output.suffix or 'no suffix'} is not written; use {fitting}", where=str(options.output)
+        )
+    return kind
 
 
 @dataclass(frozen=True)
@@ -119,7 +82,7 @@ def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
     Raises InvalidInput for what the cloud does not have, a view or an output that is none, Rerun where it is not
     installed; InsufficientData for a cloud without points or a map without a match; FileError.
     """
-    kind = options.kind
+    kind = kind_of(options)
     _refuse_what_has_no_effect(options)
     if kind in (RECORDING, WINDOW):
         cloud_recording.require_rerun()
@@ -162,8 +125,8 @@ def _refuse_what_has_no_effect(options: ViewOptions) -> None:
         "--turn": (options.turn is not None, (FILM,)),
     }
     for name, (given, kinds) in fitting.items():
-        if given and options.kind not in kinds:
-            raise InvalidInput(f"{name} is for a {' or a '.join(kinds)}, not for a {options.kind}")
+        if given and kind_of(options) not in kinds:
+            raise InvalidInput(f"{name} is for a {' or a '.join(kinds)}, not for a {kind_of(options)}")
 
 
 def _refuse_overwriting(options: ViewOptions) -> None:
@@ -174,7 +137,7 @@ def _refuse_overwriting(options: ViewOptions) -> None:
 
 def _as_map(options: ViewOptions, found: DisparityMap) -> ViewReport:
     """Write a disparity map without a geometry as the colours of its disparities."""
-    if options.output is None or options.kind != PICTURE:
+    if options.output is None or kind_of(options) != PICTURE:
         raise InvalidInput(
             "has no geometry beside it, hence no points: write .png to see the map itself, or make a cloud with "
             "'camcal stereo cloud'",
@@ -211,7 +174,7 @@ def _size(options: ViewOptions, scene: CloudScene) -> tuple[int, int]:
     """Return the size of a picture: that of the options, or as high as what is to be seen."""
     if options.size is not None:
         return options.size
-    return view_of("side" if options.montage else options.view, scene).size(_WIDTH[options.kind])
+    return view_of("side" if options.montage else options.view, scene).size(_WIDTH[kind_of(options)])
 
 
 def _write_film(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:

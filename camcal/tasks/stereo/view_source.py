@@ -18,7 +18,8 @@ from camcal.stereo.points.frames import WORDS, Frame
 from camcal.stereo.points.selection import Selection, select
 from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.stereo.map_sources import named_file, stereo_image
-from camcal.tasks.stereo.rectified_pair import GeometryOptions, pair_of
+from camcal.tasks.stereo.options import GeometryOptions
+from camcal.tasks.stereo.rectified_pair import pair_of
 
 _POINTS = "points"  # what the archive of a cloud holds
 _CAMERA = "x right, y down, z forward"

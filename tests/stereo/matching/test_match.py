@@ -15,19 +15,9 @@ from camcal.errors import InvalidInput
 from camcal.run.fanout import over_threads
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.match import (
-    ALL,
-    BACKGROUND,
-    BALANCED,
-    BEST,
-    FAST,
-    FILLS,
-    NOTHING,
-    QUALITIES,
-    MatchOptions,
-    match,
-)
+from camcal.stereo.matching.match import match
 from camcal.stereo.matching.preparation import prepare
+from camcal.stereo.options import ALL, BACKGROUND, BALANCED, BEST, FAST, FILLS, NOTHING, QUALITIES, MatchOptions
 
 LAYERS = layered_pair()
 SHAPES = [(1, 1), (1, 8), (8, 1), (3, 5), (1, 300), (300, 2), (17, 23)]
@@ -209,7 +199,7 @@ def test_ranges_that_cannot_be_are_refused(search, line):
 
 
 def test_unknown_names_are_refused_with_those_that_are_known():
-    with pytest.raises(InvalidInput, match="quality 'good' is unknown; use one of fast, balanced, best"):
+    with pytest.raises(InvalidInput, match="'good' is not one of fast, balanced, best"):
         MatchOptions("good")
     with pytest.raises(InvalidInput, match="fill 'some' is unknown; use one of none, background, all"):
         MatchOptions(fill="some")

@@ -6,8 +6,9 @@ from layered import layered_pair
 
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching import pyramid
-from camcal.stereo.matching.match import ALL, BALANCED, BEST, FILLS, MatchOptions, match
+from camcal.stereo.matching.match import match
 from camcal.stereo.matching.semi_global import aggregate
+from camcal.stereo.options import ALL, BALANCED, BEST, FILLS, MatchOptions
 
 LEFT, RIGHT, TRUTH, VISIBLE = layered_pair((320, 240), (7, 14, 22))
 

@@ -1,0 +1,91 @@
+"""How rectified pairs are matched, as a program or a command line says it."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from camcal.options import Option, OptionsRecord, ValueType
+from camcal.parsing import parse_integer
+
+FAST, BALANCED, BEST = "fast", "balanced", "best"
+QUALITIES = (FAST, BALANCED, BEST)
+NOTHING, BACKGROUND, ALL = "none", "background", "all"
+FILLS = (NOTHING, BACKGROUND, ALL)
+_SWITCHES = {"auto": None, "on": True, "off": False}
+_EXPOSURES = {"auto": True, "off": False}
+
+
+def _read_range(text: str) -> tuple[int, int] | None:
+    if text == "auto":
+        return None
+    first, last = (parse_integer(part) for part in text.split(":"))
+    return first, last
+
+
+def _word(words: dict[str, bool | None]) -> ValueType:
+    """Return the type of an option whose words stand for values."""
+
+    def read(text: str) -> bool | None:
+        if text not in words:
+            raise ValueError(text)
+        return words[text]
+
+    named = {value: word for word, value in words.items()}
+    return ValueType(read, lambda value: named[value], f"one of {', '.join(words)}")
+
+
+@dataclass(frozen=True)
+class MatchOptions(OptionsRecord):
+    """How a pair is matched.
+
+    quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
+    fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
+    if they are measurably off; None: unless quality is fast. expose_alike: bring it to the left one's exposure.
+    """
+
+    quality: Annotated[
+        str,
+        Option(
+            "best (two matchers), balanced (one, nearly as good), or fast (one pass).",
+            metavar="NAME",
+            choices=QUALITIES,
+        ),
+    ] = BEST
+    search: Annotated[
+        tuple[int, int] | None,
+        Option(
+            "Disparities to look through, pixels; auto, the default: what images show.",
+            metavar="MIN:MAX",
+            names="--range",
+            type=ValueType(_read_range, lambda ends: "{}:{}".format(*ends), "auto, or whole numbers as 0:128"),
+        ),
+    ] = None
+    fill: Annotated[
+        str,
+        Option(
+            "none, background (gaps of a row from what lies farther), or all (whole rows too).",
+            metavar="NAME",
+            choices=FILLS,
+        ),
+    ] = NOTHING
+    align_rows: Annotated[
+        bool | None,
+        Option(
+            "Put rows right that are measurably off; auto, the default: unless fast.",
+            metavar="auto|on|off",
+            type=_word(_SWITCHES),
+        ),
+    ] = None
+    expose_alike: Annotated[
+        bool,
+        Option(
+            "Bring the right image to the left one's exposure.",
+            metavar="auto|off",
+            names="--exposure",
+            type=_word(_EXPOSURES),
+        ),
+    ] = True
+
+    @property
+    def aligns(self) -> bool:
+        """Whether rows are put right."""
+        return self.quality != FAST if self.align_rows is None else self.align_rows

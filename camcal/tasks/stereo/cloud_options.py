@@ -1,0 +1,137 @@
+"""The options of `camcal stereo cloud`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord
+from camcal.tasks.options import Jobs, Output
+from camcal.tasks.stereo.options import GeometryOptions, PairCamera
+
+POINTS, FILTERS = "Points", "Which pixels"
+
+
+@dataclass(frozen=True)
+class PointOptions(OptionsRecord):
+    """Which pixels become points. See `stereo.points.selection.Selection` for what is not said here.
+
+    min_depth, max_depth: metres. crop: xmin, xmax, ymin, ymax, zmin, zmax, metres. mask: an image, not zero where
+    points are wanted. max_sigma: largest standard deviation of the depth, as a share of it. min_confidence: a number or
+    a name of `Confidence`. sigma_disparity: pixels, for all pixels alike. outliers: organised, radius, radius:METRES or
+    none. voxel: side, metres.
+    """
+
+    min_depth: Annotated[float, Option("Leave out what is nearer.", metavar="METRES", group=FILTERS)] = 0.0
+    max_depth: Annotated[float, Option("Leave out what is farther.", metavar="METRES", group=FILTERS)] = float("inf")
+    crop: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            "Keep what is within xmin,xmax,ymin,ymax,zmin,zmax: metres, in the frame.",
+            metavar="BOX",
+            group=FILTERS,
+            type=NUMBERS,
+        ),
+    ] = None
+    mask: Annotated[Path | None, Option("Keep pixels where it is not zero.", metavar="IMAGE", group=FILTERS)] = None
+    max_sigma: Annotated[
+        float | None,
+        Option(
+            "Leave out depths whose standard deviation is a larger part of them.",
+            metavar="PERCENT",
+            group=FILTERS,
+            type=PERCENT,
+        ),
+    ] = None
+    min_confidence: Annotated[
+        str | None,
+        Option(
+            "Leave out less sure pixels: filled, single, apart, near, agreed; or 1 to 5.",
+            metavar="CLASS",
+            group=FILTERS,
+        ),
+    ] = None
+    stride: Annotated[int, Option("Every N-th pixel of every N-th row.", metavar="N", group=FILTERS)] = 1
+    outliers: Annotated[
+        str,
+        Option(
+            "organised (fewer than 6 of 24 neighbours within 1 px), radius:METRES (fewer than 6 points), or none.",
+            metavar="METHOD",
+            group=FILTERS,
+        ),
+    ] = "organised"
+    voxel: Annotated[
+        float | None,
+        Option("One point, the mean, for every cube of this side.", metavar="METRES", group=FILTERS),
+    ] = None
+    max_points: Annotated[
+        int | None, Option("At most so many points, drawn at random.", metavar="N", group=FILTERS)
+    ] = None
+    sigma_disparity: Annotated[
+        float | None,
+        Option(
+            "Standard deviation of the disparity; by default the image the sidecar names.",
+            metavar="PIXELS",
+            group=INPUT,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class VertexOptions(OptionsRecord):
+    """What is said of a point, and where. frame, unit: see `stereo.points.frames`. pose: file of the camera's place."""
+
+    frame: Annotated[
+        str,
+        Option(
+            "optical (x right, y down, z forward), camera (before rectification, where the sidecar holds the "
+            "rotation), ros, opengl, enu (with --pose).",
+            metavar="NAME",
+            group=POINTS,
+        ),
+    ] = "optical"
+    unit: Annotated[str, Option("Unit of the coordinates.", metavar="m|mm", group=POINTS)] = "m"
+    pose: Annotated[
+        Path | None,
+        Option("world_T_camera, 4 x 4 numbers or a TUM line: gives points in the world.", metavar="FILE", group=POINTS),
+    ] = None
+    normals: Annotated[bool, Option("Write the normals of surfaces.", group=POINTS)] = False
+    sigma: Annotated[bool, Option("Write the standard deviation of the depth.", group=POINTS)] = False
+    organised: Annotated[
+        bool, Option("Write a place for every pixel, NaN where there is no point (.pcd).", group=OUTPUT)
+    ] = False
+    ascii_text: Annotated[bool, Option("Write PLY or PCD as text.", group=OUTPUT, names="--ascii")] = False
+
+
+@dataclass(frozen=True)
+class CloudOptions(OptionsRecord):
+    """A disparity map, the left image, and where the geometry comes from.
+
+    image, camera_file: the left image and the camera file (FILE or FILE#NAME), either or both, told apart by the
+    suffix; what is not given is taken from the sidecar of the map. scale: counts of the file per pixel of disparity,
+    None by its type.
+    """
+
+    disparity: Annotated[
+        Path,
+        Argument("Disparity map of the left image: PFM, TIFF, PNG, NPY, NPZ, EXR; or a folder.", metavar="DISPARITY"),
+    ]
+    output: Output
+    image: Annotated[str | None, Argument("The rectified left image, for colour.", metavar="IMAGE")] = None
+    camera_file: PairCamera = None
+    geometry: GeometryOptions = field(default_factory=GeometryOptions)
+    scale: Annotated[
+        float | None,
+        Option(
+            "Counts per pixel of disparity; by default the sidecar's, or 256 for 16-bit (signed: 16), else 1.",
+            metavar="COUNTS",
+            group=INPUT,
+        ),
+    ] = None
+    points: PointOptions = field(default_factory=PointOptions)
+    vertices: VertexOptions = field(default_factory=VertexOptions)
+    jobs: Jobs = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The image and the camera file, as far as they are given."""
+        return tuple(text for text in (self.image, self.camera_file) if text is not None)

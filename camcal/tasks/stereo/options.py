@@ -1,0 +1,326 @@
+"""The options of the commands about rectified pairs and point clouds."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Annotated
+
+from camcal.errors import InvalidInput
+from camcal.options import (
+    CHECKS,
+    INPUT,
+    OUTPUT,
+    SIZE,
+    Argument,
+    Option,
+    OptionsRecord,
+    ValueType,
+    Without,
+)
+from camcal.stereo.options import MatchOptions
+from camcal.tasks.options import CameraName, Jobs, Output, Recursive
+
+CAMERA = "Camera of the pair"
+MAP_TYPES = ("pfm", "tiff", "tif", "png", "npy", "npz", "exr")
+OWN, ONNX = "own", "onnx"
+ENGINES = (OWN, ONNX)
+ONE_SIDE = ValueType(lambda text: (text,), lambda paths: " ".join(map(str, paths)), "a path")
+
+PairCamera = Annotated[
+    str | None,
+    Argument("Camera file of the rectified pair, or FILE#NAME; or a calib.txt.", metavar="CAMERA"),
+]
+
+
+@dataclass(frozen=True)
+class GeometryOptions(OptionsRecord):
+    """What the command line says of a pair. camera: name of the left one in the file. fx … doffs: pixels and metres."""
+
+    camera: CameraName = None
+    fx: Annotated[float | None, Option("Focal length.", metavar="PIXELS", group=CAMERA)] = None
+    fy: Annotated[float | None, Option("Focal length along y; by default fx.", metavar="PIXELS", group=CAMERA)] = None
+    cx: Annotated[float | None, Option("Principal point of the left image, x.", metavar="PIXELS", group=CAMERA)] = None
+    cy: Annotated[float | None, Option("Principal point, y.", metavar="PIXELS", group=CAMERA)] = None
+    baseline: Annotated[float | None, Option("Distance of the cameras.", metavar="METRES", group=CAMERA)] = None
+    doffs: Annotated[
+        float | None,
+        Option("cx of the right image minus cx of the left; by default 0.", metavar="PIXELS", group=CAMERA),
+    ] = None
+
+    def numbers(self) -> dict[str, float]:
+        """Return the numbers that are given, by name."""
+        return {name: value for name, value in asdict(self).items() if name != "camera" and value is not None}
+
+
+@dataclass(frozen=True)
+class StereoCheckOptions(OptionsRecord):
+    """Pairs (files, folders, patterns of either side), where their pictures go, and what they must hold.
+
+    output: a file for a single pair, otherwise a folder. max_rms: the largest root mean square that rows may be off,
+    pixels; with it, pairs that are swapped or one image twice fail too.
+    """
+
+    left: Annotated[
+        tuple[str, ...],
+        Argument("The left image, or a folder or quoted pattern of several.", metavar="LEFT", type=ONE_SIDE),
+    ]
+    right: Annotated[
+        tuple[str, ...],
+        Argument("The right image, or as many as there are left ones.", metavar="RIGHT", type=ONE_SIDE),
+    ]
+    output: Annotated[
+        Path | None,
+        Option(
+            "A picture of the check (.png); a folder for several pairs.",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+    max_rms: Annotated[
+        float | None,
+        Option(
+            "Exit with 7 if rows are off by more (RMS), or the pair is swapped or one image twice; try 0.5.",
+            metavar="PIXELS",
+            group=CHECKS,
+        ),
+    ] = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_rms is not None and not self.max_rms > 0:
+            raise InvalidInput(f"--max-rms must be more than 0 px, found {self.max_rms:g}")
+
+
+@dataclass(frozen=True)
+class DisparityOptions(OptionsRecord):
+    """Pairs (files, folders, patterns of either side), where their maps go, and how they are matched.
+
+    output: a file for a single pair, otherwise a folder. camera_file: of the rectified pair, FILE or FILE#NAME.
+    type: of the files in a folder. model: the network of the engine onnx. picture: draw each map. map_only: write no
+    uncertainty and no classes beside it. force: a pair that is none, or a map that is worth nothing, is no failure.
+    """
+
+    left: Annotated[
+        tuple[str, ...],
+        Argument("Rectified left image; or a folder, or a quoted glob.", metavar="LEFT", type=ONE_SIDE),
+    ]
+    right: Annotated[
+        tuple[str, ...], Argument("Rectified right image, folder or glob.", metavar="RIGHT", type=ONE_SIDE)
+    ]
+    output: Output
+    camera_file: PairCamera = None
+    geometry: GeometryOptions = field(default_factory=GeometryOptions)
+    matching: MatchOptions = field(default_factory=MatchOptions)
+    engine: Annotated[str, Option("onnx: by the network given with --model.", metavar="own|onnx", choices=ENGINES)] = (
+        OWN
+    )
+    model: Annotated[Path | None, Option("Stereo network of your own, ONNX.", metavar="FILE")] = None
+    type: Annotated[
+        str,
+        Option(
+            "Type of the maps in a folder: tiff, pfm, png, npy, npz, exr.",
+            metavar="TYPE",
+            group=OUTPUT,
+            choices=MAP_TYPES,
+        ),
+    ] = "tiff"
+    picture: Annotated[bool, Option("Draw each map, with a legend, as MAP.vis.png.", group=OUTPUT, names="--vis")] = (
+        False
+    )
+    map_only: Annotated[bool, Option("Write no .sigma.tiff and no .confidence.png beside the map.", group=OUTPUT)] = (
+        False
+    )
+    force: Annotated[
+        bool, Option("Exit with 0 although a pair is swapped, not rectified, or hardly matched.", group=CHECKS)
+    ] = False
+    recursive: Recursive = False
+    jobs: Jobs = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.engine == ONNX) != (self.model is not None):
+            raise InvalidInput("--engine onnx and --model FILE go together")
+        if self.model is not None and self.matching != MatchOptions():
+            raise InvalidInput(
+                "a network takes no --quality, --range, --fill, --align-rows, --exposure; leave them out"
+            )
+
+
+@dataclass(frozen=True)
+class TruthPair(OptionsRecord):
+    """The files that belong to one disparity map; as options, folders of them.
+
+    truth: of the left image. mask: what both cameras see. right_truth: of the right image, which tells that as well.
+    sigma, confidence: the uncertainty and the class of every pixel.
+    """
+
+    disparity: Annotated[Path, Argument("Disparity map of the left image, or a folder of maps.", metavar="DISPARITY")]
+    truth: Annotated[Path, Argument("The true disparity, or a folder in the same natural order.", metavar="TRUTH")]
+    mask: Annotated[
+        Path | None,
+        Option("What both cameras see: where 8 bits are 255, or 16 bits not 0.", metavar="FILE", group=INPUT),
+    ] = None
+    right_truth: Annotated[
+        Path | None,
+        Option("True disparity of the right image: tells what is occluded.", metavar="FILE", group=INPUT),
+    ] = None
+    sigma: Annotated[
+        Path | None,
+        Option("Uncertainty of every pixel; by default the sidecar's.", metavar="FILE", group=INPUT),
+    ] = None
+    confidence: Annotated[
+        Path | None,
+        Option("Confidence class of every pixel; by default the sidecar's.", metavar="FILE", group=INPUT),
+    ] = None
+
+    @property
+    def files(self) -> Mapping[str, Path]:
+        """What there is, by name."""
+        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: path for name, path in found.items() if path is not None}
+
+
+@dataclass(frozen=True)
+class EvalOptions(OptionsRecord):
+    """Disparity maps and truths, how to read them, and what is asked of them.
+
+    files: one file of each kind, or folders. scale, truth_scale: counts per pixel of disparity, None by the sidecar or
+    the type of file. camera_file: FILE or FILE#NAME of the rectified pair. geometry: comes before that, and both before
+    the sidecars. output: an error picture, or a folder of them. gates: such as "bad2=2.5" or
+    "bad2:all=5": the worst that will do.
+    """
+
+    files: TruthPair
+    camera_file: Annotated[
+        str | None,
+        Argument(
+            "Camera file of the rectified pair or FILE#NAME; or Middlebury's or KITTI's calib.txt. For depth.",
+            metavar="CAMERA",
+        ),
+    ] = None
+    output: Annotated[
+        Path | None,
+        Option(
+            "Where to write the error picture; for folders a folder.",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+    scale: Annotated[
+        float | None,
+        Option(
+            "Counts of the map per pixel; by default its sidecar's, or 256 for 16-bit (signed: 16), else 1.",
+            metavar="COUNTS",
+            group=INPUT,
+        ),
+    ] = None
+    truth_scale: Annotated[
+        float | None,
+        Option("The same of the truth, such as 4 for Middlebury 2003.", metavar="COUNTS", group=INPUT),
+    ] = None
+    geometry: Annotated[GeometryOptions, Without(("fy", "cx", "cy"))] = field(default_factory=GeometryOptions)
+    gates: Annotated[
+        tuple[str, ...],
+        Option(
+            "Fail (exit 7) if a figure is worse: bad2=2.5, bad2:all=5. Repeatable.",
+            metavar="FIGURE=LIMIT",
+            group=CHECKS,
+            names="--gate",
+        ),
+    ] = ()
+    jobs: Jobs = None
+
+
+@dataclass(frozen=True)
+class ViewOptions(OptionsRecord):
+    """A point cloud or a disparity map, and how it is shown.
+
+    image: the left image of a disparity map. output: its suffix says what is made; None for the window of the Rerun
+    viewer. frame: where the axes of a cloud point, by name or in words; None for what its file says. colour: one of
+    `cloud_paint.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
+    montage: four views in its place. size: (width, height) of a picture or film. max_points: None for as many as suit
+    what is made. turn: degrees of a film, None for once round, or to and fro before what a camera saw.
+    """
+
+    source: Annotated[
+        Path,
+        Argument(
+            "Point cloud (PLY, PCD, XYZ, NPZ, GLB, LAS, LAZ), or disparity map with its sidecar.",
+            metavar="CLOUD|DISPARITY",
+        ),
+    ]
+    image: Annotated[
+        Path | None,
+        Argument("Left image for the colours of a map; by default the sidecar's.", metavar="IMAGE"),
+    ] = None
+    output: Annotated[
+        Path | None,
+        Option(
+            "A page (.html), a picture (.png), a film (.gif, .mp4) or a recording for Rerun (.rrd).",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+    frame: Annotated[
+        str | None,
+        Option(
+            "Where the axes of a cloud point: optical, camera, ros, opengl, enu, or words such as "
+            "'x forward, y left, z up'; by default what its file says.",
+            metavar="NAME|WORDS",
+            group=INPUT,
+        ),
+    ] = None
+    colour: Annotated[
+        str | None,
+        Option("image, depth, sigma or gray; by default image, or depth where there is none.", metavar="NAME"),
+    ] = None
+    view: Annotated[
+        str,
+        Option(
+            "camera, front, top, side, or AZ,EL[,DIST]: degrees to the right and up, and the distance.",
+            metavar="VIEW",
+        ),
+    ] = "camera"
+    montage: Annotated[bool, Option("Four views in one picture.")] = False
+    size: Annotated[
+        tuple[int, int] | None,
+        Option("Pixels of a picture or film; by default 1280 or 640 wide, as high as fits.", metavar="WxH", type=SIZE),
+    ] = None
+    point_size: Annotated[float, Option("Size of the points; 1 closes the surfaces.", metavar="FACTOR")] = 1.0
+    max_points: Annotated[
+        int | None,
+        Option(
+            "Most points shown, taken evenly; by default 400000 in a page, 1000000 in a film, else 4000000.",
+            metavar="N",
+            least=1,
+        ),
+    ] = None
+    turn: Annotated[
+        float | None,
+        Option(
+            "Angle of a film: 360 once round, less to and fro; by default 50 before what a camera saw, else 360.",
+            metavar="DEGREES",
+        ),
+    ] = None
+    frames: Annotated[int, Option("Frames of a film, 20 a second.", metavar="N", least=2)] = 60
+    rerun: Annotated[
+        bool,
+        Option("Open the Rerun viewer, or with -o write for it; needs camcal[view].", group=OUTPUT),
+    ] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.1 <= self.point_size <= 10:
+            raise InvalidInput(f"points are 0.1 to 10 times as large as usual, not {self.point_size:g}")
+        if self.turn is not None and not 0 < self.turn <= 360:
+            raise InvalidInput(f"a turn is more than 0 and at most 360 degrees, not {self.turn:g}")
+        if self.montage and self.view != ViewOptions.view:
+            raise InvalidInput("--montage has views of its own; leave --view out")
