@@ -130,9 +130,7 @@ def _made(entry: Entry) -> Any:
 def _of_signature(name: str, function: Any) -> Any:
     """Return the command of a function whose signature says its options."""
     from camcal.cli.options import LensModelCommand
-    from camcal.cli.transform_options import NumbersCommand
 
     alone = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    kind = NumbersCommand if name.startswith("transform ") else LensModelCommand
-    alone.command(name.rpartition(" ")[2], cls=kind)(function)
+    alone.command(name.rpartition(" ")[2], cls=LensModelCommand)(function)
     return typer.main.get_command(alone)

@@ -172,7 +172,7 @@ def test_all_transforms_of_a_file_are_inverted_into_another(run, frames, tmp_pat
         (
             ("chain", "{frames}", "--to", "base", "--from", "tag", "--loop-mm", "-1"),
             2,
-            "--loop-mm and --loop-deg are 0 or more",
+            "'--loop-mm': -1 is less than 0",
         ),
         (("eval", "base_T_cam", "-f", "{frames}", "-f", "{frames}"), 2, "base_T_cam stands in"),
         (("compose", "0 0 0 0 0 0", "--form", "rvec"), 2, "two or more"),

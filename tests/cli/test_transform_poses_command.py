@@ -312,7 +312,11 @@ def test_coordinates_of_a_map_keep_their_digits(run, tmp_path):
         (("average", "{rig}", "a_T_b=0 0 0 0 0 0", "--form", "rvec"), 2, "a mean is of one"),
         (("points", "{rig}", "--with", "{rig}", "-o", "out.ply"), 2, "is no point cloud"),
         (("points", "in.csv", "--with", "{rig}", "-o", "out.ply"), 2, "a CSV is written as a CSV"),
-        (("points", "in.csv", "--with", "{rig}", "-o", "out.csv", "--unit", "inch"), 2, "unit 'inch'"),
+        (
+            ("points", "in.csv", "--with", "{rig}", "-o", "out.csv", "--unit", "inch"),
+            2,
+            "'--unit': 'inch' is not one of m, mm",
+        ),
         (("points", "in.csv", "--with", "{rig}", "-o", "out.csv"), 3, "in.csv: no such file"),
         (("check", "{rig}", "--as", "euler:ZYX"), 2, "their axes and their unit"),
         (("average", "{rig}", "--trajectory", "--form", "tum"), 2, "--form is of numbers"),

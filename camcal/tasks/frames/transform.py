@@ -1,7 +1,7 @@
 """`camcal transform chain`, `eval`, `compose` and `invert`: transforms made of others."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
 from typing import Any
@@ -16,51 +16,10 @@ from camcal.geometry.named import Derived, Key, NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop
 from camcal.run.pose_sources import read_transforms
-from camcal.tasks.frames.transform_output import Output
-
-LOOP_MM = 1.0
-LOOP_DEG = 0.1
+from camcal.tasks.frames.options import ChainOptions, ExpressionOptions, Output, PosesOptions
+from camcal.tasks.frames.transform_output import require_own, write
 
 _CONSISTENT = 27.86  # χ² of 6 degrees of freedom that chance exceeds once in 10 000 times
-
-
-@dataclass(frozen=True)
-class ChainOptions:
-    """Arguments that stand for named transforms, and the frames to join: target_T_source.
-
-    loop_mm, loop_deg: how far a loop of transforms without covariances may be from closing. form: of numbers.
-    """
-
-    sources: Sequence[str]
-    target: str
-    source: str
-    form: str | None = None
-    output: Output = field(default_factory=Output)
-    loop_mm: float = LOOP_MM
-    loop_deg: float = LOOP_DEG
-
-    def __post_init__(self) -> None:
-        if not (self.loop_mm >= 0 and self.loop_deg >= 0):
-            raise InvalidInput("--loop-mm and --loop-deg are 0 or more")
-
-
-@dataclass(frozen=True)
-class ExpressionOptions:
-    """A product such as 'a_T_b * inv(c_T_b)', and arguments that stand for its transforms."""
-
-    expression: str
-    sources: Sequence[str]
-    form: str | None = None
-    output: Output = field(default_factory=Output)
-
-
-@dataclass(frozen=True)
-class PosesOptions:
-    """Arguments that stand for transforms, the form of numbers among them, and where the result goes."""
-
-    sources: Sequence[str]
-    form: str | None = None
-    output: Output = field(default_factory=Output)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +41,7 @@ def chain(options: ChainOptions, progress: Progress = SILENT) -> Made:
 
     Raises InvalidInput where the frames are not joined or a loop does not close, FileError.
     """
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     transforms = _named(read_transforms(options.sources, form_of(options.form)))
     graph = FrameGraph(transforms)
     links = graph.path(options.target, options.source)
@@ -91,13 +50,13 @@ def chain(options: ChainOptions, progress: Progress = SILENT) -> Made:
         _require_closed(loop, options)
     factors = {link.index: transforms[link.index] for link in links}
     result = _with_covariance((options.target, options.source), graph.along(links), factors)
-    options.output.write([result])
+    write(options.output, [result])
     return Made((result,), (_product(map(graph.name_of, links)),), _exact(factors, progress), loops)
 
 
 def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
     """Return the product that an expression says; raises InvalidInput if inner frames do not cancel, FileError."""
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     transforms: dict[str, NamedTransform] = {}
     for item in _named(read_transforms(options.sources, form_of(options.form))):
         if item.name in transforms:
@@ -106,7 +65,7 @@ def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
     product = evaluate_product(options.expression, transforms)
     used = {name: item for name, item in transforms.items() if name in product.derived.by}
     result = _with_covariance((product.target, product.source), product.derived, used)
-    options.output.write([result])
+    write(options.output, [result])
     return Made((result,), (product.text,), _exact(used, progress))
 
 
@@ -115,7 +74,7 @@ def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
 
     Raises InvalidInput where named frames do not meet, FileError.
     """
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form))
     if len(transforms) < 2:
         raise InvalidInput(f"{len(transforms)} transform is no product; give two or more, each in quotes if in numbers")
@@ -128,16 +87,16 @@ def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
     )
     ends = (transforms[0].target, transforms[-1].source) if all(item.name for item in transforms) else ("", "")
     result = _with_covariance(ends, derived, factors)
-    options.output.write([result])
+    write(options.output, [result])
     return Made((result,), (_product(item.called for item in transforms),), _exact(factors, progress))
 
 
 def invert(options: PosesOptions, _: Progress = SILENT) -> Made:
     """Return the inverse of every transform; raises InvalidInput, FileError."""
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form))
     inverses = tuple(item.inverse() for item in transforms)
-    options.output.write(inverses)
+    write(options.output, inverses)
     return Made(inverses, tuple(f"inv({item.called})" for item in transforms))
 
 

@@ -1,7 +1,7 @@
 """`camcal transform average`: the mean of several estimates of one transform."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,25 +13,10 @@ from camcal.geometry.named import NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.pose_sources import read_trajectories, read_transforms
-from camcal.tasks.frames.transform_output import Output
+from camcal.tasks.frames.options import AverageOptions, Output
+from camcal.tasks.frames.transform_output import require_own, write
 
 _FAR = 3.0  # standard deviations of χ² above its mean
-
-
-@dataclass(frozen=True)
-class AverageOptions:
-    """Arguments that stand for estimates of one transform, the form of numbers among them.
-
-    robust: estimates far from the others count little. equal: all count alike, whatever their covariances.
-    trajectory: the arguments are trajectory files, all poses of which are estimates.
-    """
-
-    sources: Sequence[str]
-    form: str | None = None
-    robust: bool = False
-    equal: bool = False
-    trajectory: bool = False
-    output: Output = field(default_factory=Output)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +34,7 @@ def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
 
     Raises InvalidInput for transforms of other frames, FileError, InsufficientData for fewer than two, NotConverged.
     """
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     estimates = _estimates(options)
     _require_one_name(estimates)
     covariances = [item.covariance for item in estimates if item.covariance is not None]
@@ -61,7 +46,7 @@ def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
     _warn(mean, progress)
     first = estimates[0]
     result = NamedTransform(first.target, first.source, mean.pose, mean.covariance)
-    options.output.write([result])
+    write(options.output, [result])
     return Averaged(result, estimates, mean, weighted)
 
 

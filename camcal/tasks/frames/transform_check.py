@@ -1,12 +1,11 @@
 """`camcal transform check`: how far poses, as they are written, are from being any."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from camcal.errors import GateFailed, InvalidInput
+from camcal.errors import GateFailed
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_forms import LoosePose, form_of
 from camcal.geometry import rotation as so3
@@ -16,7 +15,8 @@ from camcal.geometry.pose import Pose
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.pose_sources import read_loose
-from camcal.tasks.frames.transform_output import Output
+from camcal.tasks.frames.options import CheckOptions, Output
+from camcal.tasks.frames.transform_output import require_own, write
 
 EXACT = 1e-6  # what a camera file asks of its rotations
 
@@ -24,20 +24,6 @@ OK = "ok"
 INEXACT = "inexact"
 REFLECTION = "reflection"
 NONE = "no pose"
-
-
-@dataclass(frozen=True)
-class CheckOptions:
-    """Arguments that stand for poses, the form of numbers among them; fix: give the nearest poses, to `output` too."""
-
-    sources: Sequence[str]
-    form: str | None = None
-    fix: bool = False
-    output: Output = field(default_factory=Output)
-
-    def __post_init__(self) -> None:
-        if self.output.path is not None and not self.fix:
-            raise InvalidInput("--output is for the poses that --fix makes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +67,11 @@ class Checked:
 
 def check(options: CheckOptions, _: Progress = SILENT) -> Checked:
     """Return what was found of poses; raises InvalidInput, FileError for what is not even numbers."""
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     poses = tuple(_checked(written) for written in read_loose(options.sources, form_of(options.form)))
     fixed = tuple(_fixed(pose.written) for pose in poses if pose.verdict in {OK, INEXACT}) if options.fix else ()
     if fixed:
-        options.output.write(fixed)
+        write(options.output, fixed)
     return Checked(poses, fixed)
 
 

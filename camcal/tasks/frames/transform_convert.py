@@ -1,7 +1,7 @@
 """`camcal transform convert`: poses in other forms and along other axes."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.camera_files import read_camera_file
 from camcal.run.pose_sources import files_of, read_transforms
-from camcal.tasks.frames.transform_output import Output
+from camcal.tasks.frames.options import ConvertOptions, Output
+from camcal.tasks.frames.transform_output import require_own, write
 
 _UNNAMED = ("a", "b")
 _CAMERA_FILES = (".yaml", ".yml")
@@ -46,27 +47,13 @@ class AxesChange:
         return change(self.before, self.after)
 
 
-@dataclass(frozen=True)
-class ConvertOptions:
-    """Arguments that stand for poses and the form of numbers among them; inverse: of each pose, before all else.
-
-    axes: changes such as camera=opencv:opengl, where frames of poses without names are a and b.
-    """
-
-    sources: Sequence[str]
-    axes: Sequence[str] = ()
-    form: str | None = None
-    inverse: bool = False
-    output: Output = field(default_factory=Output)
-
-    @property
-    def changes(self) -> dict[str, AxesChange]:
-        """The changes by frame; raises InvalidInput for a frame that is changed twice."""
-        changes = [AxesChange.parse(text) for text in self.axes]
-        by_frame = {item.frame: item for item in changes}
-        if len(by_frame) < len(changes):
-            raise InvalidInput("--axes: a frame is changed twice")
-        return by_frame
+def changes_of(axes: Sequence[str]) -> dict[str, AxesChange]:
+    """Return changes of axes by frame; raises InvalidInput for a frame that is changed twice."""
+    changes = [AxesChange.parse(text) for text in axes]
+    by_frame = {item.frame: item for item in changes}
+    if len(by_frame) < len(changes):
+        raise InvalidInput("--axes: a frame is changed twice")
+    return by_frame
 
 
 @dataclass(frozen=True)
@@ -94,14 +81,14 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
     Raises InvalidInput for a frame or convention that is not there and where one frame alone would become left-handed,
     InsufficientData where there is nothing to convert, FileError.
     """
-    options.output.require_own(options.sources)
+    require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form), allow_none=True)
     centres = _principal_points_of(options.sources, progress)
     if not transforms and not centres:
         raise InsufficientData("there are no transforms and no cameras", where=" ".join(options.sources))
     if options.inverse:
         transforms = tuple(item.inverse() for item in transforms)
-    changes = options.changes
+    changes = changes_of(options.axes)
     require_known(changes, {*centres, *(frame for item in transforms for frame in frames_in(item))})
     converted = tuple(_along(item, changes) for item in transforms)
     points = tuple(_counted_from_corners(centres, changes))
@@ -110,7 +97,7 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
             f"{point.camera}: in {point.convention} the principal point is cx {point.cx:.9g}, cy {point.cy:.9g}, "
             "as its pixels are counted from the corner of the first one"
         )
-    options.output.write(converted)
+    write(options.output, converted)
     return Converted(converted, tuple(changes.values()), points)
 
 

@@ -20,32 +20,10 @@ from camcal.report.transform import plain
 from camcal.run.outputs import refuse_overwriting
 from camcal.run.pose_sources import files_of, read_one
 from camcal.stereo.points.vertices import METRES, NORMAL, POSITION, VertexStream
+from camcal.tasks.frames.options import PointsOptions
 
 _CSV = ".csv"
 _PER_METRE = {METRES: 1.0, MILLIMETRES: 1000.0}
-
-
-@dataclass(frozen=True)
-class PointsOptions:
-    """A file of points, an argument that stands for a transform a_T_b, and where points in a are written.
-
-    inverse: points are in a and go to b. form: of the transform's numbers. unit: of a CSV's points, m or mm.
-    """
-
-    points: Path
-    transform: str
-    output: Path
-    inverse: bool = False
-    form: str | None = None
-    unit: str = METRES
-
-    def __post_init__(self) -> None:
-        if self.unit not in _PER_METRE:
-            raise InvalidInput(f"unit {self.unit!r} is unknown; use one of {', '.join(_PER_METRE)}")
-        if (self.points.suffix.lower() == _CSV) != (self.output.suffix.lower() == _CSV):
-            raise InvalidInput("a CSV is written as a CSV and a cloud as a cloud", where=str(self.output))
-        if self.output.suffix.lower() != _CSV:
-            pointclouds.require_suffix(self.output)
 
 
 @dataclass(frozen=True, eq=False)

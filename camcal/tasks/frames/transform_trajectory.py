@@ -15,7 +15,15 @@ from camcal.geometry.trajectory import Trajectory
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
 from camcal.run.pose_sources import split_name
-from camcal.tasks.frames.transform_convert import AxesChange, ConvertOptions, matrices_of, plain_changes, require_known
+from camcal.tasks.frames.options import ConvertOptions
+from camcal.tasks.frames.transform_convert import (
+    AxesChange,
+    ConvertOptions,
+    changes_of,
+    matrices_of,
+    plain_changes,
+    require_known,
+)
 
 _KINDS = {"tum": "tum", "kitti": "kitti", "ros": "tf"}
 
@@ -47,7 +55,7 @@ def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> 
     trajectory = trajectories.read(Path(body), name or None)
     if options.inverse:
         trajectory = _inverse(trajectory, progress)
-    changes = options.changes
+    changes = changes_of(options.axes)
     frames = frames_of(trajectory.frames)
     require_known(changes, set(frames))
     trajectory = _along(trajectory, changes, frames)

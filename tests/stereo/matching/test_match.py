@@ -201,7 +201,7 @@ def test_ranges_that_cannot_be_are_refused(search, line):
 def test_unknown_names_are_refused_with_those_that_are_known():
     with pytest.raises(InvalidInput, match="'good' is not one of fast, balanced, best"):
         MatchOptions("good")
-    with pytest.raises(InvalidInput, match="fill 'some' is unknown; use one of none, background, all"):
+    with pytest.raises(InvalidInput, match="'some' is not one of none, background, all"):
         MatchOptions(fill="some")
 
 

@@ -1,0 +1,233 @@
+"""The options of the commands of `camcal transform`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from camcal.errors import InvalidInput
+from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
+from camcal.tasks.options import Output as OutputFile
+
+if TYPE_CHECKING:
+    from camcal.formats.pose_forms import Form
+
+LOOP_MM, LOOP_DEG = 1.0, 0.1
+UNITS = ("m", "mm")
+_TEXTS = (".txt", ".tum", ".kitti")
+_CSV = ".csv"
+
+Sources = Annotated[
+    tuple[str, ...],
+    Argument(
+        "Numbers in quotes, Rz(90deg), a file of numbers, FILE (all transforms of a frames, camera or pose file) "
+        "or FILE#NAME; NAME=… before numbers or a file says what they take where, as base_T_cam=pose.txt.",
+        metavar="POSE…",
+        numbers=True,
+    ),
+]
+FormName = Annotated[
+    str | None,
+    Option(
+        "What the numbers given are: matrix, quat:wxyz, quat:xyzw, rvec[:deg], euler:ZYX:deg (capitals intrinsic, "
+        "xyz extrinsic), dual-quat, tum, kitti, colmap, ros; by default as their count says.",
+        metavar="FORM",
+        group=INPUT,
+        names="--form",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Output(OptionsRecord):
+    """Where transforms go, None for nowhere, and the form of their numbers in texts (None: matrix).
+
+    trajectory: poses over time go there, under a suffix of theirs.
+    """
+
+    path: Annotated[
+        Path | None,
+        Option(
+            "Where to write: .yaml or .json with covariances; .txt.",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+    form: Annotated[
+        str | None,
+        Option("Give bare numbers in this form, one of those of --form.", metavar="FORM", group=OUTPUT, names="--as"),
+    ] = None
+    trajectory: Annotated[
+        bool,
+        Option(
+            "POSE is a trajectory file, written to --output by its suffix or as tum, kitti, ros.",
+            group=INPUT,
+        ),
+    ] = False
+
+    def __post_init__(self) -> None:
+        from camcal.formats import frames
+        from camcal.formats.pose_forms import form_of
+
+        super().__post_init__()
+        form_of(self.form)  # which refuses what is none
+        known = (*frames.SUFFIXES, *_TEXTS)
+        if not self.trajectory and self.path is not None and self.path.suffix.lower() not in known:
+            raise InvalidInput(f"transforms are written as {', '.join(known)}", where=str(self.path))
+
+    @property
+    def numbers(self) -> "Form | None":
+        """The form of numbers that was asked for."""
+        from camcal.formats.pose_forms import form_of
+
+        return form_of(self.form)
+
+
+PoseOutput = Annotated[Output, Without(("trajectory",))]
+
+
+@dataclass(frozen=True)
+class ChainOptions(OptionsRecord):
+    """Arguments that stand for named transforms, and the frames to join: target_T_source.
+
+    loop_mm, loop_deg: how far a loop of transforms without covariances may be from closing. form: of numbers.
+    """
+
+    sources: Sources
+    target: Annotated[
+        str, Option("The frame to come to: base of base_T_tag.", metavar="FRAME", group=INPUT, names="--to")
+    ]
+    source: Annotated[
+        str, Option("The frame to come from: tag of base_T_tag.", metavar="FRAME", group=INPUT, names="--from")
+    ]
+    loop_mm: Annotated[
+        float,
+        Option("How far a loop of transforms without covariances may be from closing.", metavar="MM", least=0),
+    ] = LOOP_MM
+    loop_deg: Annotated[float, Option("How far such a loop may be turned.", metavar="DEGREES", least=0)] = LOOP_DEG
+    form: FormName = None
+    output: PoseOutput = field(default_factory=Output)
+
+
+@dataclass(frozen=True)
+class ExpressionOptions(OptionsRecord):
+    """A product such as 'a_T_b * inv(c_T_b)', and arguments that stand for its transforms."""
+
+    expression: Annotated[
+        str,
+        Argument("Such as 'a_T_b * inv(c_T_b)': names, *, inv() and brackets.", metavar="EXPRESSION", numbers=True),
+    ]
+    sources: Annotated[
+        tuple[str, ...],
+        Option(
+            "Where the transforms are; may be given several times.", metavar="POSE", group=INPUT, names="--frames -f"
+        ),
+    ]
+    form: FormName = None
+    output: PoseOutput = field(default_factory=Output)
+
+
+@dataclass(frozen=True)
+class PosesOptions(OptionsRecord):
+    """Arguments that stand for transforms, the form of numbers among them, and where the result goes."""
+
+    sources: Sources
+    form: FormName = None
+    output: PoseOutput = field(default_factory=Output)
+
+
+@dataclass(frozen=True)
+class ConvertOptions(OptionsRecord):
+    """Arguments that stand for poses and the form of numbers among them; inverse: of each pose, before all else.
+
+    axes: changes such as camera=opencv:opengl, where frames of poses without names are a and b.
+    """
+
+    sources: Sources
+    axes: Annotated[
+        tuple[str, ...],
+        Option(
+            "Let the axes of a frame point elsewhere, as camera=opencv:opengl (frames without names are a and b); "
+            "may be given for each: opencv, colmap, ros_optical, opengl, blender, nerf, unity, ros, enu, ned.",
+            metavar="FRAME=FROM:TO",
+        ),
+    ] = ()
+    inverse: Annotated[bool, Option("Invert the poses first: b_T_a for a_T_b.")] = False
+    form: FormName = None
+    output: Output = field(default_factory=Output)
+
+
+@dataclass(frozen=True)
+class AverageOptions(OptionsRecord):
+    """Arguments that stand for estimates of one transform, the form of numbers among them.
+
+    robust: estimates far from the others count little. equal: all count alike, whatever their covariances.
+    trajectory: the arguments are trajectory files, all poses of which are estimates.
+    """
+
+    sources: Sources
+    robust: Annotated[bool, Option("Let poses far from the others count little.")] = False
+    equal: Annotated[bool, Option("Let all count alike, whatever their covariances.")] = False
+    trajectory: Annotated[
+        bool, Option("POSE are trajectory files: average all their poses, of what stood still.", group=INPUT)
+    ] = False
+    form: FormName = None
+    output: PoseOutput = field(default_factory=Output)
+
+
+@dataclass(frozen=True)
+class CheckOptions(OptionsRecord):
+    """Arguments that stand for poses, the form of numbers among them; fix: give the nearest poses, to `output` too."""
+
+    sources: Sources
+    fix: Annotated[bool, Option("Give the nearest poses, also to --output; reflections have none.")] = False
+    form: FormName = None
+    output: PoseOutput = field(default_factory=Output)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.output.path is not None and not self.fix:
+            raise InvalidInput("--output is for the poses that --fix makes")
+
+
+@dataclass(frozen=True)
+class PointsOptions(OptionsRecord):
+    """A file of points, an argument that stands for a transform a_T_b, and where points in a are written.
+
+    inverse: points are in a and go to b. form: of the transform's numbers. unit: of a CSV's points, m or mm.
+    """
+
+    points: Annotated[
+        Path,
+        Argument(
+            "A CSV with columns x,y,z, also nx,ny,nz and sxx,sxy,sxz,syy,syz,szz; or a cloud: PLY, PCD, XYZ, "
+            "NPZ, GLB, LAS, LAZ.",
+            metavar="FILE",
+            numbers=True,
+        ),
+    ]
+    transform: Annotated[
+        str,
+        Option(
+            "a_T_b, where the points are in b: numbers, a file or FILE#NAME.",
+            metavar="POSE",
+            group=INPUT,
+            names="--with",
+        ),
+    ]
+    output: OutputFile
+    inverse: Annotated[bool, Option("The points are in a and go to b.")] = False
+    form: FormName = None
+    unit: Annotated[
+        str, Option("Unit of a CSV's points; clouds say theirs.", metavar="m|mm", group=INPUT, choices=UNITS)
+    ] = "m"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.points.suffix.lower() == _CSV) != (self.output.suffix.lower() == _CSV):
+            raise InvalidInput("a CSV is written as a CSV and a cloud as a cloud", where=str(self.output))
+        if self.output.suffix.lower() != _CSV:
+            from camcal.formats import pointclouds
+
+            pointclouds.require_suffix(self.output)
