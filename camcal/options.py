@@ -10,6 +10,7 @@ import dataclasses
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from math import isfinite, isnan, pi
 from pathlib import Path
@@ -224,7 +225,9 @@ class Declared:
         option = self.option
         for item in value if isinstance(value, tuple) else (value,):
             if option.choices and item not in (None, *option.choices):
-                raise self.invalid(f"{item!r} is not one of {', '.join(option.choices)}")
+                raise self.invalid(
+                    f"{item!r} is not one of {', '.join(option.choices)}{_nearest(item, option.choices)}"
+                )
             if item is None or isinstance(item, (str, bool)) or (option.least is None and option.most is None):
                 continue
             if isnan(item):
@@ -268,6 +271,12 @@ class Declared:
         for name in self.path:
             options = getattr(options, name)
         return options
+
+
+def _nearest(text: str, choices: Sequence[str]) -> str:
+    """Return the choice that a text was probably meant to be, as a question."""
+    found = get_close_matches(text, choices, n=1)
+    return f". Did you mean {found[0]!r}?" if found else ""
 
 
 _KNOWN: dict[type, tuple[Declared, ...]] = {}

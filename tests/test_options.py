@@ -111,6 +111,7 @@ def test_a_value_is_read_and_written_back(name, text, value):
         ("--most", "0", "Invalid value for '--most': 0 is less than 1"),
         ("--most", "10", "Invalid value for '--most': 10 is more than 9"),
         ("--tone", "flat", "Invalid value for '--tone': 'flat' is not one of linear, srgb"),
+        ("--tone", "liner", "Invalid value for '--tone': 'liner' is not one of linear, srgb. Did you mean 'linear'?"),
         ("--share", "ten", "Invalid value for '--share': 'ten' is not a number"),
     ],
 )

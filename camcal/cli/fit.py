@@ -1,127 +1,32 @@
 """`camcal fit`."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from camcal.cli import options as shared
 from camcal.cli import show
+from camcal.cli.command import Call
+from camcal.tasks.curves.options import TABLE, FitOptions
 
 if TYPE_CHECKING:
     from camcal.estimate.curves.result import CurveFit, Estimate
     from camcal.tasks.curves.fit_report import FitReport
 
 
-def fit(
-    data: Annotated[Path, typer.Argument(metavar="DATA", help="CSV whose first row names the columns.")],
-    model: Annotated[
-        str,
-        typer.Option(
-            "--model",
-            "-m",
-            metavar="EXPR|FAMILY",
-            help="A formula over columns and parameters, such as 'exp(a*x**2 + b*x + c)'; or one of poly:N, expquad, "
-            "gauss, thin_lens, gamma, noise, edge, circle, line2d, plane, line3d.",
-        ),
-    ],
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="A=V,…", help="Where the search starts; families start by themselves if left out."),
-    ] = None,
-    y: Annotated[
-        str | None,
-        typer.Option(
-            "--y", metavar="COLUMN", help="What is predicted: a column (by default y, or the last), or log(y)."
-        ),
-    ] = None,
-    x: Annotated[
-        str | None,
-        typer.Option("--x", metavar="COLUMNS", help="Which column is x; for shapes x,y or x,y,z."),
-    ] = None,
-    sigma: Annotated[
-        str | None,
-        typer.Option(metavar="VALUE|COLUMN", help="Standard deviation of the data; by default from the residuals."),
-    ] = None,
-    bounds: Annotated[str | None, typer.Option(metavar="A=LOW:HIGH,…", help="Bounds; an end left out is open.")] = None,
-    fix: Annotated[
-        str | None, typer.Option(metavar="A,B=V,…", help="Parameters held at their start, or a value.")
-    ] = None,
-    loss: Annotated[
-        str, typer.Option(metavar="none|huber|soft_l1|cauchy|tukey", help="Against outliers: how they count.")
-    ] = "none",
-    restarts: Annotated[
-        int, typer.Option(metavar="N", min=0, max=1000, help="So many further starts, some powers of e off.")
-    ] = 0,
-    method: Annotated[
-        str, typer.Option(metavar="levenberg-marquardt|gauss-newton", help="Plain Gauss-Newton is for comparison.")
-    ] = "levenberg-marquardt",
-    compare: Annotated[
-        str | None, typer.Option(metavar="EXPR|FAMILY", help="A second model, compared by AIC, AICc, BIC and F test.")
-    ] = None,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Intervals by likelihood too, which may be lopsided.")
-    ] = False,
-    trace: Annotated[
-        str | None,
-        typer.Option(metavar="FILE|table", help="Every iteration: cost, damping, gain ratio, step; or a .csv."),
-    ] = None,
-    check_jacobian: Annotated[
-        bool, typer.Option("--check-jacobian", help="Compare the derivatives with numerical ones.")
-    ] = False,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="A figure of data, curve and residuals: .png, .svg or .pdf.")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="PATH", help="Where to write the result: .yaml or .json.")
-    ] = None,
-    json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
-    config: shared.Config = None,
-) -> None:
+def fit(options: FitOptions, call: Call) -> None:
     """Fit a formula, a curve or a shape to data, with standard errors, intervals and a verdict.
 
     What the data cannot tell is said by name: parameters that cannot be told apart, bounds that hold, searches that
     did not end in a minimum.
     """
-    from camcal.tasks.curves.fit import FitOptions
     from camcal.tasks.curves.fit import fit as run
     from camcal.tasks.curves.fit_report import document
     from camcal.tasks.curves.fit_verdict import require_settled
 
-    options = FitOptions(
-        data,
-        model,
-        start,
-        y,
-        x,
-        sigma,
-        bounds,
-        fix,
-        loss,
-        restarts,
-        method,
-        compare,
-        profile,
-        trace,
-        check_jacobian,
-        plot,
-        output,
-    )
-    report = run(options, show.progress(quiet))
-    if json:
-        show.document("fit", document(report))
-    elif not quiet:
-        _show(report, verbose)
-        if trace == "table":
-            _show_trace(report)
-        for path in options.outputs():
-            show.text(f"wrote {path}")
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show(report, options, call.verbose))
     require_settled(report)
 
 
-def _show(report: "FitReport", verbose: bool) -> None:
+def _show(report: "FitReport", options: FitOptions, verbose: bool) -> None:
     found = report.fit
     rows: list[list[object]] = [[name, *_cells(value)] for name, value in found.parameters.items()]
     rows += [[name, *_cells(value)] for name, value in found.derived.items()]
@@ -136,6 +41,10 @@ def _show(report: "FitReport", verbose: bool) -> None:
     if report.check is not None:
         show.text(f"derivatives agree with the {report.check.method} step to {report.check.error:.1e}")
     _show_comparison(report)
+    if options.trace == TABLE:
+        _show_trace(report)
+    for path in options.outputs():
+        show.text(f"wrote {path}")
 
 
 def _lines(found: "CurveFit") -> list[str]:

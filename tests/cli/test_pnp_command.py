@@ -210,11 +210,15 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
         (
             ["camera.yaml", "--points", "points.csv", "--noise", "much"],
             2,
-            "--noise 'much': a number of pixels, or auto",
+            "'--noise': 'much' is not a number of pixels, or auto",
         ),
         (["camera.yaml", "--points", "points.csv", "--max-rms", "0"], 2, "--max-rms must be more than 0 px"),
         (["camera.yaml", "--points", "points.csv", "--max-ambiguity", "2"], 2, "--max-ambiguity is a probability"),
-        (["camera.yaml", "--points", "points.csv", "--outliers", "man"], 2, "--outliers 'man'. Did you mean 'many'?"),
+        (
+            ["camera.yaml", "--points", "points.csv", "--outliers", "man"],
+            2,
+            "'man' is not one of auto, none, few, many. Did you mean 'many'?",
+        ),
         (
             ["camera.yaml", "--points", "points.csv", "--pose", "pose"],
             2,

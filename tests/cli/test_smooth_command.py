@@ -247,11 +247,11 @@ def test_the_same_input_gives_the_same_bytes(run, turning, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("--model", "cs"), 2, "--model 'cs': use one of rw, cv, ca"),
+        (("--model", "cs"), 2, "'cs' is not one of rw, cv, ca"),
         (("--q", "-1"), 2, "--q must be more than 0"),
         (("--q", "1,2"), 2, "--q has 2 numbers; a table has one"),
         (("--sigma", "1,2,3"), 2, "--sigma has 3 numbers"),
-        (("--q", "much"), 2, "numbers are needed"),
+        (("--q", "much"), 2, "is not numbers"),
         (("--resample", "0"), 2, "--resample must be more than 0 s"),
         (("--resample", "inf"), 2, "--resample must be more than 0 s"),
         (("--resample", "1e-9"), 2, "ask for fewer"),

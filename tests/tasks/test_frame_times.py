@@ -135,7 +135,7 @@ def test_a_file_that_does_not_fit_is_refused_with_its_place(tmp_path, text, word
     ("make", "words"),
     [
         (lambda: Timing(fps=0.0), "--fps must be more than 0"),
-        (lambda: Timing(unit="min"), "--time-unit 'min': use one of s, ms, us, ns"),
+        (lambda: Timing(unit="min"), "'--time-unit': 'min' is not one of s, ms, us, ns"),
         (lambda: Timing(fps=30.0, source="exif"), "say the same twice"),
         (lambda: times(Timing()), "when were the frames taken"),
         (lambda: times(Timing(source="name:img")), "put the number in brackets"),

@@ -177,7 +177,7 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
         ({"points": "p.csv", "looking": Looking(scale=True)}, "goes by the size of images"),
         ({"inputs": ("a.png",), "looking": Looking(board="b", tags="t")}, "not for both"),
         ({"inputs": ("a.csv",), "looking": Looking(tags="tag36h11:5cm")}, "tags are found in images"),
-        ({"inputs": ("a.csv",), "outliers": "lots"}, "--outliers 'lots'"),
+        ({"inputs": ("a.csv",), "outliers": "lots"}, "'--outliers': 'lots'"),
         ({"inputs": ("a.csv", "b.png")}, "read alone"),
         ({"inputs": ("a.png",)}, "what is to be found in the images\\? Give --board"),
         ({"inputs": ("a.png",), "output": "poses.txt"}, "poses are written as"),

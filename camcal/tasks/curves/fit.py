@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from camcal.estimate.curves.curve import predictions, predictions_with_jacobian
 from camcal.estimate.curves.fit import fit_curve
 from camcal.estimate.curves.profile import likelihood_intervals
 from camcal.estimate.curves.result import CurveFit
-from camcal.estimate.curves.search import LOSSES, METHODS, SearchOptions
+from camcal.estimate.curves.search import SearchOptions
 from camcal.formats import emit, measurements
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tables import Table
@@ -25,57 +24,7 @@ from camcal.solve.differentiate import JacobianCheck, check_jacobian
 from camcal.tasks.curves import fit_texts
 from camcal.tasks.curves.fit_model import Measured, Model, model_of
 from camcal.tasks.curves.fit_report import FitReport, document, trace_csv, written
-
-OUTPUTS = (".yaml", ".yml", ".json")
-TRACES = (".csv",)
-TABLE = "table"
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """A table, a model (a formula or a family) and how to fit it; texts are as on the command line.
-
-    x: columns for the roles of a family, or the one that x stands for in a formula. trace: 'table', or a CSV file.
-    """
-
-    data: Path
-    model: str
-    start: str | None = None
-    y: str | None = None
-    x: str | None = None
-    sigma: str | None = None
-    bounds: str | None = None
-    fix: str | None = None
-    loss: str = "none"
-    restarts: int = 0
-    method: str = METHODS[0]
-    compare: str | None = None
-    profile: bool = False
-    trace: str | None = None
-    check_jacobian: bool = False
-    plot: Path | None = None
-    output: Path | None = None
-
-    def __post_init__(self) -> None:
-        _one_of("--loss", self.loss, LOSSES)
-        _one_of("--method", self.method, METHODS)
-        if self.loss != "none" and (self.profile or self.compare):
-            option = "--profile" if self.profile else "--compare"
-            raise InvalidInput(f"{option} needs a likelihood, which a robust loss is not; leave --loss {self.loss} out")
-        if self.output is not None and self.output.suffix.lower() not in OUTPUTS:
-            raise InvalidInput(f"results are written as {', '.join(OUTPUTS)}", where=str(self.output))
-        if self.plot is not None:
-            from camcal.report.figures import require_suffix  # plotting takes long to import
-
-            require_suffix(self.plot)
-        if self.trace not in (None, TABLE) and Path(str(self.trace)).suffix.lower() not in TRACES:
-            raise InvalidInput(f"--trace {self.trace}: write 'table', or a file ending in {', '.join(TRACES)}")
-        refuse_overwriting(self.outputs(), [self.data])
-
-    def outputs(self) -> list[Path]:
-        """Return the files that are written."""
-        trace = [] if self.trace in (None, TABLE) else [Path(str(self.trace))]
-        return [*trace, *(path for path in (self.plot, self.output) if path is not None)]
+from camcal.tasks.curves.options import TABLE, FitOptions
 
 
 def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
@@ -84,6 +33,11 @@ def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     Raises InvalidInput, FileError, InsufficientData; a search that did not converge is written too, see
     `require_settled`.
     """
+    if options.plot is not None:
+        from camcal.report.figures import require_suffix  # plotting takes long to import
+
+        require_suffix(options.plot)
+    refuse_overwriting(options.outputs(), [options.data])
     table = measurements.read(options.data)
     measured = Measured(table, _names(options.x), options.y, options.sigma)
     fixed, values = fit_texts.fixed(options.fix)
@@ -120,11 +74,6 @@ def _check_derivatives(model: Model) -> JacobianCheck:
     _, slopes = predictions_with_jacobian(curve, data.columns, at, len(data), curve.parameters)
     analytic = all(formula.analytic for formula in curve.formulas)
     return check_jacobian(lambda p: predictions(curve, data.columns, p, len(data)), slopes, at, analytic=analytic)
-
-
-def _one_of(option: str, text: str, known: Sequence[str]) -> None:
-    if text not in known:
-        raise InvalidInput(f"{option} {text!r}: use one of {', '.join(known)}")
 
 
 def _names(text: str | None) -> tuple[str, ...]:

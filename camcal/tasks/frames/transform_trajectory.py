@@ -18,7 +18,6 @@ from camcal.run.pose_sources import split_name
 from camcal.tasks.frames.options import ConvertOptions
 from camcal.tasks.frames.transform_convert import (
     AxesChange,
-    ConvertOptions,
     changes_of,
     matrices_of,
     plain_changes,

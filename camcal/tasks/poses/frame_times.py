@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
 
@@ -16,40 +15,12 @@ from camcal.images.load import load
 from camcal.parsing import parse_number
 from camcal.progress import Progress
 from camcal.run.inputs import require_there
-
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+from camcal.tasks.poses.track_options import UNITS, Timing
 
 _NAME, _EXIF = "name", "exif"
 _NUMBER = r"(\d+(?:\.\d+)?)(?!.*\d)"  # the last number of a name
 _UNEVEN = 1.5  # longest over shortest step of a video whose rate varies
 _EXIF_FORM = "%Y:%m:%d %H:%M:%S"
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Where the times of frames come from; without anything, from the video.
-
-    fps: frames follow one another at this rate. source: a file of times, "exif", "name" for the last number of the
-    names, or "name:REGEX" for the first group of a pattern; with fps too, that number counts frames. unit: of the
-    numbers of files and names, one of UNITS.
-    """
-
-    fps: float | None = None
-    source: str | None = None
-    unit: str = "s"
-
-    def __post_init__(self) -> None:
-        if self.fps is not None and not (np.isfinite(self.fps) and self.fps > 0):
-            raise InvalidInput(f"--fps must be more than 0, found {self.fps:g}")
-        if self.unit not in UNITS:
-            raise InvalidInput(f"--time-unit {self.unit!r}: use one of {', '.join(UNITS)}")
-        if self.fps is not None and self.source is not None and not self.by_name:
-            raise InvalidInput("--fps and --timestamps say the same twice; only numbers of frames in names need both")
-
-    @property
-    def by_name(self) -> bool:
-        """Whether names tell the times."""
-        return self.source is not None and self.source.partition(":")[0] == _NAME
 
 
 def frame_times(frames: Sequence[str], videos: Sequence[Path], timing: Timing, progress: Progress) -> Array:

@@ -3,15 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions
 from camcal.formats import correspondences, native, poses, rigs
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
-from camcal.formats.schema import did_you_mean
+from camcal.formats.poses.record import PixelNoise, Poses, Sight
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
@@ -19,76 +18,13 @@ from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.tasks.poses import pnp_remarks
+from camcal.tasks.poses.options import AUTO, Gates, PnpOptions
 from camcal.tasks.poses.pnp_drawing import draw, sheets, videos_in
 from camcal.tasks.poses.pnp_observer import Observer
-from camcal.tasks.poses.pnp_prior import PriorOptions, read_prior
+from camcal.tasks.poses.pnp_prior import read_prior
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
 from camcal.tasks.poses.pnp_rig import joined, seen_by_rig
-from camcal.tasks.poses.pnp_views import Looking, Observation, Seen, seen_by
-
-AUTO = "auto"
-OUTLIERS = (AUTO, "none", "few", "many")
-
-
-@dataclass(frozen=True)
-class Gates:
-    """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers."""
-
-    max_rms: float | None = None
-    max_ambiguity: float | None = None
-    min_inliers: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.max_rms is not None and not self.max_rms > 0:
-            raise InvalidInput(f"--max-rms must be more than 0 px, found {self.max_rms:g}")
-        if self.max_ambiguity is not None and not 0 <= self.max_ambiguity <= 1:
-            raise InvalidInput(f"--max-ambiguity is a probability, 0 … 1, found {self.max_ambiguity:g}")
-
-    def fault(self, record: PoseRecord) -> str | None:
-        """Return the figure that keeps a pose from passing, None if it passes."""
-        if self.max_rms is not None and record.rms_px > self.max_rms:
-            return f"RMS {record.rms_px:.3g} px, more than {self.max_rms:g} px"
-        if self.max_ambiguity is not None and record.p_wrong > self.max_ambiguity:
-            return f"wrong with probability {record.p_wrong:.2g}, more than {self.max_ambiguity:g}"
-        if self.min_inliers is not None and record.n_inliers < self.min_inliers:
-            return f"{record.n_inliers} of {record.n_points} points are inliers, fewer than {self.min_inliers}"
-        return None
-
-
-@dataclass(frozen=True)
-class PnpOptions:
-    """A camera file (FILE or FILE#NAME), or a rig's, and what was seen: `points`, or `inputs` of a board or of tags.
-
-    points: a file of correspondences. inputs: images, videos, folders and globs, or one detections file; of a rig
-    CAMERA=PATH. name: of the camera in its file. pose: camera_T_object, object_T_camera (of a rig: of its frame).
-    outliers: auto is many for points, few for boards and tags. noise_px: standard deviation of every pixel coordinate,
-    of weight 1 where pixels have weights; "auto": from the residuals. noise_scale: in its place, the factor on the
-    standard deviations that the pixels come with; None: 1 for those of the points' file, otherwise as "auto", from the
-    residuals. intrinsics: propagate the camera's covariance. draw: a folder for pictures.
-    """
-
-    camera: str
-    points: Path | None = None
-    inputs: tuple[str, ...] = ()
-    looking: Looking = field(default_factory=Looking)
-    rig: bool = False
-    output: Path | None = None
-    draw: Path | None = None
-    name: str | None = None
-    pose: str | None = None
-    outliers: str = AUTO
-    threshold_px: float | None = None
-    noise_px: float | Literal["auto"] | None = None
-    noise_scale: float | Literal["auto"] | None = None
-    prior: PriorOptions | None = None
-    seed: int = 0
-    all_solutions: bool = False
-    intrinsics: bool = True
-
-    @property
-    def paths(self) -> list[Path]:
-        """The inputs without the names of a rig's cameras before them."""
-        return [Path(text.partition("=")[2] or text if self.rig else text) for text in self.inputs]
+from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +57,11 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     Raises InvalidInput, FileError, or what kept the first image from a pose if none has one; nothing is written then.
     """
     _check(options)
-    file = read_camera_file(split_address(options.camera)[0], progress)
+    file = read_camera_file(split_address(options.camera_file)[0], progress)
     observer = _observer(options, file)
     inverse = _is_inverse(options.pose, observer.frame)
     settings = _settings(options)
-    prior = read_prior(options.prior, of_object=not inverse) if options.prior else None
+    prior = read_prior(options.prior, of_object=not inverse)
     observer, seen = _look(options, observer, file, progress)
     seen, settings = _with_noise(options, observer, seen, settings)
     settings = replace(settings, prior=prior)
@@ -153,13 +89,13 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
 
 def _check(options: PnpOptions) -> None:
     looking = options.looking
-    if options.points is None and not options.inputs:
+    if options.points is None and not options.seen:
         raise InvalidInput("nothing to work on: give --points FILE, or images with --board BOARD or --tags TAGS")
-    if options.points is not None and (options.inputs or looking.board or looking.tags):
+    if options.points is not None and (options.seen or looking.board or looking.tags):
         raise InvalidInput("--points has its own points; leave --board, --tags and the images out")
     if options.points is not None and looking.scale:
         raise InvalidInput("--scale-intrinsics goes by the size of images, which a file of points does not have")
-    if options.rig and (options.name or split_address(options.camera)[1]):
+    if options.rig and (options.name or split_address(options.camera_file)[1]):
         raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
     if looking.board and looking.tags:
         raise InvalidInput("a run looks for --board or for --tags, not for both")
@@ -167,20 +103,18 @@ def _check(options: PnpOptions) -> None:
         raise InvalidInput(
             "--noise takes the place of the pixels' standard deviations, which --noise-scale multiplies; give one"
         )
-    if options.outliers not in OUTLIERS:
-        raise InvalidInput(f"--outliers {options.outliers!r}{did_you_mean(options.outliers, OUTLIERS)}")
     if options.draw is not None:
         require_folder(options.draw, "--draw")
     if options.output is None:
         return
     poses.require_suffix(options.output)
-    inputs = [split_address(options.camera)[0], *options.paths]
-    inputs += [path for path in (options.points, options.prior and options.prior.path) if path]
+    inputs = [split_address(options.camera_file)[0], *options.paths]
+    inputs += [path for path in (options.points, options.prior.path) if path]
     refuse_overwriting([options.output], inputs)
 
 
 def _observer(options: PnpOptions, file: CameraFile) -> Observer:
-    path, name = split_address(options.camera)
+    path, name = split_address(options.camera_file)
     if options.rig:
         rig, frame = rigs.rig_of(file, str(path))
         return Observer.of_rig(rig, frame, {name: file.cameras[name].noise for name in rig.cameras})
@@ -196,10 +130,10 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
         seen = _seen_points(correspondences.read(options.points, sizes or observer.cameras[None].image_size))
         return observer, replace(seen, observations=joined(seen.observations))
     if rig is not None:
-        rig, seen = seen_by_rig(rig, file, options.inputs, looking, progress)
+        rig, seen = seen_by_rig(rig, file, options.seen, looking, progress)
         return observer.resized(dict(rig.cameras.items()), rig), seen
-    name = split_address(options.camera)[1] or options.name
-    camera, seen = seen_by(observer.cameras[None], name, file, options.inputs, looking, progress)
+    name = split_address(options.camera_file)[1] or options.name
+    camera, seen = seen_by(observer.cameras[None], name, file, options.seen, looking, progress)
     return observer.resized({None: camera}, None), seen
 
 

@@ -1,6 +1,5 @@
 """A pose that is known beforehand: from a pose file of `camcal pnp`, or from a file with a pose as text."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,30 +9,17 @@ from camcal.errors import InvalidInput
 from camcal.estimate.pnp import PosePrior
 from camcal.formats import pose_text, poses
 from camcal.geometry.pose import Pose, inverse_jacobian
-
-_REASON = 1e-12, 1e12  # m or rad, between which a standard deviation is one that can be computed with
-
-
-@dataclass(frozen=True)
-class PriorOptions:
-    """A file, and the standard deviations (m, rad) of place and direction, None for those that a pose file has."""
-
-    path: Path
-    sigma: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.sigma is not None and not min(self.sigma) > 0:
-            raise InvalidInput(f"--prior-sigma must be more than 0, found {self.sigma[0]:g} m, {self.sigma[1]:g} rad")
-        if self.sigma is not None and not _REASON[0] <= min(self.sigma) <= max(self.sigma) <= _REASON[1]:
-            raise InvalidInput(f"--prior-sigma {self.sigma[0]:g} m, {self.sigma[1]:g} rad is beyond reason")
+from camcal.tasks.poses.options import PriorOptions
 
 
-def read_prior(options: PriorOptions, of_object: bool) -> PosePrior:
-    """Return the prior of the object's pose in the frame of the camera or rig.
+def read_prior(options: PriorOptions, of_object: bool) -> PosePrior | None:
+    """Return the prior of the object's pose in the frame of the camera or rig, None without one.
 
     of_object: whether a pose as text takes points of the object to the camera; a pose file says so itself.
     Raises InvalidInput for a pose file with several poses, and if nothing says how well the pose is known.
     """
+    if options.path is None:
+        return None
     if options.path.suffix.lower() in poses.SUFFIXES:
         pose, covariance = _from_poses(options.path)
     else:

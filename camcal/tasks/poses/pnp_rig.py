@@ -13,7 +13,8 @@ from camcal.formats.schema import did_you_mean
 from camcal.progress import Progress
 from camcal.run.inputs import VIDEO_SUFFIXES
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
-from camcal.tasks.poses.pnp_views import Looking, Observation, Seen, seen_by
+from camcal.tasks.poses.options import Looking
+from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
 
 SYNTAX = "give CAMERA=IMAGES for each camera, such as left=photos/left right=photos/right"
 

@@ -16,7 +16,6 @@ from camcal.estimate.pnp import Correspondences
 from camcal.formats import boards, tags
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import Sight
-from camcal.formats.schema import did_you_mean
 from camcal.images.video import frames
 from camcal.progress import Progress
 from camcal.run.inputs import find_media
@@ -25,9 +24,9 @@ from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.poses.board_frames import board_frames
+from camcal.tasks.poses.options import Looking
 from camcal.tasks.poses.tag_views import tag_views
 
-REPEATED_IDS = ("drop", "keep")
 ADVICE = "; if the images were resized, not cropped, give --scale-intrinsics"
 
 
@@ -68,27 +67,6 @@ class Seen:
         """Return the same with pixels that are all known equally well."""
         alike = (replace(each, views=tuple(view.alike() for view in each.views)) for each in self.observations)
         return replace(self, observations=tuple(alike))
-
-
-@dataclass(frozen=True)
-class Looking:
-    """What is looked for, and how: a board (file or short form) or tags (file or short form).
-
-    board_shape: take the board as the camera file says it is, not as drawn. scale: fit the camera to resized images.
-    repeated_ids: what becomes of single tags that an image shows more than once, "drop" or "keep".
-    """
-
-    board: str | None = None
-    tags: str | None = None
-    board_shape: bool = True
-    scale: bool = False
-    recursive: bool = False
-    jobs: int | None = None
-    repeated_ids: str = "drop"
-
-    def __post_init__(self) -> None:
-        if self.repeated_ids not in REPEATED_IDS:
-            raise InvalidInput(f"--repeated-ids {self.repeated_ids!r}{did_you_mean(self.repeated_ids, REPEATED_IDS)}")
 
 
 def seen_by(

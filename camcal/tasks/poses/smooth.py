@@ -8,9 +8,10 @@ from camcal.formats import trajectories
 from camcal.progress import SILENT, Progress
 from camcal.report import figures
 from camcal.run.outputs import refuse_overwriting
-from camcal.tasks.poses.smooth_options import Smoothing, SmoothOptions
+from camcal.tasks.poses.smooth_options import SmoothOptions
 from camcal.tasks.poses.smooth_table import smooth_table
 from camcal.tasks.poses.smooth_trajectory import evaluation, smooth_trajectory
+from camcal.tasks.poses.smoothing import Smoothing
 
 _TABLE_SUFFIX = ".csv"
 

@@ -1,115 +1,197 @@
-"""What `camcal smooth` is asked for, and what comes of it."""
+"""The options of `camcal smooth`."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-
-from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.smoothing.consistency import Consistency
-from camcal.estimate.smoothing.motion_models import MODELS, NOISE_FORMS, MotionModel
-from camcal.estimate.smoothing.smooth import LARGEST, METHODS
-from camcal.estimate.trajectory_error import ErrorOptions, TrajectoryError
+from camcal.options import (
+    INPUT,
+    NAMES,
+    NUMBERS,
+    OUTPUT,
+    Argument,
+    Option,
+    OptionsRecord,
+    ValueType,
+    number_text,
+)
+from camcal.parsing import parse_number
+from camcal.tasks.poses.options import AUTO
 
+if TYPE_CHECKING:
+    from camcal.estimate.smoothing.motion_models import MotionModel
+    from camcal.estimate.trajectory_error import ErrorOptions
+
+MODELS = ("rw", "cv", "ca")
+NOISE_FORMS = ("continuous", "discrete")
+METHODS = ("rts", "batch")
 ROBUST = ("none", "huber")
+_LARGEST = 1e50  # of noise: its square, and products of these, are numbers
 
-_MOST_STAMPS = 1_000_000
+
+def _read_delta(text: str) -> tuple[float, str]:
+    """Return a number and its unit: frames, m or s."""
+    unit = text[-1:] if text[-1:] in {"m", "s"} else "frames"
+    number = parse_number(text.removesuffix(unit))
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number, unit
+
+
+def _write_delta(delta: tuple[float, str]) -> str:
+    return number_text(delta[0]) + ("" if delta[1] == "frames" else delta[1])
 
 
 @dataclass(frozen=True)
-class SmoothOptions:
+class SmoothOptions(OptionsRecord):
     """What to smooth, by which motion and noise, and where everything goes.
 
     source: a trajectory, or a CSV of numbers over time (`columns`: of the time, then of what was measured). q, sigma:
     None for the most likely; one number, of poses two (translation, rotation). controls: a CSV of displacements.
-    resample: s between the poses written, None for those measured. reference: a trajectory to compare poses with.
-    frames, kind: what poses are and how they are written, None as their files say.
+    resample: s between the poses written, None for those measured. reference: a trajectory to compare poses with, by
+    alignment, over motions of delta. frames, kind: what poses are and how they are written, None as their files say.
     """
 
-    source: Path
-    output: Path | None = None
-    columns: tuple[str, ...] = ()
-    model: str = "cv"
-    form: str = "continuous"
-    q: tuple[float, ...] | None = None
-    sigma: tuple[float, ...] | None = None
-    method: str = "rts"
-    robust: str = "none"
-    controls: Path | None = None
-    resample: float | None = None
-    reference: Path | None = None
-    comparison: ErrorOptions = field(default_factory=ErrorOptions)
-    plot: Path | None = None
-    frames: str | None = None
-    kind: str | None = None
+    source: Annotated[
+        Path,
+        Argument(
+            "Poses over time (.tum, .csv, .yaml, .json, KITTI, EuRoC), or a CSV of other numbers over time.",
+            metavar="FILE",
+        ),
+    ]
+    output: Annotated[
+        Path | None,
+        Option(
+            "Smoothed poses (.tum .csv .yaml .json), or numbers (.csv .json).",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+    columns: Annotated[
+        tuple[str, ...],
+        Option(
+            "Columns of a CSV: the time, then what to smooth; by default all.",
+            metavar="T,X[,Y…]",
+            group=INPUT,
+            type=NAMES,
+        ),
+    ] = ()
+    model: Annotated[
+        str, Option("Random walk, constant velocity, constant acceleration.", metavar="rw|cv|ca", choices=MODELS)
+    ] = "cv"
+    form: Annotated[
+        str,
+        Option(
+            "White noise over time, or the textbooks' one per step.",
+            metavar="continuous|discrete",
+            names="--process-noise-form",
+            choices=NOISE_FORMS,
+        ),
+    ] = "continuous"
+    q: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            "Strength of the process noise, of poses two: 0.02,0.5; auto, the default: the most likely.",
+            metavar="NUMBER|auto",
+            type=ValueType(lambda text: None if text == AUTO else NUMBERS.read(text), NUMBERS.write, NUMBERS.needed),
+        ),
+    ] = None
+    sigma: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            "Standard deviation of the measurements, of poses two (m,rad); "
+            "by default what the file has, else estimated.",
+            metavar="NUMBER[,…]",
+            type=NUMBERS,
+        ),
+    ] = None
+    method: Annotated[
+        str,
+        Option("Filter and smoother, or all at once; the result is the same.", metavar="rts|batch", choices=METHODS),
+    ] = "rts"
+    robust: Annotated[
+        str, Option("Let measurements that do not fit lose weight.", metavar="none|huber", choices=ROBUST)
+    ] = "none"
+    controls: Annotated[
+        Path | None,
+        Option(
+            "A CSV of known displacements: the time, then a column for each.",
+            metavar="FILE",
+            group=INPUT,
+            names="--input",
+        ),
+    ] = None
+    resample: Annotated[
+        float | None,
+        Option("Write states so far apart, between measurements too.", metavar="SECONDS", group=OUTPUT),
+    ] = None
+    reference: Annotated[
+        Path | None,
+        Option(
+            "Compare the poses with these: absolute and relative error.",
+            metavar="FILE",
+            group=INPUT,
+            names="--evaluate",
+        ),
+    ] = None
+    alignment: Annotated[
+        str,
+        Option("What is fitted to the reference before comparing.", metavar="none|se3|sim3|yaw", names="--align"),
+    ] = "se3"
+    delta: Annotated[
+        tuple[float, str],
+        Option(
+            "Relative errors over so many frames, metres or seconds.",
+            metavar="NUMBER[m|s]",
+            type=ValueType(_read_delta, _write_delta, "a number of frames, or one with m or s behind it"),
+        ),
+    ] = (1.0, "frames")
+    plot: Annotated[
+        Path | None,
+        Option("A figure over time: .png, .svg or .pdf.", metavar="FILE", group=OUTPUT, recorded=False),
+    ] = None
+    frames: Annotated[
+        str | None, Option("What the poses are, where the file does not say.", metavar="A_T_B", group=INPUT)
+    ] = None
+    kind: Annotated[
+        str | None,
+        Option(
+            "tum, csv, yaml, json, kitti or tf; by default by the suffix.",
+            metavar="NAME",
+            group=OUTPUT,
+            names="--format",
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
-        for option, value, known in (
-            ("--model", self.model, tuple(MODELS)),
-            ("--process-noise-form", self.form, NOISE_FORMS),
-            ("--method", self.method, METHODS),
-            ("--robust", self.robust, ROBUST),
-        ):
-            if value not in known:
-                raise InvalidInput(f"{option} {value!r}: use one of {', '.join(known)}")
+        super().__post_init__()
         for option, numbers in (("--q", self.q), ("--sigma", self.sigma)):
-            if numbers is not None and not all(1 / LARGEST < number < LARGEST for number in numbers):
+            if numbers is not None and not all(1 / _LARGEST < number < _LARGEST for number in numbers):
                 raise InvalidInput(
                     f"{option} must be more than 0, and a number to compute with; leave it out to have it estimated"
                 )
-        if self.resample is not None and not 0 < self.resample < np.inf:
+        if self.resample is not None and not 0 < self.resample < math.inf:
             raise InvalidInput(f"--resample must be more than 0 s, found {self.resample:g}")
         if self.resample is not None and self.form == "discrete":
             raise InvalidInput("--resample needs continuous process noise: discrete noise has no state between samples")
         if self.method == "batch" and self.form == "discrete" and self.model != "rw":
             raise InvalidInput("--method batch needs continuous process noise: the discrete form has rank 1; use rts")
+        _ = self.comparison  # which refuses what is none
 
     @property
-    def motion(self) -> MotionModel:
+    def motion(self) -> "MotionModel":
         """How things move."""
+        from camcal.estimate.smoothing.motion_models import MotionModel
+
         return MotionModel(self.model, self.form)
 
-    def grid(self, stamps: Array) -> Array | None:
-        """Return the times (M,) in s that are wanted in place of those measured, from the first on; None: those."""
-        if self.resample is None:
-            return None
-        steps = (stamps[-1] - stamps[0]) / self.resample
-        if steps >= _MOST_STAMPS:
-            raise InvalidInput(f"--resample {self.resample:g} s makes {steps:.3g} stamps of this; ask for fewer")
-        return np.asarray(stamps[0] + self.resample * np.arange(int(steps + 1e-9) + 1))
+    @property
+    def comparison(self) -> "ErrorOptions":
+        """How poses are compared with the reference."""
+        from camcal.estimate.trajectory_error import ErrorOptions
 
-
-@dataclass(frozen=True)
-class Outlier:
-    """A measurement that disagrees with all others: its number from 0, its time, and the column it stands in."""
-
-    index: int
-    t: float
-    column: str | None
-
-
-@dataclass(frozen=True, eq=False)
-class Smoothing:
-    """What came of smoothing. q, sigma: by name, sigma empty where every measurement has its own.
-
-    nis: (N,) by column, or 'pose', of the measurements in the order of the file, NaN where none was predicted.
-    residual: root mean square of measured minus smoothed, in the unit of the columns, or m and rad of poses.
-    before, after: errors of measured and smoothed poses against a reference. written: the files.
-    """
-
-    options: SmoothOptions
-    kind: str
-    measured: int
-    missing: int
-    stamps: Array
-    q: dict[str, float]
-    sigma: dict[str, float]
-    residual: dict[str, float]
-    log_likelihood: float
-    consistency: Consistency
-    nis: dict[str, Array]
-    outliers: tuple[Outlier, ...]
-    before: TrajectoryError | None = None
-    after: TrajectoryError | None = None
-    written: tuple[Path, ...] = ()
+        return ErrorOptions(self.alignment, *self.delta)

@@ -10,7 +10,8 @@ from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.series import Series, SeriesOptions, SmoothedSeries, series_at, smooth_series
 from camcal.formats import series as tables
 from camcal.report.over_time import Panel, over_time
-from camcal.tasks.poses.smooth_options import Outlier, Smoothing, SmoothOptions
+from camcal.tasks.poses.smooth_options import SmoothOptions
+from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
 
 def smooth_table(options: SmoothOptions) -> Smoothing:
@@ -20,7 +21,7 @@ def smooth_table(options: SmoothOptions) -> Smoothing:
     if options.output is not None:
         tables.require_suffix(options.output)
     series = _read(options)
-    grid = options.grid(series.stamps)
+    grid = wanted_stamps(options, series.stamps)
     q = None if options.q is None else _single("--q", options.q)
     smoothed = smooth_series(series, SeriesOptions(options.motion, q, options.method, options.robust != "none"))
     shown = smoothed if grid is None else series_at(smoothed, grid)

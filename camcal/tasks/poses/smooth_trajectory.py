@@ -15,7 +15,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.trajectory import Trajectory
 from camcal.progress import Progress
 from camcal.report.over_time import Panel, over_time
-from camcal.tasks.poses.smooth_options import Outlier, Smoothing, SmoothOptions
+from camcal.tasks.poses.smooth_options import SmoothOptions
+from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
 _PARTS = ("translation", "rotation")
 _AXES = ("tx, m", "ty, m", "tz, m", "rx, rad", "ry, rad", "rz, rad")
@@ -26,7 +27,7 @@ def smooth_trajectory(options: SmoothOptions, progress: Progress) -> Smoothing:
     if options.output is not None:
         trajectories.kind_of(options.output, options.kind)
     measured = trajectories.read(options.source, options.frames)
-    grid = options.grid(measured.stamps)
+    grid = wanted_stamps(options, measured.stamps)
     reference = None
     if options.reference is not None:
         reference, repeated = trajectories.read_reference(options.reference)

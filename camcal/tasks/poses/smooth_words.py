@@ -6,7 +6,7 @@ from math import degrees
 from camcal.estimate.smoothing.consistency import Consistency
 from camcal.estimate.smoothing.robust import OUTLIER_CONFIDENCE
 from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError
-from camcal.tasks.poses.smooth_options import Smoothing
+from camcal.tasks.poses.smoothing import Smoothing
 
 _LISTED = 10
 _UNITS = {"rw": ("m²/s", "rad²/s"), "cv": ("m²/s³", "rad²/s³"), "ca": ("m²/s⁵", "rad²/s⁵")}

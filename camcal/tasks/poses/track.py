@@ -10,6 +10,8 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.pnp import Correspondences
+from camcal.estimate.tracking.process_noise import ProcessNoise
+from camcal.estimate.tracking.segments import Following
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.estimate.tracking.view_track import track_views
 from camcal.formats import poses, tracks, trajectories
@@ -21,36 +23,13 @@ from camcal.progress import SILENT, Progress
 from camcal.report import track_words
 from camcal.run.inputs import Media, find_media, require_there
 from camcal.run.outputs import refuse_collisions, refuse_overwriting
-from camcal.tasks.poses.frame_times import Timing, frame_times, require_times
-from camcal.tasks.poses.pnp import PnpOptions, pnp
-from camcal.tasks.poses.pnp_views import Looking
+from camcal.targets.markers.tags import single_name
+from camcal.tasks.poses.frame_times import frame_times, require_times
+from camcal.tasks.poses.options import PnpOptions
+from camcal.tasks.poses.pnp import pnp
+from camcal.tasks.poses.track_options import FollowOptions
 
-POSE_SUFFIXES = (".yaml", ".yml", ".json")
 _OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an object
-
-
-@dataclass(frozen=True)
-class FollowOptions:
-    """A camera file (FILE or FILE#NAME) and the video or images it took; or a pose file alone.
-
-    camera: None for a pose file. name: of the camera in its file. noise_px: standard deviation of every pixel
-    coordinate, None to find it out. timing: when frames were taken. object: the one to follow, None for all.
-    pose: what is written, such as object_T_camera; None as the form wants it. kind: of the output, one of the forms of
-    trajectories or None.
-    """
-
-    inputs: tuple[str, ...]
-    camera: str | None = None
-    looking: Looking = field(default_factory=Looking)
-    name: str | None = None
-    noise_px: float | None = None
-    timing: Timing = field(default_factory=Timing)
-    object: str | None = None
-    tracking: TrackOptions = field(default_factory=TrackOptions)
-    pose: str | None = None
-    output: Path | None = None
-    kind: str | None = None
-    plot: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +77,7 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
     straight = seen.poses if seen.poses.of_object else seen.poses.inverse()
     objects: dict[str, TrackedObject] = {}
     lost: dict[str, CamcalError] = {}
-    names = _chosen(straight, options.object)
+    names = _chosen(straight, options.object if options.tag_id is None else single_name(options.tag_id))
     progress.start("following", len(names))
     for name in names:
         progress.advance()
@@ -106,7 +85,7 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
         try:
             found = _followed(options, seen, name, stamps, single, straight.frames)
         except InsufficientData as error:
-            lost[name] = InsufficientData(error.message, where=name or options.inputs[0])
+            lost[name] = InsufficientData(error.message, where=name or options.frames[0])
             continue
         shown = found if direction == straight.frames else found.inverse()
         objects[name] = TrackedObject(shown, single if shown is found else [each and each.inverse() for each in single])
@@ -122,14 +101,15 @@ def _followed(
 ) -> Track:
     """Return the track of an object, from its pixels where there are any."""
     if seen.camera is None:
-        return track_poses(stamps, single, options.tracking, frames)
+        return track_poses(stamps, single, _tracking(options), frames)
     views = [seen.views.get(Sight(image, name)) for image in seen.images]
-    return track_views(seen.camera, stamps, views, single, options.tracking, options.noise_px)
+    return track_views(seen.camera, stamps, views, single, _tracking(options), options.noise_px)
 
 
-def names_camera(arguments: Sequence[str]) -> bool:
-    """Tell whether the first of the arguments is the camera of what follows; a pose file needs none."""
-    return len(arguments) > 2 or (len(arguments) == 2 and Path(arguments[1]).suffix.lower() not in POSE_SUFFIXES)
+def _tracking(options: FollowOptions) -> TrackOptions:
+    noise = None if options.process_noise is None else ProcessNoise(*options.process_noise)
+    lag = 0 if options.causal else options.lag
+    return TrackOptions(noise, Following(options.gate, options.max_gap), lag, options.fill)
 
 
 def _check(options: FollowOptions) -> None:
@@ -145,19 +125,19 @@ def _check(options: FollowOptions) -> None:
     outputs = [path for path in (options.output, options.plot) if path is not None]
     sources = [options.camera.rpartition("#")[0] or options.camera] if options.camera else []
     sources += [options.timing.source] if options.timing.source else []
-    refuse_overwriting(outputs, map(Path, (*options.inputs, *sources)))
+    refuse_overwriting(outputs, map(Path, (*options.frames, *sources)))
     if len(outputs) == 2 and outputs[0].resolve() == outputs[1].resolve():
         raise InvalidInput("would be both the track and its picture", where=str(outputs[0]))
 
 
 def _of_file(options: FollowOptions) -> _Seen:
-    if len(options.inputs) != 1:
+    if len(options.frames) != 1:
         raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
     if options.looking.board or options.looking.tags:
         raise InvalidInput("a pose file has its poses already; leave --board and --tags out")
     if options.noise_px is not None:
         raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
-    path = Path(options.inputs[0])
+    path = Path(options.frames[0])
     require_there(path)
     read = poses.read(path)
     images = {sight.image for sight in (*read.estimates, *read.missing)}
@@ -165,7 +145,7 @@ def _of_file(options: FollowOptions) -> _Seen:
 
 
 def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen:
-    media = find_media(options.inputs, options.looking.recursive)
+    media = find_media(options.frames, options.looking.recursive)
     if len(media.videos) > 1 or (media.videos and media.images):
         raise InvalidInput(
             f"{len(media.videos)} videos and {len(media.images)} images; follow one video, or images alone"
@@ -174,7 +154,7 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen
     found = pnp(
         PnpOptions(
             camera,
-            inputs=options.inputs,
+            inputs=options.frames,
             looking=options.looking,
             name=options.name,
             noise_px=options.noise_px,
@@ -246,7 +226,7 @@ def _written(options: FollowOptions, images: Sequence[str], objects: Mapping[str
         for path, (name, item) in zip(_plots(options.plot, list(objects)), objects.items(), strict=True):
             single = [None if each is None else each.transform for each in item.single]
             title = f"{item.track.frames}{f', {name}' if name else ''}"
-            gate = options.tracking.following.gate
+            gate = _tracking(options).following.gate
             files.write_bytes(path, track_figure(item.track, single, title, gate, path.suffix))
             outputs.append(path)
     return tuple(outputs)

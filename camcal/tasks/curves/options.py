@@ -1,0 +1,107 @@
+"""The options of `camcal fit`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from camcal.errors import InvalidInput
+from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord
+
+LOSSES = ("none", "huber", "soft_l1", "cauchy", "tukey")
+METHODS = ("levenberg-marquardt", "gauss-newton")
+OUTPUTS = (".yaml", ".yml", ".json")
+TRACES = (".csv",)
+TABLE = "table"
+
+
+@dataclass(frozen=True)
+class FitOptions(OptionsRecord):
+    """A table, a model (a formula or a family) and how to fit it; texts are as on the command line.
+
+    x: columns for the roles of a family, or the one that x stands for in a formula. trace: 'table', or a CSV file.
+    """
+
+    data: Annotated[Path, Argument("CSV whose first row names the columns.", metavar="DATA")]
+    model: Annotated[
+        str,
+        Option(
+            "A formula over columns and parameters, such as 'exp(a*x**2 + b*x + c)'; or one of poly:N, expquad, "
+            "gauss, thin_lens, gamma, noise, edge, circle, line2d, plane, line3d.",
+            metavar="EXPR|FAMILY",
+            names="--model -m",
+        ),
+    ]
+    start: Annotated[
+        str | None, Option("Where the search starts; families start by themselves if left out.", metavar="A=V,…")
+    ] = None
+    y: Annotated[
+        str | None,
+        Option("What is predicted: a column (by default y, or the last), or log(y).", metavar="COLUMN", group=INPUT),
+    ] = None
+    x: Annotated[str | None, Option("Which column is x; for shapes x,y or x,y,z.", metavar="COLUMNS", group=INPUT)] = (
+        None
+    )
+    sigma: Annotated[
+        str | None,
+        Option("Standard deviation of the data; by default from the residuals.", metavar="VALUE|COLUMN", group=INPUT),
+    ] = None
+    bounds: Annotated[str | None, Option("Bounds; an end left out is open.", metavar="A=LOW:HIGH,…")] = None
+    fix: Annotated[str | None, Option("Parameters held at their start, or a value.", metavar="A,B=V,…")] = None
+    loss: Annotated[
+        str, Option("Against outliers: how they count.", metavar="none|huber|soft_l1|cauchy|tukey", choices=LOSSES)
+    ] = "none"
+    restarts: Annotated[
+        int, Option("So many further starts, some powers of e off.", metavar="N", least=0, most=1000)
+    ] = 0
+    method: Annotated[
+        str,
+        Option("Plain Gauss-Newton is for comparison.", metavar="levenberg-marquardt|gauss-newton", choices=METHODS),
+    ] = METHODS[0]
+    compare: Annotated[
+        str | None, Option("A second model, compared by AIC, AICc, BIC and F test.", metavar="EXPR|FAMILY")
+    ] = None
+    profile: Annotated[bool, Option("Intervals by likelihood too, which may be lopsided.")] = False
+    trace: Annotated[
+        str | None,
+        Option(
+            "Every iteration: cost, damping, gain ratio, step; or a .csv.",
+            metavar="FILE|table",
+            group=OUTPUT,
+            recorded=False,
+        ),
+    ] = None
+    check_jacobian: Annotated[bool, Option("Compare the derivatives with numerical ones.")] = False
+    plot: Annotated[
+        Path | None,
+        Option(
+            "A figure of data, curve and residuals: .png, .svg or .pdf.",
+            metavar="PATH",
+            group=OUTPUT,
+            recorded=False,
+        ),
+    ] = None
+    output: Annotated[
+        Path | None,
+        Option(
+            "Where to write the result: .yaml or .json.",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.loss != "none" and (self.profile or self.compare):
+            option = "--profile" if self.profile else "--compare"
+            raise InvalidInput(f"{option} needs a likelihood, which a robust loss is not; leave --loss {self.loss} out")
+        if self.output is not None and self.output.suffix.lower() not in OUTPUTS:
+            raise InvalidInput(f"results are written as {', '.join(OUTPUTS)}", where=str(self.output))
+        if self.trace not in (None, TABLE) and Path(str(self.trace)).suffix.lower() not in TRACES:
+            raise InvalidInput(f"--trace {self.trace}: write 'table', or a file ending in {', '.join(TRACES)}")
+
+    def outputs(self) -> list[Path]:
+        """Return the files that are written."""
+        trace = [] if self.trace in (None, TABLE) else [Path(str(self.trace))]
+        return [*trace, *(path for path in (self.plot, self.output) if path is not None)]

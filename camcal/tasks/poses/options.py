@@ -1,0 +1,291 @@
+"""The options of `camcal pnp`, and those that it shares with `camcal track`."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from camcal.errors import InvalidInput
+from camcal.options import (
+    BOARD,
+    CHECKS,
+    INPUT,
+    OUTPUT,
+    Argument,
+    Option,
+    OptionsRecord,
+    ValueType,
+    number_text,
+    separated,
+)
+from camcal.parsing import parse_number
+from camcal.tasks.options import BoardText, CameraName, Jobs, Recursive
+
+if TYPE_CHECKING:
+    from camcal.formats.poses.record import PoseRecord
+
+AUTO = "auto"
+OUTLIERS = (AUTO, "none", "few", "many")
+REPEATED_IDS = ("drop", "keep")
+
+_REASON = 1e-12, 1e12  # m or rad, between which a standard deviation is one that can be computed with
+_PAIR = separated("METRES,DEGREES such as 0.05,2", count=2)
+
+
+def _read_sigma(text: str) -> tuple[float, float]:
+    metres, degrees = _PAIR.read(text)
+    return metres, math.radians(degrees)
+
+
+def or_auto(needed: str) -> ValueType:
+    """Return the type of a number, or of the word auto."""
+    return ValueType(
+        lambda text: text if text == AUTO else parse_number(text),
+        lambda value: value if value == AUTO else number_text(value),
+        f"{needed}, or auto",
+    )
+
+
+@dataclass(frozen=True)
+class Looking(OptionsRecord):
+    """What is looked for, and how: a board (file or short form) or tags (file or short form).
+
+    board_shape: take the board as the camera file says it is, not as drawn. scale: fit the camera to resized images.
+    repeated_ids: what becomes of single tags that an image shows more than once, "drop" or "keep".
+    """
+
+    board: BoardText = None
+    tags: Annotated[
+        str | None,
+        Option(
+            "A tag file, or a short form such as tag36h11:53mm or tag36h11:53mm:0,1,5.", metavar="TAGS", group=BOARD
+        ),
+    ] = None
+    board_shape: Annotated[
+        bool, Option("Take a board in the shape that the camera file has of it, not as drawn.", group=BOARD)
+    ] = True
+    scale: Annotated[
+        bool,
+        Option("Fit the camera to images that were resized (not cropped).", group=INPUT, names="--scale-intrinsics"),
+    ] = False
+    recursive: Recursive = False
+    jobs: Jobs = None
+    repeated_ids: Annotated[
+        str,
+        Option(
+            "Tags of one id that an image shows more than once: none of them, or all, as tag_5, tag_5_2, … from "
+            "top to bottom.",
+            metavar="drop|keep",
+            group=BOARD,
+            choices=REPEATED_IDS,
+        ),
+    ] = "drop"
+
+
+@dataclass(frozen=True)
+class Gates(OptionsRecord):
+    """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers."""
+
+    max_rms: Annotated[
+        float | None, Option("Exit with 7 if the residuals of a pose have a larger RMS.", metavar="PX", group=CHECKS)
+    ] = None
+    max_ambiguity: Annotated[
+        float | None,
+        Option("Exit with 7 if a pose is wrong with a larger probability; try 0.01.", metavar="P", group=CHECKS),
+    ] = None
+    min_inliers: Annotated[
+        int | None, Option("Exit with 7 if a pose follows from fewer points.", metavar="N", group=CHECKS, least=1)
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_rms is not None and not self.max_rms > 0:
+            raise InvalidInput(f"--max-rms must be more than 0 px, found {self.max_rms:g}")
+        if self.max_ambiguity is not None and not 0 <= self.max_ambiguity <= 1:
+            raise InvalidInput(f"--max-ambiguity is a probability, 0 … 1, found {self.max_ambiguity:g}")
+
+    def fault(self, record: "PoseRecord") -> str | None:
+        """Return the figure that keeps a pose from passing, None if it passes."""
+        if self.max_rms is not None and record.rms_px > self.max_rms:
+            return f"RMS {record.rms_px:.3g} px, more than {self.max_rms:g} px"
+        if self.max_ambiguity is not None and record.p_wrong > self.max_ambiguity:
+            return f"wrong with probability {record.p_wrong:.2g}, more than {self.max_ambiguity:g}"
+        if self.min_inliers is not None and record.n_inliers < self.min_inliers:
+            return f"{record.n_inliers} of {record.n_points} points are inliers, fewer than {self.min_inliers}"
+        return None
+
+
+@dataclass(frozen=True)
+class PriorOptions(OptionsRecord):
+    """A pose that is known beforehand: a file, None for no such pose, and the standard deviations (m, rad).
+
+    sigma: of place and direction, None for those that a pose file has.
+    """
+
+    path: Annotated[
+        Path | None,
+        Option(
+            "A pose that is known beforehand: a pose file with one pose, or a matrix as text.",
+            metavar="FILE",
+            group=INPUT,
+            names="--prior",
+        ),
+    ] = None
+    sigma: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "How well --prior is known; by default as the pose file has it.",
+            metavar="METRES,DEGREES",
+            group=INPUT,
+            names="--prior-sigma",
+            type=ValueType(_read_sigma, lambda s: _PAIR.write((s[0], math.degrees(s[1]))), _PAIR.needed),
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sigma is None:
+            return
+        if self.path is None:
+            raise InvalidInput("--prior-sigma says how well --prior is known; give that too")
+        if not min(self.sigma) > 0:
+            raise InvalidInput(f"--prior-sigma must be more than 0, found {self.sigma[0]:g} m, {self.sigma[1]:g} rad")
+        if not _REASON[0] <= min(self.sigma) <= max(self.sigma) <= _REASON[1]:
+            raise InvalidInput(f"--prior-sigma {self.sigma[0]:g} m, {self.sigma[1]:g} rad is beyond reason")
+
+
+@dataclass(frozen=True)
+class PnpOptions(OptionsRecord):
+    """A camera file (FILE or FILE#NAME), or a rig's, and what was seen: `points`, or `inputs` of a board or of tags.
+
+    points: a file of correspondences. inputs: images, videos, folders and globs, or one detections file; of a rig
+    CAMERA=PATH. rig: the camera file of a rig; what stands for the camera is an input then. name: of the camera in its
+    file. pose: camera_T_object, object_T_camera (of a rig: of its frame). outliers: auto is many for points, few for
+    boards and tags. noise_px: standard deviation of every pixel coordinate, of weight 1 where pixels have weights;
+    "auto": from the residuals. noise_scale: in its place, the factor on the standard deviations that the pixels come
+    with; None: 1 for those of the points' file, otherwise as "auto", from the residuals. intrinsics: propagate the
+    camera's covariance. draw: a folder for pictures.
+    """
+
+    camera: Annotated[str | None, Argument("Camera file, or FILE#NAME; left out with --rig.", metavar="CAMERA")] = None
+    points: Annotated[
+        Path | None,
+        Option(
+            "Correspondences as .csv, .yaml or .json: X,Y,Z (metres), u,v (pixels), optionally image, id, camera "
+            "and sigma (px), suu,suv,svv (px²) or weight.",
+            metavar="FILE",
+            group=INPUT,
+        ),
+    ] = None
+    inputs: Annotated[
+        tuple[str, ...],
+        Argument(
+            "Images of a board or of tags, videos, folders, globs; or one detections file. With --rig NAME=IMAGES "
+            "for each camera, such as left=photos/left right=photos/right.",
+            metavar="IMAGES…|DETECTIONS",
+        ),
+    ] = ()
+    looking: Looking = field(default_factory=Looking)
+    rig: Annotated[
+        Path | None,
+        Option(
+            "Camera file with several cameras and transforms: one pose from what all of them see at an instant.",
+            metavar="FILE",
+            group=INPUT,
+        ),
+    ] = None
+    output: Annotated[
+        Path | None,
+        Option(
+            "Where to write the poses: .yaml, .json or .csv.",
+            metavar="PATH",
+            group=OUTPUT,
+            names="--output -o",
+            recorded=False,
+        ),
+    ] = None
+    draw: Annotated[
+        Path | None,
+        Option(
+            "Pictures of the axes, the projected points and enlarged residuals.",
+            metavar="FOLDER",
+            group=OUTPUT,
+            recorded=False,
+        ),
+    ] = None
+    name: CameraName = None
+    pose: Annotated[
+        str | None,
+        Option(
+            "camera_T_object (the default) or object_T_camera, where the camera stands; of a rig the frame `rig` "
+            "or its first camera in place of `camera`.",
+            metavar="NAME",
+            group=OUTPUT,
+        ),
+    ] = None
+    outliers: Annotated[
+        str,
+        Option(
+            "none; few, rejected after a fit to all points; many, told apart by random samples. By default many "
+            "for --points and few for boards and tags.",
+            metavar="auto|none|few|many",
+            choices=OUTLIERS,
+        ),
+    ] = AUTO
+    threshold_px: Annotated[
+        float | None,
+        Option(
+            "Largest residual of an inlier; by default all that are more likely right.",
+            metavar="PX",
+            names="--threshold",
+        ),
+    ] = None
+    noise_px: Annotated[
+        float | Literal["auto"] | None,
+        Option(
+            "Standard deviation of every pixel coordinate (of weight 1 where points have weights), in place of "
+            "what detection, camera file or --points say of it; auto: from the residuals of all images.",
+            metavar="PX|auto",
+            names="--noise",
+            type=or_auto("a number of pixels"),
+        ),
+    ] = None
+    noise_scale: Annotated[
+        float | Literal["auto"] | None,
+        Option(
+            "Factor on the standard deviations that pixels come with. By default 1 for sigma or suu,suv,svv of "
+            "--points, for boards and tags auto: from the residuals of all images.",
+            metavar="FACTOR|auto",
+            type=or_auto("a factor"),
+        ),
+    ] = None
+    prior: PriorOptions = field(default_factory=PriorOptions)
+    seed: Annotated[int, Option("Of the random samples.", metavar="N", least=0)] = 0
+    all_solutions: Annotated[bool, Option("List every pose that fits, not the likeliest two only.", group=OUTPUT)] = (
+        False
+    )
+    intrinsics: Annotated[bool, Option("Let the covariance of the camera's parameters count in that of the poses.")] = (
+        True
+    )
+    gates: Gates = field(default_factory=Gates)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.camera is None and self.rig is None:
+            raise InvalidInput("which camera? Give a camera file, or --rig")
+
+    @property
+    def camera_file(self) -> str:
+        """The file of the camera (FILE or FILE#NAME) or of the rig."""
+        return str(self.camera if self.rig is None else self.rig)
+
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """What was seen: of a rig also what stands for the camera."""
+        first = (self.camera,) if self.rig is not None and self.camera is not None else ()
+        return (*first, *self.inputs)
+
+    @property
+    def paths(self) -> list[Path]:
+        """What was seen, without the names of a rig's cameras before the paths."""
+        return [Path(text.partition("=")[2] or text if self.rig else text) for text in self.seen]
