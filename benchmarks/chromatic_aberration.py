@@ -25,10 +25,12 @@ from camcal.cameras.model import Camera
 from camcal.images.save import save
 from camcal.raw.demosaic import demosaic
 from camcal.raw.reading import read_mosaic
+from camcal.simulate.options import Sensor
 from camcal.simulate.sensor import lenses
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
 from camcal.tasks.calibration.options import CalibrateOptions, Reading
-from camcal.tasks.simulation.simulate import Exposure, RawCamera, RawOptions, Sensor, SimulateOptions, simulate
+from camcal.tasks.simulation.options import RawOptions, SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
 
 BOARD, PATTERN, ABERRATION_PX = "chessboard:9x6:40mm", "RGGB", 0.5
 NAMES = {"red": "R", "blue": "B"}
@@ -75,9 +77,8 @@ def run(condition: Condition, seed: int, jobs: int | None) -> Iterator[tuple[flo
     """Yield for red and for blue the RMS and the largest error, the error at the corner and its reported deviation."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        raw = RawOptions(RawCamera(PATTERN, condition.sensor, condition.light, ABERRATION_PX))
-        exposure = Exposure(blur_px=condition.blur_px)
-        options = SimulateOptions(BOARD, folder / "scene", exposure=exposure, seed=seed, jobs=jobs, raw=raw)
+        raw = RawOptions(PATTERN, condition.sensor, condition.light, ABERRATION_PX)
+        options = SimulateOptions(folder / "scene", BOARD, blur=condition.blur_px, seed=seed, jobs=jobs, raw=raw)
         truth = simulate(options).truth.camera
         report = calibrate_folder(folder, condition, jobs)
     green = report.calibration.camera

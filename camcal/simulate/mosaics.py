@@ -12,8 +12,9 @@ from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.raw.mosaic import require_pattern
 from camcal.raw.options import MONO
+from camcal.simulate.options import Sensor
 from camcal.simulate.render import Exposure, evenly_lit, light
-from camcal.simulate.sensor import FixedPattern, Sensor, expose, filtered, lenses
+from camcal.simulate.sensor import FixedPattern, expose, filtered, lenses
 from camcal.simulate.shapes import Shape
 from camcal.targets.board import Board
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import hypot, isfinite
+from math import hypot
 
 import numpy as np
 
@@ -10,49 +10,9 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import sites
+from camcal.simulate.options import Sensor
 
-_MOST_BITS = 16
 _COUNTED_PHOTONS = 1e9  # above that the noise is far below a count, and numpy's Poisson draws end at 9e18
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What turns light into counts.
-
-    gain_dn_per_e: counts per electron. read_noise_e: standard deviation, Gaussian, of every reading. full_well_e: what
-    a pixel holds; the white level 2**bits - 1 may come first. prnu: standard deviation of the pixels' response, a
-    share of it; dsnu_e: of their dark signal. dark_current_e_s: electrons per pixel and second without light.
-    """
-
-    gain_dn_per_e: float = 0.25
-    read_noise_e: float = 4.0
-    full_well_e: float = 15000.0
-    black_dn: float = 64.0
-    bits: int = 12
-    dark_current_e_s: float = 0.0
-    prnu: float = 0.0
-    dsnu_e: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.bits <= _MOST_BITS:
-            raise InvalidInput(f"{self.bits} bits: use 1 to {_MOST_BITS}")
-        positive = {"gain": self.gain_dn_per_e, "full well": self.full_well_e}
-        others = (self.read_noise_e, self.dark_current_e_s, self.prnu, self.dsnu_e)
-        if not all(isfinite(value) and value > 0 for value in positive.values()):
-            raise InvalidInput("the gain and the full well of a sensor are above 0")
-        if not all(isfinite(value) and value >= 0 for value in others):
-            raise InvalidInput("read noise, dark current, PRNU and DSNU of a sensor are not negative")
-        if not 0 <= self.black_dn < self.white_dn:
-            raise InvalidInput(f"a black level of {self.black_dn:g}: use 0 to below the white level {self.white_dn}")
-
-    @property
-    def white_dn(self) -> int:
-        return int(2**self.bits - 1)
-
-    @property
-    def saturation_e(self) -> float:
-        """Electrons at which the counts end: a full pixel, or the white level if that comes first."""
-        return min(self.full_well_e, (self.white_dn - self.black_dn) / self.gain_dn_per_e)
 
 
 @dataclass(frozen=True, eq=False)

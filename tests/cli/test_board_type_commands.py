@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from camcal.formats import boards, native
-from camcal.simulate.shapes import bow
-from camcal.tasks.simulation.simulate import SimulateOptions, simulate
+from camcal.tasks.simulation.options import BoardShape, SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
 
 BOARDS = {
     "aprilgrid": "aprilgrid:4x3:60mm:0.3",
@@ -28,7 +28,8 @@ def scenes(tmp_path_factory):
     """Photographs of every board, slightly bent, and the truth."""
     folder = tmp_path_factory.mktemp("scenes")
     for kind, board in BOARDS.items():
-        simulate(SimulateOptions(board, folder / kind, size=(640, 480), views=6, shape=bow(2e-3, 1e-3), jobs=1))
+        bent = BoardShape(bow=(2e-3, 1e-3))
+        simulate(SimulateOptions(folder / kind, board, size=(640, 480), views=6, shape=bent, jobs=1))
     return folder
 
 

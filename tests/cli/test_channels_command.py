@@ -12,7 +12,8 @@ from camcal.formats import native
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.raw.demosaic import demosaic
-from camcal.tasks.simulation.simulate import RawCamera, RawOptions, SimulateOptions, simulate
+from camcal.tasks.simulation.options import RawOptions, SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
 
 BOARD = "chessboard:8x5:30mm"
 SIZE = (480, 360)
@@ -22,8 +23,8 @@ SIZE = (480, 360)
 def scene(tmp_path_factory):
     """A folder with images/ of raw frames with 1 px of aberration, and one of them developed to colour."""
     folder = tmp_path_factory.mktemp("raw") / "scene"
-    raw = RawOptions(RawCamera("RGGB", light=(0.5, 1.0, 0.6), aberration_px=1.0))
-    report = simulate(SimulateOptions(BOARD, folder, size=SIZE, views=8, jobs=1, raw=raw))
+    raw = RawOptions("RGGB", light=(0.5, 1.0, 0.6), aberration_px=1.0)
+    report = simulate(SimulateOptions(folder, BOARD, size=SIZE, views=8, jobs=1, raw=raw))
     colour = demosaic(load(report.images[0]).pixels, "RGGB", "bilinear", white=4095)
     save(folder / "colour.png", colour)
     return folder

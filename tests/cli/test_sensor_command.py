@@ -15,8 +15,10 @@ from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Capture, Mosaic
 from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
-from camcal.simulate.sensor import FixedPattern, Sensor
-from camcal.tasks.simulation.simulate import RawOptions, SimulateOptions, simulate
+from camcal.simulate.options import Sensor
+from camcal.simulate.sensor import FixedPattern
+from camcal.tasks.simulation.options import RawOptions, SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
 
 KEYS = [
     "schema",
@@ -38,9 +40,8 @@ KEYS = [
 def scene(tmp_path_factory):
     """A folder of simulated flats and darks of a sensor of 0.5 counts per electron."""
     folder = tmp_path_factory.mktemp("sensor") / "scene"
-    raw = RawCamera("RGGB", Sensor(0.5, 3.0, 7000.0, 32.0, 12), (0.5, 1.0, 0.6))
-    options = {"size": (160, 120), "views": 1, "jobs": 1, "raw": RawOptions(raw, 8, 8)}
-    simulate(SimulateOptions("chessboard:7x5:25mm", folder, **options))
+    raw = RawOptions("RGGB", Sensor(0.5, 3.0, 7000.0, 32.0, 12), (0.5, 1.0, 0.6), flats=8, darks=8)
+    simulate(SimulateOptions(folder, "chessboard:7x5:25mm", size=(160, 120), views=1, jobs=1, raw=raw))
     return folder
 
 

@@ -167,9 +167,9 @@ def test_options_come_from_a_settings_file_too(run, folder, tmp_path):
     ("arguments", "message"),
     [
         (["--stereo", BOARD], "BOARD has no meaning with --stereo"),
-        (["--stereo", "--views", "20"], "--views has no meaning with --stereo"),
+        (["--stereo", "--views", "21"], "--views has no meaning with --stereo"),
         (["--stereo", "--raw", "RGGB"], "--raw has no meaning with --stereo"),
-        ([BOARD, "--pairs", "1"], "--pairs needs --stereo"),
+        ([BOARD, "--pairs", "2"], "--pairs needs --stereo"),
         ([BOARD, "--gray"], "--gray needs --stereo"),
         ([], "a board is needed"),
         (["--stereo", "--pairs", "0"], "0 pairs"),

@@ -7,15 +7,15 @@ from camcal import files
 from camcal.calibrate.intrinsics import Calibration
 from camcal.progress import SILENT, Progress
 from camcal.simulate.observe import Truth
-from camcal.simulate.shapes import Shape
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
 from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
 from camcal.tasks.calibration.undistort import UndistortReport, undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions
-from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateOptions, SimulateReport, simulate
+from camcal.tasks.simulation.options import BoardShape, SimulateOptions
+from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateReport, simulate
 
 PRINTED_BOARD = "chessboard:10x7:30mm"
-BEND = Shape(bow_x=0.8e-3, bow_y=0.4e-3, twist=0.2e-3)
+BEND = BoardShape(bow=(0.8e-3, 0.4e-3), twist=0.2e-3)
 SIZE = (1024, 768)
 CAMERA = "camera.yaml"
 DETECTIONS = "detections.csv"
@@ -103,8 +103,8 @@ def demo(options: DemoOptions, progress: Progress = SILENT) -> DemoReport:
 
 def _scene(options: DemoOptions) -> SimulateOptions:
     return SimulateOptions(
-        PRINTED_BOARD,
         options.output,
+        PRINTED_BOARD,
         size=SIZE,
         views=options.views,
         shape=BEND,

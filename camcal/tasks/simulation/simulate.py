@@ -1,7 +1,6 @@
 """`camcal simulate`: photographs of a board by a known camera, with the truth beside them."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import partial
 from math import radians
 from pathlib import Path
@@ -19,6 +18,7 @@ from camcal.formats.emit import number_text
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
+from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.camera_files import read_camera_file
 from camcal.run.fanout import fan_out
@@ -26,26 +26,14 @@ from camcal.run.inputs import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.lens import make_camera
 from camcal.simulate.observe import Truth, observe, view_name
-from camcal.simulate.render import Exposure, render
+from camcal.simulate.render import render
 from camcal.simulate.scene import views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
 from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface
 from camcal.tasks.simulation import simulate_raw, simulation_folder
-from camcal.tasks.simulation.simulate_raw import RawCamera, RawOptions, Sensor
-
-__all__ = [
-    "Exposure",
-    "RawCamera",
-    "RawOptions",
-    "Sensor",
-    "Shape",
-    "SimulateOptions",
-    "SimulateReport",
-    "document",
-    "simulate",
-]
+from camcal.tasks.simulation.options import SimulateOptions
 
 DEFAULT_SIZE = (1280, 960)
 DEFAULT_FOV = radians(70)
@@ -59,32 +47,6 @@ MAX_VIEWS = 10_000  # view names have four digits
 STRONGEST_BEND = 0.05  # peak to peak, as a share of the board's larger side
 
 _POSE_COLUMNS = ("image", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz")
-
-
-@dataclass(frozen=True)
-class SimulateOptions:
-    """What to photograph and how; see `camcal simulate --help`.
-
-    camera: a camera file (FILE or FILE#NAME); name: which of its cameras. Without a file the lens is made of model,
-    size (width, height), fov (rad) and distortion (coefficients by name, None for typical ones). shape: in the board's
-    unit. partial: let boards be cut by the image. raw: make mosaics of a sensor, which then gives noise and depth.
-    """
-
-    board: str
-    output: Path
-    camera: str | None = None
-    name: str | None = None
-    model: str | None = None
-    size: tuple[int, int] | None = None
-    fov: float | None = None
-    distortion: Mapping[str, float] | None = None
-    views: int = 20
-    partial: bool = False
-    shape: Shape = FLAT
-    exposure: Exposure = field(default_factory=Exposure)
-    seed: int = 0
-    jobs: int | None = None
-    raw: RawOptions | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +65,17 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     Raises InvalidInput if the folder holds something else, or for a board, lens or scene that cannot be;
     FileError if it cannot be written.
     """
-    board = boards.load_board(options.board)
+    if options.board is None:
+        raise InvalidInput("a board is needed, such as chessboard:9x6:25mm; or --stereo for pairs of a scene")
+    board, shape = boards.load_board(options.board), options.shape.formula
     pattern_of(board)  # a board that cannot be drawn is refused before anything is written
-    _require_mild(options.shape, board)
+    _require_mild(shape, board)
     if not 1 <= options.views <= MAX_VIEWS:
         raise InvalidInput(f"{options.views} views: use 1 to {MAX_VIEWS}")
     camera = _camera(options, progress)
     rng = np.random.default_rng(options.seed)
     poses = views(camera, board, options.views, rng=rng, partial=options.partial)
-    corners, truth = observe(camera, board, poses, rng=rng, shape=options.shape)
+    corners, truth = observe(camera, board, poses, rng=rng, shape=shape)
     folder = options.output
     _clear(folder, options.views)
     _write_truth(folder, truth, corners, options)
@@ -165,22 +129,24 @@ def _photograph(truth: Truth, options: SimulateOptions, item: tuple[Path, int, P
     # A generator of its own for every view, so that the images do not depend on who renders them.
     rng = np.random.default_rng([options.seed, index])
     camera, board, shape, exposure = truth.camera, truth.board, truth.shape, options.exposure
-    if options.raw is None:
+    raw = options.raw.camera
+    if raw is None:
         save(path, render(camera, board, pose, rng=rng, exposure=exposure, shape=shape))
         return
-    raw = options.raw.camera
     fixed = simulate_raw.fixed_pattern(raw, camera.image_size, options.seed)
     save(path, mosaics.photograph(raw, camera, board, pose, exposure=exposure, shape=shape, fixed=fixed, rng=rng))
 
 
 def _take_frames(folder: Path, camera: Camera, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
-    if options.raw is None:
+    raw = options.raw.camera
+    if raw is None:
         return ()
     return simulate_raw.take_frames(
         folder,
+        raw,
         options.raw,
         camera.image_size,
-        vignetting=options.exposure.vignetting,
+        vignetting=options.vignetting,
         seed=options.seed,
         jobs=options.jobs,
         progress=progress,
@@ -199,15 +165,14 @@ def truth_file(truth: Truth, options: SimulateOptions) -> CameraFile:
     """Return the camera file of the truth: the camera, the board's shape, and how the images were made."""
     settings = {"views": options.views, "seed": options.seed, "partial": options.partial}
     how = {**settings, "exposure": asdict(options.exposure), f"shape_{truth.board.unit}": asdict(truth.shape)}
-    lens = [options.camera] if options.camera else []
     entry = CameraEntry(truth.camera, valid=ValidRegion.of(truth.camera))
-    if options.raw is not None:
-        entry = simulate_raw.truth_entry(truth.camera, options.raw.camera)
+    if (raw := options.raw.camera) is not None:
+        entry = simulate_raw.truth_entry(truth.camera, raw)
         how["raw"] = simulate_raw.how_made(options.raw)
     return CameraFile(
         {"camera": entry},
         board_shape=surface_of(truth.shape, truth.board) if truth.shape != FLAT else None,
-        provenance=provenance.build(["simulate", options.board, *lens], truth.board),
+        provenance=provenance.build(command_line("simulate", options), truth.board),
         extra={simulation_folder.MARK: how},
     )
 
@@ -243,7 +208,7 @@ def _poses_text(truth: Truth) -> str:
 def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     camera, board = report.truth.camera, report.truth.board
-    frames = {"frames": [path.as_posix() for path in report.frames]} if options.raw is not None else {}
+    frames = {"frames": [path.as_posix() for path in report.frames]} if options.raw.pattern is not None else {}
     return {
         "output": options.output.as_posix(),
         "model": camera.model.name,

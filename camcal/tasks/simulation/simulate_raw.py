@@ -1,7 +1,7 @@
 """What `camcal simulate --raw` adds: mosaics in place of images, flat and dark frames, and the sensor in the truth."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,38 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, ValidRegion
 from camcal.images.save import save
 from camcal.progress import Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
-from camcal.simulate.sensor import FixedPattern, Sensor, lenses
-
-__all__ = ["RawCamera", "RawOptions", "Sensor"]
+from camcal.simulate.sensor import FixedPattern, lenses
+from camcal.tasks.simulation.options import RawOptions
 
 FLATS, DARKS = "flats", "darks"
 FRAMES_A_LEVEL = 2
-MAX_LEVELS, MAX_DARKS = 200, 1000
 
 _DARK_EXPOSURES = (0.01, 0.1)  # without flat frames to be subtracted from
 _FEW_DARKS = 4  # that few are taken at one exposure: two frames are needed to tell noise from pattern
 _FLAT_STREAM, _DARK_STREAM, _PATTERN_STREAM = 1, 2, 3
-
-
-@dataclass(frozen=True)
-class RawOptions:
-    """The raw camera; levels of flat frames, two frames each, and the number of dark frames, written beside images."""
-
-    camera: RawCamera
-    flats: int = 0
-    darks: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.flats <= MAX_LEVELS:
-            raise InvalidInput(f"{self.flats} levels of flat frames: use 0 to {MAX_LEVELS}")
-        if not 0 <= self.darks <= MAX_DARKS:
-            raise InvalidInput(f"{self.darks} dark frames: use 0 to {MAX_DARKS}")
 
 
 class Frame(NamedTuple):
@@ -68,6 +50,7 @@ def clear_frames(folder: Path) -> None:
 
 def take_frames(
     folder: Path,
+    raw: RawCamera,
     options: RawOptions,
     size: tuple[int, int],
     *,
@@ -77,8 +60,8 @@ def take_frames(
     progress: Progress,
 ) -> tuple[Path, ...]:
     """Return the flat and dark frames written, a folder for each exposure, such as flats/12.5ms."""
-    items = [*_flats(folder, options, vignetting), *_darks(folder, options, vignetting)]
-    work = partial(_take, options.camera, size, vignetting, seed)
+    items = [*_flats(folder, raw, options.flats, vignetting), *_darks(folder, raw, options, vignetting)]
+    work = partial(_take, raw, size, vignetting, seed)
     require_all(fan_out(work, items, jobs=jobs, processes=True, what="flats and darks", progress=progress), "frames")
     return tuple(item.path for item in items)
 
@@ -88,15 +71,15 @@ def _take(raw: RawCamera, size: tuple[int, int], vignetting: float, seed: int, f
     save(frame.path, even_frame(raw, frame.shot, vignetting, fixed=fixed_pattern(raw, size, seed), rng=rng))
 
 
-def _flats(folder: Path, options: RawOptions, vignetting: float) -> Iterator[Frame]:
-    shots = [shot for shot in ladder(options.camera, options.flats, vignetting) for _ in range(FRAMES_A_LEVEL)]
+def _flats(folder: Path, raw: RawCamera, levels: int, vignetting: float) -> Iterator[Frame]:
+    shots = [shot for shot in ladder(raw, levels, vignetting) for _ in range(FRAMES_A_LEVEL)]
     for number, shot in enumerate(shots):
         yield Frame(folder / FLATS / _name(shot) / f"flat{number:04d}.png", shot, (number, _FLAT_STREAM))
 
 
-def _darks(folder: Path, options: RawOptions, vignetting: float) -> Iterator[Frame]:
+def _darks(folder: Path, raw: RawCamera, options: RawOptions, vignetting: float) -> Iterator[Frame]:
     """Yield half of the frames at the shortest and half at the longest exposure of the flat frames."""
-    taken = [shot.exposure_s for shot in ladder(options.camera, options.flats, vignetting)] or _DARK_EXPOSURES
+    taken = [shot.exposure_s for shot in ladder(raw, options.flats, vignetting)] or _DARK_EXPOSURES
     first = options.darks if options.darks < _FEW_DARKS else (options.darks + 1) // 2
     for number in range(options.darks):
         shot = Shot(taken[0] if number < first else taken[-1], 0.0)
@@ -124,12 +107,11 @@ def truth_entry(camera: Camera, raw: RawCamera) -> CameraEntry:
 
 def how_made(options: RawOptions) -> dict[str, Any]:
     """Return the rest of what raw frames were made from, as plain data for the truth."""
-    raw = options.camera
     return {
-        "pattern": raw.pattern,
-        "sensor": asdict(raw.sensor),
-        "light_rgb": list(raw.light),
-        "aberration_px": raw.aberration_px,
+        "pattern": options.pattern,
+        "sensor": asdict(options.sensor),
+        "light_rgb": list(options.light),
+        "aberration_px": options.aberration_px,
         "flat_levels": options.flats,
         "dark_frames": options.darks,
     }

@@ -1,7 +1,7 @@
 """`camcal simulate --stereo`: rectified pairs of a generated world, with the exact disparity of every pixel."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import degrees, pi, radians, tan
 from pathlib import Path
@@ -15,13 +15,13 @@ from camcal.formats import disparity, disparity_sidecar, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.save import save
+from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.simulate.stereo_scene import PairOptions, StereoTruth, render_pair
 from camcal.stereo.geometry import StereoGeometry, of_pair
 from camcal.tasks.simulation import simulation_folder
-
-__all__ = ["PairOptions", "StereoOptions", "StereoReport", "document", "pair_options", "simulate_pairs"]
+from camcal.tasks.simulation.options import PairsOptions, SimulateOptions
 
 DEFAULT_FOV = radians(60)
 DEFAULT_DISPARITIES = (0.01, 0.1)  # shares of the width
@@ -29,17 +29,6 @@ DEFAULT_DISPARITIES = (0.01, 0.1)  # shares of the width
 RIG = "rig.yaml"
 LEFT, RIGHT, DISPARITY, DISPARITY_RIGHT, VISIBLE = FOLDERS = "left", "right", "disparity", "disparity_right", "visible"
 MAX_PAIRS = 1000  # their names have three digits
-
-
-@dataclass(frozen=True)
-class StereoOptions:
-    """Where pairs go, how many, and how they are made; see `camcal simulate --help`."""
-
-    output: Path
-    pairs: int = 1
-    pair: PairOptions = field(default_factory=PairOptions)
-    seed: int = 0
-    jobs: int | None = None
 
 
 @dataclass(frozen=True)
@@ -58,64 +47,78 @@ class PairFiles:
 
 @dataclass(frozen=True)
 class StereoReport:
-    """The pairs that were written, the file of their cameras, and what turns their disparity into depth."""
+    """The pairs that were written, their size (width, height), their camera file, what turns disparity into depth."""
 
     rig: Path
+    size: tuple[int, int]
     geometry: StereoGeometry
     pairs: tuple[PairFiles, ...]
 
 
-def pair_options(
-    size: tuple[int, int] = PairOptions.size,
-    fov: float = DEFAULT_FOV,
-    *,
-    baseline: float = PairOptions.baseline,
-    doffs: float = PairOptions.doffs,
-    disparities: tuple[float, float] | None = None,
-    distance: tuple[float, float] | None = None,
-    **others: Any,
-) -> PairOptions:
+def pair_options(options: SimulateOptions) -> PairOptions:
     """Return how pairs are made from what people know of cameras and scenes.
 
-    size: (width, height). fov: across the width, rad. baseline: metres. doffs: pixels. disparities: least and
-    greatest, pixels; or distance: nearest and farthest, metres; without both 1 to 10 % of the width. others: as they
-    are. Raises InvalidInput for what contradicts itself or cannot be.
+    Raises InvalidInput for what contradicts itself or cannot be.
     """
+    given = options.pairs
+    size, fov = options.size or PairOptions.size, DEFAULT_FOV if options.fov is None else options.fov
     if not 0 < fov < pi:
         raise InvalidInput(f"no pinhole has a field of view of {degrees(fov):g}°; use more than 0 and less than 180")
+    others = {
+        "baseline": given.baseline,
+        "doffs": given.doffs,
+        "objects": given.objects,
+        "blur": options.blur,
+        "noise": options.noise,
+        "gain": given.right_gain,
+        "offset": given.right_offset,
+        "gamma": given.right_gamma,
+        "row_shift": given.row_shift,
+        "row_tilt": given.row_tilt,
+        "depth": options.depth,
+    }
+    known: dict[str, Any] = {name: value for name, value in others.items() if value is not None}
     focal = size[0] / 2 / tan(fov / 2)
-    if disparities is not None and distance is not None:
+    disparities = _disparities(given, size[0], focal)
+    return PairOptions(size, focal, disparities=disparities, colour=not given.gray, **known)
+
+
+def _disparities(given: PairsOptions, width: int, focal: float) -> tuple[float, float]:
+    """Return the least and the greatest disparity (px), as given, by the distances, or by default."""
+    if given.disparities is not None and given.distance is not None:
         raise InvalidInput("disparities and distances say the same; leave one out")
-    if distance is not None:
-        near, far = distance
+    if given.distance is not None:
+        near, far = given.distance
         if not 0 < near < far:
             raise InvalidInput(f"distances of {near:g} to {far:g} m: the nearest comes first and is above 0")
-        disparities = focal * baseline / far - doffs, focal * baseline / near - doffs
-    if disparities is None:
-        least, greatest = DEFAULT_DISPARITIES
-        disparities = least * size[0], greatest * size[0]
-    return PairOptions(size, focal, baseline, doffs, disparities, **others)
+        reach = focal * (PairOptions.baseline if given.baseline is None else given.baseline)
+        doffs = given.doffs or PairOptions.doffs
+        return reach / far - doffs, reach / near - doffs
+    if given.disparities is not None:
+        return given.disparities
+    least, greatest = DEFAULT_DISPARITIES
+    return least * width, greatest * width
 
 
-def simulate_pairs(options: StereoOptions, progress: Progress = SILENT) -> StereoReport:
+def simulate_pairs(options: SimulateOptions, progress: Progress = SILENT) -> StereoReport:
     """Return the pairs after writing images, disparities, what both cameras see, and the cameras into options.output.
 
     Raises InvalidInput if the folder holds something else or so many pairs are not made, FileError if it cannot be
     written.
     """
-    if not 1 <= options.pairs <= MAX_PAIRS:
-        raise InvalidInput(f"{options.pairs} pairs: use 1 to {MAX_PAIRS}")
-    folder = options.output
+    pair, count, folder = pair_options(options), options.pairs.count, options.output
+    if not 1 <= count <= MAX_PAIRS:
+        raise InvalidInput(f"{count} pairs: use 1 to {MAX_PAIRS}")
     simulation_folder.require_own(folder, RIG)
-    for path in _left_over(folder, options.pairs):
+    for path in _left_over(folder, count):
         path.unlink()
-    native.write(folder / RIG, rig_file(options))
-    work = partial(_make, options)
-    made = fan_out(work, range(options.pairs), jobs=options.jobs, processes=True, what="rendering", progress=progress)
+    native.write(folder / RIG, rig_file(options, pair))
+    work = partial(_make, folder, pair, options.seed)
+    made = fan_out(work, range(count), jobs=options.jobs, processes=True, what="rendering", progress=progress)
     outcomes = list(made)
     require_all(outcomes, "pairs")
     pairs = tuple(outcome.value for outcome in outcomes if outcome.value is not None)
-    return StereoReport(folder / RIG, of_pair(*options.pair.cameras()), pairs)
+    return StereoReport(folder / RIG, pair.size, of_pair(*pair.cameras()), pairs)
 
 
 def _left_over(folder: Path, count: int) -> Iterator[Path]:
@@ -131,11 +134,10 @@ def _name(index: int) -> str:
     return f"{index:03d}"
 
 
-def _make(options: StereoOptions, index: int) -> PairFiles:
+def _make(folder: Path, options: PairOptions, seed: int, index: int) -> PairFiles:
     # A generator of its own for every pair, so that the images do not depend on who renders them.
-    truth = render_pair(options.pair, np.random.default_rng([options.seed, index]))
+    truth = render_pair(options, np.random.default_rng([seed, index]))
     name = _name(index)
-    folder = options.output
     pair = PairFiles(
         folder / LEFT / f"{name}.png",
         folder / RIGHT / f"{name}.png",
@@ -165,24 +167,24 @@ def _write_disparity(path: Path, values: Array, image: Path, geometry: StereoGeo
     disparity_sidecar.write(path, Sidecar(written.scale, written.invalid, geometry, image))
 
 
-def rig_file(options: StereoOptions) -> CameraFile:
+def rig_file(options: SimulateOptions, pair: PairOptions) -> CameraFile:
     """Return the camera file of the pairs: both cameras, the way between them, and how the images were made."""
-    left, right, right_T_left = options.pair.cameras()
-    how = {"pairs": options.pairs, "seed": options.seed, "stereo": asdict(options.pair)}
+    left, right, right_T_left = pair.cameras()
+    how = {"pairs": options.pairs.count, "seed": options.seed, "stereo": asdict(pair)}
     return CameraFile(
         {name: CameraEntry(camera, valid=ValidRegion.of(camera)) for name, camera in ((LEFT, left), (RIGHT, right))},
         transforms={"right_T_left": Transform(right_T_left)},
-        provenance=provenance.build(["simulate", "--stereo"], None),
+        provenance=provenance.build(command_line("simulate", options), None),
         extra={simulation_folder.MARK: how},
     )
 
 
-def document(report: StereoReport, options: StereoOptions) -> dict[str, Any]:
+def document(report: StereoReport, options: SimulateOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     return {
         "output": options.output.as_posix(),
         "rig": report.rig.as_posix(),
-        "image_size": list(options.pair.size),
+        "image_size": list(report.size),
         "geometry": asdict(report.geometry),
         "pairs": [
             {name: value.as_posix() if isinstance(value, Path) else value for name, value in asdict(pair).items()}
