@@ -23,7 +23,7 @@ from camcal import errors
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.cli.command import OptionsCommand, parameter_name
+from camcal.cli.command import parameter_name
 from camcal.cli.main import app
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -107,8 +107,9 @@ def test_every_command_has_an_example_its_exit_codes_and_its_schema():
 
 def test_the_options_of_every_command_are_described_once():
     described = text_of(PAGE).partition("## Options of every command")[2].partition("\n## ")[0]
-    every = [parameter for command in REGISTERED.values() for parameter in command.params]
-    shared = {option for parameter in every if parameter.name in EVERYWHERE for option in parameter.opts}
+    every = [each for command in REGISTERED.values() for each in command.declared]
+    shared = {option for each in every if each.key in EVERYWHERE for option in each.spellings}
+    shared |= {"--config", "--write-config"}
     assert missing(shared, described.replace("`--jobs N`", "")) == {"--jobs"}
     assert missing(shared, described) == set()
 
@@ -151,7 +152,7 @@ def refused(words: list[str]) -> str | None:
             command.parse_args(command.context_class(command), list(words))
             return None if words and words[0].startswith("-") else f"no command: {' '.join([*names, *words])}"
         given = command.make_context(" ".join(names), list(words)).params
-        for each in command.declared if isinstance(command, OptionsCommand) else ():
+        for each in command.declared:
             if given[parameter_name(each)]:
                 each.read(given[parameter_name(each)])
     except (typer.TyperException, errors.CamcalError) as error:
