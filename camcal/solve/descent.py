@@ -8,11 +8,14 @@ Source: Marquardt 1963 (scaling of the damping); Nielsen, Damping Parameter in M
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar
+
+import numpy as np
 
 from camcal.solve.steps import SingularError, Step
 
 State = TypeVar("State")
+Number: TypeAlias = Any  # one number, or an array with one for each of many searches
 
 
 class Equations(Protocol):
@@ -49,13 +52,34 @@ class Search(Protocol[State, Linear]):
         ...
 
 
+REASONS = (
+    "too many iterations",
+    "the step promises no decrease",
+    "held at the edge of the domain",
+    "the cost is at its rounding error",
+    "the residuals are met exactly",
+    "no step lowers the cost",
+    "the start is outside the domain",
+    "far above the lowest minimum of the problem",
+)
+RUNNING, SETTLED, HELD, ROUNDED, EXACT, STUCK, OUTSIDE, HOPELESS = range(len(REASONS))
+BLOCKED, CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
+ALL_BUT_FULL = 1e-3  # below this damping a step is all but the full one
+UNSEEN = 1e-13  # of the cost: a decrease that cannot be seen in it
+LEAST_COST = 1e-300  # costs below count as this in what is relative to them
+
+
 @dataclass(frozen=True)
 class Stopping:
-    """When to stop: the decrease that the quadratic model still promises, relative to the cost; the iterations.
+    """The rules of the loop, of one search (numbers) or of many at once (arrays of one shape).
 
+    relative_decrease: how much the quadratic model must still promise, relative to the cost. iterations: at most.
     damping: of the first step. least: the factor that a step as good as promised lowers it by. rise: the first factor
-    after a step that failed, which doubles with every further one. rounding: a cost of residuals that are nothing but
-    rounding errors.
+    after a step that failed, which doubles with every further one. by_gain: whether the damping falls by how much of
+    the promise came true (Nielsen), or always by `least` and rises always by `rise` (Marquardt). restart: the damping
+    from which it rises at least. most: the one beyond which no step helps. rounding: a cost of residuals that are
+    nothing but rounding errors. slack: the share of a cost by which a step may raise it and be taken, for costs summed
+    in single precision.
     """
 
     relative_decrease: float = 1e-9
@@ -63,19 +87,58 @@ class Stopping:
     damping: float = 1e-6
     least: float = 0.1
     rise: float = 10.0
+    by_gain: bool = True
+    restart: float = 1e-9
+    most: float = 1e12
     rounding: float = 0.0
+    slack: float = 0.0
 
-    def unseen(self, cost: float) -> float:
+    def unseen(self, cost: Number) -> Number:
         """Return how large a decrease of a cost may be and yet be hidden by its rounding error."""
-        return max(UNSEEN * cost, self._blurred(cost))
+        return np.maximum(UNSEEN * cost, self._blurred(cost))
 
-    def little(self, cost: float) -> float:
+    def little(self, cost: Number) -> Number:
         """Return the decrease below which no further step is worth its while."""
-        return max(self.relative_decrease * max(cost, LEAST_COST), self._blurred(cost))
+        return np.maximum(self.relative_decrease * np.maximum(cost, LEAST_COST), self._blurred(cost))
 
-    def _blurred(self, cost: float) -> float:
+    def _blurred(self, cost: Number) -> Number:
         # Cauchy–Schwarz: errors e of residuals r change the cost by r·e, at most ‖r‖ ‖e‖, of which half are usual
-        return math.sqrt(cost * self.rounding)
+        return np.sqrt(cost * self.rounding) if self.rounding else 0.0
+
+    def enough(self, damping: Number, promised: Number, cost: Number) -> Number:
+        """Return whether a step that was taken to a cost promised so little that no further one is worth its while."""
+        # a step cut short by damping promises little and proves nothing
+        return (damping < ALL_BUT_FULL) & (promised <= self.little(cost))
+
+    def accepts(self, trial: Number, cost: Number) -> Number:
+        """Return whether a step to the cost `trial` is taken; that of a place outside the domain is infinite."""
+        return trial <= cost * (1 + self.slack)
+
+    def end_of_taken(self, promised: Number, fall: Number, cost: Number, blocked: Number, enough: Number) -> Number:
+        """Return why a search ends after a step that was taken, RUNNING where it goes on.
+
+        cost: after the step, by `fall` lower. blocked: how many steps led out of the domain. enough: whether no further
+        step is worth its while.
+        """
+        still = (fall <= 0) & (promised <= self.unseen(cost))
+        held = (blocked >= BLOCKED) & (fall <= CRAWL * cost)
+        return np.where(enough, SETTLED, np.where(still, ROUNDED, np.where(held, HELD, RUNNING)))
+
+    def end_of_refused(self, damping: Number, promised: Number, cost: Number, enough: Number = False) -> Number:
+        """Return why a search ends after a step that was not taken, RUNNING where it goes on."""
+        end = np.where(promised <= self.unseen(cost), ROUNDED, np.where(damping > self.most, STUCK, RUNNING))
+        return np.where(enough, SETTLED, end)
+
+    def eased(self, damping: Number, promised: Number, fall: Number) -> Number:
+        """Return the damping after a step that was taken and lowered the cost by `fall`."""
+        if not self.by_gain:
+            return damping * self.least
+        gain = np.where(promised > 0, fall / np.where(promised > 0, promised, 1.0), 1.0)
+        return damping * np.maximum(self.least, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
+
+    def raised(self, damping: Number, growth: Number) -> Number:
+        """Return the damping after a step that was not taken; growth: 1, doubled by every one before it."""
+        return np.maximum(damping, self.restart) * self.rise * (growth if self.by_gain else 1.0)
 
 
 @dataclass(frozen=True)
@@ -114,14 +177,7 @@ class Descent(Generic[State, Linear]):
 
 
 STOPPING = Stopping()
-MAX_DAMPING, RESTART_DAMPING = 1e12, 1e-9  # beyond the first no step helps; below the second growth begins there
-BLOCKED, CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
-ALL_BUT_FULL = 1e-3  # below this damping a step is all but the full one
-UNSEEN = 1e-13  # of the cost: a decrease that cannot be seen in it
-LEAST_COST = 1e-300  # costs below count as this in what is relative to them
-_HELD = "held at the edge of the domain"
 _RAISED = "the full step raises the cost"
-_SETTLED, _ROUNDING = "the step promises no decrease", "the cost is at its rounding error"
 
 
 def descend(
@@ -135,38 +191,31 @@ def descend(
     if equations is None:
         raise ValueError("the start is outside the domain of the problem")
     damping, growth, blocked = stopping.damping, 1.0, 0
-    for number in range(stopping.iterations):
+    for number in range(1, stopping.iterations + 1):
         try:
             proposal = search.propose(state, equations, damping)
         except SingularError:
-            observe(Iteration(number + 1, equations.cost, None, damping, None, None, accepted=False))
-            if damping > MAX_DAMPING:
-                return Descent(state, equations, number, False, "singular")
-            damping, growth = max(damping, RESTART_DAMPING) * 2 * growth, growth * 2
+            observe(Iteration(number, equations.cost, None, damping, None, None, accepted=False))
+            if damping > stopping.most:
+                return Descent(state, equations, number - 1, False, "singular")
+            damping, growth = max(damping, stopping.restart) * 2 * growth, growth * 2
             continue
         promised = proposal.promised
         trial_state = search.retract(state, proposal.step)
         trial = search.linearise(trial_state)
-        observe(_turn(number + 1, equations, trial, damping, proposal))
+        observe(_turn(number, equations, trial, damping, proposal))
         blocked += trial is None
-        if trial is not None and trial.cost <= equations.cost:
-            fall = equations.cost - trial.cost
-            # a step cut short by damping promises little and proves nothing
-            settled = damping < ALL_BUT_FULL and promised <= stopping.little(trial.cost)
-            still = fall <= 0 and promised <= stopping.unseen(trial.cost)
-            held = blocked >= BLOCKED and fall <= CRAWL * trial.cost
+        if trial is not None and stopping.accepts(trial.cost, equations.cost):
+            fall, enough = equations.cost - trial.cost, stopping.enough(damping, promised, trial.cost)
+            end = stopping.end_of_taken(promised, fall, trial.cost, blocked, enough)
             state, equations, growth = trial_state, trial, 1.0
-            damping *= max(stopping.least, 1 - (2 * min(fall / promised if promised > 0 else 1.0, 1.0) - 1) ** 3)
-            if settled or still or held:
-                reason = _SETTLED if settled else _ROUNDING if still else _HELD
-                return Descent(state, equations, number + 1, True, reason)
-        elif promised <= stopping.unseen(equations.cost):
-            return Descent(state, equations, number + 1, True, _ROUNDING)
-        elif damping > MAX_DAMPING:
-            return Descent(state, equations, number + 1, False, "no step lowers the cost")
+            damping = float(stopping.eased(damping, promised, fall))
         else:
-            damping, growth = max(damping, RESTART_DAMPING) * stopping.rise * growth, growth * 2
-    return Descent(state, equations, stopping.iterations, False, "too many iterations")
+            end = stopping.end_of_refused(damping, promised, equations.cost)
+            damping, growth = float(stopping.raised(damping, growth)), growth * 2
+        if end != RUNNING:
+            return Descent(state, equations, number, bool(end != STUCK), REASONS[end])
+    return Descent(state, equations, stopping.iterations, False, REASONS[RUNNING])
 
 
 def gauss_newton(
@@ -189,12 +238,12 @@ def gauss_newton(
         observe(_turn(number + 1, equations, trial, 0.0, proposal))
         if trial is None or trial.cost > equations.cost:
             rounding = proposal.promised <= stopping.unseen(equations.cost)
-            reason = _ROUNDING if rounding else "the full step leaves the domain" if trial is None else _RAISED
-            return Descent(state, equations, number + 1, rounding, reason)
+            reason = REASONS[ROUNDED] if rounding else "the full step leaves the domain" if trial is None else _RAISED
+            return Descent(state, equations, number + 1, bool(rounding), reason)
         state, equations = trial_state, trial
         if proposal.promised <= stopping.little(trial.cost):
-            return Descent(state, equations, number + 1, True, _SETTLED)
-    return Descent(state, equations, stopping.iterations, False, "too many iterations")
+            return Descent(state, equations, number + 1, True, REASONS[SETTLED])
+    return Descent(state, equations, stopping.iterations, False, REASONS[RUNNING])
 
 
 def _turn(number: int, here: Equations, trial: Equations | None, damping: float, proposal: Proposal) -> Iteration:

@@ -1,11 +1,12 @@
 """Many small least-squares problems at once: the loop of descent.py with a damping and an end for each of them.
 
-Damping, growth and ends are those of that loop, and its constants; steps come from each problem's own normal equations.
+Damping, acceptance and ends are the rules of that loop (Stopping); steps come from each problem's own normal equations.
 One pass over the arrays of all problems takes the place of a loop over problems, which costs more in calls than in
 arithmetic when a problem has a hundred residuals and six parameters.
 Source: as descent.py.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,29 +15,22 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.solve.descent import (
     ALL_BUT_FULL,
-    BLOCKED,
-    CRAWL,
-    LEAST_COST,
-    MAX_DAMPING,
-    RESTART_DAMPING,
+    EXACT,
+    HELD,
+    HOPELESS,
+    OUTSIDE,
+    REASONS,
+    ROUNDED,
+    RUNNING,
+    SETTLED,
     STOPPING,
-    UNSEEN,
     Stopping,
 )
 from camcal.solve.losses import Loss
 
-REASONS = (
-    "too many iterations",
-    "the step promises no decrease",
-    "held at the edge of the domain",
-    "the cost is at its rounding error",
-    "the residuals are met exactly",
-    "no step lowers the cost",
-    "the start is outside the domain",
-    "far above the lowest minimum of the problem",
-)
-_RUNNING, _SETTLED, _HELD, _ROUNDED, _EXACT, _STUCK, _OUTSIDE, _HOPELESS = range(8)
-_CONVERGED = np.array([False, True, True, True, True, False, False, False])  # by reason
+__all__ = ["REASONS", "Minima", "Models", "Problems", "Tried", "assemble", "joined", "minimise_each"]
+
+_CONVERGED = np.isin(np.arange(len(REASONS)), [SETTLED, HELD, ROUNDED, EXACT])
 _REACH = 1000.0  # times what an undamped step promises: further down, a search does not come
 _TINY = np.finfo(float).tiny
 _LEAST_DAMPING = 1e-12  # keeps the factors of a singular matrix real
@@ -75,9 +69,26 @@ class Problems(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Tried:
+    """Steps (A, P) of the problems `which` (A,) from `before`: by how much (A,) the models promise that they lower the
+    costs and by how much they do, and which of them (A,) were taken.
+    """
+
+    steps: Array
+    which: Array
+    before: Models
+    promised: Array
+    fall: Array
+    taken: Array
+
+
+Enough = Callable[[Tried], Array]
+
+
+@dataclass(frozen=True, eq=False)
 class Minima:
     """Where the searches ended: states (S, …), which problem (S,) each belongs to, models, iterations (S,), the mask
-    (S,) of those at a minimum, and why they stopped, as indices (S,) into REASONS.
+    (S,) of those at a minimum, why they stopped, as indices (S,) into REASONS, their last steps (S, P), taken or not.
     """
 
     states: Array
@@ -86,6 +97,7 @@ class Minima:
     iterations: Array
     converged: Array
     reason: Array
+    steps: Array
 
     @property
     def cost(self) -> Array:
@@ -94,7 +106,7 @@ class Minima:
 
     def take(self, chosen: Array) -> "Minima":
         """Return some of the searches."""
-        ends = self.iterations[chosen], self.converged[chosen], self.reason[chosen]
+        ends = self.iterations[chosen], self.converged[chosen], self.reason[chosen], self.steps[chosen]
         return Minima(self.states[chosen], self.which[chosen], self.models.take(chosen), *ends)
 
 
@@ -113,6 +125,7 @@ def joined(first: Minima, second: Minima) -> Minima:
         np.concatenate([first.iterations, second.iterations]),
         np.concatenate([first.converged, second.converged]),
         np.concatenate([first.reason, second.reason]),
+        np.concatenate([first.steps, second.steps]),
     )
 
 
@@ -144,21 +157,23 @@ def minimise_each(
     stopping: Stopping = STOPPING,
     exact: Array | float = 0.0,
     worth: Array | float = np.inf,
+    enough: Enough | None = None,
 ) -> Minima:
     """Return the states that minimise ½ Σ ρ(‖r‖²) of the problems `which` (S,), each started at its state (S, …).
 
     A problem may be started several times. exact: the costs, (S,) or one, below which residuals are all rounding.
     worth: how many times, (S,) or one, the lowest cost of the same problem a minimum may be; searches that will not
-    come down to that end early.
+    come down to that end early. enough: after which steps (A,) no further one is worth its while, by default those that
+    were taken and promised little.
     """
-    search = _Search.of(problems, states, which, stopping, exact, worth)
+    search = _Search.of(problems, states, which, stopping, exact, worth, enough)
     for _ in range(stopping.iterations):
-        alive = np.flatnonzero(search.reason == _RUNNING)
+        alive = np.flatnonzero(search.reason == RUNNING)
         if not alive.size:
             break
         search.advance(alive)
     converged = _CONVERGED[search.reason]
-    return Minima(search.states, which, search.models, search.iterations, converged, search.reason)
+    return Minima(search.states, which, search.models, search.iterations, converged, search.reason, search.steps)
 
 
 @dataclass(eq=False)
@@ -170,6 +185,7 @@ class _Search:
     stopping: Stopping
     exact: Array
     worth: Array
+    enough: Enough | None
     states: Array
     models: Models
     damping: Array
@@ -177,6 +193,7 @@ class _Search:
     blocked: Array
     iterations: Array
     reason: Array
+    steps: Array
 
     @classmethod
     def of(
@@ -187,34 +204,44 @@ class _Search:
         stopping: Stopping,
         exact: Array | float,
         worth: Array | float,
+        enough: Enough | None,
     ) -> "_Search":
         models, count = problems.linearise(states, which), len(which)
         limits, factors = (np.broadcast_to(np.asarray(each, dtype=float), (count,)) for each in (exact, worth))
-        reason = np.where(np.isfinite(models.cost), np.where(models.cost <= limits, _EXACT, _RUNNING), _OUTSIDE)
+        reason = np.where(np.isfinite(models.cost), np.where(models.cost <= limits, EXACT, RUNNING), OUTSIDE)
         counters = np.zeros(count, np.intp), np.zeros(count, np.intp)
-        damping = np.full(count, stopping.damping), np.ones(count)
-        return cls(problems, which, stopping, limits, factors, states.copy(), models, *damping, *counters, reason)
+        damping, steps = (np.full(count, stopping.damping), np.ones(count)), np.zeros_like(models.gradient)
+        given = problems, which, stopping, limits, factors, enough
+        return cls(*given, states.copy(), models, *damping, *counters, reason, steps)
 
     def advance(self, alive: Array) -> None:
         """Take one step of the searches `alive` (A,), or find that it leads nowhere and damp the next one more."""
         steps, promised = self._propose(alive)
         hopeless = self._hopeless(alive, promised)
         if hopeless.any():
-            self.reason[alive[hopeless]] = _HOPELESS
+            self.reason[alive[hopeless]] = HOPELESS
             alive, steps, promised = alive[~hopeless], steps[~hopeless], promised[~hopeless]
             if not alive.size:
                 return
+        self.steps[alive] = steps
         states = self.problems.retract(self.states[alive], steps)
         trial = self.problems.linearise(states, self.which[alive])
         self.iterations[alive] += 1
         self.blocked[alive] += ~np.isfinite(trial.cost)
-        better = trial.cost <= self.models.cost[alive]
+        cost, before = trial.cost, self.models.cost[alive]
+        better = self.stopping.accepts(cost, before)
+        if self.enough is None:
+            enough = self.stopping.enough(self.damping[alive], promised, cost) & better
+        else:
+            enough = self.enough(
+                Tried(steps, self.which[alive], self.models.take(alive), promised, before - cost, better)
+            )
         if better.all():
-            self._accept(alive, states, trial, promised)
+            self._accept(alive, states, trial, promised, enough)
             return
-        self._reject(alive[~better], promised[~better])
+        self._reject(alive[~better], promised[~better], enough[~better])
         if better.any():
-            self._accept(alive[better], states[better], trial.take(better), promised[better])
+            self._accept(alive[better], states[better], trial.take(better), promised[better], enough[better])
 
     def _hopeless(self, alive: Array, promised: Array) -> Array:
         """Return the mask (A,) of searches that will stay far above another one of their problems."""
@@ -240,26 +267,17 @@ class _Search:
         steps = -scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
         return steps, -0.5 * np.einsum("wi,wi->w", steps, gradient)
 
-    def _accept(self, at: Array, states: Array, trial: Models, promised: Array) -> None:
+    def _accept(self, at: Array, states: Array, trial: Models, promised: Array, enough: Array) -> None:
         cost, damping = trial.cost, self.damping[at]
         fall = self.models.cost[at] - cost
-        # a step cut short by damping promises little and proves nothing
-        little = self.stopping.relative_decrease * np.maximum(cost, LEAST_COST)
-        settled = (damping < ALL_BUT_FULL) & (promised <= little)
-        still = (fall <= 0) & (promised <= UNSEEN * cost)
-        held = (self.blocked[at] >= BLOCKED) & (fall <= CRAWL * cost)
-        gain = np.divide(fall, promised, out=np.ones_like(fall), where=promised > 0)
-        eased = damping * np.maximum(self.stopping.least, 1 - (2 * np.minimum(gain, 1.0) - 1) ** 3)
-        self.damping[at], self.growth[at] = np.maximum(eased, _LEAST_DAMPING), 1.0
+        end = self.stopping.end_of_taken(promised, fall, cost, self.blocked[at], enough)
+        self.reason[at] = np.where(cost <= self.exact[at], EXACT, end)
+        floor = min(_LEAST_DAMPING, self.stopping.restart)
+        self.damping[at], self.growth[at] = np.maximum(self.stopping.eased(damping, promised, fall), floor), 1.0
         self.states[at] = states
         self.models.put(at, trial)
-        reason = np.where(held, _HELD, _RUNNING)
-        for mask, why in ((still, _ROUNDED), (settled, _SETTLED), (cost <= self.exact[at], _EXACT)):
-            reason[mask] = why
-        self.reason[at] = reason
 
-    def _reject(self, at: Array, promised: Array) -> None:
-        rounded, stuck = promised <= UNSEEN * self.models.cost[at], self.damping[at] > MAX_DAMPING
-        self.reason[at] = np.where(rounded, _ROUNDED, np.where(stuck, _STUCK, _RUNNING))
-        self.damping[at] = np.maximum(self.damping[at], RESTART_DAMPING) * self.stopping.rise * self.growth[at]
+    def _reject(self, at: Array, promised: Array, enough: Array) -> None:
+        self.reason[at] = self.stopping.end_of_refused(self.damping[at], promised, self.models.cost[at], enough)
+        self.damping[at] = self.stopping.raised(self.damping[at], self.growth[at])
         self.growth[at] *= 2

@@ -134,6 +134,61 @@ def test_a_search_that_starts_at_its_minimum_ends_there_whatever_its_damping(dam
     assert found.iterations.max() < 20
 
 
+def test_a_search_ends_where_its_caller_has_enough():
+    _, y = curves(np.random.default_rng(7), 50, 0.1)
+    seen = []
+
+    def enough(tried):
+        seen.append(tried)
+        return np.abs(tried.steps).max(axis=1) < 0.05
+
+    starts = np.ones((50, 2))
+    found = minimise_each(Decays(y), starts, np.arange(50), Stopping(), enough=enough)
+    usual = minimise_each(Decays(y), starts, np.arange(50), Stopping())
+    assert found.converged.all()
+    assert (found.iterations <= usual.iterations).all()
+    assert found.iterations.sum() < usual.iterations.sum()
+    assert np.abs(found.steps).max() < 0.05
+    np.testing.assert_allclose(found.states, usual.states, atol=0.01)
+    first = seen[0]
+    np.testing.assert_allclose(first.before.cost, Decays(y).linearise(starts, np.arange(50)).cost)
+    assert (first.taken == (first.fall >= 0)).all()
+
+
+def test_costs_that_are_rounded_need_slack():
+    """A cost that is known to some digits only rises by chance: steps are refused next to the minimum unless it may."""
+    _, y = curves(np.random.default_rng(8), 40, 0.1)
+
+    class Rounded(Decays):
+        def linearise(self, states, which):
+            models = super().linearise(states, which)
+            noise = 1 + 1e-4 * np.sin(1e7 * states.sum(axis=1))
+            return Models(models.cost * noise, models.gradient, models.normal)
+
+    exact = minimise_each(Decays(y), np.ones((40, 2)), np.arange(40), Stopping(1e-14))
+    ends = [
+        minimise_each(Rounded(y), np.ones((40, 2)), np.arange(40), Stopping(1e-10, 60, slack=slack))
+        for slack in (0.0, 1e-3)
+    ]
+    strict, slack = (np.abs(end.states - exact.states).max(axis=1) for end in ends)
+    assert slack.max() < 1e-5
+    assert strict.max() > 10 * slack.max()
+
+
+def test_damping_may_follow_fixed_factors_to_the_same_minimum():
+    _, y = curves(np.random.default_rng(9), 1, 0.1)
+    fixed, turns = Stopping(damping=1e-2, least=0.25, rise=7.0, by_gain=False, restart=0.0), []
+    start = np.array([1.0, 3.0])
+    found = minimise(OneDecay(y[0], None), start, fixed, turns.append)
+    factors = [after.damping / before.damping for before, after in zip(turns, turns[1:], strict=False)]
+    np.testing.assert_allclose(factors, [0.25 if turn.accepted else 7.0 for turn in turns[:-1]])
+    assert len(set(np.round(factors, 6))) == 2
+    np.testing.assert_allclose(found.state, minimise(OneDecay(y[0], None), start).state, atol=1e-4)
+    together = minimise_each(Decays(y), start[None], np.zeros(1, int), fixed)
+    np.testing.assert_allclose(together.states[0], found.state, atol=1e-6)
+    assert together.iterations[0] == found.iterations
+
+
 def test_a_parameter_that_nothing_depends_on_stays():
     class Half:
         def linearise(self, states, which):

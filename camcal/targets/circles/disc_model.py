@@ -3,12 +3,16 @@
 Around a rim the image is modelled as
     (1 + g · (x, y)) · (level + contrast · (f + tone · f (1 - f))),   f the picture of disc_edge.py,
 with the ellipse's centre and axes, its blur, the gradient g of the light, and a tone for what gamma does to what is
-blurred already. Each dot has a Levenberg-Marquardt iteration of its own.
+blurred already.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.solve.descent import Stopping
+from camcal.solve.independent import Models, Tried, minimise_each
 from camcal.targets.circles.disc_edge import picture, rim
 from camcal.targets.circles.disc_window import RimSamples
 
@@ -23,7 +27,9 @@ _START_BLUR = 1.0  # px
 _GRADIENT = 0.02  # spread of the light's change from a window's middle to its rim; a wide blur looks like one
 _LOG_BLUR = (-3.0, 2.0)
 _THINNEST = 0.3  # px, a half axis
-_ROUNDS = 25
+_POSSIBLE = np.array([0, 0, 1, 0, 1, 0, 0, 1, 0, 0, 0], dtype=float)  # a state inside the domain
+# Costs are summed in single precision.
+_STOPPING = Stopping(iterations=25, damping=1e-3, least=0.2, rise=8.0, by_gain=False, restart=0.0)
 
 
 def start_of(samples: RimSamples, axes: Array) -> Array:
@@ -49,59 +55,62 @@ def blur_of(parameters: Array) -> Array:
 
 
 def minimise(samples: RimSamples, parameters: Array, tone_spread: float, settled: float) -> tuple[Array, Array, Array]:
-    """Return parameters (N, 11), costs (N,) and normal matrices (N, 11, 11).
+    """Return parameters (N, 11), sums of squares (N,) and normal matrices (N, 11, 11).
 
     tone_spread: the standard deviation of the tone beforehand; the normal matrices count it and the gradient's.
-    settled: what a last step may promise to take off the cost, in variances of the noise.
+    settled: what a last step may promise to take off the sum, in variances of the noise.
     """
-    expected = np.zeros(COUNT)
-    expected[TONE], expected[GRADIENT] = tone_spread**-2, _GRADIENT**-2
-    freedom = np.maximum(samples.used.sum(axis=1) - COUNT, 1)
-    cost, normal, gradient = _linearise(parameters, samples)
-    damping = np.full(len(parameters), 1e-3)
-    active = np.ones(len(parameters), dtype=bool)
-    for _ in range(_ROUNDS):
-        rows = np.flatnonzero(active)
-        if not len(rows):
-            break
-        variance = cost[rows] / freedom[rows] + ROUNDING
-        weights = variance[:, None] * expected
-        step, promise = _damped_step(normal[rows], gradient[rows], damping[rows], weights, parameters[rows])
-        trial = parameters[rows] + step
-        trial[:, BLUR] = np.clip(trial[:, BLUR], *_LOG_BLUR)
-        possible = np.linalg.eigvalsh(axes_of(trial))[:, 0] > _THINNEST
-        trial[~possible] = parameters[rows[~possible]]
-        trial_cost, trial_normal, trial_gradient = _linearise(trial, samples.take(rows))
-        dearer = (weights * (trial**2 - parameters[rows] ** 2)).sum(axis=1)
-        better = (trial_cost + dearer <= cost[rows]) & possible
-        kept = rows[better]
-        parameters[kept], cost[kept] = trial[better], trial_cost[better]
-        normal[kept], gradient[kept] = trial_normal[better], trial_gradient[better]
-        damping[rows] *= np.where(better, 0.2, 8.0)
-        active[rows] = promise > settled * variance
-    normal += (cost / freedom + ROUNDING)[:, None, None] * np.diag(expected)
-    return parameters, cost, normal
+    precision = np.zeros(COUNT)
+    precision[TONE], precision[GRADIENT] = tone_spread**-2, _GRADIENT**-2
+    discs = _Discs(samples, precision, np.maximum(samples.used.sum(axis=1) - COUNT, 1))
+
+    def enough(tried: Tried) -> Array:
+        return np.asarray(2 * tried.promised <= settled)
+
+    found = minimise_each(discs, parameters, np.arange(len(parameters)), _STOPPING, enough=enough)
+    squares = discs.squares(found.states, found.cost)
+    return found.states, squares, found.models.normal * discs.variance(squares)[:, None, None]
 
 
-def _damped_step(
-    normal: Array, gradient: Array, damping: Array, weights: Array, parameters: Array
-) -> tuple[Array, Array]:
-    """Return the steps (N, 11) and how much less the cost (N,) would be if the model were linear."""
-    damped, gradient = normal.copy(), gradient - weights * parameters
-    diagonal = np.arange(COUNT)
-    damped[:, diagonal, diagonal] = (damped[:, diagonal, diagonal] + weights) * (1 + damping[:, None]) + 1e-9
-    step = np.linalg.solve(damped, gradient[..., None])[..., 0]
-    return step, np.abs((step * gradient).sum(axis=1))
+@dataclass(frozen=True, eq=False)
+class _Discs:
+    """The fits of N dots, for the solver: minus the logarithms of the posterior probabilities of states (N, 11), whose
+    noise is what the residuals say.
 
+    precision: (11,) of the priors, about zero. freedom: (N,) degrees of freedom of the residuals.
+    """
 
-def _linearise(parameters: Array, samples: RimSamples) -> tuple[Array, Array, Array]:
-    """Return costs (N,), normal matrices (N, 11, 11) and gradients (N, 11)."""
-    residuals, jacobian = _evaluate(parameters, samples)
-    return (
-        (residuals**2).sum(axis=1, dtype=np.float64),
-        (jacobian @ jacobian.swapaxes(1, 2)).astype(np.float64),
-        (jacobian @ residuals[..., None])[..., 0].astype(np.float64),
-    )
+    samples: RimSamples
+    precision: Array
+    freedom: Array
+
+    def linearise(self, states: Array, which: Array) -> Models:
+        """Return the models at states (W, 11) of the dots `which` (W,); ellipses that are too thin are outside."""
+        possible = np.linalg.eigvalsh(axes_of(states))[:, 0] > _THINNEST
+        states = np.where(possible[:, None], states, _POSSIBLE)
+        residuals, jacobian = _evaluate(states, self.samples.take(which))
+        freedom = self.freedom[which]
+        variance = (residuals**2).sum(axis=1, dtype=np.float64) / freedom + ROUNDING
+        cost = 0.5 * (freedom * (1 + np.log(variance / ROUNDING)) + states**2 @ self.precision)
+        normal = (jacobian @ jacobian.swapaxes(1, 2)).astype(np.float64) / variance[:, None, None]
+        slopes = (jacobian @ residuals[..., None])[..., 0].astype(np.float64) / variance[:, None]
+        gradient = states * self.precision - slopes
+        return Models(np.where(possible, cost, np.inf), gradient, normal + np.diag(self.precision))
+
+    def retract(self, states: Array, steps: Array) -> Array:
+        """Return the states after steps, the blur within what it may be."""
+        moved = states + steps
+        moved[:, BLUR] = np.clip(moved[:, BLUR], *_LOG_BLUR)
+        return moved
+
+    def squares(self, states: Array, cost: Array) -> Array:
+        """Return the sums of squared residuals (N,) of states with these costs."""
+        logarithms = (2 * cost - states**2 @ self.precision) / self.freedom - 1
+        return np.asarray(ROUNDING * self.freedom * np.expm1(logarithms))
+
+    def variance(self, squares: Array) -> Array:
+        """Return the variance (N,) of the noise of one pixel."""
+        return np.asarray(squares / self.freedom + ROUNDING)
 
 
 def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:

@@ -4,8 +4,8 @@ Around a corner the image is modelled as
     (1 + g · (x, y)) · (level + contrast · T(f)),   f the crossing of crossing.py, T the curve of tone.py,
 with both edges' places, directions and blurs, and the gradient g of the light: eleven unknowns a corner. The edges may
 bend as a lens bends them, by a curvature that is given. Only pixels by the edges are looked at, each counted with the
-nearer one, and none that the next edges reach. All corners are fitted at once by Levenberg-Marquardt steps in offsets
-and angles of the edges, in which the unknowns hardly depend on each other.
+nearer one, and none that the next edges reach. All corners are fitted at once, by steps in offsets and angles of the
+edges, in which the unknowns hardly depend on each other.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.solve.descent import Stopping
+from camcal.solve.independent import Minima, Models, Tried, minimise_each
 from camcal.targets.corners.cell_window import LONGEST_PX, CellWindow, look
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.checker_picture import CheckerPicture, alone, crowded
@@ -21,15 +23,19 @@ from camcal.targets.corners.tone import STRONGEST, toned
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
 _BLUR_PX = (0.29, 6.3)  # a pixel's own square is the least; without it an edge between two rows could be anywhere there
-_ROUNDS = 24  # that few corners need
+# Costs are summed in single precision; the damping falls and rises fast, for most corners need few steps.
+_STOPPING = Stopping(iterations=24, damping=1e-4, rise=30.0, by_gain=False, restart=0.0, most=30.0, slack=1e-6)
 _SETTLED_PX = 1e-3  # the step after such a step is of the order of 1e-5 px
 _SETTLED = 0.05  # of a standard deviation
-_STUCK = 1e3  # a damping under which no step leads down
 _LEVEL = 0.01  # of the sum of squares: what falls by more is on its way, even where the corner does not move
 _RESTING_PX = 0.02  # where pictures are not like the model, steps go to and fro and lessen slowly
 _FURTHEST = 0.35  # steps from the start; a fit that goes further has found something else
 _COUNT = 11
-_OFFSETS, _ANGLES, _BLURS, _LIGHT = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 11)
+# The unknowns as the elements of a state: corner, angles of the edges, logarithms of their blurs, and the light: level,
+# contrast, tone, and the gradient over the window's reach. A step has the offsets of both edges where a state has the
+# corner.
+_PIXELS, _ANGLES, _BLURS, _LIGHT = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 11)
+_OFFSETS, _CONTRAST, _TONE = _PIXELS, 7, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +79,10 @@ def refine(
     matters how the edge bends.
     """
     window = look(gray, pixels, cells, blur_px, sites, longest_px)
-    scene = _Scene.of(cells, pixels, blur_px)
-    fit = _minimise(window, scene, _State.start(window, scene, pixels, cells, blur_px))
-    return _result(fit, window, pixels, cells, ROUNDING if gray.dtype == np.uint8 else 0.0)
+    corners = _Corners(window, _Scene.of(cells, pixels, blur_px))
+    states, every = corners.start(pixels, cells, blur_px), np.arange(len(pixels))
+    fit = minimise_each(corners, states, every, _STOPPING, enough=corners.enough)
+    return _result(fit, corners, pixels, cells, ROUNDING if gray.dtype == np.uint8 else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +104,11 @@ class _Scene:
         """Return what is known of some of the corners."""
         return _Scene(self.bends[rows], self.start[rows], None if self.beside is None else self.beside.take(rows))
 
-    def picture(self, window: CellWindow, state: "_State", along: Array, away: Array) -> CheckerPicture:
+    def picture(self, window: CellWindow, states: Array, along: Array, away: Array) -> CheckerPicture:
         """Return the picture (N, K) of edges; along, away: (2, N, K) px along each edge and from it, to its left."""
         single = np.float32
-        inverse = np.exp(-state.log_blur).astype(single).T[..., None]
-        correlation = np.cos(state.angles[:, [0]] - state.angles[:, [1]]).astype(single)
+        inverse = np.exp(-states[:, _BLURS]).astype(single).T[..., None]
+        correlation = np.cos(states[:, [2]] - states[:, [3]]).astype(single)
         if self.beside is None:
             return alone(away[0] * inverse[0], away[1] * inverse[1], correlation)
         x, y = window.offsets(self.start)
@@ -111,139 +118,91 @@ class _Scene:
             lines = self.beside.lines[:, edge].astype(single)[..., None]
             right, left = (lines[:, k, 0] * x + lines[:, k, 1] * y + lines[:, k, 2] - bend for k in (0, 1))
             scaled.append(np.stack([right, away[edge], left]) * inverse[edge])
-        return crowded(scaled[0], scaled[1], correlation, self.beside.border, np.sign(state.light[:, [1]]))
+        return crowded(scaled[0], scaled[1], correlation, self.beside.border, np.sign(states[:, [_CONTRAST]]))
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
-    """Corners (N, 2), angles (N, 2) of the edges, logarithms (N, 2) of their blurs, and the light (N, 5): level,
-    contrast, tone, and the gradient over the window's reach.
-    """
+class _Corners:
+    """The fits of N corners, for the solver: states (N, 11), steps (N, 11)."""
 
-    pixels: Array
-    angles: Array
-    log_blur: Array
-    light: Array
+    window: CellWindow
+    scene: _Scene
 
-    @classmethod
-    def start(cls, window: CellWindow, scene: _Scene, pixels: Array, cells: Cells, blur_px: float) -> "_State":
+    def start(self, pixels: Array, cells: Cells, blur_px: float) -> Array:
         """Return edges along the steps, and the light by linear least squares."""
-        angles = np.arctan2(cells.steps[:, 1], cells.steps[:, 0])
-        blur = np.full((len(pixels), 2), np.log(np.clip(blur_px, *_BLUR_PX)))
-        state = cls(pixels.astype(np.float64), angles, blur, np.zeros((len(pixels), 5)))
-        state.light[:, 1] = 1.0
-        linear = _evaluate(window, scene, state).jacobian[:, 6:8]
+        states = np.zeros((len(pixels), _COUNT))
+        states[:, _PIXELS] = pixels
+        states[:, _ANGLES] = np.arctan2(cells.steps[:, 1], cells.steps[:, 0])
+        states[:, _BLURS] = np.log(np.clip(blur_px, *_BLUR_PX))
+        states[:, _CONTRAST] = 1.0
+        linear = _evaluate(self.window, self.scene, states)[1][:, 6:8]
         normal = (linear @ linear.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(2)
-        weighted = (linear @ (window.values * window.used)[..., None]).astype(np.float64)
-        state.light[:, :2] = np.linalg.solve(normal, weighted)[..., 0]
-        return state
+        weighted = (linear @ (self.window.values * self.window.used)[..., None]).astype(np.float64)
+        states[:, 6:8] = np.linalg.solve(normal, weighted)[..., 0]
+        return states
 
-    def take(self, rows: Array) -> "_State":
-        """Return the state of some of the corners."""
-        return _State(self.pixels[rows], self.angles[rows], self.log_blur[rows], self.light[rows])
+    def linearise(self, states: Array, which: Array) -> Models:
+        """Return the models of half the sums of squares."""
+        residuals, jacobian = _evaluate(self.window.take(which), self.scene.take(which), states)
+        cost = 0.5 * np.einsum("nk,nk->n", residuals, residuals).astype(np.float64)
+        normal = (jacobian @ jacobian.swapaxes(1, 2)).astype(np.float64)
+        normal += 1e-6 * np.eye(_COUNT)  # cells with fewer pixels than unknowns
+        return Models(cost, -(jacobian @ residuals[..., None])[..., 0].astype(np.float64), normal)
 
-    def put(self, rows: Array, other: "_State") -> None:
-        """Take over the state of some of the corners."""
-        for mine, new in zip(vars(self).values(), vars(other).values(), strict=True):
-            mine[rows] = new
+    def retract(self, states: Array, steps: Array) -> Array:
+        """Return the states after steps, blurs and tone within what they may be."""
+        moved = states + steps
+        moved[:, _PIXELS] = states[:, _PIXELS] + np.linalg.solve(_normals(states), steps[:, _OFFSETS, None])[..., 0]
+        moved[:, _BLURS] = np.clip(moved[:, _BLURS], *np.log(_BLUR_PX))
+        moved[:, _TONE] = np.clip(moved[:, _TONE], -STRONGEST, STRONGEST)
+        return moved
 
-    def moved(self, step: Array) -> "_State":
-        """Return the state after a step (N, 11)."""
-        across = np.linalg.solve(self.normals, step[:, _OFFSETS, None])[..., 0]
-        blur = np.clip(self.log_blur + step[:, _BLURS], *np.log(_BLUR_PX))
-        light = self.light + step[:, _LIGHT]
-        light[:, 2] = np.clip(light[:, 2], -STRONGEST, STRONGEST)
-        return _State(self.pixels + across, self.angles + step[:, _ANGLES], blur, light)
+    def enough(self, tried: Tried) -> Array:
+        """Return after which steps (A,) a corner stays where it is, and its picture has come to its level."""
+        level = tried.taken & (tried.fall <= _LEVEL * tried.before.cost)
+        small = self._small(tried.before, tried.which, _SETTLED_PX, _SETTLED)
+        return np.asarray(level & (_length(tried.steps) < small))
 
-    @property
-    def normals(self) -> Array:
-        """The left normals (N, 2, 2) of both edges, one a row."""
-        return np.stack([-np.sin(self.angles), np.cos(self.angles)], axis=-1)
+    def resting(self, fit: Minima) -> Array:
+        """Return which corners (N,) have moved little in the last step."""
+        return np.asarray(_length(fit.steps) < self._small(fit.models, fit.which, _RESTING_PX, 1.0))
 
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """Residuals (N, K), and derivatives (N, 11, K) of the model: offsets, angles, logarithms of the blurs, light."""
-
-    residuals: Array
-    jacobian: Array
-
-    @property
-    def cost(self) -> Array:
-        """The sums of squares (N,)."""
-        return np.asarray(np.einsum("nk,nk->n", self.residuals, self.residuals), np.float64)
-
-    @property
-    def normal(self) -> Array:
-        """The normal matrices (N, 11, 11)."""
-        return np.asarray(self.jacobian @ self.jacobian.swapaxes(1, 2), np.float64)
-
-    @property
-    def gradient(self) -> Array:
-        """The right-hand sides (N, 11)."""
-        return np.asarray((self.jacobian @ self.residuals[..., None])[..., 0], np.float64)
+    def _small(self, models: Models, which: Array, px: float, deviations: float) -> Array:
+        """Return lengths (A,) of `px`, or so many standard deviations of a corner where that is more."""
+        count = self.window.used[which].sum(axis=1) + 1e-9
+        least = models.normal[:, [0, 1], [0, 1]].min(axis=1)
+        return np.asarray(np.maximum(px, deviations * np.sqrt(2 * models.cost / count / least)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """The state at the end, sums of squares (N,), normal matrices (N, 11, 11), and whether it has come to rest (N,)."""
-
-    state: _State
-    cost: Array
-    normal: Array
-    settled: Array
+def _length(steps: Array) -> Array:
+    """Return how far (A,) px steps (A, 11) take corners."""
+    return np.asarray(np.abs(steps[:, _OFFSETS]).max(axis=1))
 
 
-def _minimise(window: CellWindow, scene: _Scene, state: _State) -> _Fit:
-    linear = _evaluate(window, scene, state)
-    cost, normal, gradient = linear.cost, linear.normal, linear.gradient
-    damping, (settled, resting) = np.full(len(cost), 1e-4), np.zeros((2, len(cost)), np.bool_)
-    count = window.used.sum(axis=1) + 1e-9
-    for _ in range(_ROUNDS):
-        rows = np.flatnonzero(~settled)
-        if not len(rows):
-            break
-        step = _step(normal[rows], gradient[rows], damping[rows])
-        trial = state.take(rows).moved(step)
-        spread = np.sqrt(cost[rows] / count[rows] / (normal[rows][:, [0, 1], [0, 1]].min(axis=1) + 1e-9))
-        length = np.abs(step[:, _OFFSETS]).max(axis=1)
-        resting[rows] = length < np.maximum(_RESTING_PX, spread)
-        linear = _evaluate(window.take(rows), scene.take(rows), trial)
-        better = linear.cost <= cost[rows] * (1 + 1e-6)
-        falling = linear.cost < (1 - _LEVEL) * cost[rows]
-        kept = rows[better]
-        state.put(kept, trial.take(better))
-        cost[kept], normal[kept], gradient[kept] = linear.cost[better], linear.normal[better], linear.gradient[better]
-        damping[rows] *= np.where(better, 0.1, 30.0)
-        arrived = (better & ~falling) | (damping[rows] > _STUCK)
-        settled[rows] = (length < np.maximum(_SETTLED_PX, _SETTLED * spread)) & arrived
-    return _Fit(state, cost, normal, resting)
+def _normals(states: Array) -> Array:
+    """Return the left normals (N, 2, 2) of both edges, one a row."""
+    angles = states[:, _ANGLES]
+    return np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
 
 
-def _step(normal: Array, gradient: Array, damping: Array) -> Array:
-    """Return damped steps (N, 11)."""
-    damped = normal.copy()
-    diagonal = np.arange(_COUNT)
-    damped[:, diagonal, diagonal] *= 1 + damping[:, None]
-    damped[:, diagonal, diagonal] += 1e-6  # cells with fewer pixels than unknowns
-    return np.asarray(np.linalg.solve(damped, gradient[..., None])[..., 0])
-
-
-def _evaluate(window: CellWindow, scene: _Scene, state: _State) -> _Linear:
-    """Return values minus model and the model's derivatives, in single precision: sums of a thousand small numbers."""
+def _evaluate(window: CellWindow, scene: _Scene, states: Array) -> tuple[Array, Array]:
+    """Return values minus model (N, K) and the model's derivatives (N, 11, K), in single precision: sums of a thousand
+    small numbers.
+    """
     single = np.float32
-    x, y = window.offsets(state.pixels)
-    cos, sin = (part.astype(single).T[..., None] for part in (np.cos(state.angles), np.sin(state.angles)))
+    x, y = window.offsets(states[:, _PIXELS])
+    angles = states[:, _ANGLES]
+    cos, sin = (part.astype(single).T[..., None] for part in (np.cos(angles), np.sin(angles)))
     along = cos * x + sin * y
     away = cos * y - sin * x - (scene.bends / 2).astype(single).T[..., None] * along**2
-    seen = scene.picture(window, state, along, away)
-    level, contrast, tone, slope_x, slope_y = state.light.astype(single).T[..., None]
+    seen = scene.picture(window, states, along, away)
+    level, contrast, tone, slope_x, slope_y = states[:, _LIGHT].astype(single).T[..., None]
     over_x, over_y = x * window.scale, y * window.scale
     gain = (1 + slope_x * over_x + slope_y * over_y) * window.used
     curve = toned(seen.value, tone)
     shape = level + contrast * curve.value
     slope = -gain * contrast * curve.by_picture
-    inverse = np.exp(-state.log_blur).astype(single).T[..., None]
+    inverse = np.exp(-states[:, _BLURS]).astype(single).T[..., None]
     jacobian = np.empty((len(x), _COUNT, x.shape[1]), single)
     for edge, by_distance in enumerate((seen.by_first, seen.by_second)):
         jacobian[:, edge] = slope * by_distance * inverse[edge]
@@ -253,27 +212,27 @@ def _evaluate(window: CellWindow, scene: _Scene, state: _State) -> _Linear:
     jacobian[:, 6], jacobian[:, 7], jacobian[:, 8] = gain, gain * curve.value, gain * contrast * curve.by_tone
     lit = window.used * shape
     jacobian[:, 9], jacobian[:, 10] = over_x * lit, over_y * lit
-    return _Linear(window.values * window.used - gain * shape, jacobian)
+    return window.values * window.used - gain * shape, jacobian
 
 
-def _result(fit: _Fit, window: CellWindow, start: Array, cells: Cells, rounding: float) -> RefinedCorners:
-    state = fit.state
-    freedom = window.used.sum(axis=1) - _COUNT
-    variance = np.maximum(fit.cost / np.maximum(freedom, 1), rounding)
+def _result(fit: Minima, corners: _Corners, start: Array, cells: Cells, rounding: float) -> RefinedCorners:
+    states = fit.states
+    freedom = corners.window.used.sum(axis=1) - _COUNT
+    variance = np.maximum(2 * fit.cost / np.maximum(freedom, 1), rounding)
     step = np.linalg.norm(cells.steps, axis=1).min(axis=1)
-    near = np.linalg.norm(state.pixels - start, axis=1) < _FURTHEST * step
-    settled = fit.settled & near & (freedom > _COUNT)
-    inverse = np.linalg.inv(fit.normal + 1e-9 * np.eye(_COUNT))[:, _OFFSETS, _OFFSETS]
-    to_pixels = np.linalg.inv(state.normals)
+    near = np.linalg.norm(states[:, _PIXELS] - start, axis=1) < _FURTHEST * step
+    settled = corners.resting(fit) & near & (freedom > _COUNT)
+    inverse = np.linalg.inv(fit.models.normal)[:, _OFFSETS, _OFFSETS]
+    to_pixels = np.linalg.inv(_normals(states))
     covariance = to_pixels @ inverse @ to_pixels.swapaxes(1, 2) * variance[:, None, None]
     covariance = (covariance + covariance.swapaxes(1, 2)) / 2  # symmetric to the last digit, as files have it
     settled &= (np.linalg.det(covariance) > 0) & (np.trace(covariance, axis1=1, axis2=2) > 0)  # else ill-conditioned
     kept = np.where(settled, 1.0, np.nan)
     return RefinedCorners(
-        np.where(settled[:, None], state.pixels, start),
+        np.where(settled[:, None], states[:, _PIXELS], start),
         covariance * kept[:, None, None],
-        np.sqrt(np.maximum(np.exp(2 * state.log_blur) - PIXEL_VARIANCE, 0.0)) * kept[:, None],
-        state.light[:, 1] * kept,
+        np.sqrt(np.maximum(np.exp(2 * states[:, _BLURS]) - PIXEL_VARIANCE, 0.0)) * kept[:, None],
+        states[:, _CONTRAST] * kept,
         np.sqrt(variance) * kept,
         settled,
     )
