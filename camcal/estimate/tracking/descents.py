@@ -49,13 +49,18 @@ def descended(frame: PixelFrames, middles: MotionState, covariances: Array, star
     for temper in _TEMPERS:
         _, gradient, curvature = linearised(frame, rotations, translations, temper)
         step, slope = _pulled(rotations, translations, middle)
-        change = _solved(gradient, curvature, prior, step, slope, damping)
+        change, _ = _solved(gradient, curvature, prior, step, slope, damping)
         rotations, translations = so3.exp(change[:, 3:]) @ rotations, translations + change[:, :3]
     now = _measured(frame, rotations, translations, prior, middle)
     active = np.arange(len(parents))
     for _ in range(_ITERATIONS):
         _, _, _, gradient, curvature, step, slope = (part[active] for part in now)
-        change = _solved(gradient, curvature, prior[active], step, slope, damping[active])
+        change, promised = _solved(gradient, curvature, prior[active], step, slope, damping[active])
+        going = promised > _SETTLED
+        if not going.all():
+            active, change = active[going], change[going]
+            if not len(active):
+                break
         tried = _measured(
             frame,
             so3.exp(change[:, 3:]) @ now[0][active],
@@ -99,12 +104,16 @@ def _pulled(rotations: Array, translations: Array, middle: MotionState) -> tuple
     return np.concatenate([translations - middle.translations, turn], axis=-1), slope
 
 
-def _solved(gradient: Array, curvature: Array, prior: Array, step: Array, slope: Array, damping: Array) -> Array:
+def _solved(
+    gradient: Array, curvature: Array, prior: Array, step: Array, slope: Array, damping: Array
+) -> tuple[Array, Array]:
+    """Return the damped changes (E, 6) of poses and by how much (E) they should lower the cost."""
     weighted = slope.swapaxes(-1, -2) @ prior
     whole = curvature + weighted @ slope
     right = gradient + (weighted @ step[..., None])[..., 0]
     damped = whole + damping[:, None, None] * (whole * _EYE)
-    return -np.linalg.solve(damped, right[..., None])[..., 0]
+    change = -np.linalg.solve(damped, right[..., None])[..., 0]
+    return change, -(right * change).sum(axis=-1)
 
 
 def _distinct(ends: Ends) -> Ends:

@@ -15,6 +15,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.tracking.descents import Ends, descended
+from camcal.estimate.tracking.flat import Flat
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, difference
 from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised, minimised
 from camcal.geometry import rotation as so3
@@ -22,6 +23,8 @@ from camcal.geometry import rotation as so3
 MOST = 10  # hypotheses that are kept
 WORTH = 28.0  # above the best cost: e^-14 is no rival
 ANEW = 18.4  # cost of a motion that begins anew: -2 ln 1e-4
+FLIPPED = 9.2  # cost of having taken the other pose near the frontal view: -2 ln 1e-2 a frame
+_FRONTAL = np.radians(15.0)  # tilt below which that may have happened unseen
 RARE = 0.02  # share of frames that show something else
 _SAME = 1.0  # squared Mahalanobis distance of states that are one
 _BLUNT = 100.0  # so that no pixel is taken for wrong
@@ -101,11 +104,12 @@ def followed(
     shaking: Array,
     distance: float,
     max_gap: float,
+    flat: Flat | None = None,
 ) -> Forward:
     """Return the hypotheses after each frame.
 
     stamps: (N,) s. shaking: (N, 6, 6) covariance of what shakes each pose on its own. distance: (m) usual one of the
-    object. max_gap: s without a detection after which the motion begins anew.
+    object. max_gap: s without a detection after which the motion begins anew. flat: the object's plane, if it has one.
     """
     result: list[Hypotheses | None] = []
     now: Hypotheses | None = None
@@ -118,6 +122,8 @@ def followed(
         elif now is not None:
             dt = np.array(stamps[index] - stamps[index - 1])
             now = _forecast(now, motion, dt)
+            if there and flat is not None:
+                now = with_mirrored(now, flat)
             if there:
                 allowed = _allowed(candidates, index)
                 now = _seen(now, frames.at(index), allowed, motion, shaking[index], distance, float(limits[index]))
@@ -167,6 +173,35 @@ def _forecast(now: Hypotheses, motion: FreeMotion, dt: Array) -> Hypotheses:
     spread = growth @ now.covariances @ growth.swapaxes(-1, -2) + motion.covariance(dt[:1])
     expected = _expected(states, spread, now.costs, np.arange(count), np.full(count, MISSED))
     return expected._replace(transitions=growth)
+
+
+def with_mirrored(expected: Hypotheses, flat: Flat) -> Hypotheses:
+    """Return hypotheses and, of those that are nearly frontal, mirrored ones that are not among them.
+
+    Around the frontal view a pose has two lobes of likelihood that run into each other. A hypothesis is a normal
+    density about one of them, and may be the wrong one when they part.
+    """
+    states = expected.states
+    frontal = flat.tilt(states.rotations, states.translations) < _FRONTAL
+    frontal &= expected.costs < expected.costs.min() + WORTH - FLIPPED
+    if not frontal.any():
+        return expected
+    twins = expected.take(np.flatnonzero(frontal))
+    mirrored = flat.mirrored_states(twins.states)
+    apart = so3.angle_between(mirrored.rotations[:, None], states.rotations).min(axis=1)
+    own = so3.angle_between(mirrored.rotations, twins.states.rotations)
+    new = apart > 0.5 * own
+    if not new.any():
+        return expected
+    twins, mirrored = twins.take(np.flatnonzero(new)), mirrored.at(new)
+    # nothing goes back from a mirrored pose to what came before it
+    twins = twins._replace(
+        states=mirrored,
+        forecasts=mirrored,
+        transitions=np.zeros_like(twins.transitions),
+        costs=twins.costs + FLIPPED,
+    )
+    return _joined([expected, twins])
 
 
 def _seen(

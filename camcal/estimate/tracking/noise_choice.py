@@ -60,7 +60,7 @@ def explained(
         elif not tune:
             break
         before = float(track.evidence.sum())
-        track = solved(chains, motion, track.states, _STEPS)
+        track = solved(chains, motion, track.states, _STEPS, track.pulls)
         spread = spread_of(track)
         if abs(float(track.evidence.sum()) - before) < _SETTLED:
             break

@@ -10,6 +10,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking import hypotheses, noise_choice
+from camcal.estimate.tracking.flat import Flat
 from camcal.estimate.tracking.flips import FAR, Searched, searched
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState
 from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward
@@ -84,7 +85,7 @@ def track_pixels(
     sigma = sigma or max(_first_noise(frames, candidates), _LEAST_NOISE)
     frames = frames.with_noise(sigma)
     distance = float(np.median(np.linalg.norm(candidates.translations[found_in, 0], axis=1)))
-    run = _Run(frames, candidates, np.asarray(stamps), distance, max_gap)
+    run = _Run(frames, candidates, np.asarray(stamps), distance, max_gap, Flat.of(frames))
     motion = FreeMotion(
         (_START_TRANSLATION * distance**2, _START_ROTATION) if noise is None else (noise.translation, noise.rotation)
     )
@@ -123,13 +124,14 @@ def _first_noise(frames: PixelFrames, candidates: Candidates) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What is followed: pixels (noise 1), candidates, times, usual distance (m) and the longest gap (s)."""
+    """What is followed: pixels (noise 1), candidates, times, usual distance (m), the longest gap (s) and the plane."""
 
     frames: PixelFrames
     candidates: Candidates
     stamps: Array
     distance: float
     max_gap: float
+    flat: Flat | None
 
     def followed(self, motion: FreeMotion, shaking: Shaking, *, tune: bool) -> tuple[Explained, Forward]:
         """Return the track that the best hypothesis leads to, from the first detection on."""
@@ -141,6 +143,7 @@ class _Run:
             noise_choice.covariance_for(shaking, self._places()),
             self.distance,
             self.max_gap,
+            self.flat,
         )
         chains, states = self._chains(forward, motion)
         return noise_choice.explained(chains, motion, states, shaking, tune=tune), forward
