@@ -50,7 +50,7 @@ OPENCV_EDGES = {
     "report/colour_scale.py",
     "report/disparity_pictures.py",
     "report/turntable.py",
-    "run/threads.py",
+    "run/fanout.py",
     "simulate/render.py",
     "stereo/matching/census.py",
     "stereo/matching/consistency.py",
@@ -66,7 +66,7 @@ OPENCV_EDGES = {
     "stereo/pair/coarse.py",
     "stereo/pair/features.py",
     "stereo/pair/tracking.py",
-    "stereo/points/normals.py",
+    "stereo/points/cloud.py",
     "targets/circles/blobs.py",
     "targets/aprilgrid/outlines.py",
     "targets/detect.py",
@@ -186,7 +186,7 @@ def strangers(package: Path) -> set[str]:
 
 def test_threads_and_processes_start_in_the_fan_out_only(plant):
     assert imports_of(plant("tasks/run.py", "from concurrent.futures import Future"), CONCURRENCY) == {"tasks/run.py"}
-    assert imports_of(PACKAGE, CONCURRENCY) == {"run/fanout.py", "run/threads.py"}
+    assert imports_of(PACKAGE, CONCURRENCY) == {"run/fanout.py"}
 
 
 def test_only_reports_import_a_plotting_library(plant):

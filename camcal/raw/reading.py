@@ -1,15 +1,26 @@
-"""Reading raw frames of every kind: camera raw files, bare mosaics in image files, header-less dumps of a sensor."""
+"""Reading raw frames of every kind: camera raw files, bare mosaics in image files, header-less dumps of a sensor.
 
+Of camera raw files LibRaw gives the sensor's own counts, never its look; how a frame was taken stands where its maker
+keeps that: as TIFF, in a preview, or in boxes.
+
+Source: Exif 2.32 (JEITA CP-3451E), section 4.6; L. Chevalier, "Describing the Canon Raw v3 (CR3) file format".
+"""
+
+import struct
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from camcal.errors import InvalidInput
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.files import read_bytes
+from camcal.images import containers, exif, limits
 from camcal.images.load import load
-from camcal.raw.camera_raw import read_camera_raw
 from camcal.raw.headerless import read_headerless
-from camcal.raw.mosaic import Mosaic, full_scale
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
 
 
 def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT) -> Mosaic:
@@ -64,3 +75,189 @@ def _read_camera(path: Path, pattern: str | None) -> Mosaic:
     if pattern not in (None, frame.pattern):
         raise InvalidInput(f"the file says {frame.pattern}, --pattern says {pattern}; leave --pattern out")
     return frame
+
+
+_ORIENTATIONS = (1, 2, 4, 3, 5, 8, 6, 7)  # as EXIF counts them, by LibRaw's bits: mirror in x, in y, then transpose
+
+# LibRaw's XYZ of linear sRGB's red, green and blue, white D65; its own inverse of a camera's matrix goes through it.
+_XYZ_M_SRGB = np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
+
+_MASK_GUARD = 8  # columns beside the image that light may creep into
+_MASK_WIDTH = 16  # columns, at least, for a median worth the name
+_MASK_SPREAD = 0.01  # of the white level: samples without light differ by their noise only
+
+
+def read_camera_raw(path: Path) -> Mosaic:
+    """Return the raw frame of a camera raw file: counts, pattern, levels, white balance, colour, orientation, capture.
+
+    Raises FileError if the file is missing, cut off or not one that LibRaw reads, InvalidInput if it holds no mosaic.
+    """
+    import rawpy
+
+    content = read_bytes(path)
+    if exif.is_cut_off(content):
+        raise FileError(f"is cut off: it points beyond its {len(content)} bytes", where=str(path))
+    try:
+        with rawpy.imread(BytesIO(content)) as raw:
+            limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
+            if raw.raw_type != rawpy.RawType.Flat:
+                raise InvalidInput("holds full colour in every pixel (linear DNG, sRAW or Foveon): there is no mosaic")
+            return _frame(raw, content)
+    except rawpy.LibRawError as error:
+        raise FileError(f"not a camera raw file that can be read ({_reason(error)})", where=str(path)) from error
+
+
+def pattern_of(codes: Array | None, letters: bytes) -> str:
+    """Return the pattern from a camera file's cell of colour indices and the letter of each index.
+
+    Raises InvalidInput for other colours than R, G, B, for other cells than 2 × 2 and X-Trans, and for none at all.
+    """
+    if codes is None:
+        raise InvalidInput("has no colour filter pattern")
+    pattern = "".join(chr(letters[code]) for code in codes.ravel())
+    if not set(pattern) <= set("RGB"):
+        raise InvalidInput(f"has a filter pattern of {', '.join(sorted(set(pattern)))}; only red, green, blue are read")
+    if codes.shape != (2, 2) and not is_x_trans(pattern):
+        raise InvalidInput(f"has a pattern of {codes.shape[0]} × {codes.shape[1]}; only Bayer and X-Trans are read")
+    return pattern if is_x_trans(pattern) else require_pattern(pattern)
+
+
+def _frame(raw: Any, content: bytes) -> Mosaic:
+    codes = None if raw.num_colors == 1 else _cell(raw)
+    pattern = MONO if codes is None else pattern_of(codes, raw.color_desc)
+    colour = pattern != MONO
+    return Mosaic(
+        raw.raw_image_visible,
+        pattern,
+        _black(raw, codes, pattern),
+        _white(raw),
+        _camera_gains(raw) if colour else None,
+        _camera_matrix(raw) if colour else None,
+        _ORIENTATIONS[raw.sizes.flip & 7],
+        capture_of(content, raw.other),
+    )
+
+
+def _cell(raw: Any) -> Array | None:
+    """Return the colour indices of the first cell of the image; LibRaw's own cell of X-Trans begins at the margin."""
+    try:
+        cell = raw.raw_pattern
+    except NotImplementedError as error:  # cells of other heights, which LibRaw can say and its binding cannot
+        raise InvalidInput("has a filter pattern that is neither Bayer nor X-Trans") from error
+    if cell is None:
+        return None
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    codes = [raw.raw_color(top + row, left + column) for row, column in np.ndindex(*cell.shape)]
+    return np.reshape(codes, cell.shape)
+
+
+def _black(raw: Any, codes: Array | None, pattern: str) -> Array:
+    """Return the counts without light of every place of the cell: as stated, else of the columns that see no light."""
+    side = cell_side(pattern)
+    stated = np.asarray(raw.black_level_per_channel, dtype=float)
+    if not stated.any():
+        return _masked_black(raw, pattern)
+    return np.full((side, side), stated[0]) if codes is None else stated[codes]
+
+
+def _masked_black(raw: Any, pattern: str) -> Array:
+    """Return the median counts of the columns left of the image if they are masked, for every place of the cell.
+
+    They are masked if they differ by noise only and are as dark as the darkest of the image; else the answer is 0.
+    """
+    side = cell_side(pattern)
+    sizes, image = raw.sizes, raw.raw_image_visible
+    rows = slice(sizes.top_margin, sizes.top_margin + sizes.height)
+    margin = raw.raw_image[rows, sizes.left_margin % side : max(0, sizes.left_margin - _MASK_GUARD)]
+    if margin.shape[1] < _MASK_WIDTH:
+        return np.zeros((side, side))
+    low, middle, high = np.percentile(margin, [1, 50, 99])
+    if high - low > _MASK_SPREAD * raw.white_level or middle > np.percentile(image, 1):
+        return np.zeros((side, side))
+    return np.reshape([np.median(margin[place]) for place in phases(pattern)], (side, side))
+
+
+def _white(raw: Any) -> float:
+    """Return the counts at which the first channel saturates: what the maker says, else what LibRaw knows."""
+    darkest = max(raw.black_level_per_channel)
+    stated = [level for level in raw.camera_white_level_per_channel or () if level > darkest]
+    return float(min(stated, default=raw.white_level))
+
+
+def _camera_gains(raw: Any) -> Array | None:
+    gains = np.asarray(raw.camera_whitebalance[:3], dtype=float)
+    return gains if np.isfinite(gains).all() and (gains > 0).all() else None
+
+
+def _camera_matrix(raw: Any) -> Array | None:
+    """Return the matrix from XYZ to the camera's colours, None if unknown.
+
+    LibRaw gives that of a DNG file away only as its way to sRGB: inverted, with every row scaled to a sum of 1 over
+    linear sRGB; the scales are its daylight balance.
+    """
+    stated = np.asarray(raw.rgb_xyz_matrix, dtype=float)[:3]
+    if stated.any():
+        return stated
+    to_srgb = np.asarray(raw.color_matrix, dtype=float)[:, :3]
+    scales = np.asarray(raw.daylight_whitebalance[:3], dtype=float)
+    if not (scales > 0).all() or not abs(np.linalg.det(to_srgb)) > 0:
+        return None
+    return np.asarray(np.linalg.inv(_XYZ_M_SRGB @ to_srgb) / scales[:, np.newaxis])
+
+
+def _reason(error: Exception) -> str:
+    text = error.args[0] if error.args else error
+    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+
+
+_FUJI = b"FUJIFILMCCD-RAW"
+_FUJI_PREVIEW = 84  # where the offset and the length of the preview stand, a JPEG file with an EXIF block
+_CANON_BOXES = (b"CMT1", b"CMT2")  # the first directory, and the one about the capture
+_CANON_SEARCH = 1 << 16
+
+
+def capture_of(content: bytes, known: Any) -> Capture:
+    """Return how a frame was taken by the EXIF tags of its camera file, where they are silent by what LibRaw knows.
+
+    known: LibRaw's iso_speed, shutter_speed (s), aperture (f-number) and focal_length (mm).
+    """
+    said: dict[str, Any] = {
+        "exposure_s": _unless_default(known.shutter_speed),
+        "iso": known.iso_speed or None,
+        "f_number": _unless_default(known.aperture),
+        "focal_mm": known.focal_length or None,
+    }
+    for block in _blocks(content):
+        said |= exif.capture_facts(block)
+    return Capture(**said)
+
+
+def _unless_default(value: float) -> float | None:
+    """Return the value unless it is what LibRaw makes of no value: 0, or 2 to the power of 0."""
+    return None if value in (0, 1) else value
+
+
+def _blocks(content: bytes) -> list[bytes]:
+    if content.startswith(_FUJI):
+        return [_preview_exif(content)]
+    if content[4:8] == b"ftyp":
+        return [_box(content, name) for name in _CANON_BOXES]
+    return [content]
+
+
+def _preview_exif(content: bytes) -> bytes:
+    try:
+        offset, length = struct.unpack_from(">II", content, _FUJI_PREVIEW)
+    except struct.error:
+        return b""
+    preview = content[offset : offset + length]
+    return containers.read_jpeg(preview).exif if preview.startswith(containers.JPEG) else b""
+
+
+def _box(content: bytes, name: bytes) -> bytes:
+    """Return what a box of a Canon CR3 file holds, nothing if it is not there; its length stands before its name."""
+    place = content.find(name, 4, _CANON_SEARCH)
+    if place < 0:
+        return b""
+    (length,) = struct.unpack_from(">I", content, place - 4)
+    return content[place + 4 : place - 4 + length]

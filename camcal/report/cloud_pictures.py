@@ -1,4 +1,9 @@
-"""Pictures of point clouds for machines without a screen: one view, four beside each other, or the frames of a turn."""
+"""Pictures of point clouds for machines without a screen: one view, four beside each other, or the frames of a turn.
+
+Points are drawn as small discs, near ones over far ones, with numpy alone.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -6,9 +11,131 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.report.cloud_labels import Labels, write_labels
 from camcal.report.cloud_paint import Paint
-from camcal.report.cloud_renderer import Drawn, draw, shading
 from camcal.report.cloud_scene import CloudScene
 from camcal.report.cloud_views import View, view_of
+
+_OVERLAP = 0.75  # radius of a disc in spacings: 0.71 would just close a square grid
+_LARGEST = 12  # pixels
+_NEAREST = 0.02  # of the distance to the centre; what is nearer to the viewer is not drawn
+_NEIGHBOURS = 5  # drawn neighbours of eight that make an empty pixel a gap
+_GAP = 0.02  # how much the depth of these neighbours may differ, as a share
+_SHADE = 12.0  # how fast a step in depth darkens what lies behind it
+_DARKEST = 0.45
+_NOTHING = -1
+_DEEPEST = 0.1  # step, as a share of the distance, that darkens most
+_CROSS = [(0, -2), (0, -1), (0, 1), (0, 2), (-2, 0), (-1, 0), (1, 0), (2, 0)]
+_RING = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Which point every pixel shows (H, W), -1 for none, and how far away it is (H, W), infinite for none."""
+
+    index: Array
+    distance: Array
+
+
+def draw(scene: CloudScene, view: View, size: tuple[int, int], point_size: float = 1.0) -> Drawn:
+    """Return what a view of the points shows, size (width, height).
+
+    point_size: factor of the size of the points, which at 1 closes the surfaces. Hidden points are hidden.
+    """
+    across, down, distance, order = _projected(scene, view, size)
+    radius = _radii(scene, view, size, distance, order) * point_size
+    column, row = (np.floor(value).astype(np.int64) for value in (across, down))
+    classes = np.clip(np.rint(radius), 0, _LARGEST).astype(np.int64)
+    rank = np.full(size[::-1], _NOTHING, np.int32)
+    for pixels in np.unique(classes).tolist():
+        chosen = np.flatnonzero(
+            (classes == pixels)
+            & (column >= -pixels)
+            & (column < size[0] + pixels)
+            & (row >= -pixels)
+            & (row < size[1] + pixels)
+        )
+        layer = np.full((size[1] + 2 * pixels, size[0] + 2 * pixels), _NOTHING, np.int32)
+        layer[row[chosen] + pixels, column[chosen] + pixels] = chosen  # of one pixel the last stays: the nearest
+        np.maximum(rank, _discs(layer, pixels)[pixels : pixels + size[1], pixels : pixels + size[0]], out=rank)
+    _close_gaps(rank, distance)
+    shown = rank >= 0
+    drawn = Drawn(np.full(rank.shape, _NOTHING, np.int64), np.full(rank.shape, np.inf, np.float32))
+    drawn.index[shown], drawn.distance[shown] = order[rank[shown]], distance[rank[shown]]
+    return drawn
+
+
+def _projected(scene: CloudScene, view: View, size: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
+    """Return columns, rows and distances (M,) of the points before the viewer, the farthest first, and their places."""
+    beside = (scene.seen - view.eye.astype(np.float32)) @ view.axes.T.astype(np.float32)
+    before = np.flatnonzero(beside[:, 2] > _NEAREST * view.distance)
+    order = before[np.argsort(-beside[before, 2], kind="stable")]
+    right, below, distance = beside[order].T
+    scale = view.focal(size) / (view.distance if view.parallel else distance)
+    return right * scale + size[0] / 2, below * scale + size[1] / 2, distance, order
+
+
+def _radii(scene: CloudScene, view: View, size: tuple[int, int], distance: Array, order: Array) -> Array:
+    """Return the radius of every disc, pixels, beyond the pixel in which the point lies."""
+    spacing, grows = scene.spacing
+    away = view.distance if view.parallel else distance
+    rays = np.linalg.norm(scene.seen[order], axis=1) if grows else np.ones(len(order))
+    radii: Array = _OVERLAP * spacing * rays * view.focal(size) / away - 0.25
+    return radii
+
+
+def _discs(layer: Array, radius: int) -> Array:
+    """Return the largest value of a layer (H, W) within a disc around every pixel."""
+    found, rows, reach = layer.copy(), layer.copy(), 0
+    half_widths = [(int(np.sqrt(radius * radius + radius - dy * dy)), dy) for dy in range(radius + 1)]
+    for half_width, dy in sorted(half_widths):
+        while reach < half_width:
+            reach += 1
+            _raise_to(rows, layer, reach, axis=1)
+            _raise_to(rows, layer, -reach, axis=1)
+        for shift in {dy, -dy}:
+            _raise_to(found, rows, shift, axis=0)
+    return found
+
+
+def _raise_to(found: Array, values: Array, shift: int, axis: int) -> None:
+    """Raise `found` to the values that stand so many rows (axis 0) or columns before it."""
+    length = found.shape[axis]
+    target = [slice(None), slice(None)]
+    source = [slice(None), slice(None)]
+    target[axis] = slice(max(shift, 0), length + min(shift, 0))
+    source[axis] = slice(max(-shift, 0), length + min(-shift, 0))
+    view = found[tuple(target)]
+    np.maximum(view, values[tuple(source)], out=view)
+
+
+def _close_gaps(rank: Array, distance: Array) -> None:
+    """Give single empty pixels amid a surface the nearest of the points around them."""
+    shown = rank >= 0
+    neighbours = np.zeros((shown.shape[0] - 2, shown.shape[1] - 2), np.uint8)
+    for dy, dx in _RING:
+        neighbours += shown[1 + dy : shown.shape[0] - 1 + dy, 1 + dx : shown.shape[1] - 1 + dx]
+    row, column = np.nonzero((neighbours >= _NEIGHBOURS) & ~shown[1:-1, 1:-1])
+    around = np.stack([rank[1 + row + dy, 1 + column + dx] for dy, dx in _RING])
+    away = np.append(distance, np.nan)[around]  # of -1, where nothing is drawn, the last
+    surface = np.nanmax(away, axis=0) <= (1 + _GAP) * np.nanmin(away, axis=0) if row.size else row > 0
+    rank[1 + row[surface], 1 + column[surface]] = around[:, surface].max(axis=0)
+
+
+def shading(distance: Array) -> Array:
+    """Return a factor (H, W) for the light of every pixel: edges stand out where the depth (H, W) steps back.
+
+    Source: Boucheny, Visualisation scientifique de grands volumes de données, 2009 (eye-dome lighting).
+    """
+    depth = np.log(distance, where=np.isfinite(distance), out=np.full(distance.shape, np.inf, np.float32))
+    around = np.pad(depth, 2, constant_values=np.inf)
+    behind = np.zeros(distance.shape, np.float32)
+    for down, right in _CROSS:
+        neighbour = around[2 + down :, 2 + right :][: distance.shape[0], : distance.shape[1]]
+        with np.errstate(invalid="ignore"):  # infinite minus infinite, where nothing is drawn
+            step = depth - neighbour
+        behind += np.where(np.isfinite(step), np.clip(step, 0, _DEEPEST), 0)
+    factor: Array = np.maximum(np.exp(-_SHADE * behind / len(_CROSS)), _DARKEST)
+    return factor
+
 
 MONTAGE = ("camera", "30,22", "top", "side")
 

@@ -3,6 +3,8 @@
 Threads serve work that is all OpenCV. Worker processes serve where Python works or where a crash must be contained:
 each has a pipe of its own and one item in flight, so that a worker that dies or hangs costs that item and no other
 (a ProcessPoolExecutor fails every pending item when one worker is killed, and leaves orphans when the parent is).
+
+Threads can also share the work on one item; OpenCV is kept to one thread of its own then.
 """
 
 import itertools
@@ -17,7 +19,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, NamedTuple
@@ -26,7 +28,6 @@ from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run.cores import available_cores
 from camcal.run.startup import surroundings_of_a_worker
-from camcal.run.threads import one_opencv_thread, over_threads, startable
 
 __all__ = ["available_cores", "fan_out", "over_threads"]
 
@@ -324,3 +325,55 @@ def _bug(error: Exception) -> bytes:
 
 def _load(message: bytes) -> Any:
     return pickle.loads(message)  # noqa: S301 - it comes from a process of our own, through a pipe nobody else holds
+
+
+def startable(count: int) -> int:
+    """Return how many of `count` threads the limits of this process, its user and its memory let start at once."""
+    end = threading.Event()
+    threads = [threading.Thread(target=end.wait, daemon=True) for _ in range(count)]
+    started: list[threading.Thread] = []
+    try:
+        for thread in threads:
+            thread.start()
+            started.append(thread)
+    except RuntimeError:  # "can't start new thread"
+        pass
+    finally:
+        end.set()
+        for thread in started:
+            thread.join()
+    return len(started)
+
+
+@contextmanager
+def over_threads(jobs: int | None = None) -> Iterator[Callable[[Callable[[Item], object], Iterable[Item]], None]]:
+    """Lend a function that does one piece of work for every item, on as many threads as there are cores.
+
+    It returns when all are done, in whatever order; so the pieces must not depend on one another. An error of one of
+    them is raised when the others are done. OpenCV has one thread per worker meanwhile.
+    """
+    count = startable(jobs or available_cores())
+    with one_opencv_thread(), ThreadPoolExecutor(max(count, 1), thread_name_prefix="camcal") as pool:
+
+        def each(work: Callable[[Item], object], items: Iterable[Item]) -> None:
+            if not count:
+                for item in items:
+                    work(item)
+                return
+            for done in [pool.submit(work, item) for item in items]:
+                done.result()
+
+        yield each
+
+
+@contextmanager
+def one_opencv_thread() -> Iterator[None]:
+    """Give OpenCV one thread for the block."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -1,5 +1,6 @@
 """Photographs of a board: its drawing on its bent surface, through a lens, under some light, onto a noisy sensor."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,6 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.simulate.coverage import draw, piece_length
-from camcal.simulate.discs import SIDES, rims
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board
 from camcal.targets.pattern import Pattern, pattern_of
@@ -134,3 +134,18 @@ def develop(brightness: Array, exposure: Exposure, rng: np.random.Generator) -> 
     noise = rng.standard_normal(brightness.shape, dtype=np.float32) * (exposure.noise_dn / 255)
     values = np.rint(np.clip(encoded + noise, 0, 1) * full)
     return np.asarray(values, dtype=np.uint8 if exposure.depth == 8 else np.uint16)
+
+
+SIDES = 256  # of the polygon that stands for a circle; at a radius of 50 px it is within 0.003 px of it
+
+
+def rims(discs: Array) -> Array:
+    """Return the edges (D · SIDES, 2, 2) of discs (D, 3 or more) x, y, radius: start and end as x, y, from x to y.
+
+    They are polygons of the discs' area, so that what is drawn of them is neither smaller nor larger.
+    """
+    turn = 2 * math.pi / SIDES
+    angles = turn * np.arange(SIDES + 1)
+    circle = math.sqrt(turn / math.sin(turn)) * np.column_stack([np.cos(angles), np.sin(angles)])
+    corners = discs[:, None, :2] + discs[:, None, 2:3] * circle
+    return np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2, 2)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camcal.images.crop import enclosing_box, largest_box
+from camcal.images.views import enclosing_box, largest_box
 
 TURN = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
 

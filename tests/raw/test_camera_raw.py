@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.raw.camera_raw import pattern_of, read_camera_raw
 from camcal.raw.dng import dng_bytes
 from camcal.raw.mosaic import Capture, Mosaic, is_x_trans
+from camcal.raw.reading import pattern_of, read_camera_raw
 
 X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"
 ACTIVE_AREA, BLACK_LEVEL, PHOTOMETRIC, SAMPLES = 0xC68D, 0xC61A, 0x0106, 0x0115

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image as Pillow
 from PIL.TiffImagePlugin import IFDRational
 
-from camcal.raw.capture import capture_of
 from camcal.raw.mosaic import Capture
+from camcal.raw.reading import capture_of
 
 
 class Known(NamedTuple):

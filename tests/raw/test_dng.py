@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
-from camcal.raw.camera_raw import read_camera_raw
 from camcal.raw.dng import dng_bytes, write_dng
 from camcal.raw.mosaic import Capture, Mosaic
 from camcal.raw.options import PATTERNS
+from camcal.raw.reading import read_camera_raw
 
 X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"
 EOS_6D = np.array([[0.7034, -0.0804, -0.1014], [-0.4420, 1.2564, 0.2058], [-0.0851, 0.1994, 0.5758]])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError
-from camcal.raw.camera_raw import read_camera_raw
 from camcal.raw.dng import write_dng
 from camcal.raw.facts import channel_facts
 from camcal.raw.libraw import demosaic_with_libraw
 from camcal.raw.mosaic import sites
+from camcal.raw.reading import read_camera_raw
 
 BLACK_LEVEL = b"\x1a\xc6\x04\0\x01\0\0\0"  # the entry of one long number, little endian
 

@@ -10,8 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.report import turntable
 from camcal.report.cloud_labels import nice_below
 from camcal.report.cloud_paint import paint_of
-from camcal.report.cloud_pictures import labels_of, montage, picture, rendered
-from camcal.report.cloud_renderer import draw, shading
+from camcal.report.cloud_pictures import draw, labels_of, montage, picture, rendered, shading
 from camcal.report.cloud_views import View, named_views, turn, view_of
 from camcal.report.colour_scale import ColourScale, scale_of, turbo, turbo_table
 

@@ -12,9 +12,8 @@ import pytest
 from chromium import running
 from clouds import BLUE, RED, ROS, in_ros, middle_of, scene_of, stream_of, two_squares
 
-from camcal.report.cloud_packing import pack
 from camcal.report.cloud_scene import gather
-from camcal.report.cloud_view import Start, page
+from camcal.report.cloud_view import Start, pack, page
 
 SIZE = (640, 480)
 MIDDLE = (320, 240)

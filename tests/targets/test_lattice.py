@@ -5,7 +5,7 @@ import pytest
 from drawn import picture, pose, truth
 
 from camcal.targets.board import Board, parse_board
-from camcal.targets.checker.lattice import patterns
+from camcal.targets.checker.proposals import patterns
 from camcal.targets.checker.saddles import find_saddles
 
 BOARD = Board("chessboard", 7, 5)

@@ -21,9 +21,8 @@ from camcal.report import pose_words
 from camcal.simulate.observe import observe
 from camcal.targets.board import Detection, Detections, parse_board
 from camcal.targets.surface import Surface
-from camcal.tasks.poses.pnp import Gates, PnpOptions, pnp
+from camcal.tasks.poses.pnp import Gates, PnpOptions, PriorOptions, pnp
 from camcal.tasks.poses.pnp_observer import Observer
-from camcal.tasks.poses.pnp_prior import PriorOptions
 from camcal.tasks.poses.pnp_views import Looking, Observation
 
 BOARD = parse_board("chessboard:9x6:30mm")

@@ -14,7 +14,7 @@ from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
 from camcal.progress import SILENT, Silent
 from camcal.targets.board import Detection, Detections, parse_board
-from camcal.tasks.poses.pnp_rig import seen_by_rig
+from camcal.tasks.poses.pnp_observer import seen_by_rig
 from camcal.tasks.poses.pnp_views import Looking
 
 BOARD = parse_board("chessboard:4x3:10mm")

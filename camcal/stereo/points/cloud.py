@@ -1,18 +1,73 @@
-"""From the pixels of a stereo image to vertices, some rows at a time: no cloud need be in memory as a whole."""
+"""From the pixels of a stereo image to vertices, some rows at a time: no cloud need be in memory as a whole.
+
+Normals of surfaces come from planes fitted to disparities. The plane n · P = D is seen with the disparity d + doffs =
+(f b / D) (n_x x + n_y y + n_z) at the image point (x, y), so a plane in space is a plane in the disparity map too: its
+fit needs sums over windows of pixels and no neighbour search.
+
+A cloud is thinned to one point for each cube of a grid, or to so many drawn at random.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
-from camcal.stereo.points.depth import StereoImage, row_blocks
+from camcal.stereo.points.depth import StereoImage, row_blocks, widened
 from camcal.stereo.points.frames import UNITS, BackProjection, Frame
-from camcal.stereo.points.normals import normals
 from camcal.stereo.points.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
-from camcal.stereo.points.voxels import drawn, one_per_voxel
+
+_REACH = 4  # pixels to all sides
+_FEWEST = 6  # matches in a window
+_ONE = np.ones(2 * _REACH + 1, np.float32)
+_RAMP = np.arange(-_REACH, _REACH + 1, dtype=np.float32)
+_SQUARE = _RAMP**2
+
+
+def normals(image: StereoImage, rows: slice) -> Array:
+    """Return unit normals of some rows, their components (3, N, W), float32, in the frame of the rectified left camera.
+
+    They look towards the camera. The surface is taken as plane within 9 × 9 pixels. NaN where fewer than 6 of them, or
+    only some in a line, have a match.
+    """
+    wide, within = widened(rows, _REACH, image.shape[0])
+    shifted = image.shifted(wide)
+    matched = np.isfinite(shifted)
+    slope_u, slope_v, level = _fitted(np.where(matched, shifted, np.float32(0)), matched.astype(np.float32), within)
+    geometry = image.geometry
+    right = np.float32(geometry.cx) - np.arange(image.shape[1], dtype=np.float32)
+    down = np.float32(geometry.cy) - np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
+    on_axis = level + slope_u * right + slope_v * down
+    found = np.stack([slope_u * np.float32(-geometry.fx), slope_v * np.float32(-geometry.fy), -on_axis])
+    found /= np.sqrt(found[0] ** 2 + found[1] ** 2 + found[2] ** 2)
+    return np.asarray(found)
+
+
+def _fitted(values: Array, matched: Array, within: slice) -> tuple[Array, Array, Array]:
+    """Return slopes along u and v and the value at the pixel, each (N, W), of planes fitted to windows around pixels.
+
+    values: (M, W), zero where there is none. matched: (M, W), 1 where there is one, else 0. within: the N of M rows.
+    """
+
+    def total(of: Array, along_u: Array, along_v: Array) -> Array:
+        sums = cv2.sepFilter2D(of, cv2.CV_32F, along_u, along_v, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(sums[within])
+
+    n, u, v = total(matched, _ONE, _ONE), total(matched, _RAMP, _ONE), total(matched, _ONE, _RAMP)
+    s, su, sv = total(values, _ONE, _ONE), total(values, _RAMP, _ONE), total(values, _ONE, _RAMP)
+    uu = n * total(matched, _SQUARE, _ONE) - u * u
+    uv = n * total(matched, _RAMP, _RAMP) - u * v
+    vv = n * total(matched, _ONE, _SQUARE) - v * v
+    su, sv = n * su - u * s, n * sv - v * s
+    determinant = uu * vv - uv * uv
+    determinant[(n < _FEWEST) | (determinant <= 0)] = np.nan
+    slope_u = (vv * su - uv * sv) / determinant
+    slope_v = (uu * sv - uv * su) / determinant
+    return slope_u, slope_v, (s - slope_u * u - slope_v * v) / np.maximum(n, 1)
+
 
 InOrder = Callable[[Callable[[slice], Array], Iterable[slice]], Iterable[Array]]
 
@@ -136,3 +191,67 @@ def thinned(stream: VertexStream, voxel: float | None = None, max_points: int | 
     if max_points is not None:
         vertices = vertices[drawn(len(vertices), max_points)]
     return replace(stream, count=len(vertices), blocks=iter([vertices]))
+
+
+_LARGEST_KEY = 2**62
+
+
+def one_per_voxel(vertices: Array, size: float) -> Array:
+    """Return one vertex for each cube of a grid that holds any, in the order of the cubes.
+
+    vertices: structured (N,), see `vertex_type`. size: side of the cubes, in the unit of x y z; (0, 0, 0) is a corner.
+    A vertex is the mean of those in its cube. Of sigma it is the root of the mean square: what neighbouring pixels
+    have wrong is much the same, so that a mean of many is hardly better than one.
+    Raises InvalidInput unless the side is positive and the cubes can be counted.
+    """
+    if not (np.isfinite(size) and size > 0):
+        raise InvalidInput(f"the side of a voxel must be positive, found {size:g}")
+    _, cube, count = np.unique(_keys(vertices, size), return_inverse=True, return_counts=True)
+    merged = np.empty(len(count), vertices.dtype)
+    for name in vertices.dtype.names or ():
+        column = vertices[name].astype(np.float64)
+        if name == SIGMA:
+            merged[name] = np.sqrt(np.bincount(cube, column**2, len(count)) / count)
+        elif name not in NORMAL:
+            mean = np.bincount(cube, column, len(count)) / count
+            merged[name] = np.rint(mean) if vertices.dtype[name].kind == "u" else mean
+    if NORMAL[0] in (vertices.dtype.names or ()):
+        _merge_normals(vertices, cube, merged)
+    return merged
+
+
+def _keys(vertices: Array, size: float) -> Array:
+    """Return a number for each vertex (N,), int64, the same for those in one cube."""
+    key = np.zeros(len(vertices), np.int64)
+    cubes = 1.0
+    for name in POSITION:
+        place = np.floor(vertices[name] / np.float32(size))
+        first = place.min(initial=np.inf)
+        extent = float(place.max(initial=-np.inf)) - float(first) + 1 if len(place) else 1.0
+        cubes *= extent
+        if not cubes < _LARGEST_KEY:
+            raise InvalidInput(f"voxels of {size:g} are too many for the extent of the cloud; give a larger side")
+        key *= int(extent)
+        key += (place - first).astype(np.int64)
+    return key
+
+
+def _merge_normals(vertices: Array, cube: Array, merged: Array) -> None:
+    """Write the direction of the mean normal, NaN for a cube in which none is known."""
+    sums = [np.bincount(cube, np.nan_to_num(vertices[name]), len(merged)) for name in NORMAL]
+    length = np.sqrt(sum(component**2 for component in sums))
+    for name, component in zip(NORMAL, sums, strict=True):
+        merged[name] = np.divide(component, length, out=np.full(len(merged), np.nan), where=length > 0)
+
+
+def drawn(count: int, wanted: int) -> Array:
+    """Return (count,) bool, True for so many drawn at random, or for all if there are no more; always the same ones.
+
+    Raises InvalidInput if `wanted` is less than 1.
+    """
+    if wanted < 1:
+        raise InvalidInput(f"at least one point is needed, found {wanted}")
+    taken = np.ones(count, bool)
+    if count > wanted:
+        taken[np.random.default_rng(0).choice(count, count - wanted, replace=False, shuffle=False)] = False
+    return taken

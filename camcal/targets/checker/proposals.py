@@ -2,16 +2,23 @@
 
 Finding asks for structure, not for precision, so large images are searched in reduced copies: the time goes with the
 number of pixels. What is proposed is verified and located at full resolution by targets/checker/checker.py.
+
+A pattern is found among the saddles of an image: each is linked to the next along its four edges, then counted off. An
+edge leaves a corner between a dark and a bright sector, and it is the same edge, with dark on the same side, until
+it meets the next corner, whose dark and bright sectors are exchanged. So two corners are neighbours if dark and bright
+lie beside the whole way between them as the sectors of both say. No size, no angle and no straight line is asked for.
 """
 
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.targets.checker.lattice import patterns
-from camcal.targets.checker.saddles import find_saddles
+from camcal.targets.checker import grid as grids
+from camcal.targets.checker.saddles import Saddles, find_saddles
 
 SMALL = 0.35e6  # pixels of the first copy, about
 MOST = 6e6  # of the largest
@@ -47,3 +54,139 @@ def _from_copy(corners: Array, copy: Array, gray: Array) -> Array:
     """Return corners in a copy as pixels of the image: the outer edges of both coincide."""
     scale = np.array(gray.shape[::-1]) / np.array(copy.shape[::-1])
     return np.asarray((corners + 0.5) * scale - 0.5)
+
+
+NEAREST = 40  # saddles that may be the next one; what is printed in a square lies nearer, so do foreshortened rows
+WAY = np.array([0.15, 0.3, 0.45, 0.6, 0.75, 0.9])  # where an edge is looked at, shares of it
+BESIDE_PX, BESIDE = 1.3, 0.05  # how far from it, pixels and share of its length: edges bend
+EDGE = 0.3  # smallest difference across an edge, of what the contrast of its corners makes expected
+QUARTER = np.pi / 2
+OFF_PERPENDICULAR = np.radians(35)  # of the dark sectors of neighbours
+SKEW = 0.5  # of its shorter sides, by which the fourth corner of a cell is off a parallelogram at most
+LEAST = 6  # corners of a pattern, two squares side by side; fewer may be anything
+
+
+def patterns(saddles: Saddles) -> list[Array]:
+    """Return the checker patterns among the saddles, the largest in the image first.
+
+    Each is a grid (rows, columns, 2) of pixels, NaN where no corner was seen, its rows turn clockwise to its columns.
+    """
+    if len(saddles.pixels) < LEAST:
+        return []
+    links = _around_squares(saddles, _links(saddles))
+    found, taken = [], np.zeros(len(links), dtype=bool)
+    for seed in np.argsort(-(links >= 0).sum(axis=1), kind="stable"):
+        if taken[seed] or (links[seed] < 0).all():
+            continue
+        places = _counted_off(links, int(seed), taken)
+        taken[list(places)] = True
+        if len(places) >= LEAST:
+            found.append(_grid(saddles, places))
+    return sorted(found, key=grids.area, reverse=True)
+
+
+def _links(saddles: Saddles) -> Array:
+    """Return the next corner (N, 4) along the edge in each quadrant from the dark sector on, clockwise, -1 if none."""
+    count = len(saddles.pixels)
+    nearest = KDTree(saddles.pixels).query(saddles.pixels, k=min(NEAREST + 1, count))
+    distance, other = (np.asarray(column)[:, 1:] for column in nearest)
+    way = saddles.pixels[other] - saddles.pixels[:, None]
+    angle = np.arctan2(way[..., 1], way[..., 0])
+    quadrant = _quadrant(angle - saddles.dark[:, None])
+    opposed = saddles.dark[other] - saddles.dark[:, None]
+    seen = np.abs(np.cos(opposed)) < np.sin(OFF_PERPENDICULAR)
+    one, rank = np.nonzero(seen)
+    seen[one, rank] = _edge(saddles, one, other[one, rank], 1 - 2 * (quadrant[one, rank] % 2))
+    links = np.full((count, 4), -1)
+    for side in range(4):
+        fits = seen & (quadrant == side)
+        first = np.where(fits, distance, np.inf).argmin(axis=1)
+        links[:, side] = np.where(fits.any(axis=1), other[np.arange(count), first], -1)
+    return _mutual(saddles, links)
+
+
+def _quadrant(angle: Array) -> Array:
+    return np.asarray(np.floor(angle / QUARTER).astype(np.intp) % 4)
+
+
+def _edge(saddles: Saddles, one: Array, two: Array, sign: Array) -> Array:
+    """Return whether an edge (E,) runs from saddle to saddle; sign (E,): 1 if bright lies clockwise of it, else -1."""
+    (x, y), (across, down) = saddles.pixels[one].T, (saddles.pixels[two] - saddles.pixels[one]).T
+    aside = BESIDE + BESIDE_PX / np.maximum(np.hypot(across, down), 1e-9)
+    x, y = (start[:, None] + way[:, None] * WAY for start, way in ((x, across), (y, down)))
+    off_x, off_y = (-down * aside)[:, None], (across * aside)[:, None]
+    clockwise = opencv.sampled(saddles.smooth, x + off_x, y + off_y)
+    difference = sign[:, None] * (clockwise - opencv.sampled(saddles.smooth, x - off_x, y - off_y))
+    expected = np.minimum(saddles.contrast[one], saddles.contrast[two])
+    return np.asarray((difference.min(axis=1) > 0) & (np.median(difference, axis=1) > EDGE * 2 * expected))
+
+
+def _mutual(saddles: Saddles, links: Array) -> Array:
+    """Return the links (N, 4) that lead back to where they come from."""
+    one, side = np.nonzero(links >= 0)
+    two = links[one, side]
+    back = saddles.pixels[one] - saddles.pixels[two]
+    from_there = _quadrant(np.arctan2(back[:, 1], back[:, 0]) - saddles.dark[two])
+    result = links.copy()
+    result[one, side] = np.where(links[two, from_there] == one, two, -1)
+    return result
+
+
+def _around_squares(saddles: Saddles, links: Array) -> Array:
+    """Return the links (N, 4) that go along a square: four of them, always turning the same way, lead back.
+
+    What is printed in a square, or lies behind the board, may be linked to it by chance, but not all around a square.
+    """
+    one, side = np.nonzero(links >= 0)
+    two = links[one, side]
+    back = (links[two] == one[:, None]).argmax(axis=1)
+    ahead = np.full(links.size + 1, links.size)  # from a link to the next one, turning right; the last is the dead end
+    ahead[4 * one + side] = np.where(links[two, (back + 3) % 4] >= 0, 4 * two + (back + 3) % 4, links.size)
+    start = np.arange(links.size)
+    second, third = ahead[start], ahead[ahead[start]]
+    closed = (ahead[ahead[third]] == start) & _is_cell(saddles.pixels, start, second, third, ahead[third])
+    kept = closed[4 * one + side] | closed[4 * two + back]
+    result = np.full_like(links, -1)
+    result[one[kept], side[kept]] = two[kept]
+    return result
+
+
+def _is_cell(pixels: Array, *path: Array) -> Array:
+    """Return whether four links (L,) each, one after the other, go around something like a parallelogram."""
+    corners = [pixels[np.minimum(link // 4, len(pixels) - 1)] for link in path]
+    sides = [np.linalg.norm(corners[k] - corners[k - 1], axis=1) for k in range(4)]
+    skew = np.linalg.norm(corners[0] - corners[1] + corners[2] - corners[3], axis=1)
+    return np.asarray(skew < SKEW * np.minimum(sides[0] + sides[2], sides[1] + sides[3]) / 2)
+
+
+def _counted_off(links: Array, seed: int, taken: Array) -> dict[int, tuple[int, int]]:
+    """Return the places (row, column) of the corners that links lead to and that are not taken (N,).
+
+    The seed's first edge leads along its row.
+    """
+    moves = ((0, 1), (1, 0), (0, -1), (-1, 0))
+    table = links.tolist()
+    places, turns, used = {seed: (0, 0)}, {seed: 0}, {(0, 0): seed}
+    queue = deque([seed])
+    while queue:
+        one = queue.popleft()
+        (row, column), turn = places[one], turns[one]
+        for side, two in enumerate(table[one]):
+            if two < 0 or two in places or taken[two]:
+                continue
+            direction = (side + turn) % 4
+            place = row + moves[direction][0], column + moves[direction][1]
+            if place in used:
+                continue
+            places[two], used[place] = place, two
+            turns[two] = (direction + 2 - table[two].index(one)) % 4
+            queue.append(two)
+    return places
+
+
+def _grid(saddles: Saddles, places: dict[int, tuple[int, int]]) -> Array:
+    """Return the corners at their places (rows, columns, 2)."""
+    row, column = (np.array(list(places.values())) - np.min(list(places.values()), axis=0)).T
+    grid = np.full((row.max() + 1, column.max() + 1, 2), np.nan)
+    grid[row, column] = saddles.pixels[list(places)]
+    return grid

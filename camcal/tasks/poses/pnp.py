@@ -1,16 +1,23 @@
-"""`camcal pnp`: correspondences, or images of a board or of tags, and a camera or a rig of them, to poses."""
+"""`camcal pnp`: correspondences, or images of a board or of tags, and a camera or a rig of them, to poses.
+
+A pose that is known beforehand is one of a pose file, or of a file with a pose as text.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions
-from camcal.formats import correspondences, native, poses, rigs
+from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, PosePrior
+from camcal.formats import correspondences, native, pose_text, poses, rigs
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import PixelNoise, Poses, Sight
+from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
@@ -18,12 +25,10 @@ from camcal.run.camera_files import read_camera_file
 from camcal.run.inputs import split_address
 from camcal.run.outputs import refuse_overwriting, require_folder
 from camcal.tasks.poses import pnp_remarks
-from camcal.tasks.poses.options import AUTO, Gates, PnpOptions
+from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_drawing import draw, sheets, videos_in
-from camcal.tasks.poses.pnp_observer import Observer
-from camcal.tasks.poses.pnp_prior import read_prior
+from camcal.tasks.poses.pnp_observer import Observer, joined, seen_by_rig
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
-from camcal.tasks.poses.pnp_rig import joined, seen_by_rig
 from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
 
 
@@ -261,3 +266,43 @@ def document(report: PnpReport) -> dict[str, Any]:
         "failed": list(report.failed),
         "pictures": [path.as_posix() for path in report.pictures],
     }
+
+
+def read_prior(options: PriorOptions, of_object: bool) -> PosePrior | None:
+    """Return the prior of the object's pose in the frame of the camera or rig, None without one.
+
+    of_object: whether a pose as text takes points of the object to the camera; a pose file says so itself.
+    Raises InvalidInput for a pose file with several poses, and if nothing says how well the pose is known.
+    """
+    if options.path is None:
+        return None
+    if options.path.suffix.lower() in poses.SUFFIXES:
+        pose, covariance = _from_poses(options.path)
+    else:
+        pose, covariance = pose_text.read(options.path), None
+        if not of_object:
+            pose = pose.inverse()
+    if options.sigma is not None:
+        covariance = _isotropic(pose, options.sigma, of_object)
+    if covariance is None:
+        raise InvalidInput(
+            "a pose as text has no covariance: give --prior-sigma METRES,DEGREES", where=str(options.path)
+        )
+    return PosePrior(pose, covariance)
+
+
+def _from_poses(path: Path) -> tuple[Pose, Array]:
+    found = poses.read(path)
+    if len(found.estimates) != 1:
+        raise InvalidInput(f"holds {len(found.estimates)} poses; a prior is one", where=str(path))
+    record = next(iter((found if found.of_object else found.inverse()).estimates.values()))
+    return record.transform, record.covariance
+
+
+def _isotropic(pose: Pose, sigma: tuple[float, float], of_object: bool) -> Array:
+    """Return the covariance (6, 6) of camera_T_object where its own steps, or those of its inverse, have `sigma`."""
+    covariance = np.diag(np.repeat(np.square(sigma), 3))
+    if of_object:
+        return covariance
+    jacobian = inverse_jacobian(pose.inverse())
+    return np.asarray(jacobian @ covariance @ jacobian.T)

@@ -1,4 +1,7 @@
-"""`camcal stereo eval`: disparity maps against the truth, with gates."""
+"""`camcal stereo eval`: disparity maps against the truth, with gates.
+
+There is one map and one truth, or folders of both.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -11,7 +14,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity
-from camcal.formats.disparity import DisparityMap
+from camcal.formats.disparity import DisparityMap, maps_in
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.formats.schema import did_you_mean
 from camcal.images.load import load
@@ -19,14 +22,15 @@ from camcal.images.save import save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report.disparity_pictures import error_picture
 from camcal.run.fanout import fan_out
+from camcal.run.inputs import require_there
 from camcal.run.outputs import place, refuse_overwriting
+from camcal.run.pairs import paired
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
 from camcal.stereo.truth.visibility import seen_by_both, unhidden
 from camcal.tasks.stereo.map_sources import named_file
 from camcal.tasks.stereo.options import EvalOptions, TruthPair
 from camcal.tasks.stereo.rectified_pair import geometry_of, warn_of_file
-from camcal.tasks.stereo.truth_pairs import truth_pairs
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
 
@@ -275,3 +279,27 @@ def _figures(evaluation: Evaluation) -> dict[str, Any]:
         "figures": {column: dict(figures) for column, figures in evaluation.figures.items()},
         "classes": [asdict(kind) for kind in evaluation.classes],
     }
+
+
+def truth_pairs(given: TruthPair) -> list[TruthPair]:
+    """Return the pairs that files or folders stand for; the files of folders belong together as `paired` says.
+
+    Raises InvalidInput if files and folders are mixed or the files of folders do not pair up, FileError for what is
+    not there or empty.
+    """
+    for path in given.files.values():
+        require_there(path)
+    folders = {name: path.is_dir() for name, path in given.files.items()}
+    if not any(folders.values()):
+        return [given]
+    if not all(folders.values()):
+        file = next(path for name, path in given.files.items() if not folders[name])
+        raise InvalidInput("is no folder, while others are; give files only or folders only", where=str(file))
+    maps = maps_in(given.disparity)
+    partners = {name: _partners(maps, given.disparity, folder) for name, folder in given.files.items()}
+    return [TruthPair(**{name: found[path] for name, found in partners.items()}) for path in maps]
+
+
+def _partners(maps: Sequence[Path], home: Path, folder: Path) -> Mapping[Path, Path]:
+    """Return the file of a folder that belongs to each map."""
+    return dict(paired(maps, maps_in(folder), (f"maps in {home}", f"files in {folder}")))
