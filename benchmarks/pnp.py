@@ -47,6 +47,7 @@ from camcal.estimate.pnp import (
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.sightings import Sightings
+from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
 CAMERA = Camera(model_named("pinhole"), (1280, 960), np.array([800.0, 800.0, 639.5, 479.5]))
@@ -113,7 +114,8 @@ def references(trials: Sequence[Trial], noise: float) -> tuple[np.ndarray, np.nd
     views = [each.view for each in trials]
     problems = PoseProblems.of((Sightings.of(CAMERA, views, Pose.identity()),))
     minima = problems.minimise(se3.of_poses([each.truth for each in trials]), np.arange(len(trials)))
-    errors = [each.error(se3.to_pose(state)) for each, state in zip(trials, minima.states, strict=True)]
+    found = [Pose(so3.nearest(state[:, :3]), state[:, 3]) for state in minima.states]
+    errors = [each.error(pose) for each, pose in zip(trials, found, strict=True)]
     return np.array(errors), minima.models.normal / noise**2
 
 

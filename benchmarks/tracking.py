@@ -10,11 +10,16 @@ Run: python benchmarks/tracking.py [--runs 8]
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import motion
 
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
@@ -27,7 +32,6 @@ from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.geometry.trajectory import Trajectory
-from camcal.simulate import motion
 
 STAMPS = np.arange(240) / 30
 NOISE_PX = 0.3

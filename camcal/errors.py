@@ -77,11 +77,6 @@ class GateFailed(CamcalError):
 EXIT_PRECEDENCE = (1, 2, 3, 4, 5, 7, 6, 0)
 
 
-def worst_exit(codes: list[int]) -> int:
-    """Return the exit code that wins when several apply; 0 for none."""
-    return min(codes, key=EXIT_PRECEDENCE.index, default=0)
-
-
 def translated(error: BaseException) -> CamcalError | None:
     """Return what the machine refused (memory, a file, a path) as an error of the user; None for anything else."""
     if isinstance(error, CamcalError):

@@ -12,7 +12,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
+from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values, chained
 
 
 @dataclass(frozen=True)
@@ -110,16 +110,14 @@ class Stereographic(Panorama):
     def _chain(
         self, points: Array, flat: Flat, distorted: Distorted, focal: Values, plane: Values, slopes: Slopes
     ) -> None:
-        del distorted, plane
-        d_point = slopes.d_point
+        del plane
         x, y, z = points.T
         bend = -0.5 * flat.scale**2
         inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
-        across = bend * inverse * x * y
-        d_point[0] = flat.scale + bend * inverse * x * x, across, bend * x * (1.0 + z * inverse)
-        d_point[1] = across, flat.scale + bend * inverse * y * y, bend * y * (1.0 + z * inverse)
-        for rows, length in zip(d_point, focal, strict=True):
-            np.multiply(rows, length, out=rows)
+        across, inwards = bend * inverse * x * y, bend * (1.0 + z * inverse)
+        by_x = np.stack([flat.scale + bend * inverse * x * x, across, x * inwards])
+        by_y = np.stack([across, flat.scale + bend * inverse * y * y, y * inwards])
+        chained(distorted, focal, by_x, by_y, slopes.d_point)
 
     def _lift(self, x: Array, y: Array, plane: Values) -> Array:  # noqa: ARG002
         quarter = 0.25 * (x * x + y * y)

@@ -6,7 +6,6 @@ Sources: Fischler & Bolles, Random Sample Consensus, Communications of the ACM 2
 Least-squares fitting of circles and ellipses, BIT 34, 1994.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,17 +102,6 @@ class ImageCircleSearch:
             radius=circle.radius / scale,
             rms=circle.rms / scale,
         )
-
-
-def find_image_circle(images: Iterable[Array]) -> MeasuredCircle | None:
-    """Return the image circle of a camera's images (H, W) uint8 or uint16, all of one size; None if they show none.
-
-    Every image is used; see `evenly_spaced` for those worth reading. Raises InvalidInput as `ImageCircleSearch.add`.
-    """
-    search = ImageCircleSearch()
-    for image in images:
-        search.add(image)
-    return search.result()
 
 
 def evenly_spaced(count: int, most: int = MOST_IMAGES) -> list[int]:

@@ -3,6 +3,7 @@
 import json
 
 import cv2
+import motion
 import numpy as np
 import pytest
 
@@ -14,7 +15,6 @@ from camcal.formats.camera_file import Noise
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate import motion
 
 COUNT = 40
 GIVEN = "--fps", 30, "--process-noise", "0.02,0.5"

@@ -11,9 +11,17 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced, find_image_circle
+from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
 
 WITHIN = 0.005  # of the radius; the threshold lies a quarter of a reduced pixel outside of a sharp edge
+
+
+def find_image_circle(images):
+    """Return the image circle of images, None if they show none."""
+    search = ImageCircleSearch()
+    for image in images:
+        search.add(image)
+    return search.result()
 
 
 def distances(size, centre):

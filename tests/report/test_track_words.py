@@ -1,5 +1,6 @@
 """A track in words: what is remarked on, and what is not."""
 
+import motion
 import numpy as np
 import pytest
 from moving_objects import glances
@@ -10,7 +11,6 @@ from camcal.formats.tracks import TrackedObject
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.report.track_words import lines
-from camcal.simulate import motion
 
 
 @pytest.fixture

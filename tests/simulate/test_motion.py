@@ -1,12 +1,12 @@
 """Simulated motions: what they promise to who follows them."""
 
+import motion
 import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
-from camcal.simulate import motion
 
 STAMPS = np.arange(200) / 30
 MIDDLE = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))

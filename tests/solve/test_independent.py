@@ -1,6 +1,7 @@
 """Many small problems at once: each as if it were alone, and as the solver of one problem solves it."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -180,7 +181,7 @@ def test_damping_may_follow_fixed_factors_to_the_same_minimum():
     fixed, turns = Stopping(damping=1e-2, least=0.25, rise=7.0, by_gain=False, restart=0.0), []
     start = np.array([1.0, 3.0])
     found = minimise(OneDecay(y[0], None), start, fixed, turns.append)
-    factors = [after.damping / before.damping for before, after in zip(turns, turns[1:], strict=False)]
+    factors = [after.damping / before.damping for before, after in pairwise(turns)]
     np.testing.assert_allclose(factors, [0.25 if turn.accepted else 7.0 for turn in turns[:-1]])
     assert len(set(np.round(factors, 6))) == 2
     np.testing.assert_allclose(found.state, minimise(OneDecay(y[0], None), start).state, atol=1e-4)

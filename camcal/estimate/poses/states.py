@@ -20,11 +20,6 @@ def of_poses(poses: Sequence[Pose]) -> Array:
     return np.array([pose.matrix()[:3] for pose in poses]).reshape(-1, 3, 4)
 
 
-def to_pose(state: Array) -> Pose:
-    """Return the pose of one state (3, 4), its rotation cleared of the rounding of many steps."""
-    return Pose(so3.nearest(state[:, :3]), state[:, 3])
-
-
 def retract(states: Array, steps: Array) -> Array:
     """Return the states moved by steps (S, 6)."""
     return stacked(*se3.retract(states[:, :, :3], states[:, :, 3], steps))

@@ -12,7 +12,6 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.smoothing.kalman import Gaussian, Updated, predict, smooth_back, update
-from camcal.solve.differentiate import JacobianCheck, check_jacobian
 
 
 @dataclass(frozen=True)
@@ -30,11 +29,6 @@ class ExtendedModel:
     H: Callable[[Array], Array]
     R: Array
     difference: Callable[[Array, Array], Array] = np.subtract
-
-    def check_jacobians(self, state: Array, dt: float) -> tuple[JacobianCheck, JacobianCheck]:
-        """Return how far F and H are from numerical derivatives of f and h at a state (n,)."""
-        moved = check_jacobian(lambda x: self.f(x, dt), self.F(state, dt), state)
-        return moved, check_jacobian(self.h, self.H(state), state)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Process noise from innovations: found again where it is known, and not taken from outliers."""
 
+import motion
 import numpy as np
 import pytest
 from moving_objects import glances
@@ -9,7 +10,6 @@ from camcal.estimate.tracking.process_noise import tuned
 from camcal.estimate.tracking.segments import Following
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate import motion
 
 MIDDLE = Pose(so3.about_x(2.6), np.array([0.0, 0.0, 1.0]))
 

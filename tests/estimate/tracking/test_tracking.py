@@ -5,6 +5,7 @@ The scenes have the noise that is claimed; how well PnP claims it is not tested 
 
 from dataclasses import replace
 
+import motion
 import numpy as np
 import pytest
 from moving_objects import NOISE, errors, glances
@@ -16,7 +17,6 @@ from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, T
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.geometry.trajectory import Trajectory
-from camcal.simulate import motion
 
 STAMPS = np.arange(90) / 30
 MIDDLE = Pose(so3.about_x(np.pi - 0.5), np.array([0.05, -0.02, 1.0]))
