@@ -7,16 +7,15 @@ import re
 from pathlib import Path
 from typing import Any
 
-from typer.core import TyperArgument, TyperGroup, TyperOption
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from camcal.cli.command import OptionsCommand, help_text, value_name
 from camcal.cli.main import app
-from camcal.cli.options import with_lens_models
 from camcal.options import Declared, by_group
 
 PAGE = Path(__file__).parents[1] / "docs" / "commands.md"
-EVERYWHERE = ("jobs", "recursive", "json", "quiet", "verbose", "config")  # described once, for all commands
+EVERYWHERE = ("jobs", "recursive", "json", "quiet", "verbose")  # described once, for all commands
 
 
 def commands(group: Any) -> dict[str, Any]:
@@ -39,69 +38,27 @@ def sections(page: str) -> dict[str, str]:
     return {title.removeprefix("camcal "): body for title, body in titled if title.startswith("camcal ")}
 
 
-def option_block(command: Any, name: str) -> str:
+def option_block(command: OptionsCommand, name: str) -> str:
     """Return the synopsis and the table of options of a command, from its help."""
-    if isinstance(command, OptionsCommand):
-        return _declared_block(command, name)
-    own = [parameter for parameter in command.params if parameter.name not in EVERYWHERE]
-    needed = [each for each in own if isinstance(each, TyperArgument)]
-    needed += [each for each in own if isinstance(each, TyperOption) and each.required]
-    synopsis = " ".join(["camcal", name, *(_spellings(each)[0] for each in needed), "[OPTIONS]"])
-    table = ["| argument or option | |", "|---|---|", *map(_row, own), ""] if own else []
-    shared = ", ".join(f"`{each.opts[0]}`" for each in command.params if each.name in EVERYWHERE)
-    also = f"{'Also' if own else 'Only'} {shared}: [as everywhere](#options-of-every-command)."
-    return "\n".join(["```", synopsis, "```", "", *table, also, ""])
-
-
-def _declared_block(command: OptionsCommand, name: str) -> str:
-    own = [each for each in command.declared if each.name.lstrip("-") not in EVERYWHERE]
+    own = [each for each in command.declared if each.key not in EVERYWHERE]
     needed = [f"[{each.name}]" if not each.required else each.name for each in own if each.positional]
     needed += [f"{each.name} {value_name(each)}" for each in own if each.required and not each.positional]
     rows = []
     for group, members in by_group(own).items():
-        rows += [f"| **{group}** | |", *map(_declared_row, members)]
+        rows += [f"| **{group}** | |", *map(_row, members)]
     table = ["| argument or option | |", "|---|---|", *rows, ""] if own else []
-    shared = [each.name for each in command.declared if each.name.lstrip("-") in EVERYWHERE]
+    shared = [each.name for each in command.declared if each.key in EVERYWHERE]
     said = ", ".join(f"`{option}`" for option in (*shared, "--config", "--write-config"))
     also = f"{'Also' if own else 'Only'} {said}: [as everywhere](#options-of-every-command)."
     synopsis = " ".join(["camcal", name, *needed, "[OPTIONS]"])
     return "\n".join(["```", synopsis, "```", "", *table, also, ""])
 
 
-def _declared_row(each: Declared) -> str:
+def _row(each: Declared) -> str:
     first, *others = each.spellings
     value = "" if each.positional or each.flag else f" {value_name(each)}"
     spelled = ", ".join(f"`{form}`" for form in (first + value, *others, *([each.opposite] if each.opposite else [])))
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in (spelled, help_text(each))) + " |"
-
-
-def _spellings(parameter: Any) -> list[str]:
-    """Return how an argument or option is written, the first with its value."""
-    if isinstance(parameter, TyperArgument):
-        word = parameter.metavar.strip("[]")
-        return [word if parameter.required else f"[{word}]"]
-    value = "" if parameter.is_flag else f" {parameter.metavar or parameter.name.upper()}"
-    first, *others = parameter.opts + parameter.secondary_opts
-    return [first + value, *others]
-
-
-def _row(parameter: Any) -> str:
-    spelled = ", ".join(f"`{form}`" for form in _spellings(parameter))
-    said = with_lens_models(parameter.help) + _default(parameter) + (" Required." if parameter.required else "")
-    return "| " + " | ".join(cell.replace("|", r"\|") for cell in (spelled, said)) + " |"
-
-
-def _default(parameter: Any) -> str:
-    """Return the default in words where it is one that the help does not say."""
-    default = parameter.default
-    if default in (None, "", False, float("inf")) or "default" in parameter.help:
-        return ""
-    values = default if isinstance(default, tuple) else [default]
-    return f" By default {'on' if default is True else ' '.join(map(_shown, values))}."
-
-
-def _shown(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def with_blocks(page: str) -> str:

@@ -18,7 +18,6 @@ from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import folds_inside
 from camcal.cli.main import app
-from camcal.cli.options import LENS_MODELS, with_lens_models
 from camcal.errors import InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -26,6 +25,7 @@ from camcal.simulate.lens import make_camera
 from camcal.simulate.observe import observe
 from camcal.simulate.scene import views
 from camcal.targets.board import Board
+from camcal.tasks.options import lens_models
 
 SIZE = (1280, 960)
 TRUTH = Camera(TOY, SIZE, [420.0, 421, 642, 476, 0.6, 1.15, -0.02, 0.0])
@@ -107,7 +107,7 @@ def test_a_typical_one_is_simulated():
 
 
 def test_the_commands_take_it_and_their_help_names_it(tmp_path, capsys):
-    assert "toy (plaything)" in with_lens_models(LENS_MODELS)
+    assert "toy (plaything)" in lens_models()
     output = tmp_path / "scene"
     words = ["simulate", "chessboard:9x6:25mm", "-o", str(output), "--model", "toy", "--size", "160x120"]
     with pytest.raises(SystemExit) as ended:

@@ -5,12 +5,13 @@ from pathlib import Path
 import pytest
 from command_page import REGISTERED
 
-from camcal.cli.command import OptionsCommand
 from camcal.cli.main import app
 from camcal.formats import boards, native, tags
 
 FOLDER = Path(__file__).parents[1] / "sample_configs"
 FILES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*") if path.is_file())
+
+SETTINGS = [name for name in FILES if "/" not in name]
 
 
 def load_board(path: Path) -> None:
@@ -45,11 +46,6 @@ def test_a_sample_is_loaded_by_what_it_is_a_sample_of(name):
     LOADERS[path.parent.as_posix()](FOLDER / path)
 
 
-def converted() -> list[str]:
-    """Return the settings of commands whose options are declared by records."""
-    return [name for name in FILES if "/" not in name and isinstance(REGISTERED[command_of(name)], OptionsCommand)]
-
-
 def command_of(name: str) -> str:
     """Return the command that a file at the top is named after, in its first words at least."""
     words = Path(name).stem.split("_")
@@ -57,7 +53,7 @@ def command_of(name: str) -> str:
     return next(command for command in joined if command in REGISTERED)
 
 
-@pytest.mark.parametrize("name", converted())
+@pytest.mark.parametrize("name", SETTINGS)
 def test_a_sample_is_what_its_command_writes(name, tmp_path, capsys):
     path, again = FOLDER / name, tmp_path / name
     with pytest.raises(SystemExit) as ended:
@@ -66,8 +62,9 @@ def test_a_sample_is_what_its_command_writes(name, tmp_path, capsys):
     assert again.read_text() == path.read_text()
 
 
-def test_there_are_samples_of_every_kind():
+def test_there_are_samples_of_every_kind_and_of_every_command():
     assert {Path(name).parent.as_posix() for name in FILES} == set(LOADERS)
+    assert set(map(command_of, SETTINGS)) == set(REGISTERED)
 
 
 def test_a_settings_file_with_an_unknown_key_would_be_noticed(tmp_path):

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, MutableMapping
 from importlib import import_module
-from inspect import signature
 from typing import Any, NamedTuple
 
 import typer
@@ -121,16 +120,4 @@ def _made(entry: Entry) -> Any:
     from camcal.cli.command import command
 
     module, _, function = entry.function.partition(":")
-    found = getattr(import_module(f"camcal.cli.{module}"), function)
-    if "call" not in signature(found).parameters:
-        return _of_signature(entry.name, found)
-    return command(entry.name, found)
-
-
-def _of_signature(name: str, function: Any) -> Any:
-    """Return the command of a function whose signature says its options."""
-    from camcal.cli.options import LensModelCommand
-
-    alone = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    alone.command(name.rpartition(" ")[2], cls=LensModelCommand)(function)
-    return typer.main.get_command(alone)
+    return command(entry.name, getattr(import_module(f"camcal.cli.{module}"), function))

@@ -1,6 +1,7 @@
 """`camcal simulate` as it is called from a shell: what it writes, refuses and repeats."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,23 @@ def test_the_same_options_give_the_same_bytes_whatever_the_jobs(run, tmp_path):
     one, two, other = (contents(tmp_path / name) for name in ("one", "two", "other"))
     assert one == two
     assert one["images/view0000.png"] != other["images/view0000.png"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (BOARD, "--fov", "65", "--bow-mm", "0.7", "-0.4", "--stretch", "0.3", "--distortion", "k1=-0.21,k2=0.05"),
+        (BOARD, "--raw", "RGGB", "--gain", "0.3", "--prnu", "0.7", "--light", ".5,1,.6", "--darks", "2"),
+        ("--stereo", "--pairs", "2", "--distance", "0.8:12", "--right-gain", "0.9", "--gray", "--seed", "5"),
+    ],
+)
+def test_the_recorded_command_gives_the_same_bytes(run, tmp_path, options):
+    small = ("--size", "96x72", *(() if "--stereo" in options else ("--views", "2")))
+    assert run("simulate", *options, *small, "-o", tmp_path / "one", "--jobs", "1", "-q") == (0, "", "")
+    truth = native.read(tmp_path / "one" / ("rig.yaml" if "--stereo" in options else "truth.yaml"))
+    words = shlex.split(truth.provenance["command"])
+    assert run(*words[1:], "-o", tmp_path / "two", "--jobs", "1", "-q") == (0, "", "")
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
 def test_a_second_run_replaces_its_own_images(run, folder):
