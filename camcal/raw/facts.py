@@ -49,14 +49,14 @@ def _facts(frame: Mosaic, name: str, places: Sequence[tuple[slice, slice]]) -> C
     dark = sum(np.count_nonzero(frame.values[row, column] <= _black(frame, row, column)) for row, column in places)
     bright = sum(np.count_nonzero(part >= frame.white) for part in parts)
     return ChannelFacts(
-        name,
-        samples,
-        float(sum(part.sum(dtype=float) for part in parts)) / samples,
-        float(min(part.min() for part in parts)),
-        float(max(part.max() for part in parts)),
-        float(dark) / samples,
-        float(bright) / samples,
-        np.sum([_histogram(part, frame.white) for part in parts], axis=0),
+        name=name,
+        samples=samples,
+        mean=float(sum(part.sum(dtype=float) for part in parts)) / samples,
+        least=float(min(part.min() for part in parts)),
+        most=float(max(part.max() for part in parts)),
+        at_black=float(dark) / samples,
+        at_white=float(bright) / samples,
+        histogram=np.sum([_histogram(part, frame.white) for part in parts], axis=0),
     )
 
 

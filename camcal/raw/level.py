@@ -149,18 +149,18 @@ class _Sums:
         temporal = np.maximum(within, 0) / ((count - 1) * (samples - 1))
         measured = np.array([_unevenness(total / count) for total in self.totals])
         return Level(
-            self.names,
-            self.first.size,
-            exposure_s,
-            means.mean(axis=0),
-            temporal,
-            measured - temporal / count,
-            measured,
-            self.clipped / count,
-            means,
-            samples,
-            self.peak,
-            self.white,
+            names=self.names,
+            size=self.first.size,
+            exposure_s=exposure_s,
+            mean_dn=means.mean(axis=0),
+            temporal=temporal,
+            spatial=measured - temporal / count,
+            measured_spatial=measured,
+            clipped=self.clipped / count,
+            frame_means=means,
+            samples=samples,
+            peak=self.peak,
+            white=self.white,
         )
 
 

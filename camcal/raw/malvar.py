@@ -30,7 +30,16 @@ def _missing(tile: Tile, bayer: Bayer) -> Missing:
     green_at_blue, red_at_blue = _at_colour(tile, blue, below, right, red, 1)
     red_right, blue_right = _at_green(tile, right, below, red, blue, 1)
     blue_below, red_below = _at_green(tile, below, right, blue, red, -1)
-    return Missing(green_at_red, green_at_blue, red_right, red_below, red_at_blue, blue_right, blue_below, blue_at_red)
+    return Missing(
+        green_at_red=green_at_red,
+        green_at_blue=green_at_blue,
+        red_right=red_right,
+        red_below=red_below,
+        red_at_blue=red_at_blue,
+        blue_right=blue_right,
+        blue_below=blue_below,
+        blue_at_red=blue_at_red,
+    )
 
 
 def _at_colour(

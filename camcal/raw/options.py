@@ -83,7 +83,16 @@ class GivenLayout(OptionsRecord):
         pixel_format = None if self.format is None else pixel_format_named(self.format)
         if pixel_format is None or self.size is None:
             raise missing_layout(path, pixel_format, self.size, self.offset)
-        return Layout(pixel_format, self.size, self.stride, self.offset, self.endian, self.align, pattern, self.frame)
+        return Layout(
+            pixel_format=pixel_format,
+            size=self.size,
+            stride=self.stride,
+            offset=self.offset,
+            endian=self.endian,
+            align=self.align,
+            pattern=pattern,
+            frame=self.frame,
+        )
 
 
 NO_LAYOUT = GivenLayout()

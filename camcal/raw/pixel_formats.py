@@ -105,7 +105,9 @@ def _members(family: _Family) -> Iterator[PixelFormat]:
             names.append(("R" if pattern == MONO else f"S{pattern}") + libcamera)
         names += fourccs.split()[place : place + 1]
         code = codes[place] if codes else None
-        yield PixelFormat(names[0], name, bits, pattern, packing, tuple(names[1:]), code)
+        yield PixelFormat(
+            name=names[0], family=name, bits=bits, pattern=pattern, packing=packing, aliases=tuple(names[1:]), code=code
+        )
 
 
 FORMATS = tuple(member for family in _FAMILIES for member in _members(family))

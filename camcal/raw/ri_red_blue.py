@@ -69,7 +69,16 @@ def red_and_blue(tile: Tile, bayer: Bayer, green_at_red: Plane, green_at_blue: P
     red_right, blue_right = _at_green(tile, bayer.right, gains, (at_red, (0, 1)), (at_blue, (-1, 0)))
     red_below, blue_below = _at_green(tile, bayer.below, gains, (at_blue, (0, -1)), (at_red, (1, 0)))
     tile.give_back(*gains)
-    return Missing(green_at_red, green_at_blue, red_right, red_below, at_blue.red, blue_right, blue_below, at_red.blue)
+    return Missing(
+        green_at_red=green_at_red,
+        green_at_blue=green_at_blue,
+        red_right=red_right,
+        red_below=red_below,
+        red_at_blue=at_blue.red,
+        blue_right=blue_right,
+        blue_below=blue_below,
+        blue_at_red=at_red.blue,
+    )
 
 
 def _residual(tile: Tile, samples: Plane, green: Plane, learning: Learning) -> _Colour:

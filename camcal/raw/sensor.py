@@ -66,15 +66,15 @@ def characterise(flats: Sequence[Level], darks: Sequence[Level]) -> Characterisa
     reached = {name for name, curve in curves.items() if curve.saturation is not None}
     phases = {name: figures_of(curve, phase, flats, darks, white) for phase, (name, curve) in enumerate(curves.items())}
     return Characterisation(
-        flats[0].size,
-        white,
-        max(level.peak for level in flats),
-        together(phases[name] for name in names if name in reached or not reached),
-        phases,
-        curves,
-        _what_ends(curves, white),
-        any(curve.noise.limited for curve in curves.values()),
-        tuple(_warnings(flats, darks, curves, phases, white)),
+        size=flats[0].size,
+        white=white,
+        peak=max(level.peak for level in flats),
+        figures=together(phases[name] for name in names if name in reached or not reached),
+        phases=phases,
+        curves=curves,
+        saturation=_what_ends(curves, white),
+        limited=any(curve.noise.limited for curve in curves.values()),
+        warnings=tuple(_warnings(flats, darks, curves, phases, white)),
     )
 
 

@@ -98,7 +98,16 @@ def vng(values: Array, pattern: str, white: float, *, each: Each = one_by_one, t
 
 def _missing(tile: Tile, bayer: Bayer) -> Missing:
     red, right, below, blue = (_found(tile, _Surroundings(bayer, place)) for place in range(len(PLACES)))
-    return Missing(red["G"], blue["G"], right["R"], below["R"], blue["R"], right["B"], below["B"], red["B"])
+    return Missing(
+        green_at_red=red["G"],
+        green_at_blue=blue["G"],
+        red_right=right["R"],
+        red_below=below["R"],
+        red_at_blue=blue["R"],
+        blue_right=right["B"],
+        blue_below=below["B"],
+        blue_at_red=red["B"],
+    )
 
 
 @cache

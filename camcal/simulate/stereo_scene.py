@@ -149,14 +149,14 @@ def render_pair(scene: Scene | PairOptions, rng: np.random.Generator) -> StereoT
     right_disparity, _ = disparity(scene.surfaces, right_eye, left_eye)
     camera, other, right_T_left = options.cameras()
     return StereoTruth(
-        _counts(left, options, rng),
-        _counts(right, options, rng),
-        left_disparity,
-        right_disparity,
-        visible,
-        camera,
-        other,
-        right_T_left,
+        left=_counts(left, options, rng),
+        right=_counts(right, options, rng),
+        disparity_left=left_disparity,
+        disparity_right=right_disparity,
+        visible=visible,
+        left_camera=camera,
+        right_camera=other,
+        right_T_left=right_T_left,
     )
 
 

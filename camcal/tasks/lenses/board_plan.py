@@ -85,14 +85,14 @@ def plan_board(setup: Setup, wanted: Board, options: BoardOptions, distances: Se
     known = [at_distance(setup, distance) for distance in distances or [filling or farthest]]
     stds, reason = _calibration(setup, board, options)
     return BoardPlan(
-        board,
-        options,
-        least_px,
-        held.at_share(1.0),
-        farthest,
-        tuple(_at(held, setup, options, one, filling) for one in known),
-        stds,
-        reason,
+        board=board,
+        options=options,
+        least_px=least_px,
+        nearest=held.at_share(1.0),
+        farthest=farthest,
+        at=tuple(_at(held, setup, options, one, filling) for one in known),
+        calibration=stds,
+        reason=reason,
     )
 
 
@@ -219,7 +219,16 @@ def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, fil
         return BoardAt(distance, smallest, largest, share, square, noise)
     forecast = forecast_pose(held.camera, held.points, held.pose(distance), noise)
     sigma = tuple(np.sqrt(np.diag(forecast.covariance)).tolist())
-    return BoardAt(distance, smallest, largest, share, square, noise, sigma, forecast.p_wrong)
+    return BoardAt(
+        distance=distance,
+        smallest_px=smallest,
+        largest_px=largest,
+        share=share,
+        square_for_share=square,
+        noise_px=noise,
+        sigma=sigma,
+        p_wrong=forecast.p_wrong,
+    )
 
 
 def _blur_factor(setup: Setup, known: AtDistance) -> float:

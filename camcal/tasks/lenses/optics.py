@@ -60,18 +60,18 @@ def _report(setup: Setup) -> OpticsReport:
     plan, plot = setup.options.plan, setup.options.plot
     distances = setup.options.distances or tuple(value for value in (setup.focus,) if value and isfinite(value))
     report = OpticsReport(
-        setup,
-        part.field(setup),
-        part.pixel_angle(setup),
-        part.focus(setup),
-        part.diffraction(setup),
-        part.exposure(setup),
-        part.image_circle(setup),
-        tuple(part.at_distance(setup, distance) for distance in distances),
-        None if plan.board is None else plan_board(setup, load_board(plan.board), plan, distances),
-        part.missing(setup),
-        (),
-        plot,
+        setup=setup,
+        field_of_view=part.field(setup),
+        pixel_angle=part.pixel_angle(setup),
+        focus=part.focus(setup),
+        diffraction=part.diffraction(setup),
+        exposure=part.exposure(setup),
+        image_circle=part.image_circle(setup),
+        at=tuple(part.at_distance(setup, distance) for distance in distances),
+        board=None if plan.board is None else plan_board(setup, load_board(plan.board), plan, distances),
+        missing=part.missing(setup),
+        warnings=(),
+        plot=plot,
     )
     _require_something(report)
     found = (*_lens_warnings(report), *_distance_warnings(report), *_board_warnings(report))
@@ -178,5 +178,14 @@ def _draw(report: OpticsReport, plot: Path) -> None:
     known = (setup.focal, setup.options.f_number, setup.focus, setup.circle)
     focal, number, focus, circle = (float(value or 0) for value in known)
     disc = None if report.diffraction is None else report.diffraction.airy_diameter
-    curve = BlurCurve(focal, number, focus, circle, sharp.near, sharp.far, setup.pitch, disc)
+    curve = BlurCurve(
+        focal=focal,
+        f_number=number,
+        focus=focus,
+        circle=circle,
+        near=sharp.near,
+        far=sharp.far,
+        pitch=setup.pitch,
+        airy_diameter=disc,
+    )
     files.write_bytes(plot, blur_over_distance(curve, plot.suffix))

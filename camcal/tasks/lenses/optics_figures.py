@@ -188,18 +188,18 @@ def at_distance(setup: Setup, distance: float) -> AtDistance:
     disparity, error = _stereo(setup, distance)
     motion, longest, stops = _motion(setup, pixel)
     return AtDistance(
-        distance,
-        width,
-        height,
-        pixel,
-        corner,
-        None if pixel is None else 1 / (2 * pixel),
-        _blur_px(setup, distance),
-        motion,
-        longest,
-        stops,
-        disparity,
-        error,
+        distance=distance,
+        width=width,
+        height=height,
+        pixel=pixel,
+        corner_pixel=corner,
+        line_pairs=None if pixel is None else 1 / (2 * pixel),
+        blur_px=_blur_px(setup, distance),
+        motion_px=motion,
+        longest_exposure=longest,
+        exposure_stops=stops,
+        disparity_px=disparity,
+        depth_error=error,
     )
 
 

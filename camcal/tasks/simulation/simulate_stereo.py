@@ -139,14 +139,14 @@ def _make(folder: Path, options: PairOptions, seed: int, index: int) -> PairFile
     truth = render_pair(options, np.random.default_rng([seed, index]))
     name = _name(index)
     pair = PairFiles(
-        folder / LEFT / f"{name}.png",
-        folder / RIGHT / f"{name}.png",
-        folder / DISPARITY / f"{name}.pfm",
-        folder / DISPARITY_RIGHT / f"{name}.pfm",
-        folder / VISIBLE / f"{name}.png",
-        float(np.nanmin(truth.disparity_left)),
-        float(np.nanmax(truth.disparity_left)),
-        float(truth.visible.mean()),
+        left=folder / LEFT / f"{name}.png",
+        right=folder / RIGHT / f"{name}.png",
+        disparity=folder / DISPARITY / f"{name}.pfm",
+        disparity_right=folder / DISPARITY_RIGHT / f"{name}.pfm",
+        visible=folder / VISIBLE / f"{name}.png",
+        least=float(np.nanmin(truth.disparity_left)),
+        greatest=float(np.nanmax(truth.disparity_left)),
+        shared=float(truth.visible.mean()),
     )
     _write(pair, truth)
     return pair
