@@ -80,7 +80,16 @@ def transfer_curve(flats: Sequence[Level], dark: Level, phase: int) -> Curve:
     exposures = [np.nan if level.exposure_s is None else level.exposure_s for level in flats]
     full = variance < _SATURATED * (gain.value * signal + intercept)
     saturation = float(signal[full].max()) if full.any() else None
-    return Curve(signal, variance, np.array(exposures), fitted, noise, gain, intercept, saturation)
+    return Curve(
+        signal=signal,
+        variance=variance,
+        exposure_s=np.array(exposures),
+        fitted=fitted,
+        noise=noise,
+        gain=gain,
+        intercept=intercept,
+        saturation=saturation,
+    )
 
 
 def _usable(flats: Sequence[Level], phase: int, signal: Array, variance: Array) -> Array:
