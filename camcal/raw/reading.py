@@ -127,14 +127,14 @@ def _frame(raw: Any, content: bytes) -> Mosaic:
     pattern = MONO if codes is None else pattern_of(codes, raw.color_desc)
     colour = pattern != MONO
     return Mosaic(
-        raw.raw_image_visible,
-        pattern,
-        _black(raw, codes, pattern),
-        _white(raw),
-        _camera_gains(raw) if colour else None,
-        _camera_matrix(raw) if colour else None,
-        _ORIENTATIONS[raw.sizes.flip & 7],
-        capture_of(content, raw.other),
+        values=raw.raw_image_visible,
+        pattern=pattern,
+        black=_black(raw, codes, pattern),
+        white=_white(raw),
+        camera_gains=_camera_gains(raw) if colour else None,
+        camera_M_xyz=_camera_matrix(raw) if colour else None,
+        orientation=_ORIENTATIONS[raw.sizes.flip & 7],
+        capture=capture_of(content, raw.other),
     )
 
 
