@@ -17,12 +17,12 @@ def require_shape(array: ArrayLike, shape: Shape, name: str, dtype: DTypeLike = 
     Raises InvalidInput naming the array, the shape found and the shape expected.
     """
     result = np.asarray(array, dtype=dtype)
-    fits = result.ndim == len(shape) and all(
-        want in (None, have) for have, want in zip(result.shape, shape, strict=True)
-    )
-    if not fits:
+    found = result.shape
+    if found != shape and not (
+        len(found) == len(shape) and all(want is None or want == have for have, want in zip(found, shape, strict=True))
+    ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise InvalidInput(f"{name} has shape {result.shape}, expected {wanted}")
+        raise InvalidInput(f"{name} has shape {found}, expected {wanted}")
     return result
 
 

@@ -44,6 +44,7 @@ __all__ = [
     "region_quantile",
 ]
 DEFAULTS = PoseOptions()
+_OWN_FRAME = Pose.identity()
 Item = TypeVar("Item")
 
 
@@ -56,7 +57,7 @@ def estimate_poses(
     """
     seen = [_weighted(view, options) for view in views]
     groups = [
-        Group.of([camera], [Pose.identity()], [[seen[item]] for item in items], items)
+        Group.of([camera], [_OWN_FRAME], [[seen[item]] for item in items], items)
         for items in alike(np.array([len(view.points) for view in views]))
     ]
     found = estimates(groups, options, CAMERA_T_OBJECT)

@@ -247,7 +247,7 @@ class _Search:
         """Return the mask (A,) of searches that will stay far above another one of their problems."""
         if len(self.which) == 1 or np.isinf(self.worth[0]):
             return np.zeros(len(alive), dtype=bool)
-        lowest = np.full(self.which.max() + 1, np.inf)
+        lowest = np.full(int(self.which.max()) + 1, np.inf)
         np.minimum.at(lowest, self.which, self.models.cost)
         bound = self.models.cost[alive] - _REACH * promised
         return np.asarray(

@@ -10,6 +10,7 @@ from camcal.geometry import rotation as so3
 
 IN_PLANE = 1e-4  # third spread over the first: below, points count as a plane
 NEAR_PLANE = 0.1  # below, a plane's second pose may be near a minimum too
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,4 +83,4 @@ class Extents:
 
 def _mirrors(normals: Array) -> Array:
     """Return the reflections (S, 3, 3) at the planes through the origin with unit normals (S, 3)."""
-    return np.asarray(np.eye(3) - 2 * normals[:, :, None] * normals[:, None, :])
+    return np.asarray(_IDENTITY - 2 * normals[:, :, None] * normals[:, None, :])

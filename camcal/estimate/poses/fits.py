@@ -224,8 +224,12 @@ def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
         return fit
     areas = _areas(fit.group, options)
     agreement = _likeliest_agreement(every, fit.problems.masks, areas, options, sigma)
-    starts = _joined_starts(fit.starts(), _readmitted(fit, every, agreement, sigma), _of_lost(fit, options))
-    items = spoilt[_undecided(fit, every, agreement, starts)[spoilt]]
+    best = fit.minima.take(lowest(fit.minima))
+    squares = agreement.squared(every, best.states, best.which)
+    starts = _joined_starts(
+        fit.starts(), _readmitted(fit, every, best, squares, agreement, sigma), _of_lost(fit, options)
+    )
+    items = spoilt[_undecided(fit, every, best, squares, agreement, starts)[spoilt]]
     if not items.size:
         return fit
     problems, (states, which) = every.take(items), _of_items(*starts, items)
@@ -246,14 +250,16 @@ def _likeliest_agreement(
     return replace(agreement_of(options, sigma), threshold=threshold)
 
 
-def _readmitted(fit: Fit, every: PoseProblems, agreement: Agreement, sigma: float) -> Starts:
+def _readmitted(
+    fit: Fit, every: PoseProblems, best: Minima, squares: tuple[Array, ...], agreement: Agreement, sigma: float
+) -> Starts:
     """Return the best poses fitted to the points left out as well that they would not be far from, were these right.
 
     A pose of few points is uncertain where it has none: there, a right point may be many times the noise away from it.
+    squares: (S, N) of all points' residuals at the best poses.
     """
-    best = fit.minima.take(lowest(fit.minima))
     near, limits = np.zeros(len(best.which), dtype=bool), agreement.limits(every, best.which)
-    for squared, mask in zip(agreement.squared(every, best.states, best.which), fit.problems.masks, strict=True):
+    for squared, mask in zip(squares, fit.problems.masks, strict=True):
         near |= np.any((squared <= _FAR * limits) & ~mask[best.which], axis=1)
     if not near.any():
         return _NO_STARTS
@@ -283,18 +289,19 @@ def _joined_starts(*parts: Starts) -> Starts:
     return np.concatenate(states), np.concatenate(which)
 
 
-def _undecided(fit: Fit, every: PoseProblems, agreement: Agreement, starts: Starts) -> Array:
+def _undecided(
+    fit: Fit, every: PoseProblems, best: Minima, squares: tuple[Array, ...], agreement: Agreement, starts: Starts
+) -> Array:
     """Return the mask (P,) of problems whose inliers would change, or of which another start comes first."""
-    best = fit.minima.take(lowest(fit.minima))
     limits, changed = agreement.limits(every, best.which), np.zeros(len(best.which), dtype=bool)
-    parts = agreement.squared(every, best.states, best.which), every.masks, fit.problems.masks
+    parts = squares, every.masks, fit.problems.masks
     for squared, mask, inliers in zip(*parts, strict=True):
         changed |= np.any(((squared <= limits) & mask[best.which]) != inliers[best.which], axis=1)
     undecided = np.zeros(len(every.view), dtype=bool)
     undecided[best.which] = changed
     states, which = starts
     least = np.full(len(every.view), np.inf)
-    least[best.which] = truncated_cost(every, best.states, best.which, agreement)
+    least[best.which] = truncated_cost(every, best.states, best.which, agreement, squares)
     ahead = truncated_cost(every, states, which, agreement) < least[which] * (1 - _EQUAL)
     undecided[which[ahead]] = True
     return undecided

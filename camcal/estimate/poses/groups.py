@@ -95,6 +95,5 @@ def _different(points: Array, present: Array) -> Array:
     """Return how many different points (W,) there are among points (3, W, N)."""
     keys = np.where(present, np.einsum("i,iwn->wn", _KEYS, points), np.inf)
     keys.sort(axis=1)
-    with np.errstate(invalid="ignore"):
-        steps = np.diff(keys, axis=1, prepend=-np.inf) > 0
-    return np.asarray(np.sum(steps & np.isfinite(keys), axis=1))
+    there = np.isfinite(keys)
+    return np.asarray(there[:, 0] + np.sum((keys[:, 1:] > keys[:, :-1]) & there[:, 1:], axis=1))

@@ -155,10 +155,17 @@ def approached(problems: PoseProblems, states: Array, which: Array, agreement: A
     return _in_turns(problems, states, which, masks, limits, agreement)[0]
 
 
-def truncated_cost(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:
-    """Return ½ Σ min(r², limit) (S,) of all points of the problems."""
-    squares, limits = agreement.squared(problems, states, which), agreement.limits(problems, which)
-    return _truncated(problems, states, which, squares, limits)
+def truncated_cost(
+    problems: PoseProblems,
+    states: Array,
+    which: Array,
+    agreement: Agreement,
+    squares: tuple[Array, ...] | None = None,
+) -> Array:
+    """Return ½ Σ min(r², limit) (S,) of all points of the problems; squares: their r² (S, N), where known."""
+    if squares is None:
+        squares = agreement.squared(problems, states, which)
+    return _truncated(problems, states, which, squares, agreement.limits(problems, which))
 
 
 def _truncated(problems: PoseProblems, states: Array, which: Array, squares: tuple[Array, ...], limits: Array) -> Array:

@@ -19,7 +19,7 @@ from camcal.geometry import rotation as so3
 
 MOST = 20000  # triplets: enough for 93 % of outliers at a confidence of 0.999
 _CORNERS = 3  # points of a triplet
-_ROUND, _LONG_ROUND = 64, 1024  # triplets drawn at a time
+_ROUND, _LONG_ROUND = 96, 1024  # triplets drawn at a time
 _SCORED = 256  # points that score the poses of triplets; all points score the settled ones
 _PROMISING = 4  # poses of a round that are settled
 
