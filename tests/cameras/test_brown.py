@@ -219,3 +219,23 @@ def test_priors_follow_the_power_of_the_radius():
     assert {name: spread[name] for name in ("k4", "k5", "k6")} == {"k4": 4.0, "k5": 16.0, "k6": 64.0}
     assert {name: spread[name] for name in ("p1", "p2", "s1", "s3")} == dict.fromkeys(("p1", "p2", "s1", "s3"), 2.0)
     assert {name: spread[name] for name in ("s2", "s4", "tau_x")} == {"s2": 8.0, "s4": 8.0, "tau_x": 1.0}
+
+
+def test_focal_length_and_first_radial_term_are_freed_first_then_what_moves_the_principal_point():
+    first, then = {"fx", "fy", "k1"}, {"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"}
+    for model in MODELS:
+        assert [set(stage) for stage in model.stages] == [names & set(model.parameter_names) for names in (first, then)]
+
+
+def test_colours_differ_in_size_and_place_first_then_in_the_lowest_terms():
+    first, then = {"fx", "fy", "cx", "cy"}, {"fx", "fy", "cx", "cy", "k1", "p1", "p2"}
+    for model in MODELS:
+        assert [set(stage) for stage in model.colour_stages] == [
+            names & set(model.parameter_names) for names in (first, then)
+        ]
+
+
+def test_a_tilt_of_a_right_angle_is_the_most_that_a_file_may_have():
+    limits = FAMILY["opencv14"].limits
+    assert limits["tau_x"] == limits["tau_y"] == (-np.pi / 2, np.pi / 2)
+    assert limits["k1"] == (-np.inf, np.inf)

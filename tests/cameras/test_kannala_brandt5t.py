@@ -166,3 +166,11 @@ def test_priors_follow_the_powers_of_theta():
     wide = MODEL.prior_std((1600, 1200), 400.0)  # a corner at 143°, most likely outside the image circle
     np.testing.assert_allclose(wide[4:], (np.pi / 2) ** powers)
     np.testing.assert_array_equal(wide[:8], FOUR.prior_std((1600, 1200), 400.0))
+
+
+def test_its_stages_are_those_of_narrow_lenses():
+    model = model_named("opencv5")
+    assert set(model.stages[1]) == set(MODEL.stages[1])
+    assert (MODEL.stages[0], MODEL.colour_stages[0]) == (model.stages[0], model.colour_stages[0])
+    assert set(model.colour_stages[1]) == set(MODEL.colour_stages[1])
+    assert FOUR.stages == (("fx", "fy", "k1"), ("fx", "fy", "cx", "cy", "k1", "k2"))
