@@ -100,6 +100,11 @@ class OptionsCommand(TyperCommand):
             args = [f" {text}" if _NEGATIVE.match(text) else text for text in args]
         return super().parse_args(ctx, args)
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:  # noqa: ARG002 - typer calls it so
+        """Return what a command line is made of: options, then arguments in their order."""
+        arguments = [each for each in self.declared if each.positional]
+        return ["[OPTIONS]", *(each.name if each.required else f"[{each.name}]" for each in arguments)]
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options under the titles of their groups, those of typer's own parameters with the general ones."""
         others: list[Any] = [each for each in self.get_params(ctx) if each.name in _NOT_SET - {"json"}]

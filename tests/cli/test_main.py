@@ -363,6 +363,11 @@ def test_the_options_of_a_command_stand_under_the_titles_of_their_groups(run):
     assert titles == ["Input", "Board", "Lens", "Raw frames", "Method", "Checks", "Output", "General"]
 
 
+def test_the_usage_names_arguments_as_they_are_written(run):
+    assert run("pnp", "--help", app=camcal_app)[1].startswith("Usage: camcal pnp [OPTIONS] [CAMERA] [IMAGES")
+    assert run("inspect", "--help", app=camcal_app)[1].startswith("Usage: camcal inspect [OPTIONS] FILE\n")
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_is_told_how_to_complete_commands(shell, start_python):
     variables = {"_CAMCAL_COMPLETE": f"complete_{shell}", "COMP_WORDS": "camcal cal", "COMP_CWORD": "1"}
