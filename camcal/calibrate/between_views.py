@@ -114,12 +114,12 @@ def between_views(estimates: Sequence[Estimate], present: Array, images: Sequenc
     return BetweenViews(
         tuple(images),
         replace(step, images=later(step.images)),
-        replace(_drift(focal, names), images=tuple(images)),
-        _outlying(focal, names),
-        Change(*focal.unordered()),
-        replace(ratio, images=later(ratio.images)),
-        boards,
-        _blurred(full, names),
+        drift=replace(_drift(focal, names), images=tuple(images)),
+        outlying=_outlying(focal, names),
+        unordered=Change(*focal.unordered()),
+        proportions=replace(ratio, images=later(ratio.images)),
+        boards=boards,
+        blurred=_blurred(full, names),
     )
 
 

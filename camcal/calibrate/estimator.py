@@ -169,17 +169,17 @@ class _Passes:
         return Estimate(
             self.problem,
             self.place.state,
-            self.freedom,
-            self.noise,
-            self.corners,
-            self.board,
-            self.effect_scales if self.freedom.effects else None,
-            self.place.coefficients,
-            factors,
-            left,
-            number,
-            moved < _CALM,
-            None if self.corners is None else self.corners.typical(self.shares[self.present]),
+            freedom=self.freedom,
+            noise=self.noise,
+            corners=self.corners,
+            board=self.board,
+            effect_scales=self.effect_scales if self.freedom.effects else None,
+            coefficients=self.place.coefficients,
+            factors=factors,
+            posterior=left,
+            passes=number,
+            converged=moved < _CALM,
+            model_error_px=None if self.corners is None else self.corners.typical(self.shares[self.present]),
         )
 
     def _pass(self, *, first: bool) -> tuple[Factors, Posterior, float]:
@@ -230,7 +230,15 @@ class _Passes:
         distances = self.problem.distances(residuals)
         if not first:
             weights = self.problem.observations.weights
-            self.noise = view_noise(distances, self.present, weights, self.spent, self.noise, self.share, self.finest)
+            self.noise = view_noise(
+                distances,
+                self.present,
+                weights=weights,
+                spent=self.spent,
+                noise=self.noise,
+                share=self.share,
+                finest=self.finest,
+            )
         weights = corner_weights(distances, self.present, self.noise, self.spent)
         if not first:
             weights = np.where(

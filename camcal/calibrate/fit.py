@@ -144,7 +144,15 @@ def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array
     plain = estimates[0]
     moved = _displacements(plain, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
     if not len(moved):  # the lens is held, or holds nowhere, as that of a wrong board may
-        return Fit(plain.state, (plain,), np.ones(1), turns, plain.posterior.shared, plain.posterior.shared, errors)
+        return Fit(
+            plain.state,
+            (plain,),
+            weights=np.ones(1),
+            turns=turns,
+            covariance=plain.posterior.shared,
+            noise_covariance=plain.posterior.shared,
+            errors=errors,
+        )
     left_out = [influence(own) for own in estimates]
     metric = image_metric(moved)
     weights = weights_of(left_out, metric, errors.share)
@@ -153,7 +161,15 @@ def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array
         state = averaged([own.state for own in estimates], weights)
         state = replace(state, **_posed_again(plain.problem, state))
     covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
-    return Fit(state, estimates, weights, turns, covariance, plain.posterior.shared, errors)
+    return Fit(
+        state,
+        estimates,
+        weights=weights,
+        turns=turns,
+        covariance=covariance,
+        noise_covariance=plain.posterior.shared,
+        errors=errors,
+    )
 
 
 def _posed_again(problem: BoardProblem, state: State) -> dict[str, Array]:

@@ -1,7 +1,4 @@
-"""One camera from detections of a board: lens, poses, the board's shape, and how well each is known.
-
-It says what became of every view and of single corners, and in words why some are not used.
-"""
+"""One camera from detections of a board: lens, poses, the board's shape, and how well each is known."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -25,118 +22,16 @@ from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
 from camcal.calibrate.gross import misfit, require_fit, require_one_camera
 from camcal.calibrate.model_choice import Contender, contender
-from camcal.calibrate.noise import REJECTED, median_limit
+from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem, Observations, covariances_of
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
-from camcal.calibrate.words import px_words
+from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
-from camcal.geometry.pose import Pose
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it does
-    not fit the other views. turned: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
-    rms_px is over the kept corners, per point.
-    """
-
-    image: str
-    points: int
-    kept: int = 0
-    rms_px: float | None = None
-    camera_T_board: Pose | None = None
-    pose_covariance: Array | None = None
-    turned: int = 0
-    reason: str | None = None
-    rejected: bool = False
-
-    @property
-    def used(self) -> bool:
-        return self.reason is None
-
-
-@dataclass(frozen=True, eq=False)
-class RejectedCorner:
-    """A corner that was measured but not believed; residual: projected minus observed, px."""
-
-    image: str
-    id: int
-    pixel: Array
-    residual: Array
-
-    @property
-    def distance(self) -> float:
-        """The length of the residual in pixels; NaN where the lens cannot take the corner."""
-        return float(np.hypot(*self.residual))
-
-
-def view_records(
-    result: Fit,
-    detections: Sequence[Detection],
-    reasons: list[str | None],
-    covariances: Array,
-    residuals: Array,
-    kept: Array,
-    medians: Array,
-) -> tuple[View, ...]:
-    """Return what became of every image; reasons: why it was left out from the start, None if it was not. The other
-    arguments are of the views that were not: pose covariances (V, 6, 6), residuals (2, V, P) px, which corners (V, P)
-    are kept, and the medians (V,) px of their distances.
-    """
-    squared = np.where(kept, np.nansum(residuals**2, axis=0), 0.0)
-    views, row = [], 0
-    for detection, reason in zip(detections, reasons, strict=True):
-        if reason is not None:
-            views.append(View(detection.image, len(detection.ids), reason=reason))
-            continue
-        count = int(kept[row].sum())
-        view = View(
-            detection.image,
-            len(detection.ids),
-            count,
-            float(np.sqrt(squared[row].sum() / count)) if count else None,
-            Pose(result.state.rotations[row], result.state.translations[row]),
-            readonly(covariances[row], (6, 6), "pose covariance"),
-            int(result.turns[row]),
-        )
-        if not count:
-            words = _misfit_words(float(medians[row]), median_limit(result.plain.noise))
-            view = replace(view, camera_T_board=None, pose_covariance=None, reason=words, rejected=True)
-        views.append(view)
-        row += 1
-    return tuple(views)
-
-
-def _misfit_words(median_px: float, limit_px: float) -> str:
-    how = (
-        f"median reprojection error {px_words(median_px)}"
-        if np.isfinite(median_px)
-        else "beyond the lens model's domain"
-    )
-    return f"does not fit the other views: {how} (limit {px_words(limit_px)})"
-
-
-def rejected_corners(
-    result: Fit, detections: Sequence[Detection], reasons: list[str | None], lost: Array, residuals: Array
-) -> tuple[RejectedCorner, ...]:
-    """Return the corners (V, P) that are `lost`, with their residuals (2, V, P) px."""
-    images = [detection.image for detection, reason in zip(detections, reasons, strict=True) if reason is None]
-    observations = result.problem.observations
-    return tuple(
-        RejectedCorner(
-            images[view],
-            int(observations.ids[view, point]),
-            observations.pixels[:, view, point],
-            residuals[:, view, point],
-        )
-        for view, point in np.argwhere(lost)
-    )
-
 
 __all__ = ["Calibration", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
 
@@ -216,7 +111,16 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     observations = Observations.of(usable)
     claimed = covariances_of(usable)
     try:
-        plain, turns = fit_plain(options.model, board, observations, size, held, guess, options.shape, claimed)
+        plain, turns = fit_plain(
+            options.model,
+            board,
+            observations=observations,
+            image_size=size,
+            held=held,
+            guess=guess,
+            shape=options.shape,
+            claimed=claimed,
+        )
         result = fit(plain, turns, Views(observations.weights > 0, claimed), size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
@@ -233,7 +137,7 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
             f"the calibration did not settle in {result.plain.passes} passes: use a --model with fewer coefficients, "
             "add views, or give a --guess"
         )
-    return _record(result, detections, reasons, size, options, present, cameras)
+    return _record(result, detections, reasons=reasons, size=size, options=options, present=present, cameras=cameras)
 
 
 def compare_models(
@@ -250,7 +154,17 @@ def compare_models(
     for model in models:
         try:
             held, guess = _held(replace(options, model=model), size)
-            plain, _ = fit_plain(model, board, observations, size, held, guess, options.shape, claimed, brief=True)
+            plain, _ = fit_plain(
+                model,
+                board,
+                observations=observations,
+                image_size=size,
+                held=held,
+                guess=guess,
+                shape=options.shape,
+                claimed=claimed,
+                brief=True,
+            )
             result.append(contender(model.name, plain, observations.weights > 0))
         except (SingularError, np.linalg.LinAlgError):
             result.append(Contender(model.name, reason="the views leave some of its parameters undetermined"))
@@ -324,20 +238,28 @@ def _record(
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
     for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
         require_focal(camera.value(focal), camera.std(focal) or 0.0)
-    views = view_records(result, detections, reasons, _pose_covariances(result), residuals, kept, found.medians)
+    views = view_records(
+        result,
+        detections,
+        reasons=reasons,
+        covariances=_pose_covariances(result),
+        residuals=residuals,
+        kept=kept,
+        medians=found.medians,
+    )
     return Calibration(
         camera,
         problem.board,
-        surface_of(problem, state, plain.board, covariance),
-        views,
-        rejected_corners(result, detections, reasons, present & ~kept, residuals),
-        plain.noise.sigma,
-        max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
-        float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
-        readonly(residuals[:, kept].T, (None, 2), "residuals"),
-        readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
-        sum(own.passes for own in result.estimates),
-        _correlations(problem.shared_names, covariance),
+        surface=surface_of(problem, state, plain.board, covariance),
+        views=views,
+        rejected=rejected_corners(result, detections, reasons, present & ~kept, residuals),
+        sigma_px=plain.noise.sigma,
+        freedom=max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
+        rms_px=float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
+        residuals=readonly(residuals[:, kept].T, (None, 2), "residuals"),
+        pixels=readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
+        iterations=sum(own.passes for own in result.estimates),
+        correlations=_correlations(problem.shared_names, covariance),
         floor_px=None if plain.corners is None else plain.corners.floor_px,
         model_error_px=plain.model_error_px,
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),

@@ -240,7 +240,16 @@ def _lens_of(
     held = plain.state.parameters.copy()
     held[problem.free] = np.nan
     how = shape if points is None else ShapeOptions(smooth=False, offsets=False)
-    found, _ = fit_plain(problem.model, problem.board, observations, image_size, held, None, how, brief=True)
+    found, _ = fit_plain(
+        problem.model,
+        problem.board,
+        observations=observations,
+        image_size=image_size,
+        held=held,
+        guess=None,
+        shape=how,
+        brief=True,
+    )
     bare, state = _bare(found, present[views])
     if points is not None:
         robust = replace(bare, points=points, sigma=found.noise.sigma, loss=_LOSS)

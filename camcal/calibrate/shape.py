@@ -135,12 +135,12 @@ def surface_of(problem: BoardProblem, state: State, scales: Mapping[str, Scale],
     return Surface(
         problem.board,
         (),
-        problem.terms,
-        state.shape,
-        own,
-        state.offsets if state.offsets.any() else None,
-        float(height[top] - height[bottom]),
-        float(np.sqrt(max(slope @ own @ slope, 0.0) + 2 * spread**2)),
+        terms=problem.terms,
+        coefficients=state.shape,
+        covariance=own,
+        offsets=state.offsets if state.offsets.any() else None,
+        deflection=float(height[top] - height[bottom]),
+        deflection_std=float(np.sqrt(max(slope @ own @ slope, 0.0) + 2 * spread**2)),
         classes={name: (scale.mean, scale.std) for name, scale in scales.items()},
     )
 

@@ -97,7 +97,7 @@ class Distortion:
         """Return the distorted coordinates of undistorted x, y (n,), and fill the gradient if there is one."""
         powers = _powers(x, y)
         if not self.values:
-            return Distorted(x, y, _ONE, _ZERO, _ZERO, _ONE, powers.square)
+            return Distorted(x, y, x_x=_ONE, x_y=_ZERO, y_x=_ZERO, y_y=_ONE, square=powers.square)
         result = self._radial(x, y, powers, gradient)
         if self.roles.tangential:
             result = self._tangential(self.roles.tangential, x, y, powers, result, gradient)
@@ -191,7 +191,7 @@ class Distortion:
         x_x, x_y, y_y = slope * powers.xx, slope * powers.xy, slope * powers.yy
         x_x += ratio
         y_y += ratio
-        return Distorted(x * ratio, y * ratio, x_x, x_y, x_y, y_y, powers.square)
+        return Distorted(x * ratio, y * ratio, x_x=x_x, x_y=x_y, y_x=x_y, y_y=y_y, square=powers.square)
 
     def _tangential(
         self, columns: Columns, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None
@@ -237,7 +237,9 @@ class Distortion:
         """Return `base` with tangential terms of its distorted coordinates."""
         x, y, columns = base.x, base.y, self.roles.decentring
         cross = np.zeros_like(x)
-        same = Distorted(x.copy(), y.copy(), np.ones_like(x), cross, cross, np.ones_like(x), base.square)
+        same = Distorted(
+            x.copy(), y.copy(), x_x=np.ones_like(x), x_y=cross, y_x=cross, y_y=np.ones_like(x), square=base.square
+        )
         moved = self._tangential(columns, x, y, _powers(x, y), same, gradient)
         return _chained(moved, base, gradient, columns[0])
 
@@ -256,7 +258,7 @@ class Distortion:
                 for axis, focal, by, value in zip(gradient.rows, gradient.focal, (by_x, by_y), (x, y), strict=True):
                     np.multiply(by - value * by_scale, focal * inverse, out=axis[column])
         square = np.where(scale > 0, base.square, np.nan)  # else the ray meets the sensor's plane behind the lens
-        return _chained(Distorted(x, y, a, b, c, d, square), base, gradient, self.roles.tilt[0])
+        return _chained(Distorted(x, y, x_x=a, x_y=b, y_x=c, y_y=d, square=square), base, gradient, self.roles.tilt[0])
 
 
 @lru_cache(maxsize=256)

@@ -73,13 +73,13 @@ def read(data: Mapping[str, Any], folder: Path) -> Surface:
     return Surface(
         board,
         tuple(data.get("tiers", ())),
-        tuple(_TERM_OF_KEY[key] for key in keys),
-        np.array([float(data["coefficients"][key]) for key in keys]),
-        np.zeros((0, 0)) if known is None else known,
-        np.array(data["offsets"], dtype=float) if "offsets" in data else None,
-        float(data.get(f"deflection_{board.unit}", 0.0)),
-        float(data.get(f"deflection_std_{board.unit}", 0.0)),
-        {
+        terms=tuple(_TERM_OF_KEY[key] for key in keys),
+        coefficients=np.array([float(data["coefficients"][key]) for key in keys]),
+        covariance=np.zeros((0, 0)) if known is None else known,
+        offsets=np.array(data["offsets"], dtype=float) if "offsets" in data else None,
+        deflection=float(data.get(f"deflection_{board.unit}", 0.0)),
+        deflection_std=float(data.get(f"deflection_std_{board.unit}", 0.0)),
+        classes={
             _CLASS_OF_KEY[key]: (float(found["scale"]), float(found["std"]))
             for key, found in data.get("classes", {}).items()
             if key in _CLASS_OF_KEY  # and not x_ keys of others

@@ -139,11 +139,11 @@ def gather(stream: VertexStream, most: int) -> CloudScene:
     return CloudScene(
         points[near],
         _colours(vertices[near]),
-        vertices[SIGMA][near] if SIGMA in (stream.type.names or ()) else None,
-        stream.unit,
-        stream.frame,
-        total,
-        int(np.count_nonzero(~near)),
+        sigma=vertices[SIGMA][near] if SIGMA in (stream.type.names or ()) else None,
+        unit=stream.unit,
+        frame=stream.frame,
+        total=total,
+        outside=int(np.count_nonzero(~near)),
     )
 
 

@@ -19,12 +19,12 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
     total = _Sums(
         0.0,
         np.zeros(shared),
-        np.zeros((groups, group_size)),
-        np.zeros((groups, group_size, group_size)),
-        np.zeros((groups, group_size, shared)),
-        np.zeros((shared, shared)),
-        np.zeros((groups, shared)),
-        np.zeros((groups, dense, dense)),
+        group_gradient=np.zeros((groups, group_size)),
+        group_group=np.zeros((groups, group_size, group_size)),
+        group_shared=np.zeros((groups, group_size, shared)),
+        shared_shared=np.zeros((shared, shared)),
+        group_gradients=np.zeros((groups, shared)),
+        group_products=np.zeros((groups, dense, dense)),
     )
     for block in blocks:
         for part, where in _parts(block):
@@ -34,11 +34,11 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
     return NormalEquations(
         total.cost,
         Step(total.shared_gradient, total.group_gradient),
-        total.group_group,
-        total.group_shared,
-        total.shared_shared,
-        total.group_gradients,
-        total.group_products,
+        group_group=total.group_group,
+        group_shared=total.group_shared,
+        shared_shared=total.shared_shared,
+        group_gradients=total.group_gradients,
+        group_products=total.group_products,
     )
 
 

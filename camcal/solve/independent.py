@@ -121,11 +121,11 @@ def joined(first: Minima, second: Minima) -> Minima:
     return Minima(
         np.concatenate([first.states, second.states]),
         np.concatenate([first.which, second.which]),
-        models,
-        np.concatenate([first.iterations, second.iterations]),
-        np.concatenate([first.converged, second.converged]),
-        np.concatenate([first.reason, second.reason]),
-        np.concatenate([first.steps, second.steps]),
+        models=models,
+        iterations=np.concatenate([first.iterations, second.iterations]),
+        converged=np.concatenate([first.converged, second.converged]),
+        reason=np.concatenate([first.reason, second.reason]),
+        steps=np.concatenate([first.steps, second.steps]),
     )
 
 
@@ -173,7 +173,15 @@ def minimise_each(
             break
         search.advance(alive)
     converged = _CONVERGED[search.reason]
-    return Minima(search.states, which, search.models, search.iterations, converged, search.reason, search.steps)
+    return Minima(
+        search.states,
+        which,
+        models=search.models,
+        iterations=search.iterations,
+        converged=converged,
+        reason=search.reason,
+        steps=search.steps,
+    )
 
 
 @dataclass(eq=False)

@@ -91,11 +91,11 @@ class NormalEquations:
         return NormalEquations(
             self.cost,
             Step(self.gradient.shared[columns], self.gradient.groups),
-            self.group_group,
-            self.group_shared[:, :, columns],
-            self.shared_shared[np.ix_(columns, columns)],
-            self.group_gradients[:, columns],
-            self.group_products[:, dense[:, None], dense],
+            group_group=self.group_group,
+            group_shared=self.group_shared[:, :, columns],
+            shared_shared=self.shared_shared[np.ix_(columns, columns)],
+            group_gradients=self.group_gradients[:, columns],
+            group_products=self.group_products[:, dense[:, None], dense],
         )
 
     def without_first(self, count: int) -> "NormalEquations":
@@ -112,11 +112,11 @@ class NormalEquations:
             Step(
                 self.gradient.shared - gram[:, others, -1].sum(axis=0), self.gradient.groups[:, last] - gram[:, own, -1]
             ),
-            self.group_group[:, last, last] - gram[:, own, own],
-            self.group_shared[:, last] - gram[:, own, others],
-            self.shared_shared - gram[:, others, others].sum(axis=0),
-            self.group_gradients - gram[:, others, -1],
-            self.group_products - gram[:, others, others][:, :dense, :dense],
+            group_group=self.group_group[:, last, last] - gram[:, own, own],
+            group_shared=self.group_shared[:, last] - gram[:, own, others],
+            shared_shared=self.shared_shared - gram[:, others, others].sum(axis=0),
+            group_gradients=self.group_gradients - gram[:, others, -1],
+            group_products=self.group_products - gram[:, others, others][:, :dense, :dense],
         )
 
 

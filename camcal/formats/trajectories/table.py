@@ -47,11 +47,11 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
     return Trajectory(
         poses.frames,
         poses.stamps,
-        poses.rotations,
-        poses.translations,
-        None if upper is None else _matrices(upper),
-        columns(tracked.VELOCITY),
-        table[:, names.index(_SEGMENT)] if _SEGMENT in names else None,
+        rotations=poses.rotations,
+        translations=poses.translations,
+        covariances=None if upper is None else _matrices(upper),
+        velocities=columns(tracked.VELOCITY),
+        segments=table[:, names.index(_SEGMENT)] if _SEGMENT in names else None,
     )
 
 

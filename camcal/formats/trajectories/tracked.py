@@ -74,11 +74,11 @@ def read(path: Path, lines: Lines, frames: str | None) -> Trajectory:
     return Trajectory(
         poses.frames,
         poses.stamps,
-        poses.rotations,
-        poses.translations,
-        columns(_STD)[:, :, None] ** 2 * np.eye(len(ORDER)),
-        columns(VELOCITY),
-        table.numbers(_SEGMENT),
+        rotations=poses.rotations,
+        translations=poses.translations,
+        covariances=columns(_STD)[:, :, None] ** 2 * np.eye(len(ORDER)),
+        velocities=columns(VELOCITY),
+        segments=table.numbers(_SEGMENT),
     )
 
 
@@ -106,7 +106,13 @@ def from_document(document: Document) -> Trajectory:
     quaternions = np.array([[block["quaternion"][name] for name in QUATERNION] for block in blocks], float)
     poses = trajectory(where, lines, named(document["frames"], where), stamps, positions, quaternions)
     return Trajectory(
-        poses.frames, poses.stamps, poses.rotations, poses.translations, covariances, velocities, segments
+        poses.frames,
+        poses.stamps,
+        rotations=poses.rotations,
+        translations=poses.translations,
+        covariances=covariances,
+        velocities=velocities,
+        segments=segments,
     )
 
 

@@ -145,16 +145,16 @@ def residual_of(matches: Matches) -> Residual:
     return Residual(
         matches.size,
         matches.left[kept],
-        off,
-        disparity[kept],
-        len(dy),
-        Measured(float(np.median(off)), _std_of_median(off)),
-        float(np.sqrt(np.mean(off**2))),
-        float(np.quantile(np.abs(off), 0.95)),
-        _NORMAL * float(np.median(np.abs(off - plane[kept] @ values))),
-        Trend(*(Measured(*map(float, pair)) for pair in zip(values, deviations, strict=True))),
-        _convergence(plane, disparity, dy, weights),
-        _in_pixels(values, matches.size),
+        dy=off,
+        disparity=disparity[kept],
+        seen=len(dy),
+        median=Measured(float(np.median(off)), _std_of_median(off)),
+        rms=float(np.sqrt(np.mean(off**2))),
+        p95=float(np.quantile(np.abs(off), 0.95)),
+        scatter=_NORMAL * float(np.median(np.abs(off - plane[kept] @ values))),
+        trend=Trend(*(Measured(*map(float, pair)) for pair in zip(values, deviations, strict=True))),
+        convergence=_convergence(plane, disparity, dy, weights),
+        rows=_in_pixels(values, matches.size),
     )
 
 

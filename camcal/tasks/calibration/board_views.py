@@ -89,7 +89,13 @@ def board_views(
     report = detect_images(options, progress)
     found = report.detections
     return BoardViews(
-        found.board or known, found, report.notes, report.failed, report.colours, report.frames, report.films
+        found.board or known,
+        found,
+        notes=report.notes,
+        failed=report.failed,
+        colours=report.colours,
+        frames=report.frames,
+        films=report.films,
     )
 
 

@@ -76,13 +76,13 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     seen = board_views(
         options.inputs,
         options.board,
-        options.recursive,
-        options.jobs,
-        progress,
-        options.image_size,
-        options.reading,
-        options.frames,
-        options.parts,
+        recursive=options.recursive,
+        jobs=options.jobs,
+        progress=progress,
+        image_size=options.image_size,
+        reading=options.reading,
+        frames=options.frames,
+        parts=options.parts,
         mixed_sizes=options.mixed_sizes,
     )
     looks_again = _looks_again(options, seen)
@@ -108,13 +108,13 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     return CalibrateReport(
         calibration,
         uncertainty,
-        advice,
-        file,
-        seen.notes + circle_notes(circle) + remarks,
-        seen.failed,
-        channels,
-        seen.frames,
-        selection.contenders,
+        advice=advice,
+        file=file,
+        notes=seen.notes + circle_notes(circle) + remarks,
+        failed=seen.failed,
+        channels=channels,
+        frames=seen.frames,
+        contenders=selection.contenders,
     )
 
 

@@ -110,11 +110,13 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
             *mixed,
             *(summary(film, records) for film in films),
         ),
-        tuple(map(str, errors)),
-        {colour: sized.alike([item.colours[colour] for item in seen]) for colour in (seen[0].colours if seen else ())},
-        records,
-        tuple(films),
-        _drawn(sized.in_files(before), films, options, progress),
+        failed=tuple(map(str, errors)),
+        colours={
+            colour: sized.alike([item.colours[colour] for item in seen]) for colour in (seen[0].colours if seen else ())
+        },
+        frames=records,
+        films=tuple(films),
+        pictures=_drawn(sized.in_files(before), films, options, progress),
     )
 
 

@@ -51,11 +51,11 @@ def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     report = FitReport(
         found,
         table.lines,
-        tuple(turns),
-        second,
-        None if second is None else compare(found, second),
-        likelihood_intervals(found) if options.profile else None,
-        _check_derivatives(model) if options.check_jacobian else None,
+        turns=tuple(turns),
+        other=second,
+        comparison=None if second is None else compare(found, second),
+        intervals=likelihood_intervals(found) if options.profile else None,
+        check=_check_derivatives(model) if options.check_jacobian else None,
     )
     _warn(report, progress)
     _write(report, options, table)

@@ -84,11 +84,11 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     return PnpReport(
         result,
         seen.notes,
-        (*seen.failed, *map(str, refused)),
-        tuple(sight for sight, estimate in found.items() if not estimate.converged),
-        _drawn(options, observer, straight, found, observations, progress),
-        {} if options.rig else {sight: each.views[0] for sight, each in observations.items()},
-        None if options.rig else observer.cameras[None],
+        failed=(*seen.failed, *map(str, refused)),
+        unsettled=tuple(sight for sight, estimate in found.items() if not estimate.converged),
+        pictures=_drawn(options, observer, straight, found, observations, progress),
+        views={} if options.rig else {sight: each.views[0] for sight, each in observations.items()},
+        camera=None if options.rig else observer.cameras[None],
     )
 
 

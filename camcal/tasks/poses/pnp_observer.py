@@ -87,11 +87,11 @@ class Observer:
             (view.image, view.camera): Posed(
                 self.cameras[view.camera],
                 self._pose_in(view.camera, estimate.transform),
-                view.points,
-                view.pixels,
-                mask,
-                words,
-                observation.sight.object,
+                points=view.points,
+                pixels=view.pixels,
+                inliers=mask,
+                words=words,
+                name=observation.sight.object,
             )
             for view, mask in zip(observation.views, masks, strict=True)
         }

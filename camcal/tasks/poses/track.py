@@ -166,11 +166,11 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen
     return _Seen(
         found.poses,
         _frame_names(found.poses, media),
-        media.videos,
-        found.notes,
-        failed,
-        found.views,
-        found.camera,
+        videos=media.videos,
+        notes=found.notes,
+        failed=failed,
+        views=found.views,
+        camera=found.camera,
     )
 
 
@@ -255,11 +255,11 @@ def _trajectory(output: Path, objects: Mapping[str, TrackedObject]) -> Trajector
     return Trajectory(
         track.frames,
         track.stamps[there],
-        track.rotations[there],
-        track.translations[there],
-        track.covariances[there],
-        track.velocities[there],
-        track.segments[there],
+        rotations=track.rotations[there],
+        translations=track.translations[there],
+        covariances=track.covariances[there],
+        velocities=track.velocities[there],
+        segments=track.segments[there],
     )
 
 

@@ -164,13 +164,13 @@ def _written(
     sidecar = Sidecar(
         stored.scale,
         stored.invalid,
-        known.geometry,
-        pair[0],
-        places.sigma if has_sigma else None,
-        None if options.map_only else places.confidence,
-        disparity.searched,
-        _settings(options) | {"rows_px": found.rows},
-        {name: SourceFile(path, files.sha256(path)) for name, path in zip(("left", "right"), pair, strict=True)},
+        geometry=known.geometry,
+        image=pair[0],
+        sigma=places.sigma if has_sigma else None,
+        confidence=None if options.map_only else places.confidence,
+        searched=disparity.searched,
+        matcher=_settings(options) | {"rows_px": found.rows},
+        inputs={name: SourceFile(path, files.sha256(path)) for name, path in zip(("left", "right"), pair, strict=True)},
         relative_sigma=known.relative_sigma,
     )
     disparity_sidecar.write(places.map, sidecar)

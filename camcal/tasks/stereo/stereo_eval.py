@@ -152,7 +152,16 @@ def _evaluate_pair(
     if picture is not None:
         save(picture, error_picture(np.abs(values - true), np.isfinite(true), visible))
     remark = _likely_scale(values, true, files)
-    return PairReport(files, evaluation, found.scale, truth.scale, occlusion, geometry, picture, remark)
+    return PairReport(
+        files,
+        evaluation,
+        scale=found.scale,
+        truth_scale=truth.scale,
+        occlusion=occlusion,
+        geometry=geometry,
+        picture=picture,
+        remark=remark,
+    )
 
 
 def _geometry(options: EvalOptions, found: DisparityMap, sidecars: Iterable[Sidecar | None]) -> StereoGeometry | None:

@@ -1,0 +1,113 @@
+"""What became of the views and of single corners of a calibration, and in words why some are not used."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array, readonly
+from camcal.calibrate.fit import Fit
+from camcal.calibrate.noise import median_limit
+from camcal.calibrate.words import px_words
+from camcal.geometry.pose import Pose
+from camcal.targets.board import Detection
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it does
+    not fit the other views. turned: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
+    rms_px is over the kept corners, per point.
+    """
+
+    image: str
+    points: int
+    kept: int = 0
+    rms_px: float | None = None
+    camera_T_board: Pose | None = None
+    pose_covariance: Array | None = None
+    turned: int = 0
+    reason: str | None = None
+    rejected: bool = False
+
+    @property
+    def used(self) -> bool:
+        return self.reason is None
+
+
+@dataclass(frozen=True, eq=False)
+class RejectedCorner:
+    """A corner that was measured but not believed; residual: projected minus observed, px."""
+
+    image: str
+    id: int
+    pixel: Array
+    residual: Array
+
+    @property
+    def distance(self) -> float:
+        """The length of the residual in pixels; NaN where the lens cannot take the corner."""
+        return float(np.hypot(*self.residual))
+
+
+def view_records(
+    result: Fit,
+    detections: Sequence[Detection],
+    reasons: list[str | None],
+    covariances: Array,
+    residuals: Array,
+    kept: Array,
+    medians: Array,
+) -> tuple[View, ...]:
+    """Return what became of every image; reasons: why it was left out from the start, None if it was not. The other
+    arguments are of the views that were not: pose covariances (V, 6, 6), residuals (2, V, P) px, which corners (V, P)
+    are kept, and the medians (V,) px of their distances.
+    """
+    squared = np.where(kept, np.nansum(residuals**2, axis=0), 0.0)
+    views, row = [], 0
+    for detection, reason in zip(detections, reasons, strict=True):
+        if reason is not None:
+            views.append(View(detection.image, len(detection.ids), reason=reason))
+            continue
+        count = int(kept[row].sum())
+        view = View(
+            detection.image,
+            len(detection.ids),
+            kept=count,
+            rms_px=float(np.sqrt(squared[row].sum() / count)) if count else None,
+            camera_T_board=Pose(result.state.rotations[row], result.state.translations[row]),
+            pose_covariance=readonly(covariances[row], (6, 6), "pose covariance"),
+            turned=int(result.turns[row]),
+        )
+        if not count:
+            words = _misfit_words(float(medians[row]), median_limit(result.plain.noise))
+            view = replace(view, camera_T_board=None, pose_covariance=None, reason=words, rejected=True)
+        views.append(view)
+        row += 1
+    return tuple(views)
+
+
+def _misfit_words(median_px: float, limit_px: float) -> str:
+    how = (
+        f"median reprojection error {px_words(median_px)}"
+        if np.isfinite(median_px)
+        else "beyond the lens model's domain"
+    )
+    return f"does not fit the other views: {how} (limit {px_words(limit_px)})"
+
+
+def rejected_corners(
+    result: Fit, detections: Sequence[Detection], reasons: list[str | None], lost: Array, residuals: Array
+) -> tuple[RejectedCorner, ...]:
+    """Return the corners (V, P) that are `lost`, with their residuals (2, V, P) px."""
+    images = [detection.image for detection, reason in zip(detections, reasons, strict=True) if reason is None]
+    observations = result.problem.observations
+    return tuple(
+        RejectedCorner(
+            images[view],
+            int(observations.ids[view, point]),
+            observations.pixels[:, view, point],
+            residuals[:, view, point],
+        )
+        for view, point in np.argwhere(lost)
+    )
