@@ -1,6 +1,7 @@
 """`camcal calibrate` from a detections file: the file it writes, its bytes, its exit codes, what it prints."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -53,6 +54,17 @@ def test_the_camera_file_holds_the_lens_its_covariance_and_the_board(run, table,
     assert "± std" in out
     assert "bent by" in out
     assert "Rejected corners:" in out
+
+
+def test_the_file_holds_the_exact_command_that_makes_it(run, table, tmp_path):
+    output = tmp_path / "camera.yaml"
+    options = ["--no-free-corners", "--max-rejected", 20, "--name", "left", "--model", "opencv5"]
+    assert run("calibrate", table, "-o", output, "--jobs", 1, "--verbose", *options)[0] == 0
+    recorded = native.read(output).provenance["command"]
+    assert recorded == f"camcal calibrate {table} --model opencv5 --no-free-corners --max-rejected 20 --name left"
+    content = output.read_bytes()
+    assert run(*shlex.split(recorded)[1:], "-o", output)[0] == 0
+    assert output.read_bytes() == content
 
 
 def test_the_same_input_gives_the_same_bytes(run, table, tmp_path):
