@@ -7,7 +7,7 @@ boards: 9 x 6 corners, 0.3 px, no outlier: how many of the poses are more than 5
 regions: how often the 95 % region holds the truth, views of one cell estimated together with the noise known or
     estimated, of all of them and of those that are not called ambiguous; gross errors; views that lost a right point.
 
-    python benchmarks/pnp_outliers.py [--trials 150] [--boards 500] [--regions 4000]
+    python benchmarks/pnp_outliers.py [--sections solvers boards regions] [--trials 150] [--boards 500] [--regions 4000]
 """
 
 import argparse
@@ -49,30 +49,40 @@ GROSS = 100.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    sections = ("solvers", "boards", "regions")
+    parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     parser.add_argument("--trials", type=int, default=150)
     parser.add_argument("--boards", type=int, default=500)
     parser.add_argument("--regions", type=int, default=4000)
     arguments = parser.parse_args()
     print(f"OpenCV {cv2.__version__}, numpy {np.__version__}")
     cv2.setNumThreads(1)
+    if "solvers" in arguments.sections:
+        beside_solvers(arguments.trials)
+    if "boards" in arguments.sections:
+        clean_boards(arguments.boards)
+    if "regions" in arguments.sections:
+        regions(arguments.regions)
+
+
+def beside_solvers(count: int) -> None:
     solvers = {"camcal": camcal(NOISE), **robust_solvers(clean.CAMERA)}
-    for flat, count, share in CELLS:
-        trials, references, information = spoilt_trials(arguments.trials, count, share, flat=flat)
-        print(
-            f"\n{'plane' if flat else '3-D'}, n = {count}, {100 * share:.0f} % outliers".ljust(36)
-            + "R/t    gross       ms"
-        )
+    for flat, points, share in CELLS:
+        trials, references, information = spoilt_trials(count, points, share, flat=flat)
+        title = f"{'plane' if flat else '3-D'}, n = {points}, {100 * share:.0f} % outliers"
+        print("\n" + title.ljust(35) + "R/t    gross       ms")
         for name, solve in solvers.items():
             show(name, solve, trials, references, information)
-    print(f"\nboards: more than 5 deg wrong or none, of {arguments.boards}")
-    solvers["camcal"] = camcal(0.3)
+
+
+def clean_boards(count: int) -> None:
+    print(f"\nboards: more than 5 deg wrong or none, of {count}")
+    solvers = {"camcal": camcal(0.3), **robust_solvers(clean.CAMERA)}
     rng = np.random.default_rng(8)
-    boards = [clean.trial(rng, clean.BOARD, 0.3, (0.5, 1.5)) for _ in range(arguments.boards)]
+    boards = [clean.trial(rng, clean.BOARD, 0.3, (0.5, 1.5)) for _ in range(count)]
     for name, solve in solvers.items():
         wrong = sum(is_wrong(each, solve(each.view.points, each.view.pixels, 0.9)) for each in boards)
         print(f"{name:24}{wrong:5d}", flush=True)
-
-    regions(arguments.regions)
 
 
 def regions(count: int) -> None:

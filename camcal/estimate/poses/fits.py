@@ -201,11 +201,14 @@ def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
 
 
 def _disagreeing(fit: Fit, every: PoseProblems, agreement: Agreement) -> Array:
-    """Return the items (I,) but for those whose best poses follow from all points and agree with all of them."""
-    quiet = np.zeros(len(every.view), dtype=bool)
+    """Return the items (I,) but for those whose best poses follow from the points that agree with them already."""
     best = fit.minima.take(lowest(fit.minima))
-    limits, inside = agreement.limits(every, best.which), np.ones(len(best.which), dtype=bool)
-    for squared, mask in zip(agreement.squared(every, best.states, best.which), every.masks, strict=True):
+    squares, limits = agreement.squared(every, best.states, best.which), agreement.limits(every, best.which)
+    if fit.found is not None:
+        undecided = _undecided(fit, every, best, squares, agreement, fit.starts())
+        return np.flatnonzero(undecided | (fit.problems.counts < agreement.least))
+    quiet, inside = np.zeros(len(every.view), dtype=bool), np.ones(len(best.which), dtype=bool)
+    for squared, mask in zip(squares, every.masks, strict=True):
         inside &= np.all((squared <= limits) | ~mask[best.which], axis=1)
     quiet[best.which] = inside & (every.counts[best.which] >= agreement.least)
     return np.flatnonzero(~quiet | (fit.problems.counts < every.counts))
