@@ -204,7 +204,7 @@ def known_options() -> set[str]:
     found = {spelling for each in parameters for spelling in (*each.opts, *each.secondary_opts)}
     for script in (PROJECT / "benchmarks").glob("*.py"):
         found |= set(re.findall(r'add_argument\("(--[a-z-]+)"', text_of(script)))
-    return found | OTHER_TOOLS | {"--help", "--version"}
+    return found | OTHER_TOOLS | {"--help", "--version", "--install-completion"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
