@@ -10,9 +10,13 @@ from typing import Annotated
 from camcal.options import BOARD, GENERAL, INPUT, OUTPUT, RAW_FRAMES, TEXT, Argument, Option, OptionsRecord
 from camcal.raw.options import MONO, NO_LAYOUT, PATTERNS, GivenLayout
 
-OUTPUT_OPTION = Option(
-    "Where to write the result.", metavar="PATH", group=OUTPUT, names="--output -o", recorded=False, required=True
-)
+
+def output_option(help: str, metavar: str = "PATH", *, required: bool = False) -> Option:  # noqa: A002 - as Option has it
+    """Return the option -o of a command with a help of its own."""
+    return Option(help, metavar=metavar, group=OUTPUT, names="--output -o", recorded=False, required=required)
+
+
+OUTPUT_OPTION = output_option("Where to write the result.", required=True)
 Output = Annotated[Path, OUTPUT_OPTION]
 Jobs = Annotated[
     int | None,

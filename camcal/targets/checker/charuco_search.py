@@ -81,12 +81,12 @@ class CharucoLayout:
         return Board(
             CHARUCO,
             self.columns - 1,
-            self.rows - 1,
-            like.square,
-            marker,
-            self._dictionary(like.dictionary or ""),
-            self.first,
-            None if plain else self.offset,
+            rows=self.rows - 1,
+            square=like.square,
+            marker=marker,
+            dictionary=self._dictionary(like.dictionary or ""),
+            first_marker=self.first,
+            legacy=None if plain else self.offset,
         )
 
     def _dictionary(self, liked: str) -> str:
@@ -240,7 +240,9 @@ def _agreed(
                 offset = int(((marker == begin + number // 2) & ~odd).sum())
                 rows = top + height
                 rows += int(offset > agree and rows % 2)  # such a board has an even number of rows
-                yield CharucoLayout(name, columns, rows, begin, offset > agree, ratio, max(agree, offset))
+                yield CharucoLayout(
+                    name, columns, rows=rows, first=begin, offset=offset > agree, ratio=ratio, votes=max(agree, offset)
+                )
 
 
 def _verified(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, CharucoLayout] | None:

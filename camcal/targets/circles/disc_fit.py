@@ -172,9 +172,9 @@ def _result(fit: _Round, start: Ellipses) -> DiscFits:
     return DiscFits(
         fit.ellipses,
         covariance,
-        np.exp(parameters[:, BLUR]),
-        parameters[:, LEVEL],
-        parameters[:, CONTRAST],
-        agreement,
-        np.sqrt(variance),
+        blur=np.exp(parameters[:, BLUR]),
+        level=parameters[:, LEVEL],
+        contrast=parameters[:, CONTRAST],
+        agreement=agreement,
+        noise=np.sqrt(variance),
     )

@@ -29,11 +29,11 @@ class RimSamples:
         return RimSamples(
             self.x[rows],
             self.y[rows],
-            self.values[rows],
-            self.used[rows],
-            self.reach[rows],
-            self.whole[rows],
-            self.others[rows],
+            values=self.values[rows],
+            used=self.used[rows],
+            reach=self.reach[rows],
+            whole=self.whole[rows],
+            others=self.others[rows],
         )
 
 
@@ -63,7 +63,9 @@ def sample(gray: Array, start: Ellipses, band: float, room: Array, most: float =
     x[owner, slot], y[owner, slot] = (offset + shift[owner]).T
     values[owner, slot], used[owner, slot] = gray[row, column], 1
     reach = np.maximum(np.abs(x), np.abs(y)).max(axis=1, keepdims=True) + 1
-    return RimSamples(x, y, values, used, reach, count / np.maximum(wanted, 1), np.zeros_like(x))
+    return RimSamples(
+        x, y, values=values, used=used, reach=reach, whole=count / np.maximum(wanted, 1), others=np.zeros_like(x)
+    )
 
 
 def _near_rim(away: Array, axes: Array, band: float, room: Array) -> Array:

@@ -38,7 +38,9 @@ def measure(samples: Samples, board: Board, sighting: Sighting) -> Sighting:
     first = 1 if np.nansum(near.contrast * signs(board)[ids]) >= 0 else -1
     corners = near
     for _ in range(_ROUNDS):
-        cells, reach = _cells(board, ids, corners.pixels, values, blur, first, corners.covariance)
+        cells, reach = _cells(
+            board, ids, pixels=corners.pixels, values=values, blur_px=blur, first=first, covariance=corners.covariance
+        )
         if not np.isfinite(cells.bends).all():
             break  # no map holds these corners
         corners = refine(values, corners.pixels, cells, blur, sites, reach)

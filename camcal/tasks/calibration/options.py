@@ -21,7 +21,16 @@ from camcal.options import (
     Without,
 )
 from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
-from camcal.tasks.options import BOARD_OPTION, OUTPUT_OPTION, BoardText, Jobs, Output, Recursive, lens_models
+from camcal.tasks.options import (
+    BOARD_OPTION,
+    OUTPUT_OPTION,
+    BoardText,
+    Jobs,
+    Output,
+    Recursive,
+    lens_models,
+    output_option,
+)
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
@@ -283,13 +292,7 @@ class SheetOptions(OptionsRecord):
     ]
     output: Annotated[
         Path,
-        Option(
-            "What to draw: .pdf, .svg or .png. FILE.yaml beside it is the board file.",
-            metavar="FILE",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("What to draw: .pdf, .svg or .png. FILE.yaml beside it is the board file.", metavar="FILE"),
     ]
     paper: Annotated[
         str | None,
@@ -351,13 +354,7 @@ class DemoOptions(OptionsRecord):
 
     output: Annotated[
         Path,
-        Option(
-            "Where to leave images, results and an explanation.",
-            metavar="DIR",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Where to leave images, results and an explanation.", metavar="DIR"),
     ] = Path("camcal-demo")
     views: Annotated[int, Option("Number of photographs.", metavar="N", group=INPUT)] = 20
     seed: Annotated[int, Option("Another seed gives other poses and noise.", metavar="N", group=INPUT, least=0)] = 0

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord
+from camcal.tasks.options import output_option
 
 LOSSES = ("none", "huber", "soft_l1", "cauchy", "tukey")
 METHODS = ("levenberg-marquardt", "gauss-newton")
@@ -82,13 +83,7 @@ class FitOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        Option(
-            "Where to write the result: .yaml or .json.",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Where to write the result: .yaml or .json."),
     ] = None
 
     def __post_init__(self) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
 from camcal.tasks.options import Output as OutputFile
+from camcal.tasks.options import output_option
 
 if TYPE_CHECKING:
     from camcal.formats.pose_forms import Form
@@ -46,13 +47,7 @@ class Output(OptionsRecord):
 
     path: Annotated[
         Path | None,
-        Option(
-            "Where to write: .yaml or .json with covariances; .txt.",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Where to write: .yaml or .json with covariances; .txt."),
     ] = None
     form: Annotated[
         str | None,

@@ -19,7 +19,7 @@ from camcal.options import (
     separated,
 )
 from camcal.parsing import parse_number
-from camcal.tasks.options import BoardText, CameraName, Jobs, Recursive
+from camcal.tasks.options import BoardText, CameraName, Jobs, Recursive, output_option
 
 if TYPE_CHECKING:
     from camcal.formats.poses.record import PoseRecord
@@ -196,13 +196,7 @@ class PnpOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        Option(
-            "Where to write the poses: .yaml, .json or .csv.",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Where to write the poses: .yaml, .json or .csv."),
     ] = None
     draw: Annotated[
         Path | None,

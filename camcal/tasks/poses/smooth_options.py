@@ -18,6 +18,7 @@ from camcal.options import (
     number_text,
 )
 from camcal.parsing import parse_number
+from camcal.tasks.options import output_option
 from camcal.tasks.poses.options import AUTO
 
 if TYPE_CHECKING:
@@ -63,13 +64,7 @@ class SmoothOptions(OptionsRecord):
     ]
     output: Annotated[
         Path | None,
-        Option(
-            "Smoothed poses (.tum .csv .yaml .json), or numbers (.csv .json).",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Smoothed poses (.tum .csv .yaml .json), or numbers (.csv .json)."),
     ] = None
     columns: Annotated[
         tuple[str, ...],

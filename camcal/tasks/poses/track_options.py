@@ -8,7 +8,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, ValueType, Without, separated
-from camcal.tasks.options import CameraName
+from camcal.tasks.options import CameraName, output_option
 from camcal.tasks.poses.options import AUTO, Looking
 
 POSE_SUFFIXES = (".yaml", ".yml", ".json")
@@ -86,13 +86,7 @@ class FollowOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        Option(
-            "Where to write: .csv, .yaml or .json with all frames and their state; .tum with poses only.",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Where to write: .csv, .yaml or .json with all frames and their state; .tum with poses only."),
     ] = None
     kind: Annotated[
         str | None,

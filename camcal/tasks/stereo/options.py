@@ -18,7 +18,7 @@ from camcal.options import (
     Without,
 )
 from camcal.stereo.options import MatchOptions
-from camcal.tasks.options import CameraName, Jobs, Output, Recursive
+from camcal.tasks.options import CameraName, Jobs, Output, Recursive, output_option
 
 CAMERA = "Camera of the pair"
 MAP_TYPES = ("pfm", "tiff", "tif", "png", "npy", "npz", "exr")
@@ -70,13 +70,7 @@ class StereoCheckOptions(OptionsRecord):
     ]
     output: Annotated[
         Path | None,
-        Option(
-            "A picture of the check (.png); a folder for several pairs.",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("A picture of the check (.png); a folder for several pairs."),
     ] = None
     max_rms: Annotated[
         float | None,
@@ -204,13 +198,7 @@ class EvalOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        Option(
-            "Where to write the error picture; for folders a folder.",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("Where to write the error picture; for folders a folder."),
     ] = None
     scale: Annotated[
         float | None,
@@ -261,13 +249,7 @@ class ViewOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        Option(
-            "A page (.html), a picture (.png), a film (.gif, .mp4) or a recording for Rerun (.rrd).",
-            metavar="PATH",
-            group=OUTPUT,
-            names="--output -o",
-            recorded=False,
-        ),
+        output_option("A page (.html), a picture (.png), a film (.gif, .mp4) or a recording for Rerun (.rrd)."),
     ] = None
     frame: Annotated[
         str | None,
