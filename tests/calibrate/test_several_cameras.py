@@ -142,7 +142,8 @@ def test_the_bend_of_a_board_and_views_numbered_from_its_other_end_are_no_second
     assert found is None or found.ratio < CLEAR_BY_NAME
 
 
-@pytest.mark.parametrize("model", ["opencv4", pytest.param("opencv5", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["opencv4", "opencv5"])
 def test_a_wrong_lens_model_is_no_second_camera(model):
     """Any two groups of views have two lenses then, of which neither describes its views."""
     wide = make_scene("kannala_brandt4", count=18, seed=1)

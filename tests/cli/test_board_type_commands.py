@@ -15,6 +15,7 @@ BOARDS = {
     "asymmetric_circles": "asymmetric_circles:4x9:20mm:12mm",
     "dots": "chessboard:8x6:25mm:dots",
 }
+FIRST, *OTHERS = BOARDS
 WORDS = {
     "aprilgrid": "AprilGrid of 4x3 tags",
     "circles": "grid of 8x6 circles",
@@ -33,7 +34,7 @@ def scenes(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("kind", BOARDS)
+@pytest.mark.parametrize("kind", [FIRST, *(pytest.param(kind, marks=pytest.mark.slow) for kind in OTHERS)])
 def test_a_simulated_camera_is_calibrated_with_any_board(run, tmp_path, scenes, kind):
     folder, camera = scenes / kind, tmp_path / "camera.yaml"
     board = folder / "board.yaml"  # what simulate writes is what the others read

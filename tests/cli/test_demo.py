@@ -25,6 +25,7 @@ def left(tmp_path_factory):
     return folder, json.loads(printed.getvalue())
 
 
+@pytest.mark.slow
 def test_truth_is_recovered_within_its_standard_deviations(left):
     _, document = left
     assert document["trustworthy"]
@@ -35,6 +36,7 @@ def test_truth_is_recovered_within_its_standard_deviations(left):
         assert abs(row["sigmas"]) < 5, row  # 10 numbers, and the detector's own bias beside the noise
 
 
+@pytest.mark.slow
 def test_the_document_is_frozen(left):
     _, document = left
     assert list(document) == [
@@ -50,6 +52,7 @@ def test_the_document_is_frozen(left):
     assert document["schema"] == "camcal/demo/1"
 
 
+@pytest.mark.slow
 def test_every_file_that_is_left_is_explained(left):
     folder, _ = left
     explained = set(re.findall(r"^(\S+?)/?  ", (folder / "README.txt").read_text(), re.MULTILINE))
@@ -57,6 +60,7 @@ def test_every_file_that_is_left_is_explained(left):
     assert found == explained
 
 
+@pytest.mark.slow
 def test_the_files_are_what_they_are_said_to_be(left):
     folder, _ = left
     assert native.read(folder / "camera.yaml").cameras["camera"].camera.covariance is not None

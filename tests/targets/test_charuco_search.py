@@ -31,17 +31,21 @@ def shown(board):
     return drawn_once(board).copy()
 
 
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
     ("drawn", "asked", "proposed"),
     [
         ("7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:16mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
-        ("7x6:30mm:18mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:18mm:DICT_5X5_100"),
-        ("7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_4X4_50", "7x6:30mm:22mm:DICT_5X5_50"),
+        slow("7x6:30mm:18mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:18mm:DICT_5X5_100"),
+        slow("7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_4X4_50", "7x6:30mm:22mm:DICT_5X5_50"),
         ("7x6:30mm:22mm:DICT_APRILTAG_36h11", "7x6:30mm:22mm:DICT_6X6_250", "7x6:30mm:22mm:DICT_APRILTAG_36h11"),
-        ("7x6:30mm:22mm:DICT_ARUCO_ORIGINAL", "7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_ARUCO_ORIGINAL"),
+        slow("7x6:30mm:22mm:DICT_ARUCO_ORIGINAL", "7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_ARUCO_ORIGINAL"),
         ("7x6:30mm:22mm:DICT_5X5_100", "8x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
-        ("7x6:30mm:22mm:DICT_5X5_100", "7x9:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
-        ("7x6:30mm:22mm:DICT_5X5_100", "6x5:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
+        slow("7x6:30mm:22mm:DICT_5X5_100", "7x9:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
+        slow("7x6:30mm:22mm:DICT_5X5_100", "6x5:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
         ("7x6:0.73:DICT_5X5_100:legacy", "8x6:0.6:DICT_6X6_250:current", "7x6:0.73:DICT_5X5_50:legacy"),
         ("7x5:0.8:DICT_4X4_50", "5x5:0.5:DICT_7X7_50:legacy", "7x5:0.8:DICT_4X4_50"),
     ],
