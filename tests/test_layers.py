@@ -59,6 +59,7 @@ OPENCV_EDGES = {
     "stereo/matching/learned.py",
     "stereo/matching/match.py",
     "stereo/matching/matchers.py",
+    "stereo/matching/planes.py",
     "stereo/matching/pyramid.py",
     "stereo/matching/semi_global.py",
     "stereo/matching/three_way.py",

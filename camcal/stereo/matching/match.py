@@ -12,6 +12,7 @@ from camcal.stereo.matching.filling import Filled, everywhere, from_the_backgrou
 from camcal.stereo.matching.fusion import Fused, alone, fused, textured
 from camcal.stereo.matching.gray import GrayPair
 from camcal.stereo.matching.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
+from camcal.stereo.matching.planes import on_planes
 from camcal.stereo.matching.preparation import Prepared, prepare
 from camcal.stereo.matching.pyramid import coarse_to_fine, needs_levels
 from camcal.stereo.matching.uncertainty import (
@@ -100,6 +101,8 @@ def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Esti
     """Return the dense map of a pair and the evidence for its uncertainty."""
     found = textured(_found(prepared, quality, each), prepared.pair.left)
     filled = from_the_background(found.disparity)
+    if quality == BEST:
+        filled = on_planes(found, filled, prepared.pair)
     dense = everywhere(filled.disparity)
     large = needs_levels(prepared.pair, prepared.count)
     dense = without_spikes(dense) if quality == FAST else smoothed(dense, quick=large)

@@ -1,0 +1,337 @@
+"""Planes for smooth areas of the image that matching says little of: a wall, a table, a board without texture.
+
+Such an area is matched only along its border and where something is printed on it. Where what is matched of it lies on
+one plane, the plane tells the rest. Else a large area is taken for the background, and for the farthest plane that goes
+on from what lies beside it: what stands in front of it may hide a part of its border, but nothing lies behind it.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from camcal.arrays import Array
+from camcal.stereo.disparity import Confidence
+from camcal.stereo.matching.filling import Filled, everywhere
+from camcal.stereo.matching.fusion import Fused
+from camcal.stereo.matching.gray import GrayPair
+
+_LARGEST = 500_000  # pixels; larger images are looked at in steps, and lengths below are in steps then
+_BLUR = 1.5  # pixels
+_EDGE, _EDGE_NOISES = 1.2, 0.3  # gray levels per pixel, and times the noise, from which there is an edge
+_SMALLEST, _BORDER = 500, 6  # pixels of an area, and pixels around it that belong to it
+_GAP, _GAP_SHARE, _GAP_MOST = 50, 0.03, 1.5  # pixels without a match inside; share inside; of the area, with its border
+_FEWEST, _FEWEST_CELLS = 40, 3  # pixels with a match, and cells with some
+_CELLS, _PER_CELL = 12, 8  # along each side of an area's box, all of one weight; pixels taken from each
+_TRIALS, _REFITS, _FINALISTS, _SAMPLES = 400, 3, 40, 400
+_NEAR = 1.0  # pixels between a plane and what lies on it
+_APART, _WIDE = 100, 200  # squared pixels between two points of a plane, and twice the area between three, at least
+_STEEPEST, _TYPICAL_SLOPE, _ERROR = 1.0, 0.1, 0.5  # pixels per pixel; pixels of error of a match
+_AROUND, _AROUND_SHARE, _OUTSIDE = 2.0, 0.1, 0.5  # pixels and share of its range beside the support; what it costs
+_LEVEL = 0.1  # of the support: what a plane is worth more for each point fewer that it takes
+_MARGIN, _MARGIN_SHARE, _TAIL = 2.0, 0.25, 2  # pixels and share by which a plane goes on; percent that says nothing
+_BACKDROP, _SPREAD, _LOWER = 0.1, 0.4, 0.1  # shares: of the image, of the area's side, of its height
+_MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the filling; clipped; pixels compared
+
+
+class _Rule(NamedTuple):
+    """When a plane holds: the least share of the support on it, and the most of it behind it.
+
+    cost: of the share behind.
+    """
+
+    on: float
+    behind: float
+    cost: float
+
+
+_SMALL = _Rule(on=0.85, behind=0.15, cost=1.0)
+_LARGE = _Rule(on=0.75, behind=0.15, cost=1.0)
+_BACKGROUND = _Rule(on=0.1, behind=0.1, cost=3.0)
+
+
+class _View(NamedTuple):
+    """What is looked at, every `step`-th pixel: arrays (h, w); disparities in steps, NaN where there is none.
+
+    nearest: (h, w) the largest disparity that is believed at each pixel of the right image.
+    """
+
+    left: Array
+    right: Array
+    disparity: Array
+    filled: Array
+    nearest: Array
+    step: int
+
+
+class _Support(NamedTuple):
+    """Matched pixels of an area: places (N, 2) x, y; their disparities (N,)."""
+
+    places: Array
+    disparities: Array
+
+
+class _Area(NamedTuple):
+    """A smooth area: its box, and in it which pixels are inside and which are the area with its border."""
+
+    box: tuple[slice, slice]
+    inside: Array
+    whole: Array
+
+    def pixels(self, chosen: Array) -> Array:
+        """Return x and y (N, 2) in the image of chosen pixels of the box."""
+        y, x = np.nonzero(chosen)
+        return np.column_stack([x + self.box[1].start, y + self.box[0].start])
+
+
+class _Plane(NamedTuple):
+    """Disparity a x + b y + c, at least and at most; all in steps."""
+
+    coefficients: Array
+    least: float
+    most: float
+
+    def at(self, x: Array, y: Array) -> Array:
+        across, down, offset = self.coefficients
+        return np.asarray(np.clip(across * x + down * y + offset, self.least, self.most))
+
+
+def on_planes(found: Fused, filled: Filled, pair: GrayPair) -> Filled:
+    """Return what is filled, with planes in the gaps of areas that they explain; what is matched stays as it is.
+
+    On planes there is neither a choice nor a distance.
+    """
+    gap = np.isnan(found.disparity)
+    if gap.all() or not gap.any():
+        return filled
+    view = _seen_in_steps(found, filled, pair)
+    rng = np.random.default_rng(0)
+    before = _misfit(view, view.filled)
+    result = Filled(*(values.copy() for values in filled))
+    for area in _areas(view.left, pair.noise):
+        plane = _plane_of(area, view, rng)
+        if plane is not None:
+            _put(plane, area, _taken(plane, area, view, before), gap, result, view.step)
+    return result
+
+
+def _seen_in_steps(found: Fused, filled: Filled, pair: GrayPair) -> _View:
+    step = int(np.ceil(np.sqrt(pair.left.size / _LARGEST)))
+    every = slice(None, None, step)
+    disparity, dense = (values[every, every] / step for values in (found.disparity, everywhere(filled.disparity)))
+    size = disparity.shape[::-1]
+    left, right = (
+        image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        for image in (pair.left, pair.right)
+    )
+    believed = np.where(found.confidence[every, every] > Confidence.SINGLE, disparity, np.nan)
+    return _View(left, right, disparity, dense.astype(np.float32), _nearest(believed), step)
+
+
+def _nearest(disparity: Array) -> Array:
+    """Return the largest of the disparities (h, w) at each pixel of the right image (h, w), NaN where there is none."""
+    rows, columns = np.nonzero(np.isfinite(disparity))
+    values = disparity[rows, columns]
+    there = np.rint(columns - values).astype(int)
+    inside = (there >= 0) & (there < disparity.shape[1])
+    nearest = np.full(disparity.shape, -np.inf, np.float32)
+    np.maximum.at(nearest, (rows[inside], there[inside]), values[inside])
+    nearest[np.isneginf(nearest)] = np.nan
+    return nearest
+
+
+def _areas(gray: Array, noise: float) -> Iterator[_Area]:
+    """Yield the smooth areas of an image (h, w) uint8: within edges, and each with a border across them."""
+    blurred = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), _BLUR)
+    slopes = (cv2.Sobel(blurred, cv2.CV_32F, *axes, ksize=3, scale=1 / 8) for axes in ((1, 0), (0, 1)))
+    smooth = np.hypot(*slopes) < _EDGE + _EDGE_NOISES * noise
+    inner = cv2.erode(smooth.astype(np.uint8), np.ones((3, 3), np.uint8))
+    _, labels, facts, _ = cv2.connectedComponentsWithStats(inner, connectivity=4)
+    large = facts[:, cv2.CC_STAT_AREA] >= _SMALLEST
+    large[0] = False
+    inside = (np.cumsum(large) * large)[labels]
+    if not large.any():
+        return
+    away, places = cv2.distanceTransformWithLabels(
+        (inside == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    numbers = np.zeros(places.max() + 1, int)
+    numbers[places[inside > 0]] = inside[inside > 0]
+    whole = np.where(away <= _BORDER, numbers[places], 0)
+    for number, (rows, columns) in enumerate(ndimage.find_objects(whole), 1):
+        box = rows, columns
+        yield _Area(box, inside[box] == number, whole[box] == number)
+
+
+def _plane_of(area: _Area, view: _View, rng: np.random.Generator) -> _Plane | None:
+    """Return the plane of an area, None if nothing of it is to be filled or nothing tells."""
+    gap = np.isnan(view.disparity[area.box])
+    inner, all_of_it = np.count_nonzero(gap & area.inside), np.count_nonzero(gap & area.whole)
+    size = np.count_nonzero(area.inside)
+    if inner < max(_GAP, _GAP_SHARE * size) or all_of_it > _GAP_MOST * size:
+        return None
+    gaps = rng.permutation(area.pixels(gap & area.whole))[:_SAMPLES]
+    support = _support(area, area.whole & ~gap, view, rng)
+    large = size >= _BACKDROP * view.left.size
+    plane = None if support is None else _fitted(support, gaps, view, _LARGE if large else _SMALL, rng)
+    if plane is not None or not large:
+        return None if plane is None else plane[0]
+    support = _support(area, area.whole & ~area.inside & ~gap, view, rng)
+    plane = None if support is None else _fitted(support, gaps, view, _BACKGROUND, rng)
+    return None if plane is None or _is_ground(area, plane[1], view) else plane[0]
+
+
+def _support(area: _Area, chosen: Array, view: _View, rng: np.random.Generator) -> _Support | None:
+    """Return chosen pixels of an area, at most so many from each cell of a grid over it, None if they are too few."""
+    pixels = rng.permutation(area.pixels(chosen))
+    if len(pixels) < _FEWEST:
+        return None
+    height, width = chosen.shape
+    x, y = (pixels - [area.box[1].start, area.box[0].start]).T
+    cells = (y * _CELLS // height) * _CELLS + x * _CELLS // width
+    order = np.argsort(cells, kind="stable")
+    pixels, cells = pixels[order], cells[order]
+    counts = np.bincount(cells)
+    kept = np.arange(len(cells)) - (np.cumsum(counts) - counts)[cells] < _PER_CELL
+    pixels, cells = pixels[kept], cells[kept]
+    if np.count_nonzero(counts) < _FEWEST_CELLS:
+        return None
+    return _Support(pixels.astype(float), view.disparity[pixels[:, 1], pixels[:, 0]].astype(float))
+
+
+def _fitted(
+    support: _Support, gaps: Array, view: _View, rule: _Rule, rng: np.random.Generator
+) -> tuple[_Plane, Array] | None:
+    """Return the plane that most of the support lies on and the least behind, and what lies on it (M, 2); or None."""
+    places, disparities = _homogeneous(support.places), support.disparities
+    planes, fewer = _candidates(support, rng)
+    off = planes @ places.T - disparities
+    score = (np.abs(off) < _NEAR).mean(axis=1) - rule.cost * (off > _NEAR).mean(axis=1) + _LEVEL * fewer
+    best = np.argsort(-score)[:_FINALISTS]
+    score = score[best] - _in_front(planes[best], gaps, view) - _OUTSIDE * _beyond(planes[best], gaps, disparities)
+    plane = _refitted(planes[best[np.argmax(score)]], support)
+    off = places @ plane - disparities
+    on = np.abs(off) < _NEAR
+    if on.mean() < rule.on or (off > _NEAR).mean() > rule.behind:
+        return None
+    low, high = np.percentile(disparities[on], (_TAIL, 100 - _TAIL))
+    margin = _MARGIN + _MARGIN_SHARE * (high - low)
+    return _Plane(plane, low - margin, high + margin), support.places[on]
+
+
+def _candidates(support: _Support, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return planes (K, 3) through one, two and three points, and how many points fewer than three they take (K,).
+
+    What a point or two leave open has no slope.
+    """
+    places, disparities = support.places, support.disparities
+    one, first, second, *three = rng.integers(len(places), size=(6, _TRIALS))
+    level = np.column_stack([np.zeros((_TRIALS, 2)), disparities[one]])
+    along = places[second] - places[first]
+    squared = (along**2).sum(axis=1)
+    slopes = ((disparities[second] - disparities[first]) / np.maximum(squared, 1))[:, None] * along
+    through = np.column_stack([slopes, disparities[first] - (slopes * places[first]).sum(axis=1)])[squared > _APART]
+    corners = np.stack(three, axis=1)
+    triples = _homogeneous(places[corners])
+    wide = np.abs(np.linalg.det(triples)) > _WIDE
+    full = np.linalg.solve(triples[wide], disparities[corners[wide]][..., None])[..., 0]
+    planes = np.concatenate([level, through, full])
+    fewer = np.repeat([2, 1, 0], [len(level), len(through), len(full)])
+    flat = (np.abs(planes[:, :2]) < _STEEPEST).all(axis=1)
+    return planes[flat], fewer[flat]
+
+
+def _in_front(planes: Array, gaps: Array, view: _View) -> Array:
+    """Return the share of the gaps (M, 2) where planes (K, 3) would hide what the right image shows (K,)."""
+    disparity = planes @ _homogeneous(gaps).T
+    there = np.rint(gaps[:, 0] - disparity).astype(int)
+    inside = (there >= 0) & (there < view.left.shape[1])
+    shown = view.nearest[gaps[:, 1], np.where(inside, there, 0)]
+    return np.asarray((inside & (shown < disparity - _NEAR)).mean(axis=1))
+
+
+def _beyond(planes: Array, gaps: Array, disparities: Array) -> Array:
+    """Return the share of the gaps (M, 2) where planes (K, 3) leave the range of the support (K,)."""
+    low, high = np.percentile(disparities, (_TAIL, 100 - _TAIL))
+    margin = _AROUND + _AROUND_SHARE * (high - low)
+    values = planes @ _homogeneous(gaps).T
+    return np.asarray(((values < low - margin) | (values > high + margin)).mean(axis=1))
+
+
+def _refitted(plane: Array, support: _Support) -> Array:
+    """Return a plane (3,) fitted to what lies on it; slopes that the support leaves open are small."""
+    middle = support.places.mean(axis=0)
+    places = _homogeneous(support.places - middle)
+    plane = np.array([*plane[:2], plane[2] + plane[:2] @ middle])
+    prior = np.diag([(_ERROR / _TYPICAL_SLOPE) ** 2] * 2 + [0.0])
+    for _ in range(_REFITS):
+        on = np.abs(places @ plane - support.disparities) < _NEAR
+        if not on.any():
+            break
+        weighted = places[on] / _PER_CELL  # neighbours tell the same
+        plane = np.linalg.solve(weighted.T @ places[on] + prior, weighted.T @ support.disparities[on])
+    return np.array([*plane[:2], plane[2] - plane[:2] @ middle])
+
+
+def _is_ground(area: _Area, on: Array, view: _View) -> bool:
+    """Return whether too little of an area's border (M, 2) lies on its plane, or only the far edge of the ground.
+
+    How steeply a floor comes nearer below its edge, the edge does not tell.
+    """
+    height, width = area.inside.shape
+    spread = max(np.ptp(on[:, 0]) / width, np.ptp(on[:, 1]) / height)
+    rows = np.nonzero(area.inside)[0] + area.box[0].start
+    above = np.median(on[:, 1]) < rows.mean() - _LOWER * np.ptp(rows)
+    return bool(spread < _SPREAD or (above and area.box[0].stop >= len(view.left) - 3))
+
+
+def _taken(plane: _Plane, area: _Area, view: _View, before: Array) -> Array:
+    """Return which pixels of an area's box take its plane.
+
+    before: (h, w) by how much the images differ with the filling as it was.
+    """
+    rows = view.left[area.box[0]].shape[0]
+    y, x = np.indices(area.whole.shape)
+    surface = plane.at(x + area.box[1].start, y + area.box[0].start)
+    there = np.rint(x + area.box[1].start - surface).astype(int)
+    inside = (there >= 0) & (there < view.left.shape[1])
+    shown = view.nearest[area.box[0]][np.arange(rows)[:, None], np.where(inside, there, 0)]
+    gap = area.whole & np.isnan(view.disparity[area.box])
+    taken = gap & ~(inside & (shown < surface - _NEAR))
+    mixed = view.filled[area.box[0]].copy()
+    mixed[:, area.box[1]][taken] = surface[taken]
+    strip = view._replace(left=view.left[area.box[0]], right=view.right[area.box[0]])
+    worse = _misfit(strip, mixed)[:, area.box[1]] - before[area.box]
+    compared = taken & inside & ~(shown > surface + _NEAR)
+    count, patches = cv2.connectedComponents(taken.astype(np.uint8), connectivity=8)
+    pixels = np.bincount(patches[compared], minlength=count)
+    mean = np.bincount(patches[compared], weights=worse[compared], minlength=count) / np.maximum(pixels, 1)
+    return np.asarray(taken & ~((mean > _MISFIT) & (pixels > _COMPARED))[patches])
+
+
+def _misfit(view: _View, disparity: Array) -> Array:
+    """Return by how much the images differ (h, w), gray levels, where disparities lay them on each other."""
+    height, width = disparity.shape
+    across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    drawn = cv2.remap(view.right, across - disparity, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.minimum(cv2.absdiff(view.left, drawn).astype(np.float32), _MOST_MISFIT)
+
+
+def _put(plane: _Plane, area: _Area, taken: Array, gap: Array, result: Filled, step: int) -> None:
+    """Write the plane of an area into the gaps of what is filled, at full size."""
+    rows, columns = area.box
+    box = slice(step * rows.start, step * rows.stop), slice(step * columns.start, step * columns.stop)
+    wide = cv2.resize(taken.view(np.uint8), None, fx=step, fy=step, interpolation=cv2.INTER_NEAREST)
+    height, width = gap[box].shape
+    here = gap[box] & (wide[:height, :width] > 0)
+    y, x = np.nonzero(here)
+    result.disparity[box][here] = step * plane.at(x / step + columns.start, y / step + rows.start)
+    result.choice[box][here] = 0
+    result.distance[box][here] = 0
+
+
+def _homogeneous(places: Array) -> Array:
+    """Return places (…, 2) with a 1 behind them (…, 3)."""
+    return np.concatenate([places, np.ones((*places.shape[:-1], 1))], axis=-1)
