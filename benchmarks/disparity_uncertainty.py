@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from slanted_scenes import slanted_scenes
 from stereo_pairs import pairs_in
 
 from camcal.simulate.stereo_scene import PairOptions, render_pair
@@ -50,9 +51,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--scenes", type=int, default=44)
+    parser.add_argument("--slanted", default="", metavar="FIRST:LAST", help="seeds of generated slanted scenes")
     parser.add_argument("--weight", type=float, default=1.5, help="of a real pair beside a rendered one")
     arguments = parser.parse_args()
     scenes = [errors_of(*pair) for pair in rendered(arguments.scenes)]
+    slanted = range(*map(int, arguments.slanted.split(":"))) if arguments.slanted else ()
+    scenes += [errors_of(pair.left, pair.right, pair.truth) for pair in slanted_scenes(slanted)]
     real = {
         pair.name: errors_of(pair.left, pair.right, pair.truth)
         for folder in arguments.folders

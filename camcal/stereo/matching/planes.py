@@ -32,7 +32,8 @@ _STEEPEST, _TYPICAL_SLOPE, _ERROR = 1.0, 0.1, 0.5  # pixels per pixel; pixels of
 _AROUND, _AROUND_SHARE, _OUTSIDE = 2.0, 0.1, 0.5  # pixels and share of its range beside the support; what it costs
 _LEVEL = 0.1  # of the support: what a plane is worth more for each point fewer that it takes
 _MARGIN, _MARGIN_SHARE, _TAIL = 2.0, 0.25, 2  # pixels and share by which a plane goes on; percent that says nothing
-_BACKDROP, _SPREAD, _LOWER = 0.1, 0.4, 0.1  # shares: of the image, of the area's side, of its height
+_BACKDROP, _GROUND = 0.1, 0.04  # shares of the image: of a background; of gaps at its lower edge that stay as they are
+_SPREAD, _LOWER = 0.4, 0.1  # shares of an area's side, and of its height
 _MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the filling; clipped; pixels compared
 
 
@@ -101,7 +102,7 @@ class _Plane(NamedTuple):
 def on_planes(found: Fused, filled: Filled, pair: GrayPair) -> Filled:
     """Return what is filled, with planes in the gaps of areas that they explain; what is matched stays as it is.
 
-    On planes there is neither a choice nor a distance.
+    Choice and distance stay those of the filling: planes fail seldom, but by much.
     """
     gap = np.isnan(found.disparity)
     if gap.all() or not gap.any():
@@ -109,12 +110,12 @@ def on_planes(found: Fused, filled: Filled, pair: GrayPair) -> Filled:
     view = _seen_in_steps(found, filled, pair)
     rng = np.random.default_rng(0)
     before = _misfit(view, view.filled)
-    result = Filled(*(values.copy() for values in filled))
+    disparity = filled.disparity.copy()
     for area in _areas(view.left, pair.noise):
         plane = _plane_of(area, view, rng)
         if plane is not None:
-            _put(plane, area, _taken(plane, area, view, before), gap, result, view.step)
-    return result
+            _put(plane, area, _taken(plane, area, view, before), gap, disparity, view.step)
+    return filled._replace(disparity=disparity)
 
 
 def _seen_in_steps(found: Fused, filled: Filled, pair: GrayPair) -> _View:
@@ -308,7 +309,10 @@ def _taken(plane: _Plane, area: _Area, view: _View, before: Array) -> Array:
     count, patches = cv2.connectedComponents(taken.astype(np.uint8), connectivity=8)
     pixels = np.bincount(patches[compared], minlength=count)
     mean = np.bincount(patches[compared], weights=worse[compared], minlength=count) / np.maximum(pixels, 1)
-    return np.asarray(taken & ~((mean > _MISFIT) & (pixels > _COMPARED))[patches])
+    refused = (mean > _MISFIT) & (pixels > _COMPARED)
+    if area.box[0].stop == len(view.left):  # how steeply ground comes nearer, nothing beside it tells
+        refused[patches[-1]] |= np.bincount(patches.ravel())[patches[-1]] > _GROUND * view.left.size
+    return np.asarray(taken & ~refused[patches])
 
 
 def _misfit(view: _View, disparity: Array) -> Array:
@@ -319,7 +323,7 @@ def _misfit(view: _View, disparity: Array) -> Array:
     return np.minimum(cv2.absdiff(view.left, drawn).astype(np.float32), _MOST_MISFIT)
 
 
-def _put(plane: _Plane, area: _Area, taken: Array, gap: Array, result: Filled, step: int) -> None:
+def _put(plane: _Plane, area: _Area, taken: Array, gap: Array, disparity: Array, step: int) -> None:
     """Write the plane of an area into the gaps of what is filled, at full size."""
     rows, columns = area.box
     box = slice(step * rows.start, step * rows.stop), slice(step * columns.start, step * columns.stop)
@@ -327,9 +331,7 @@ def _put(plane: _Plane, area: _Area, taken: Array, gap: Array, result: Filled, s
     height, width = gap[box].shape
     here = gap[box] & (wide[:height, :width] > 0)
     y, x = np.nonzero(here)
-    result.disparity[box][here] = step * plane.at(x / step + columns.start, y / step + rows.start)
-    result.choice[box][here] = 0
-    result.distance[box][here] = 0
+    disparity[box][here] = step * plane.at(x / step + columns.start, y / step + rows.start)
 
 
 def _homogeneous(places: Array) -> Array:
