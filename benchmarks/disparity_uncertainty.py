@@ -5,7 +5,7 @@ noise; folders add real pairs, in the layouts that benchmarks/stereo.py reads. T
 errors is regressed on the evidence of camcal/stereo/matching/uncertainty.py, by class; the tables printed are those
 that stand there. Every second scene is fitted, the others are for the shares.
 
-    python benchmarks/disparity_uncertainty.py [FOLDER …] [--scenes 44] [--weight 1.5]
+    python benchmarks/disparity_uncertainty.py [FOLDER …] [--scenes 44] [--slanted 500:524] [--weight 1.5]
 """
 
 import argparse

@@ -33,6 +33,7 @@ _AROUND, _AROUND_SHARE, _OUTSIDE = 2.0, 0.1, 0.5  # pixels and share of its rang
 _LEVEL = 0.1  # of the support: what a plane is worth more for each point fewer that it takes
 _MARGIN, _MARGIN_SHARE, _TAIL = 2.0, 0.25, 2  # pixels and share by which a plane goes on; percent that says nothing
 _BACKDROP, _GROUND = 0.1, 0.04  # shares of the image: of a background; of gaps at its lower edge that stay as they are
+_HARDLY = 0.5  # of a background that are gaps, at least: where more is matched, that tells
 _SPREAD, _LOWER = 0.4, 0.1  # shares of an area's side, and of its height
 _MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the filling; clipped; pixels compared
 
@@ -177,7 +178,7 @@ def _plane_of(area: _Area, view: _View, rng: np.random.Generator) -> _Plane | No
     support = _support(area, area.whole & ~gap, view, rng)
     large = size >= _BACKDROP * view.left.size
     plane = None if support is None else _fitted(support, gaps, view, _LARGE if large else _SMALL, rng)
-    if plane is not None or not large:
+    if plane is not None or not large or inner < _HARDLY * size:
         return None if plane is None else plane[0]
     support = _support(area, area.whole & ~area.inside & ~gap, view, rng)
     plane = None if support is None else _fitted(support, gaps, view, _BACKGROUND, rng)

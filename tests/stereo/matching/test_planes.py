@@ -13,7 +13,6 @@ from camcal.stereo.matching.planes import on_planes
 from camcal.stereo.options import ALL, MatchOptions
 
 HEIGHT, WIDTH = 150, 240
-FRAMED = slice(30, 120), slice(60, WIDTH)
 
 
 def paint(seed):
@@ -43,13 +42,16 @@ def planes_of(left, disparity, gap, matched=None):
     return on_planes(found, filled, GrayPair(left, right, left, right, 0.5)), filled
 
 
-def framed_board(across=0.06, down=0.1):
-    """Return an image of a board that is painted only along its edge, its disparity, and what is not painted."""
+def framed_board(end=WIDTH):
+    """Return an image of a board that is painted only along its edge, its disparity, and what is not painted.
+
+    end: the column at which it is painted again; at the border of the image it is not.
+    """
     y, x = np.indices((HEIGHT, WIDTH))
     image, gap = paint(1), np.zeros((HEIGHT, WIDTH), bool)
-    gap[FRAMED] = True
-    image[FRAMED] = 150
-    return image, 8 + across * x + down * y, gap
+    gap[30:120, 60:end] = True
+    image[gap] = 150
+    return image, 8 + 0.06 * x + 0.1 * y, gap
 
 
 def wall_and_floor():
@@ -126,7 +128,7 @@ def test_large_pair_is_looked_at_in_steps():
 
 
 def test_matching_fills_a_board_without_texture():
-    image, disparity, gap = framed_board()
+    image, disparity, gap = framed_board(end=190)
     left = np.rint(image).astype(np.uint8)
     right = right_of(left, disparity)
     options = MatchOptions(search=(0, 48), fill=ALL)
