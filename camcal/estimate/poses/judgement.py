@@ -12,14 +12,13 @@ from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.extent import NEAR_PLANE, Extents
 from camcal.estimate.poses.inliers import Agreement
 from camcal.estimate.poses.minima import lowest
-from camcal.estimate.poses.moments import covariances, inverses
+from camcal.estimate.poses.moments import covariances, inverses, scaled_eigenvalues
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.records import Alternative, PoseEstimate
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.solve.independent import REASONS, Minima
 
-SINGULAR = 1e-10  # smallest eigenvalue of the scaled normal matrix of a pose that the points fix
 _ROUNDED = 1e-6  # px: a noise below is the rounding of numbers, which differs from view to view
 
 
@@ -40,13 +39,6 @@ class Noise:
             return np.asarray(np.exp(-difference / 2))
         nu = max(self.freedom, 1)
         return np.asarray(np.maximum(1 + difference / nu, np.finfo(float).tiny) ** (-nu / 2))
-
-
-def scaled_eigenvalues(normal: Array) -> Array:
-    """Return the eigenvalues (S, P), ascending, of normal matrices (S, P, P) scaled to a unit diagonal."""
-    # a parameter on which nothing depends has an eigenvalue of 0
-    scale = 1 / np.sqrt(np.maximum(np.einsum("sii->si", normal), np.finfo(float).tiny))
-    return np.linalg.eigvalsh(normal * scale[:, :, None] * scale[:, None, :])
 
 
 @dataclass(frozen=True, eq=False)

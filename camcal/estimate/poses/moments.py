@@ -16,6 +16,7 @@ from camcal.estimate.poses.problem import PoseProblems
 from camcal.geometry import rotation as so3
 from camcal.solve.independent import Minima, Models
 
+SINGULAR = 1e-10  # smallest eigenvalue of the scaled normal matrix of a pose that the points fix
 _HELD = 1e-14  # keeps the normal matrices of other minima from having no inverse
 _LINEAR, _OPEN = 0.02, 1.0  # rad: turns known better are linear, and those known less are not known at all
 _HOPELESS = 30.0  # χ² over the lowest, from where minima are not worth the time
@@ -32,15 +33,24 @@ def covariances(problems: PoseProblems, minima: Minima, centres: Array, sigma: f
     deviation of a whitened coordinate.
     """
     offsets = -centres[minima.which]
-    result = _moved(sigma**2 * inverses(minima.models.normal), minima.states, offsets)
+    result = sigma**2 * inverses(minima.models.normal)
     spread = np.einsum("sii->s", result[:, 3:, 3:])
     bent = np.flatnonzero((spread > _LINEAR**2) & (spread < _OPEN**2))
     if bent.size:
         least = np.full(len(problems.view), np.inf)
         np.minimum.at(least, minima.which, minima.cost)
-        bent = bent[2 * (minima.cost - least[minima.which])[bent] <= _HOPELESS * sigma**2]
-        result[bent] = _bent(problems, minima.take(bent), offsets[bent], result[bent], sigma)
-    return result
+        worth = 2 * (minima.cost - least[minima.which])[bent] <= _HOPELESS * sigma**2
+        bent = bent[worth & (scaled_eigenvalues(minima.models.normal[bent])[:, 0] > SINGULAR)]
+    if bent.size:
+        result[bent] += _excess(problems, minima.take(bent), offsets[bent], result[bent], sigma)
+    return _moved(result, minima.states, offsets)
+
+
+def scaled_eigenvalues(normal: Array) -> Array:
+    """Return the eigenvalues (S, P), ascending, of normal matrices (S, P, P) scaled to a unit diagonal."""
+    # a parameter on which nothing depends has an eigenvalue of 0
+    scale = 1 / np.sqrt(np.maximum(np.einsum("sii->si", normal), np.finfo(float).tiny))
+    return np.linalg.eigvalsh(normal * scale[:, :, None] * scale[:, None, :])
 
 
 def _moved(covariances: Array, states: Array, offsets: Array) -> Array:
@@ -57,16 +67,15 @@ def inverses(normal: Array) -> Array:
     return np.asarray((inverse + inverse.transpose(0, 2, 1)) / 2 * both)
 
 
-def _bent(problems: PoseProblems, minima: Minima, offsets: Array, linear: Array, sigma: float) -> Array:
-    """Return second moments (S, 6, 6) about the minima, at least the covariances `linear`."""
+def _excess(problems: PoseProblems, minima: Minima, offsets: Array, linear: Array, sigma: float) -> Array:
+    """Return what second moments about minima have more than their linear covariances (S, 6, 6)."""
     roots = np.linalg.cholesky(linear)
     inverse_roots = np.linalg.inv(roots)
     values, turns = np.linalg.eigh(linear[:, 3:, 3:])
-    own = _moved(linear, se3.shifted(minima.states, offsets), -offsets)
-    result = linear.copy()
+    result = np.zeros_like(linear)
     for turn in range(2, 2 - _TURNS, -1):
         others = turns[:, :, [other for other in range(3) if other != turn]]
-        along = np.einsum("sij,sj->si", own[:, :, 3:], turns[:, :, turn]) / np.sqrt(values[:, turn, None])
+        along = np.einsum("sij,sj->si", linear[:, :, 3:], turns[:, :, turn]) / np.sqrt(values[:, turn, None])
         moments = _moments(problems, minima, offsets, along, others, sigma)
         # what a curve says less than the linear covariance is an accident of its ends
         excess, axes = np.linalg.eigh(inverse_roots @ moments @ inverse_roots.transpose(0, 2, 1))
@@ -80,6 +89,8 @@ def _moments(
 ) -> Array:
     """Return the second moments (S, 6, 6) about minima of the curves that begin with the steps `along` (S, 6), of one
     standard deviation; others: (S, 3, 2) the axes of the turns that are free.
+
+    The steps are those of poses with the origin at the offsets (S, 3), which bends them too, as steps of the minima.
     """
     count, nodes = len(along), len(_NODES)
     start, which = np.repeat(minima.states, nodes, axis=0), np.repeat(minima.which, nodes)
@@ -95,6 +106,7 @@ def _moments(
     placed, about = se3.shifted(states, offsets), se3.shifted(start, offsets)
     away = np.concatenate([placed[:, :, 3] - about[:, :, 3], _turn(placed, about)], axis=1)
     second = away[:, :, None] * away[:, None, :] + _moved(sigma**2 * across, states, offsets)
+    second = _moved(second, about, -offsets)
     weights = _weights(density.reshape(count, nodes))
     return np.asarray(np.einsum("sk,skij->sij", weights, second.reshape(count, nodes, 6, 6)))
 

@@ -7,8 +7,9 @@ import numpy as np
 from camcal.errors import InsufficientData
 from camcal.estimate.poses.fits import Fit, agreement_of, fits_of, points_needed, pooled
 from camcal.estimate.poses.groups import Group
-from camcal.estimate.poses.judgement import SINGULAR, Judgement, scaled_eigenvalues
+from camcal.estimate.poses.judgement import Judgement
 from camcal.estimate.poses.minima import lowest
+from camcal.estimate.poses.moments import SINGULAR, scaled_eigenvalues
 from camcal.estimate.poses.records import PoseEstimate, PoseOptions
 
 Found = dict[int, PoseEstimate | InsufficientData]

@@ -129,3 +129,17 @@ def test_second_moments_are_those_of_the_density_of_the_pixels():
     )
     np.testing.assert_allclose(said, drawn, rtol=0.15)
     assert np.max(drawn / before) > 1.3
+
+
+def test_regions_of_objects_far_from_their_origin_are_no_smaller():
+    views, _ = four_points(60, 6)
+    offset = np.array([4e5, -7e5, 300.0])
+    moved = [Correspondences(view.image, view.points + offset, view.pixels) for view in views]
+    near, far = (
+        [each.value for each in estimate_poses(PINHOLE, some, PoseOptions(noise_px=NOISE_PX))]
+        for some in (views, moved)
+    )
+    for one, other in zip(near, far, strict=True):
+        assert np.isfinite(other.covariance).all()
+        ratio = np.linalg.eigvalsh(other.covariance[3:, 3:])[-1] / np.linalg.eigvalsh(one.covariance[3:, 3:])[-1]
+        assert ratio > 0.98
