@@ -59,6 +59,7 @@ def test_channels_are_written_to_the_camera_file_and_reported(run, scene, tmp_pa
     assert "--pattern RGGB --channels" in file.provenance["command"]
 
 
+@pytest.mark.slow
 def test_the_aberration_stands_in_a_table(run, scene, tmp_path):
     code, out, _ = calibrated(run, scene, "--channels", "-o", tmp_path / "camera.yaml")
     assert code == 0
@@ -68,6 +69,7 @@ def test_the_aberration_stands_in_a_table(run, scene, tmp_path):
     assert float(lines[2].split()[1]) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_without_channels_nothing_is_said_of_them(run, scene, tmp_path):
     output = tmp_path / "camera.yaml"
     code, out, _ = calibrated(run, scene, "-o", output, "--json")

@@ -132,6 +132,7 @@ def test_folders_are_paired_and_checked_together(run, tmp_path):
     assert pictures == ["left_0_check.png", "left_1_check.png"]
 
 
+@pytest.mark.slow
 def test_a_picture_in_a_folder_is_recorded_there_as_one_of_camcals_and_a_named_one_is_not(run, images, tmp_path):
     for output in (tmp_path / "folder", tmp_path / "check.png"):
         assert run("stereo", "check", images / "left.png", images / "right.png", "-o", output)[0] == 0

@@ -37,6 +37,7 @@ def table(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_left_and_right_images_together_are_not_to_be_trusted_and_both_are_named(run, table, tmp_path):
     corners = table(1206.0, (797.0, 603.0))
     output = tmp_path / "camera.yaml"
@@ -51,6 +52,7 @@ def test_left_and_right_images_together_are_not_to_be_trusted_and_both_are_named
     assert "DO NOT TRUST: the views are of two cameras" in run("calibrate", corners, "-o", output)[1]
 
 
+@pytest.mark.slow
 def test_cameras_of_which_nothing_fits_together_end_with_exit_4_and_both_are_named(run, table, tmp_path):
     output = tmp_path / "camera.yaml"
     code, _, err = run("calibrate", table(2600.0, (797.0, 603.0), "b{:02}.png"), "-o", output, "--model", "opencv5")

@@ -51,7 +51,7 @@ def require_whole(folder, count=None):
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.slow)],
     ids=str,
 )
 def test_a_stopped_run_into_the_folder_it_reads_from_is_repeated_as_it_was(start_python, mosaics, number, code):

@@ -38,7 +38,7 @@ def slow(*values):
 @pytest.mark.parametrize(
     ("drawn", "asked", "proposed"),
     [
-        ("7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:16mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
+        slow("7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:16mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
         slow("7x6:30mm:18mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:18mm:DICT_5X5_100"),
         slow("7x6:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_4X4_50", "7x6:30mm:22mm:DICT_5X5_50"),
         ("7x6:30mm:22mm:DICT_APRILTAG_36h11", "7x6:30mm:22mm:DICT_6X6_250", "7x6:30mm:22mm:DICT_APRILTAG_36h11"),

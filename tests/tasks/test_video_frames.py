@@ -125,6 +125,7 @@ def test_blur_and_motion_of_frames_are_told(shot, report):
     assert np.nanmin(blurs[np.array(shot.moving)]) > 1.2 * np.nanmax(blurs[resting])
 
 
+@pytest.mark.slow
 def test_the_choice_is_the_same_whatever_the_number_of_jobs(shot, tmp_path):
     for jobs in (1, 2):
         found(shot.path, jobs=jobs, output=tmp_path / f"{jobs}.csv", frames=FrameOptions(3, every=2))
