@@ -77,6 +77,8 @@ def _excess(problems: PoseProblems, minima: Minima, offsets: Array, linear: Arra
         others = turns[:, :, [other for other in range(3) if other != turn]]
         along = np.einsum("sij,sj->si", linear[:, :, 3:], turns[:, :, turn]) / np.sqrt(values[:, turn, None])
         moments = _moments(problems, minima, offsets, along, others, sigma)
+        # where the camera loses the object at once, nothing is known beyond the linear covariance
+        moments = np.where(np.isfinite(moments).all(axis=(1, 2), keepdims=True), moments, linear)
         # what a curve says less than the linear covariance is an accident of its ends
         excess, axes = np.linalg.eigh(inverse_roots @ moments @ inverse_roots.transpose(0, 2, 1))
         axes = roots @ axes
@@ -108,7 +110,8 @@ def _moments(
     second = away[:, :, None] * away[:, None, :] + _moved(sigma**2 * across, states, offsets)
     second = _moved(second, about, -offsets)
     weights = _weights(density.reshape(count, nodes))
-    return np.asarray(np.einsum("sk,skij->sij", weights, second.reshape(count, nodes, 6, 6)))
+    counted = np.where(weights[:, :, None, None] != 0, second.reshape(count, nodes, 6, 6), 0.0)
+    return np.asarray(np.einsum("sk,skij->sij", weights, counted))
 
 
 def _turn(states: Array, start: Array) -> Array:
@@ -131,9 +134,13 @@ def _across(models: Models, free: Array, sigma: float) -> tuple[Array, Array, Ar
 
 
 def _weights(density: Array) -> Array:
-    """Return the weights (S, K) of the nodes by the logarithms of their densities, zero beyond a low on either side."""
+    """Return the weights (S, K) of the nodes by the logarithms of their densities, zero beyond a low on either side.
+
+    They are NaN where the density of the middle, the minimum itself, is zero.
+    """
     middle = len(_NODES) // 2
-    density = density - density[:, middle, None]
+    peak = density[:, middle, None]
+    density = density - np.where(np.isfinite(peak), peak, np.nan)
     for side in (density[:, middle:], density[:, middle::-1]):
         beyond = np.maximum.accumulate(side > np.minimum.accumulate(side, axis=1) + _RISE, axis=1)
         side[beyond] = -np.inf

@@ -451,6 +451,20 @@ def test_numbers_that_are_not_finite_are_refused():
             PoseOptions(**wrong)
 
 
+@pytest.mark.parametrize(
+    "pixels",
+    [
+        [(192.5, 0), (540.7, 23.5), (1175.5, 849.2), (314.1, 203), (80.2, 157.8), (0, 171.3), (959, 0), (959, 1)],
+        [(499.3, 959), (0, 0), (279.3, 959), (1, 0), (289.4, 0)],
+    ],
+)
+def test_pixels_that_no_pose_explains_end_without_a_warning(pixels):
+    for flat in (False, True):
+        points = np.random.default_rng(18).uniform(-0.1, 0.1, (len(pixels), 3)) * [1, 1, 0 if flat else 1]
+        outcome = estimate_poses(PINHOLE, [Correspondences("a", points, np.array(pixels))])[0]
+        assert outcome.error is not None or np.isfinite(outcome.value.covariance).all()
+
+
 @settings(max_examples=15)  # each costs four refinements
 @given(st.lists(st.tuples(st.floats(0, 1279), st.floats(0, 959)), min_size=4, max_size=8), st.booleans())
 def test_any_pixels_give_a_pose_or_one_clear_error(pixels, flat):
