@@ -37,20 +37,26 @@ class ValueType:
     needed: str
 
 
-def number_text(value: float) -> str:
-    """Return a number as a person writes it, with 12 significant digits."""
-    return f"{value:.12g}"
+def in_unit(to_field: Callable[[float], float], to_user: Callable[[float], float], needed: str) -> ValueType:
+    """Return the type of numbers that are given in a unit of their own, converted to that of the field and back.
+
+    They are written with 12 significant digits where these give the very same value back, else with all.
+    """
+
+    def write(value: float) -> str:
+        given = to_user(value)
+        text = f"{given:.12g}"
+        return text if to_field(parse_number(text)) == value else repr(given)
+
+    return ValueType(lambda text: to_field(parse_number(text)), write, needed)
 
 
-def exact_text(value: float) -> str:
-    """Return a number as a person writes it, with as many digits as give the very same one back."""
-    text = number_text(value)
-    return text if parse_number(text) == value else repr(float(value))
+def scaled(factor: float) -> ValueType:
+    """Return the type of numbers that are given in factor × the unit of the field."""
+    return in_unit(lambda number: number * factor, lambda value: value / factor, "a number")
 
 
-def scaled(factor: float, needed: str = "a number") -> ValueType:
-    """Return the type of numbers that are given in a unit of their own, factor × that of the field."""
-    return ValueType(lambda text: parse_number(text) * factor, lambda value: number_text(value / factor), needed)
+NUMBER = in_unit(float, float, "a number")
 
 
 def separated(needed: str, separator: str = ",", count: int | None = None) -> ValueType:
@@ -62,7 +68,7 @@ def separated(needed: str, separator: str = ",", count: int | None = None) -> Va
             raise ValueError(text)
         return numbers
 
-    return ValueType(read, lambda values: separator.join(map(exact_text, values)), needed)
+    return ValueType(read, lambda values: separator.join(map(NUMBER.write, values)), needed)
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -79,8 +85,7 @@ def parse_size(text: str) -> tuple[int, int]:
 TEXT = ValueType(str, str, "a text")
 PATH = ValueType(Path, str, "a path")
 INTEGER = ValueType(parse_integer, str, "a whole number")
-NUMBER = ValueType(parse_number, exact_text, "a number")
-PERCENT = ValueType(lambda text: parse_number(text) / 100, lambda value: number_text(100 * value), "a number")
+PERCENT = in_unit(lambda number: number / 100, lambda value: 100 * value, "a number")
 MILLIMETRES, MICROMETRES, MILLISECONDS = scaled(1e-3), scaled(1e-6), scaled(1e-3)
 DEGREES = scaled(pi / 180)
 NUMBERS = separated("numbers, separated by commas")
@@ -246,9 +251,7 @@ class Declared:
         return str(value) if self.type is None else self.type.write(value)
 
     def texts(self, value: Any) -> list[str]:
-        """Return the texts that give a value, a flag's as settings files have it."""
-        if self.type is None:
-            return ["true" if value else "false"]
+        """Return the texts that give the value of an option that takes one."""
         return [self.written(item) for item in (value if self.several or self.option.values > 1 else (value,))]
 
     def words(self, value: Any) -> list[str]:

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.options import (
+    DEGREES,
     INPUT,
     NAMES,
+    NUMBER,
     NUMBERS,
     OUTPUT,
     PERCENT,
@@ -167,6 +169,13 @@ def test_what_is_no_size_is_refused(text):
 @given(st.lists(st.floats(-1e12, 1e12).map(lambda value: float(f"{value:.12g}")), min_size=1))
 def test_numbers_are_read_as_they_are_written(values):
     assert NUMBERS.read(NUMBERS.write(values)) == tuple(values)
+
+
+@given(st.floats(-1e6, 1e6).map(lambda value: float(f"{value:.12g}")))
+def test_a_number_in_a_unit_of_its_own_is_read_as_it_was(number):
+    for unit in (NUMBER, PERCENT, DEGREES, scaled(1e-3), scaled(1e-6)):
+        value = unit.read(repr(number))
+        assert unit.read(unit.write(value)) == value
 
 
 def test_so_many_numbers_are_needed_as_are_asked_for():

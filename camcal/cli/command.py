@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
-from typer.core import TyperCommand, TyperOption
+from typer.core import TyperCommand
 
 from camcal.cli import show
 from camcal.errors import InvalidInput
@@ -25,7 +25,6 @@ from camcal.progress import Progress
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 WRITE_SETTINGS = "--write-config"
 
-_NOT_SET = {"config", "write_config", "help", "json"}  # they say how a command is called, not what it does
 _MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
 _NEGATIVE = re.compile(r"-[0-9.]")
 
@@ -107,7 +106,8 @@ class OptionsCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options under the titles of their groups, those of typer's own parameters with the general ones."""
-        others: list[Any] = [each for each in self.get_params(ctx) if each.name in _NOT_SET - {"json"}]
+        own = {parameter_name(each) for each in self.declared}
+        others: list[Any] = [each for each in self.get_params(ctx) if each.name not in own]
         for group, members in by_group(self.declared).items():
             rows = [(usage(each), help_text(each)) for each in members]
             if group == GENERAL:
@@ -175,14 +175,10 @@ class _Maker:
 
         def run(context: typer.Context, config: Path | None, write_config: Path | None, **given: Any) -> None:
             values = self.values(context, given)
-            if write_config is not None:
-                from camcal.run.settings import write_settings
-
-                settable = [each for each in self.every if each.path[-1] not in _NOT_SET]
-                write_settings(write_config, self.name, settable, values)
-                show.text(f"wrote {write_config}")
-            else:
+            if write_config is None:
                 self.start(values, config)
+            else:
+                self.write(values, write_config)
 
         run.__doc__ = self.function.__doc__
         run.__signature__ = inspect.Signature([*_CONTEXT, *map(_parameter, self.every), *_SETTINGS])  # type: ignore[attr-defined]
@@ -205,24 +201,40 @@ class _Maker:
         return values
 
     def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
-        """Call the function with the records that these values make."""
-        options, call = (
-            {each.path: values[each] for each in declared(record) if each in values} for record in self.records
-        )
-        called = self.records[1](self.name, **{path[0]: value for path, value in call.items()})
-        called.prepare()
+        """Call the function with the records that these values make; `config` is not overwritten by its results."""
+        from camcal.run.outputs import refuse_overwriting
+
+        record = self.records[0]
+        call = self.call(values)
+        call.prepare()
         if config is not None:
-            _keep(config, values)
-        chosen = {} if self.records[0] is NoOptions else {"options": assembled(self.records[0], options)}
-        self.function(**chosen, call=called)
+            outputs = [each for each in values if each.option.group == OUTPUT and isinstance(values[each], Path)]
+            refuse_overwriting([values[each] for each in outputs], [config])
+        chosen = {each.path: values[each] for each in declared(record) if each in values}
+        options = {} if record is NoOptions else {"options": assembled(record, chosen)}
+        self.function(**options, call=call)
+
+    def write(self, values: Mapping[Declared, Any], path: Path) -> None:
+        """Write these values as a settings file, over none of the inputs that they name."""
+        from camcal.run.outputs import refuse_overwriting
+        from camcal.run.settings import write_settings
+
+        inputs = [each for each in values if not each.flag and each.option.group != OUTPUT]
+        texts = [text for each in inputs for text in each.texts(values[each])]
+        refuse_overwriting([path], [Path(text.rpartition("#")[0] or text) for text in texts])
+        write_settings(path, self.name, settable(self.every), values)
+        self.call(values).give(lambda: {"output": path}, lambda: show.text(f"wrote {path}"))
+
+    def call(self, values: Mapping[Declared, Any]) -> Call:
+        """Return how the command is called."""
+        record = self.records[1]
+        called: Call = record(self.name, **{each.path[0]: values[each] for each in declared(record) if each in values})
+        return called
 
 
-def _keep(settings: Path, values: Mapping[Declared, Any]) -> None:
-    """Refuse to write a result over the settings file that was just read."""
-    from camcal.run.outputs import refuse_overwriting
-
-    outputs = [value for each, value in values.items() if each.option.group == OUTPUT and isinstance(value, Path)]
-    refuse_overwriting(outputs, [settings])
+def settable(every: Sequence[Declared]) -> list[Declared]:
+    """Return the options that a settings file may hold; --json says how a command is called, not what it does."""
+    return [each for each in every if each.name != "--json"]
 
 
 def parameter_name(each: Declared) -> str:
@@ -250,24 +262,21 @@ def _parameter(each: Declared) -> inspect.Parameter:
     )
 
 
-def apply_settings(context: typer.Context, path: Path | None) -> Path | None:
+def _apply_settings(context: typer.Context, path: Path | None) -> Path | None:
     """Let a settings file give the options that are not on the command line."""
     if path is None:
         return None
     from camcal.run.settings import read_settings
 
-    options = {
-        max(option.opts, key=len).lstrip("-").replace("-", "_"): option
-        for option in context.command.params
-        if isinstance(option, TyperOption)
-    }
-    several = {name: option.multiple or option.nargs != 1 for name, option in options.items()}
-    settings = read_settings(path, {name: value for name, value in several.items() if name not in _NOT_SET})
+    command: Any = context.command
+    options = {each.key.replace("-", "_"): each for each in settable(command.declared) if not each.positional}
+    settings = read_settings(path, {name: each.several or each.option.values > 1 for name, each in options.items()})
+    names = {name: parameter_name(each) for name, each in options.items()}
     context.default_map = {
-        options[name].name: str(value).lower() if isinstance(value, bool) and not options[name].is_flag else value
+        names[name]: str(value).lower() if isinstance(value, bool) and not options[name].flag else value
         for name, value in settings.values.items()
     }
-    context.meta[SETTINGS] = {options[name].name: f"{settings.where}:{line}" for name, line in settings.lines.items()}
+    context.meta[SETTINGS] = {names[name]: f"{settings.where}:{line}" for name, line in settings.lines.items()}
     return path
 
 
@@ -296,7 +305,7 @@ _SETTINGS = (
                 "--config",
                 metavar="FILE",
                 is_eager=True,
-                callback=apply_settings,
+                callback=_apply_settings,
                 help="Options from a YAML file (option: value); those on the command line come first.",
             ),
         ],

@@ -4,6 +4,7 @@ Keys that begin with x_ are notes: whoever wrote the file may keep anything ther
 """
 
 import json
+import shlex
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.errors import CamcalError
+from camcal.errors import CamcalError, in_one_line
 from camcal.formats import strict_yaml
 from camcal.formats.strict_yaml import Fault
 from camcal.options import Declared, by_group
@@ -93,7 +94,7 @@ def write_settings(path: Path, command: str, options: Sequence[Declared], values
     """
     arguments = [word for each in options if each.positional for word in _argument_words(each, values)]
     lines = [
-        f"# camcal {' '.join((command, *arguments))} --config {path.name}",
+        in_one_line(f"# camcal {' '.join((command, *arguments))} --config {shlex.quote(path.name)}"),
         "# An option on the command line comes before the one in this file.",
     ]
     for group, members in by_group([each for each in options if not each.positional]).items():
@@ -110,7 +111,7 @@ def _line(each: Declared, value: Any) -> str:
 
 def _argument_words(each: Declared, values: Mapping[Declared, Any]) -> list[str]:
     if each in values:
-        return each.words(values[each])
+        return list(map(shlex.quote, each.words(values[each])))
     return [each.name if each.required else f"[{each.name}]"]
 
 
@@ -123,11 +124,14 @@ def _other(each: Declared) -> str:
 
 def _yaml(each: Declared, value: Any) -> str:
     """Return a value as a settings file has it."""
-    texts = each.texts(value)
-    if each.flag:
-        return texts[0]
-    written = [text if _is_plain(text) else json.dumps(text, ensure_ascii=False) for text in texts]
-    return f"[{', '.join(written)}]" if each.several or each.option.values > 1 else written[0]
+    setting = each.setting(value)
+    if isinstance(setting, bool):
+        return "true" if setting else "false"
+    return f"[{', '.join(map(_scalar, setting))}]" if isinstance(setting, list) else _scalar(setting)
+
+
+def _scalar(text: str) -> str:
+    return text if _is_plain(text) else json.dumps(text, ensure_ascii=False)
 
 
 def _is_plain(text: str) -> bool:

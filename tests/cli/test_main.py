@@ -395,6 +395,26 @@ def test_a_settings_file_that_was_written_says_all_and_changes_nothing(run, tmp_
     assert run("work", "--config", str(path)) == (0, "", "")
 
 
+def test_settings_are_written_as_quietly_as_asked_for_and_over_no_input(run, tmp_path):
+    path = tmp_path / "work.yaml"
+    assert run("work", "--write-config", str(path), "--quiet") == (0, "", "")
+    code, out, _ = run("work", "--write-config", str(path), "--json")
+    assert (code, json.loads(out)) == (0, {"schema": "camcal/work/1", "output": str(path)})
+    before = path.read_bytes()
+    for named in (str(path), f"{path}#left"):
+        code, out, err = run("work", named, "--write-config", str(path))
+        assert (code, out) == (2, "")
+        assert err == f"camcal: error: {path}: is an input and is not overwritten; choose another output\n"
+    assert path.read_bytes() == before
+
+
+def test_an_argument_keeps_to_its_line_of_the_settings_file(run, tmp_path):
+    path = tmp_path / "my work.yaml"
+    run("work", "a b\nlabel: injected", "--write-config", str(path))
+    assert path.read_text().splitlines()[0] == "# camcal work 'a b\\nlabel: injected' --config 'my work.yaml'"
+    assert json.loads(run("work", "--json", "--config", str(path))[1])["label"] == "none"
+
+
 def test_a_value_that_yaml_would_read_in_another_way_is_quoted(run, tmp_path):
     path = tmp_path / "work.yaml"
     texts = ["on", "0:128", "1e3", "007", "#", "a, b", "- x", "null", "é"]

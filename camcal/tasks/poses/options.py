@@ -9,13 +9,14 @@ from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,
     CHECKS,
+    DEGREES,
     INPUT,
+    NUMBER,
     OUTPUT,
     Argument,
     Option,
     OptionsRecord,
     ValueType,
-    number_text,
     separated,
 )
 from camcal.parsing import parse_number
@@ -41,7 +42,7 @@ def or_auto(needed: str) -> ValueType:
     """Return the type of a number, or of the word auto."""
     return ValueType(
         lambda text: text if text == AUTO else parse_number(text),
-        lambda value: value if value == AUTO else number_text(value),
+        lambda value: value if value == AUTO else NUMBER.write(value),
         f"{needed}, or auto",
     )
 
@@ -138,7 +139,9 @@ class PriorOptions(OptionsRecord):
             metavar="METRES,DEGREES",
             group=INPUT,
             names="--prior-sigma",
-            type=ValueType(_read_sigma, lambda s: _PAIR.write((s[0], math.degrees(s[1]))), _PAIR.needed),
+            type=ValueType(
+                _read_sigma, lambda sigma: f"{NUMBER.write(sigma[0])},{DEGREES.write(sigma[1])}", _PAIR.needed
+            ),
         ),
     ] = None
 

@@ -9,13 +9,13 @@ from camcal.errors import InvalidInput
 from camcal.options import (
     INPUT,
     NAMES,
+    NUMBER,
     NUMBERS,
     OUTPUT,
     Argument,
     Option,
     OptionsRecord,
     ValueType,
-    number_text,
 )
 from camcal.parsing import parse_number
 from camcal.tasks.options import output_option
@@ -42,7 +42,7 @@ def _read_delta(text: str) -> tuple[float, str]:
 
 
 def _write_delta(delta: tuple[float, str]) -> str:
-    return number_text(delta[0]) + ("" if delta[1] == "frames" else delta[1])
+    return NUMBER.write(delta[0]) + ("" if delta[1] == "frames" else delta[1])
 
 
 @dataclass(frozen=True)

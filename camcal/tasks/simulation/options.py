@@ -10,6 +10,7 @@ from camcal.options import (
     DEGREES,
     LENS,
     MILLIMETRES,
+    NUMBER,
     PERCENT,
     RAW_FRAMES,
     SIZE,
@@ -18,7 +19,6 @@ from camcal.options import (
     OptionsRecord,
     ValueType,
     declared,
-    exact_text,
     separated,
 )
 from camcal.parsing import parse_number
@@ -44,7 +44,7 @@ def _read_coefficients(text: str) -> dict[str, float]:
 
 
 def _coefficients_text(values: Mapping[str, float]) -> str:
-    return ",".join(f"{name}={exact_text(value)}" for name, value in values.items())
+    return ",".join(f"{name}={NUMBER.write(value)}" for name, value in values.items())
 
 
 COEFFICIENTS = ValueType(_read_coefficients, _coefficients_text, "coefficients, written as k1=-0.2,k2=0.05")
