@@ -26,8 +26,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.images.load import load_gray
-from camcal.simulate.lens import make_camera
 from camcal.simulate.render import Exposure, render
+from camcal.simulate.scene import make_camera
 from camcal.targets.board import parse_board
 from camcal.targets.detect import detect
 

@@ -34,8 +34,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.simulate import shapes
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.solve.least_squares import minimise
 from camcal.targets.board import Board, Detections
 

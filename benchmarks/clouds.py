@@ -36,8 +36,7 @@ from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, normals, one_per_voxel
 from camcal.stereo.points.depth import StereoImage, row_blocks
 from camcal.stereo.points.frames import Frame
-from camcal.stereo.points.outliers import has_neighbours
-from camcal.stereo.points.selection import Selection, select
+from camcal.stereo.points.selection import Selection, has_neighbours, select
 from camcal.tasks.stereo.cloud import in_order_on_threads
 
 PEERS = Path(__file__).parent / "peers" / "cloud_peers.py"

@@ -26,7 +26,7 @@ from camcal import opencv
 from camcal.arrays import Array
 from camcal.images.load import gray_8bit, gray_levels
 from camcal.run.fanout import fan_out
-from camcal.simulate.coverage import piece_length
+from camcal.simulate.render import piece_length
 from camcal.targets.detect import detect
 from camcal.targets.samples import Samples
 

@@ -35,8 +35,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.run.fanout import fan_out
 from camcal.simulate import shapes
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import NormalEquations, Step
 from camcal.targets.board import Board, Detections

@@ -33,8 +33,7 @@ import numpy as np
 from peers.pose_solvers import matrix_of, plain_solvers
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
-from camcal.cameras.rig import Rig
+from camcal.cameras.model import Camera, Rig
 from camcal.estimate.pnp import (
     AMBIGUOUS,
     Correspondences,

@@ -29,9 +29,9 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import Mosaic
 from camcal.run.fanout import fan_out
+from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit, light
 from camcal.simulate.scene import views
-from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
 from camcal.targets.samples import Samples

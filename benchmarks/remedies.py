@@ -29,8 +29,7 @@ from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.quality.advise import advise
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Detection
 from camcal.tasks.calibration.model_selection import select
 from camcal.tasks.calibration.name_groups import name_groups

@@ -22,9 +22,8 @@ import numpy as np
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import Characterisation, characterise
-from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
 from camcal.simulate.options import Sensor
-from camcal.simulate.sensor import FixedPattern
 
 SIZE, LEVELS, DARKS, VIGNETTING = (640, 480), 12, 16, 0.1
 LIGHT = (0.5, 1.0, 0.6)

@@ -24,8 +24,7 @@ import numpy as np
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Detections
 
 SIZE = (1600, 1200)

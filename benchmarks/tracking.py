@@ -30,8 +30,7 @@ from camcal.estimate.tracking.measurements import PoseMeasurements
 from camcal.estimate.tracking.segments import candidates_at
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Pose, Trajectory
 
 STAMPS = np.arange(240) / 30
 NOISE_PX = 0.3

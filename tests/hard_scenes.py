@@ -12,8 +12,8 @@ import numpy as np
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
-from camcal.simulate.lens import make_camera
 from camcal.simulate.render import Exposure, develop, evenly_lit, light
+from camcal.simulate.scene import make_camera
 from camcal.targets.board import Board
 
 SIZE = (1280, 1024)

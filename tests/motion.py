@@ -5,8 +5,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Pose, Trajectory
 
 FRAMES = "camera_T_object"
 _PULL = 0.5  # 1/s; slow beside what a filter follows, and keeps the object in the image

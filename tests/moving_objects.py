@@ -7,8 +7,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.poses.records import Alternative
 from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Pose, Trajectory
 
 NOISE = np.array([0.002, 0.002, 0.006, 0.02, 0.02, 0.01])  # m and rad: of a small tag a metre away
 

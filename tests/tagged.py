@@ -5,8 +5,7 @@ import numpy as np
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
-from camcal.simulate.coverage import draw, piece_length
-from camcal.simulate.render import Exposure, develop, light, outlines
+from camcal.simulate.render import Exposure, develop, draw, light, outlines, piece_length
 from camcal.targets.markers.families import family_named
 from camcal.targets.markers.tags import OPENCV, tag_corners
 from camcal.targets.pattern import Pattern

@@ -27,8 +27,7 @@ from camcal.cli.command import parameter_name
 from camcal.cli.main import app
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import parse_board
 
 PROJECT = Path(__file__).parents[1]

@@ -21,9 +21,7 @@ from camcal.cli.main import app
 from camcal.errors import InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.simulate.lens import make_camera
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import make_camera, observe, views
 from camcal.targets.board import Board
 from camcal.tasks.options import lens_models
 

@@ -14,7 +14,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import CameraModel
 from camcal.geometry.pose import retract
-from camcal.solve.assembly import assemble
+from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
 from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
 from camcal.targets.board import Board, Detection

@@ -11,7 +11,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.parameter import Parameter
+from camcal.cameras.model import Parameter
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
 
 # In OpenCV's order. The typical barrel stays one-to-one at any field of view.

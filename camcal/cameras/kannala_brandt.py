@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.parameter import Parameter
+from camcal.cameras.model import Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
 
 SERIES_ANGLE = 1e-4

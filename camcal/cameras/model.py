@@ -1,13 +1,18 @@
-"""What a lens model is, and the camera record: a model's name, an image size and a parameter array."""
+"""What a lens model is and what is known before any image of it; a camera: model, image size and parameters."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
+from camcal.geometry.pose import Pose
+
+LAST = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,3 +146,76 @@ class Camera:
             return None
         index = self.model.parameter_names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a lens model and what is known of it beforehand.
+
+    role: the part that a coefficient plays in the distortion, one of the fields of distortion.Roles.
+    growth: of a coefficient: the power of the radius by which its term grows relative to the radius, from which the
+    standard deviation of its weak prior follows; spread: that standard deviation where there is no growth, inf for no
+    prior. mean: of the prior, and where an estimate starts. typical: the value in an ordinary lens, to simulate one.
+    limits: the values that a camera file may have.
+    stage: when a calibration's start frees it, in 1, in 2, or with all others in LAST: the stiffest parameters first.
+    colour_stage: likewise when it may differ between the colours of one lens, what differs in most lenses first.
+    """
+
+    name: str
+    role: str = ""
+    growth: int | None = None
+    spread: float = math.inf
+    mean: float = 0.0
+    typical: float = 0.0
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    stage: int = LAST
+    colour_stage: int = LAST
+
+    def prior_std(self, radius: float) -> float:
+        """Return the standard deviation of the weak prior; radius: of the image's corner, in the model's plane."""
+        return self.spread if self.growth is None else float(radius**-self.growth)
+
+
+def staged(stages: dict[str, int]) -> tuple[tuple[str, ...], ...]:
+    """Return the names of all parameters freed by each stage before LAST, given every parameter's stage."""
+    return tuple(tuple(name for name, own in stages.items() if own <= stage) for stage in range(1, LAST))
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras by name and where each stands: rig_T_camera takes points of a camera's frame to the rig's, metres."""
+
+    cameras: Mapping[str, Camera]
+    rig_T_camera: Mapping[str, Pose]
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise InvalidInput("a rig has one camera or more")
+        without = [name for name in self.cameras if name not in self.rig_T_camera]
+        if without:
+            raise InvalidInput(f"nothing says where camera {without[0]!r} stands in the rig")
+        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
+        object.__setattr__(self, "rig_T_camera", MappingProxyType(dict(self.rig_T_camera)))
+
+
+def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
+    """Return the camera of the same images resized to (width, height), its covariance carried along.
+
+    Raises InvalidInput if the sizes differ in shape by more than rounding: such images were cropped.
+    """
+    if image_size == camera.image_size:
+        return camera
+    (width, height), (usual_width, usual_height) = image_size, camera.image_size
+    if abs(width * usual_height - height * usual_width) > max(*image_size, *camera.image_size):
+        raise InvalidInput(
+            f"images of {width} x {height} pixels are no resized images of {usual_width} x {usual_height}: "
+            "they need a camera of their own"
+        )
+    scale = width / usual_width, height / usual_height
+    parameters = camera.model.rescale(camera.parameters, scale, (0.0, 0.0))
+    if camera.covariance is None:
+        return Camera(camera.model, image_size, parameters, fixed=camera.fixed)
+    # resizing is affine in the parameters: a step of 1 gives the exact derivative
+    moved = [camera.model.rescale(camera.parameters + step, scale, (0.0, 0.0)) for step in np.eye(len(parameters))]
+    jacobian = np.column_stack(moved) - parameters[:, None]
+    return Camera(camera.model, image_size, parameters, jacobian @ camera.covariance @ jacobian.T, camera.fixed)

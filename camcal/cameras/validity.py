@@ -1,4 +1,7 @@
-"""Where a camera's model holds within its image: folds, field of view, and the region written to its file."""
+"""Where a camera's image can be used: its image circle, folds of its model, field of view, and the size of its pixels.
+
+The size of a pixel is the angle it sees, or its side on a plane in front of the camera, through the lens's rays.
+"""
 
 import math
 from dataclasses import dataclass
@@ -6,11 +9,51 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
 HALVINGS = 20  # of a segment across the image: to a millionth of it
+_HALF = 0.25  # px to either side of a pixel's centre: derivatives to 1e-6, and corners stay inside the image
+
+
+@dataclass(frozen=True)
+class ImageCircle:
+    """The disc of a camera's image that its lens lights; beyond it, the image is black.
+
+    image_size: (width, height) px. centre: (x, y) px, (0, 0) is the centre of the top-left pixel. radius: px.
+    """
+
+    image_size: tuple[int, int]
+    centre: tuple[float, float]
+    radius: float
+
+    def contains(self, pixels: Array) -> Array:
+        """Return the mask (...) of pixels (..., 2) inside the circle; those that are NaN are not."""
+        apart = pixels - np.array(self.centre)
+        return np.asarray(np.hypot(apart[..., 0], apart[..., 1]) <= self.radius)
+
+    def clipped(self, start: Array, ends: Array) -> Array:
+        """Return ends (N, 2) of lines from `start` (2,), px, those outside of the circle moved along their line to it.
+
+        All stay where they are if the start itself is outside.
+        """
+        outside = ~self.contains(ends)
+        if not self.contains(start) or not outside.any():
+            return ends
+        away, lines = start - np.array(self.centre), ends[outside] - start
+        # |away + s line| = radius, a quadratic equation in s with one root from 0 to 1
+        squares, slopes = (lines**2).sum(axis=1), lines @ away
+        roots = np.sqrt(slopes**2 + squares * (self.radius**2 - away @ away))
+        result = np.array(ends, dtype=float)
+        result[outside] = start + ((roots - slopes) / squares)[:, None] * lines
+        return result
+
+    def resized(self, size: tuple[int, int]) -> "ImageCircle":
+        """Return the circle in images resized to (width, height)."""
+        across, down = (new / old for new, old in zip(size, self.image_size, strict=True))
+        x, y = self.centre
+        centre = ((x + 0.5) * across - 0.5, (y + 0.5) * down - 0.5)
+        return ImageCircle(size, centre, self.radius * float(np.sqrt(across * down)))
 
 
 @dataclass(frozen=True)
@@ -105,3 +148,50 @@ def _border(width: int, height: int, per_edge: int) -> Array:
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=float)
     share = np.linspace(0, 1, per_edge, endpoint=False)[:, None]
     return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+
+
+def pixel_angles(camera: Camera, pixels: Array) -> Array:
+    """Return the angles (N,) in radians that pixels (N, 2) see: the roots of their solid angles; NaN without a ray."""
+    right, down = _derivatives(camera.unproject(_around(pixels)).directions)
+    return np.asarray(np.sqrt(np.linalg.norm(np.cross(right, down), axis=1)))
+
+
+def pixel_sizes(camera: Camera, pixels: Array, distance: float) -> Array:
+    """Return the sizes (N,) in metres of pixels (N, 2) on a plane across the axis: the roots of their areas.
+
+    NaN where a pixel has no ray or looks away from the plane.
+    """
+    right, down = _derivatives(_on_plane(camera.unproject(_around(pixels)).directions, distance))
+    return np.asarray(np.sqrt(np.abs(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0])))
+
+
+def field_size(camera: Camera, distance: float, circle: ImageCircle | None = None) -> tuple[float, float]:
+    """Return width and height (m) of what the middle row and column of the image see at a distance along the axis.
+
+    To the outer edges of the pixels, or to the image circle where it ends before them; NaN where there is no ray or the
+    field reaches 180°.
+    """
+    width, height = camera.image_size
+    middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
+    ends = np.array([[-0.5, middle_y], [width - 0.5, middle_y], [middle_x, -0.5], [middle_x, height - 0.5]])
+    ends = ends if circle is None else circle.clipped(np.array([middle_x, middle_y]), ends)
+    left, right, top, bottom = _on_plane(camera.unproject(ends).directions, distance)
+    return float(np.linalg.norm(right - left)), float(np.linalg.norm(bottom - top))
+
+
+def _around(pixels: Array) -> Array:
+    """Return places right, left, below and above every pixel, (4 N, 2)."""
+    steps = _HALF * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    return np.asarray((steps[:, None] + np.asarray(pixels, dtype=float)).reshape(-1, 2))
+
+
+def _derivatives(values: Array) -> tuple[Array, Array]:
+    """Return the derivatives (N, D) by u and v of values (4 N, D) at the places of `_around`."""
+    right, left, below, above = values.reshape(4, -1, values.shape[1])
+    return (right - left) / (2 * _HALF), (below - above) / (2 * _HALF)
+
+
+def _on_plane(rays: Array, distance: float) -> Array:
+    """Return where rays (N, 3) meet the plane at a distance along the axis, (N, 2); NaN for those that do not."""
+    forward = np.where(rays[:, 2] > 0, rays[:, 2], np.nan)
+    return np.asarray(distance * rays[:, :2] / forward[:, None])

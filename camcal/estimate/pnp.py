@@ -10,8 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from camcal.cameras.model import Camera
-from camcal.cameras.rig import Rig
+from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.poses.groups import Group
 from camcal.estimate.poses.judgement import region_quantile

@@ -11,7 +11,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 ALIGNMENTS = ("none", "se3", "sim3", "yaw")
 UNITS = ("frames", "m", "s")

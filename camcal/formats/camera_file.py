@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from camcal.arrays import Array, readonly
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import valid_block
+from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.geometry.pose import Pose
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.targets.surface import Surface

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.formats.board_text import short_form
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.formats import native_lens
 from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text

@@ -25,10 +25,9 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
-from camcal.geometry.dual_quaternion import dual_quaternion_error, from_dual_quaternion, to_dual_quaternion
 from camcal.geometry.euler import EulerOrder, from_euler, to_euler
-from camcal.geometry.orthogonality import examine
 from camcal.geometry.pose import Pose
+from camcal.geometry.rotation import dual_quaternion_error, examine, from_dual_quaternion, to_dual_quaternion
 from camcal.parsing import is_number, parse_numbers
 
 ROUNDED = 1e-3  # how far a rotation may be from one: texts have few digits

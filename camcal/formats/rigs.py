@@ -1,6 +1,6 @@
 """The rig that a camera file with several cameras describes."""
 
-from camcal.cameras.rig import Rig
+from camcal.cameras.model import Rig
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry.frame_graph import FrameGraph

@@ -1,9 +1,13 @@
-"""SO(3): exponential, logarithm, quaternions, elementary rotations, with Jacobians.
+"""SO(3): exponential, logarithm, quaternions, elementary rotations, with Jacobians; matrices that are none.
 
-Rotation vectors are (..., 3) in radians, rotation matrices (..., 3, 3), quaternions (..., 4) as w x y z.
-Everything is vectorised over leading axes. Below SERIES_ANGLE the closed forms lose digits and series take over.
-Source: Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2, ch. 10.
+Rotation vectors are (..., 3) in radians, rotation matrices (..., 3, 3), quaternions (..., 4) as w x y z, unit dual
+quaternions (..., 8) as q + ε ½ t q. Everything is vectorised over leading axes. Below SERIES_ANGLE the closed forms
+lose digits and series take over.
+Source: Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2, ch. 10; Kavan, Collins, Žára,
+O'Sullivan, Geometric Skinning with Approximate Dual Quaternion Blending, 2008.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +15,7 @@ from camcal.arrays import Array
 
 SERIES_ANGLE = 1e-4
 _IDENTITY = np.eye(3)
+HOPELESS = 0.1  # orthonormality error beyond which the nearest rotation says nothing
 
 
 def hat(vector: Array) -> Array:
@@ -135,3 +140,92 @@ def nearest(matrix: Array) -> Array:
 def angle_between(first: Array, second: Array) -> Array:
     """Return the angles (...), 0 … π rad, of the turns from rotation matrices (..., 3, 3) to others: their distance."""
     return np.asarray(np.linalg.norm(log(second @ np.swapaxes(first, -1, -2)), axis=-1))
+
+
+@dataclass(frozen=True)
+class Orthogonality:
+    """What is wrong with a matrix (3, 3) as a rotation.
+
+    error: the largest element of |R Rᵀ - I|. determinant: 1 of a rotation, -1 of a reflection. angle: how far the
+    matrix is turned from the nearest rotation, rad, NaN where there is none worth the name.
+    """
+
+    error: float
+    determinant: float
+    angle: float
+
+    @property
+    def is_reflection(self) -> bool:
+        """Whether a left-handed frame is made of a right-handed one."""
+        return self.determinant < 0
+
+    def is_rotation(self, tolerance: float) -> bool:
+        """Return whether the matrix is a rotation but for rounding."""
+        return self.error <= tolerance and not self.is_reflection
+
+    @property
+    def can_be_fixed(self) -> bool:
+        """Whether the nearest rotation is what was meant."""
+        return self.is_rotation(HOPELESS)
+
+    def fault(self, tolerance: float) -> str:
+        """Return what is wrong in words, empty for a rotation."""
+        if self.is_reflection:
+            why = "a reflection; is an axis flipped, or a frame left-handed?"
+            return f"not a rotation: det = {self.determinant:.3g}, {why}"
+        if self.is_rotation(tolerance):
+            return ""
+        nearest = f"; the nearest rotation differs by {np.degrees(self.angle):.2g}°" if self.can_be_fixed else ""
+        return f"not a rotation: orthonormality error {self.error:.1e}{nearest}"
+
+
+def examine(matrix: Array) -> Orthogonality:
+    """Return how far a matrix (3, 3) of finite numbers is from a rotation."""
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are no rotation
+        error = float(np.nan_to_num(np.abs(matrix @ matrix.T - np.eye(3)).max(), nan=np.inf, posinf=np.inf))
+        determinant = float(np.nan_to_num(np.linalg.det(matrix)))
+    if error > HOPELESS or determinant < 0:
+        return Orthogonality(error, determinant, np.nan)
+    return Orthogonality(error, determinant, float(np.linalg.norm(matrix - nearest(matrix)) / np.sqrt(2)))
+
+
+def to_dual_quaternion(rotation: Array, translation: Array) -> Array:
+    """Return the dual quaternions (..., 8) of poses: the rotation's w x y z with w ≥ 0, then the dual part's.
+
+    rotation: (..., 3, 3). translation: (..., 3), the dual part has half its unit.
+    """
+    real = to_quaternion(rotation)
+    return np.concatenate([real, 0.5 * _product(_pure(translation), real)], axis=-1)
+
+
+def from_dual_quaternion(dual: Array) -> tuple[Array, Array]:
+    """Return the rotations (..., 3, 3) and translations (..., 3) of dual quaternions (..., 8) of any length but zero.
+
+    What of the dual part lies along the real one is no motion and is left out.
+    """
+    dual = np.asarray(dual, dtype=float)
+    length = np.linalg.norm(dual[..., :4], axis=-1, keepdims=True)
+    real, moved = dual[..., :4] / length, dual[..., 4:] / length
+    return from_quaternion(real), 2 * _product(moved, _conjugate(real))[..., 1:]
+
+
+def dual_quaternion_error(dual: Array) -> Array:
+    """Return how far the parts of dual quaternions (..., 8) are from at right angles: 0 for a motion."""
+    real, moved = dual[..., :4], dual[..., 4:]
+    return np.asarray(np.abs(np.sum(real * moved, axis=-1)))
+
+
+def _pure(vector: Array) -> Array:
+    vector = np.asarray(vector, dtype=float)
+    return np.concatenate([np.zeros((*vector.shape[:-1], 1)), vector], axis=-1)
+
+
+def _conjugate(quaternion: Array) -> Array:
+    return np.asarray(quaternion * np.array([1.0, -1, -1, -1]))
+
+
+def _product(left: Array, right: Array) -> Array:
+    """Return the Hamilton products (..., 4) of quaternions w x y z."""
+    scalar = left[..., :1] * right[..., :1] - np.sum(left[..., 1:] * right[..., 1:], axis=-1, keepdims=True)
+    vector = left[..., :1] * right[..., 1:] + right[..., :1] * left[..., 1:] + np.cross(left[..., 1:], right[..., 1:])
+    return np.concatenate([scalar, vector], axis=-1)

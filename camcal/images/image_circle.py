@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.opencv import resized
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from camcal.arrays import Array
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 
 LONGEST_SIDE = 32766  # pixels of a map are counted in 16 bits by OpenCV
 STEP = 16  # pixels between nodes, and rows in a band: a band of two maps stays in the processor's cache

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.images.lattice import LONGEST_SIDE, Trace, bands, exact_bands
 from camcal.images.scratch import Scratch

@@ -10,9 +10,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras import panoramic
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera, CameraModel
-from camcal.cameras.validity import rim
+from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
 from camcal.images.lattice import LONGEST_SIDE, Trace
 from camcal.images.options import PINHOLE, ViewOptions

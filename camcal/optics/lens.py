@@ -1,7 +1,7 @@
-"""The thin lens: where the image is sharp, how large it is, and which distances are sharp enough.
+"""The thin lens: where the image is sharp, how large it is, how bright, and what blur does to measurements.
 
-Lengths are metres. Distances in front of the lens count from its front principal plane, which in most lenses lies
-within a few centimetres of the front glass. An infinite distance is math.inf.
+Lengths are metres, pixels where a name says so. Distances in front of the lens count from its front principal plane,
+which in most lenses lies within a few centimetres of the front glass. An infinite distance is math.inf.
 Source: Ray, Applied Photographic Optics, 3rd ed., 2002, ch. 5 and 22.
 """
 
@@ -12,6 +12,11 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+
+AIRY_PIXELS = 2.0  # an Airy disc wider than that blurs the finest pattern of pixels to half its contrast or less
+_FIRST_ZERO = 3.8317059702  # of the Bessel function J1, where the Airy pattern is dark for the first time
+_GAUSSIAN = 0.42  # standard deviation of the Gaussian nearest to the Airy pattern, over wavelength and f-number
+_PIXEL_VARIANCE = 1 / 12  # px², of a pixel's own square
 
 
 @dataclass(frozen=True)
@@ -101,3 +106,94 @@ def _require_real(focal: float, focus: float) -> None:
             f"a lens of {1e3 * focal:g} mm makes no image of what is {1e3 * focus:g} mm away: "
             "focus beyond its focal length"
         )
+
+
+def effective_f_number(f_number: float, magnification: float) -> float:
+    """Return N (1 + m), the f-number that light on the sensor has at close focus, for a lens with equal pupils."""
+    return f_number * (1 + magnification)
+
+
+def bellows_stops(magnification: float) -> float:
+    """Return the stops of light that close focus costs, 2 log2(1 + m)."""
+    return 2 * math.log2(1 + magnification)
+
+
+def exposure_value(f_number: float, exposure: float) -> float:
+    """Return log2(N²/t), which is EV at ISO 100, for an exposure in seconds. Source: ISO 2720."""
+    return math.log2(f_number**2 / exposure)
+
+
+def stops_between(exposure: float, other: float) -> float:
+    """Return by how many stops an exposure time lets in more light than another."""
+    return math.log2(exposure / other)
+
+
+def airy_diameter(wavelength: float, f_number: float) -> float:
+    """Return the diameter (m) of the first dark ring around the image of a point, 2.44 λ N, N the effective one.
+
+    Source: Goodman, Introduction to Fourier Optics, 3rd ed., eq. 4-31.
+    """
+    return 2 * _FIRST_ZERO / math.pi * wavelength * f_number
+
+
+def airy_sigma(wavelength: float, f_number: float) -> float:
+    """Return the standard deviation (m) of the Gaussian nearest to the image of a point.
+
+    Source: Zhang, Zerubia & Olivo-Marin, Applied Optics 46, 2007: 0.21 λ over the numerical aperture 1/(2 N).
+    """
+    return _GAUSSIAN * wavelength * f_number
+
+
+def widest_sharp_f_number(wavelength: float, pitch: float) -> float:
+    """Return the effective f-number at which the Airy disc is two pixels wide: beyond it the lens limits the image."""
+    return AIRY_PIXELS * pitch / airy_diameter(wavelength, 1.0)
+
+
+def diffraction_contrast(wavelength: float, f_number: float, pitch: float) -> float:
+    """Return the contrast (0 to 1) that a perfect lens keeps at the finest pattern of pixels, half a cycle a pixel.
+
+    Source: Goodman, eq. 6-32, the incoherent transfer function of a circular pupil with cut-off 1/(λ N).
+    """
+    share = wavelength * f_number / (2 * pitch)
+    if share >= 1:
+        return 0.0
+    return 2 / math.pi * (math.acos(share) - share * math.sqrt(1 - share**2))
+
+
+def motion_blur(speed: float, exposure: float, pixel: float) -> float:
+    """Return by how many pixels an image moves while the shutter is open.
+
+    speed: across the line of sight, m/s. exposure: s. pixel: size of a pixel on the object, m.
+    """
+    return speed * exposure / pixel
+
+
+def longest_exposure(speed: float, blur_px: float, pixel: float) -> float:
+    """Return the exposure (s) during which the image moves by `blur_px`; see `motion_blur`."""
+    return blur_px * pixel / speed
+
+
+def depth_error(depth: float, focal_px: float, baseline: float, disparity_error: float) -> float:
+    """Return the standard deviation (m) of a depth from rectified disparity, z² σ_d / (f b), σ_d in pixels.
+
+    Source: Hartley & Zisserman, ch. 12; the derivative of z = f b / d.
+    """
+    return depth**2 * disparity_error / (focal_px * baseline)
+
+
+def edge_spread(airy_sigma_px: float, defocus_px: float, motion_px: float) -> float:
+    """Return the standard deviation (px) of the blur of an edge: pixel, diffraction, defocus disc and motion.
+
+    airy_sigma_px: of diffraction, see `airy_sigma`. defocus_px: diameter of the blur disc, whose variance along
+    one axis is d²/16. motion_px: length of the motion, variance b²/12. Independent blurs add their variances.
+    """
+    return math.sqrt(_PIXEL_VARIANCE + airy_sigma_px**2 + defocus_px**2 / 16 + motion_px**2 / 12)
+
+
+def edge_noise_factor(spread: float, best: float) -> float:
+    """Return how much more an edge's place scatters at a blur of `spread` px than at `best` px.
+
+    The variance of an edge's place is noise² / ∫ I'² dx, and ∫ I'² of a Gaussian edge is contrast² / (2 √π spread):
+    the scatter grows with the root of the spread. Source: the Cramér-Rao bound, Kay, Estimation Theory, ch. 3.
+    """
+    return math.sqrt(spread / best)

@@ -9,7 +9,7 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData
 from camcal.geometry.axes import rotation_of
-from camcal.stereo.points.vertices import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
+from camcal.stereo.points.frames import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 
 _NEAREST = 1e-12  # of a depth that tangents are taken at
 _FARTHEST = 1e15  # of a coordinate; squares of what lies beyond are no float32, and it is no measurement

@@ -7,9 +7,7 @@ import numpy as np
 
 from camcal.report.uncertain import value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
-from camcal.stereo.pair.exposure import Exposure
-from camcal.stereo.pair.pair_check import PairCheck
-from camcal.stereo.pair.pair_order import FINDINGS
+from camcal.stereo.pair.pair_check import FINDINGS, Exposure, PairCheck
 
 _SURE = 3.0  # standard errors
 

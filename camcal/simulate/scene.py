@@ -1,16 +1,20 @@
-"""Where the board is held: poses that a careful person would take, spread over the image, tilted, near and far."""
+"""A camera from what people know of one, where a careful person would hold a board, and what a detector hands on.
 
+Poses are spread over the image, tilted, near and far.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import in_camera, in_image, project_all
-from camcal.targets.board import Board
+from camcal.simulate.shapes import FLAT, Shape
+from camcal.targets.board import Board, Detection, Detections
 from camcal.targets.pattern import QUIET, ink_reach
 
 ROUNDS = 30  # attempts for a view that does not fit, each with a smaller board
@@ -20,6 +24,8 @@ FILL = (0.35, 0.95)  # share of the image's width or height that a whole board t
 PARTIAL_FILL = (0.7, 1.5)
 PARTIAL_SHARE = 0.4  # of the corners that a cut board must show at least
 RIM = 0.3  # squares of white around the drawing that must be in the image
+WIDEST = 100.0  # half an image's width in focal lengths, 178.9° for a pinhole
+OFF_CENTRE = (0.006, -0.004)  # of the principal point, as shares of the image's width
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,3 +163,110 @@ def _acceptable(camera: Camera, outline: _Outline, attempts: _Attempts, rotation
     cosine = np.einsum("vni,vi->vn", sheet, into) / np.linalg.norm(sheet, axis=-1)
     facing = (cosine > np.cos(STEEPEST)).all(axis=1)
     return np.asarray(valid.all(axis=1) & facing & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a set of views was made from: poses are camera_T_board, one per view.
+
+    outliers: for every view the mask (N,) of the corners that were displaced, in the order of its detection.
+    """
+
+    camera: Camera
+    board: Board
+    shape: Shape
+    poses: tuple[Pose, ...]
+    outliers: tuple[Array, ...] = ()
+
+
+def view_name(index: int) -> str:
+    """Return the image name of a simulated view."""
+    return f"view{index:04d}.png"
+
+
+def observe(
+    camera: Camera,
+    board: Board,
+    poses: Sequence[Pose],
+    *,
+    rng: np.random.Generator,
+    noise_px: float = 0.0,
+    shape: Shape = FLAT,
+    outliers: float = 0.0,
+    outlier_px: float = 6.0,
+    inside: bool = True,
+) -> tuple[Detections, Truth]:
+    """Return the corners of a board seen from `poses` (camera_T_board), and what they were made from.
+
+    noise_px: standard deviation per axis. outliers: the share of corners displaced by outlier_px in any direction.
+    inside: drop the corners measured outside the image; those outside the lens's domain are always dropped.
+    The draws depend on the numbers of views and of points only, so that two cameras or shapes meet the same noise.
+    Raises InvalidInput if the noise or the share of outliers is out of range.
+    """
+    if noise_px < 0 or not 0 <= outliers <= 1:
+        raise InvalidInput(f"noise {noise_px} must not be negative, the share of outliers {outliers} within 0…1")
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
+    exact, valid = project_all(camera, shape.points(board), rotations, translations)
+    displaced = rng.random(valid.shape) < outliers
+    angle = rng.uniform(0, 2 * np.pi, valid.shape)
+    jump = outlier_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    pixels = exact + noise_px * rng.standard_normal(exact.shape) + displaced[..., None] * jump
+    seen = valid & in_image(camera, pixels) if inside else valid
+    views = tuple(_detection(camera, index, seen[index], pixels[index]) for index in range(len(poses)))
+    masks = tuple(mask[kept] for mask, kept in zip(displaced, seen, strict=True))
+    return Detections(board, views), Truth(camera, board, shape, tuple(poses), masks)
+
+
+def project_all(camera: Camera, points: Array, rotations: Array, translations: Array) -> tuple[Array, Array]:
+    """Return pixels (V, N, 2) and the mask (V, N) of board points (N, 3) under V poses (V, 3, 3), (V, 3)."""
+    projection = camera.project(in_camera(points, rotations, translations).reshape(-1, 3))
+    shape = (len(rotations), len(points))
+    return projection.pixels.reshape(*shape, 2), projection.valid.reshape(shape)
+
+
+def in_camera(points: Array, rotations: Array, translations: Array) -> Array:
+    """Return board points (N, 3) in the camera frame (V, N, 3) under V poses camera_T_board (V, 3, 3), (V, 3)."""
+    return np.asarray(points @ np.swapaxes(rotations, -1, -2) + translations[:, None])
+
+
+def in_image(camera: Camera, pixels: Array) -> Array:
+    """Return the mask (...) of pixels (..., 2) that lie within the image."""
+    return np.asarray(((pixels >= -0.5) & (pixels <= np.array(camera.image_size) - 0.5)).all(axis=-1))
+
+
+def _detection(camera: Camera, index: int, seen: Array, pixels: Array) -> Detection:
+    if not seen.any():
+        return Detection.nothing(view_name(index), camera.image_size, "no corner of the board is in the image")
+    return Detection(view_name(index), camera.image_size, np.flatnonzero(seen), pixels[seen])
+
+
+def make_camera(
+    model: CameraModel, size: tuple[int, int], fov: float, distortion: Mapping[str, float] | None = None
+) -> Camera:
+    """Return a camera whose images of `size` (width, height) are `fov` (rad) wide.
+
+    distortion: coefficients by name, the others are zero; None for typical ones and a principal point off the centre.
+    Raises InvalidInput if the model has no such coefficient or cannot hold the field of view.
+    """
+    if min(size) < 16 or max(size) > 32000:
+        raise InvalidInput(f"images of {size[0]} × {size[1]} are not simulated; use 16 to 32000 a side")
+    unit = _distorted(model, model.start((1, 1), 1.0), distortion)
+    edge = model.project(unit, np.array([[np.sin(fov / 2), 0.0, np.cos(fov / 2)]]))
+    if not 0 < fov < 2 * np.pi or not edge.valid[0] or not 0 < edge.pixels[0, 0] < WIDEST:
+        raise InvalidInput(f"{model.name} cannot hold a field of view of {np.degrees(fov):g}° with this distortion")
+    parameters = _distorted(model, model.start(size, size[0] / 2 / edge.pixels[0, 0]), distortion)
+    if distortion is None:
+        parameters[2:4] += np.array(OFF_CENTRE) * size[0]
+    return Camera(model, size, parameters)
+
+
+def _distorted(model: CameraModel, parameters: Array, distortion: Mapping[str, float] | None) -> Array:
+    if distortion is None:
+        distortion = model.typical
+    for name, value in distortion.items():
+        if name not in model.parameter_names[4:]:
+            known = ", ".join(model.parameter_names[4:]) or "none"
+            raise InvalidInput(f"{model.name} has no coefficient {name!r}; it has {known}")
+        parameters[model.parameter_names.index(name)] = value
+    return parameters

@@ -1,6 +1,7 @@
 """Pairs of photographs of a generated world, rectified, with the exact disparity of every pixel.
 
-The left camera stands in the origin of the world, the right one `baseline` to its right; both see along z.
+The left camera stands in the origin of the world, the right one `baseline` to its right; both see along z. A disparity
+belongs to the ray through the middle of a pixel; nothing is taken from the pictures.
 
 A picture is what every pixel gathers under a point spread, which is the pixel's own square blurred by a Gaussian. The
 image plane is cut into cells, several to a pixel. A cell on one surface has the brightness of its middle, for paint is
@@ -9,7 +10,7 @@ lies on it: that is exact for edges of even surfaces.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 
@@ -20,12 +21,98 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.simulate.coverage import REACH, spread
-from camcal.simulate.stereo_eyes import Eye, disparity, seen, strips
-from camcal.simulate.stereo_surfaces import Surface, colours
+from camcal.simulate.render import REACH, spread
+from camcal.simulate.stereo_surfaces import NOTHING, Surface, colours, first_hits
 from camcal.simulate.stereo_world import Sight, make_world
 
+SAME = 1e-6  # by this share may depths differ that are those of one point
+
+_STRIP = 1 << 18  # rays that are worked on at once: their temporaries stay near the processor's cache
 GRAY = np.array([0.114, 0.587, 0.299])  # of BGR, ITU-R BT.601
+CELLS = 2  # along a pixel
+SHARPEST = 0.3  # px of blur; with less the finest paint would alias between cells
+FINE = 8  # an edge cell is looked at in 64 places, 8 by 8, but shifted: they lie in 64 different columns and rows
+_FINE_LENGTH = 1 / (CELLS * FINE)
+
+
+@dataclass(frozen=True, eq=False)
+class Eye:
+    """A pinhole that looks along z: its place (3,), metres, size (width, height), focal length and centre in pixels.
+
+    row_shift: by how many pixels its image lies too low; row_tilt: by how much more at the right border than at the
+    left one, 0 in between.
+    """
+
+    place: Array
+    size: tuple[int, int]
+    focal: float
+    centre: tuple[float, float]
+    row_shift: float = 0.0
+    row_tilt: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place", readonly(self.place, (3,), "place"))
+
+    def rays(self, columns: Array, rows: Array) -> tuple[Array, Array]:
+        """Return x and y of the directions (x, y, 1) in which pixels look."""
+        level = rows - self._lower(columns)
+        return (columns - self.centre[0]) / self.focal, (level - self.centre[1]) / self.focal
+
+    def pixels(self, points: Array) -> tuple[Array, Array]:
+        """Return the columns and the rows at which points (N, 3), metres, are seen."""
+        x, y, z = (points - self.place).T
+        columns = self.focal * x / z + self.centre[0]
+        return columns, self.focal * y / z + self.centre[1] + self._lower(columns)
+
+    def contains(self, columns: Array, rows: Array) -> Array:
+        """Return which places (N,) lie on a pixel of the image."""
+        width, height = self.size
+        return (columns >= -0.5) & (columns <= width - 0.5) & (rows >= -0.5) & (rows <= height - 0.5)
+
+    def _lower(self, columns: Array) -> Array:
+        return np.asarray(self.row_shift + self.row_tilt * (columns / (self.size[0] - 1) - 0.5))
+
+
+def disparity(surfaces: Sequence[Surface], eye: Eye, other: Eye) -> tuple[Array, Array]:
+    """Return the disparity (H, W), float32 pixels, at the pixels of an eye, and which of them (H, W) the other sees.
+
+    The disparity is the column of the left eye less that of the right one; NaN where nothing is seen.
+    """
+    width, height = eye.size
+    result = np.full((height, width), np.nan, np.float32)
+    visible = np.zeros((height, width), bool)
+    sign = 1 if eye.place[0] < other.place[0] else -1
+    for first, last in strips(height, width):
+        rows, columns = (grid.ravel() for grid in np.mgrid[first:last, 0:width].astype(float))
+        surface, points = seen(surfaces, eye, columns, rows)
+        with np.errstate(invalid="ignore"):
+            matches, levels = other.pixels(points)
+            result[first:last] = (sign * (columns - matches)).reshape(-1, width)
+            found = (surface != NOTHING) & other.contains(matches, levels)
+        found[found] = ~_hidden(surfaces, other, points[found])
+        visible[first:last] = found.reshape(-1, width)
+    return result, visible
+
+
+def _hidden(surfaces: Sequence[Surface], eye: Eye, points: Array) -> Array:
+    """Return which points (N, 3) another surface hides from an eye."""
+    x, y, z = (points - eye.place).T
+    return np.asarray(first_hits(surfaces, eye.place, x / z, y / z)[1] < z * (1 - SAME))
+
+
+def seen(surfaces: Sequence[Surface], eye: Eye, columns: Array, rows: Array) -> tuple[Array, Array]:
+    """Return which surface an eye sees at pixels (N,), and which point (N, 3) of it, NaN if none."""
+    x, y = eye.rays(columns, rows)
+    surface, depths = first_hits(surfaces, eye.place, x, y)
+    depths[surface == NOTHING] = np.nan
+    return surface, eye.place + depths[:, None] * np.stack([x, y, np.ones_like(x)], axis=1)
+
+
+def strips(height: int, rays_of_a_row: int) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last but one row of parts of an image that are worked on at once."""
+    rows = max(1, _STRIP // rays_of_a_row)
+    for first in range(0, height, rows):
+        yield first, min(height, first + rows)
 
 
 @dataclass(frozen=True)
@@ -175,13 +262,6 @@ def _counts(brightness: Array, options: PairOptions, rng: np.random.Generator) -
     noise = rng.standard_normal(brightness.shape, dtype=np.float32) * (options.noise / 255)
     values = np.rint(np.clip(brightness + noise, 0, 1) * full)
     return np.asarray(values, dtype=np.uint8 if options.depth == 8 else np.uint16)
-
-
-CELLS = 2  # along a pixel
-SHARPEST = 0.3  # px of blur; with less the finest paint would alias between cells
-FINE = 8  # an edge cell is looked at in 64 places, 8 by 8, but shifted: they lie in 64 different columns and rows
-
-_FINE_LENGTH = 1 / (CELLS * FINE)
 
 
 def picture(surfaces: Sequence[Surface], eye: Eye, blur: float) -> Array:

@@ -1,16 +1,23 @@
-"""Least squares over residual blocks by the arrow's normal equations: the solver of calibrations and poses."""
+"""Least squares over residual blocks by the arrow's normal equations: the solver of calibrations and poses.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+The equations are summed up in arrow form: group by group, and what all of them share.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Generic, Protocol, TypeVar
 
-from camcal.solve.assembly import assemble
+import numpy as np
+
+from camcal.arrays import Array
 from camcal.solve.descent import STOPPING, Observer, Proposal, Stopping, descend, unobserved
-from camcal.solve.steps import Block, Factors, NormalEquations, Step, factorise
+from camcal.solve.steps import Block, Factors, Jacobian, NormalEquations, Step, factorise
 
 State = TypeVar("State")
 
 __all__ = ["STOPPING", "Problem", "Solution", "Stopping", "linearise", "minimise"]
+_PART_ROWS = 4000  # of a block at a time
 
 
 class Problem(Protocol[State]):
@@ -83,3 +90,247 @@ class _ArrowSearch(Generic[State]):
 
     def retract(self, state: State, step: Step) -> State:
         return self.problem.retract(state, step)
+
+
+def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int) -> NormalEquations:
+    """Return the normal equations of residual blocks over `shared` parameters and `groups` groups of `group_size`."""
+    grouped = [part.columns for block in blocks if block.group is not None for part in block.shared]
+    dense = max((int(columns.max(initial=-1)) + 1 for columns in grouped if columns.ndim == 1), default=0)
+    total = _Sums(
+        0.0,
+        np.zeros(shared),
+        group_gradient=np.zeros((groups, group_size)),
+        group_group=np.zeros((groups, group_size, group_size)),
+        group_shared=np.zeros((groups, group_size, shared)),
+        shared_shared=np.zeros((shared, shared)),
+        group_gradients=np.zeros((groups, shared)),
+        group_products=np.zeros((groups, dense, dense)),
+    )
+    for block in blocks:
+        for part, where in _parts(block):
+            total.add(part, where)
+    # a group that no residual depends on stays where it is
+    total.group_group[~total.group_group.any(axis=(1, 2))] = np.eye(group_size)
+    return NormalEquations(
+        total.cost,
+        Step(total.shared_gradient, total.group_gradient),
+        group_group=total.group_group,
+        group_shared=total.group_shared,
+        shared_shared=total.shared_shared,
+        group_gradients=total.group_gradients,
+        group_products=total.group_products,
+    )
+
+
+@dataclass
+class _Sums:
+    """The running sums of `assemble`."""
+
+    cost: float
+    shared_gradient: Array
+    group_gradient: Array
+    group_group: Array
+    group_shared: Array
+    shared_shared: Array
+    group_gradients: Array
+    group_products: Array
+
+    def add(self, block: Block, where: slice | Array) -> None:
+        """Add a block whose runs of rows belong to the groups `where`."""
+        weights = self._weigh(block)
+        dense = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 1]
+        sparse = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 2]
+        columns = np.concatenate([jacobian.columns for jacobian in dense] or [np.zeros(0, np.intp)])
+        parts = [jacobian.values for jacobian in dense]
+        if block.group is not None:
+            parts.insert(0, block.group)
+        rows = _rows([*parts, block.residuals[..., None]], np.sqrt(weights))
+        size = 0 if block.group is None else block.group.shape[-1]
+        if block.rows_per_group:
+            self._add_grouped(block, where, rows, size, columns)
+        else:
+            self._add_ungrouped(rows, columns)
+        for jacobian in sparse:
+            self._add_sparse(block, where, jacobian, rows, size, columns, weights)
+        for first, second in combinations(sparse, 2):
+            self._add_cross(first, second, weights)
+
+    def _weigh(self, block: Block) -> Array:
+        """Return the total weight of each row and add the block's cost."""
+        squared = np.einsum("md,md->m", block.residuals, block.residuals)
+        weights = np.ones(len(squared)) if block.weights is None else block.weights
+        squared = squared * weights
+        if block.loss is None:
+            self.cost += 0.5 * float(squared.sum())
+            return np.asarray(weights)
+        self.cost += 0.5 * float(block.loss.cost(squared).sum())
+        return np.asarray(weights * block.loss.weight(squared))
+
+    def _add_grouped(self, block: Block, where: slice | Array, rows: Array, size: int, columns: Array) -> None:
+        dimension, count, length = rows.shape
+        runs = rows.reshape(dimension, count, length // block.rows_per_group, block.rows_per_group)
+        stacked = runs.transpose(0, 2, 1, 3)
+        gram = np.asarray(sum(run @ run.transpose(0, 2, 1) for run in stacked))
+        group, shared, residual = slice(0, size), slice(size, count - 1), count - 1
+        gradients = gram[:, shared, residual]
+        _add_at(self.group_group, where, gram[:, group, group])
+        _add_at(self.group_gradient, where, gram[:, group, residual])
+        if isinstance(where, slice):
+            span = _span(columns)
+            self.group_shared[where, :, span] += gram[:, group, shared]
+            self.group_gradients[where, span] += gradients
+        else:
+            np.add.at(
+                self.group_shared, (where[:, None, None], np.arange(size)[:, None], columns), gram[:, group, shared]
+            )
+            np.add.at(self.group_gradients, (where[:, None], columns), gradients)
+        self.shared_gradient[columns] += gradients.sum(axis=0)
+        self.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
+        products = np.zeros((len(gram), *self.group_products.shape[1:]))
+        products[:, columns[:, None], columns] = gram[:, shared, shared]
+        _add_at(self.group_products, where, products)
+
+    def _add_ungrouped(self, rows: Array, columns: Array) -> None:
+        gram = np.einsum("dim,djm->ij", rows, rows)
+        self.shared_gradient[columns] += gram[:-1, -1]
+        self.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
+
+    def _add_sparse(
+        self,
+        block: Block,
+        where: slice | Array,
+        jacobian: Jacobian,
+        rows: Array,
+        size: int,
+        columns: Array,
+        weights: Array,
+    ) -> None:
+        """Add a Jacobian whose columns differ from row to row."""
+        own = _rows([jacobian.values], np.sqrt(weights))
+        places = _repeated(block, jacobian) if isinstance(where, slice) else None
+        if places is None or not isinstance(where, slice):
+            self._add_scattered(block, where, jacobian, own, rows, size, columns)
+        else:
+            self._add_repeated(where, places, own, rows, size, columns)
+
+    def _add_repeated(
+        self, where: slice, places: Sequence[slice], own: Array, rows: Array, size: int, columns: Array
+    ) -> None:
+        """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
+        shape = where.stop - where.start, -1
+        own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
+        for axis, place in enumerate(places):
+            products = sum(first * second for first, second in zip(own[:, axis], rows, strict=True))
+            total = products.sum(axis=1)
+            self.shared_gradient[place] += total[-1]
+            self.shared_shared[place, columns] += total[size:-1].T
+            self.shared_shared[columns, place] += total[size:-1]
+            self.group_gradients[where, place] += products[-1]
+            self.group_shared[where, :, place] += products[:size].swapaxes(0, 1)
+            for other, across in zip(np.einsum("dgp,dlgp->lp", own[:, axis], own), places, strict=True):
+                np.einsum("ii->i", self.shared_shared[place, across])[:] += other
+
+    def _add_scattered(
+        self,
+        block: Block,
+        where: slice | Array,
+        jacobian: Jacobian,
+        own: Array,
+        rows: Array,
+        size: int,
+        columns: Array,
+    ) -> None:
+        """Add a Jacobian with any columns, by scattered sums."""
+        at, shared = jacobian.columns.T, len(self.shared_gradient)
+        products = np.einsum("dlm,djm->ljm", own, rows)
+        _scatter(self.shared_gradient, at, products[:, -1])
+        _scatter(self.shared_shared, at[:, None] * shared + at[None, :], np.einsum("dlm,dkm->lkm", own, own))
+        cross = np.zeros((shared, shared))
+        index = at[:, None] * shared + columns[None, :, None]
+        _scatter(cross, index, products[:, size:-1])
+        self.shared_shared += cross + cross.T
+        if block.rows_per_group:
+            runs = np.arange(own.shape[-1]) // block.rows_per_group
+            group = runs + where.start if isinstance(where, slice) else where[runs]
+            _scatter(self.group_gradients, group * shared + at, products[:, -1])
+            index = (group * size + np.arange(size)[:, None])[None] * shared + at[:, None]
+            _scatter(self.group_shared, index, products[:, :size])
+
+    def _add_cross(self, first: Jacobian, second: Jacobian, weights: Array) -> None:
+        """Add the products of two Jacobians whose columns differ from row to row."""
+        root, shared = np.sqrt(weights), len(self.shared_gradient)
+        products = np.einsum("dlm,dkm->lkm", _rows([first.values], root), _rows([second.values], root))
+        cross = np.zeros((shared, shared))
+        _scatter(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
+        self.shared_shared += cross + cross.T
+
+
+def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:
+    """Return a block in parts of whole groups that fit the processor's caches, and the groups of each."""
+    length = block.rows_per_group
+    if not length or block.groups is not None:
+        yield block, slice(0, 0) if block.groups is None else block.groups
+        return
+    groups = len(block.residuals) // length
+    step = max(_PART_ROWS // length, 1)
+    for first in range(0, groups, step):
+        where = slice(first, min(first + step, groups))
+        rows = slice(where.start * length, where.stop * length)
+        part = replace(
+            block,
+            residuals=block.residuals[rows],
+            shared=tuple(_rows_of(jacobian, rows) for jacobian in block.shared),
+            group=None if block.group is None else block.group[rows],
+            weights=None if block.weights is None else block.weights[rows],
+        )
+        yield part, where
+
+
+def _rows_of(jacobian: Jacobian, rows: slice) -> Jacobian:
+    columns = jacobian.columns if jacobian.columns.ndim == 1 else jacobian.columns[rows]
+    return Jacobian(jacobian.values[rows], columns)
+
+
+def _span(columns: Array) -> slice | Array:
+    """Return consecutive columns as a slice, which is faster."""
+    if len(columns) and (np.diff(columns) == 1).all():
+        return slice(columns[0], columns[-1] + 1)
+    return columns
+
+
+def _repeated(block: Block, jacobian: Jacobian) -> list[slice] | None:
+    """Return which columns each derivative of a Jacobian has in a run of rows, where these are evenly spaced and the
+    same in every run, else None.
+    """
+    length = block.rows_per_group
+    if length < 2:
+        return None
+    run = jacobian.columns[:length]
+    steps = np.diff(run, axis=0)
+    if (steps != steps[0, 0]).any() or steps[0, 0] < 1 or (jacobian.columns.reshape(-1, *run.shape) != run).any():
+        return None
+    return [slice(first, last + 1, steps[0, 0]) for first, last in zip(run[0], run[-1], strict=True)]
+
+
+def _rows(parts: Sequence[Array], root_weights: Array) -> Array:
+    """Return parts (M, D, L_i) side by side, weighted, laid out (D, ΣL, M)."""
+    length, dimension = parts[0].shape[:2]
+    result = np.empty((dimension, sum(part.shape[-1] for part in parts), length))
+    start = 0
+    for part in parts:
+        np.multiply(part.transpose(1, 2, 0), root_weights, out=result[:, start : start + part.shape[-1]])
+        start += part.shape[-1]
+    return result
+
+
+def _scatter(target: Array, index: Array, values: Array) -> None:
+    """Add values to the flat positions `index` of a contiguous array; repeated positions add up."""
+    index = np.broadcast_to(index, values.shape)
+    target += np.bincount(index.ravel(), values.ravel(), target.size).reshape(target.shape)
+
+
+def _add_at(target: Array, where: slice | Array, values: Array) -> None:
+    if isinstance(where, slice):
+        target[where] += values
+    else:
+        np.add.at(target, where, values)

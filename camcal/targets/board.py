@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.targets.boards import layouts
 from camcal.targets.boards.short_forms import fields_of

@@ -6,7 +6,7 @@ import numpy as np
 
 from camcal.calibrate.effects import EffectColumns
 from camcal.calibrate.variances import EffectScales
-from camcal.solve.assembly import assemble
+from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian
 
 VIEWS, ROWS = 5, 14  # rows of two coordinates each

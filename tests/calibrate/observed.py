@@ -7,8 +7,7 @@ import numpy as np
 from camcal.calibrate.problem import State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 
 SIZE = (1600, 1200)

@@ -16,7 +16,7 @@ from camcal.calibrate.averaging import (
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.variances import posterior, scaled
 from camcal.geometry import rotation as so3
-from camcal.solve.assembly import assemble
+from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian, factorise
 
 VIEWS, ROWS, LENS, GROUP = 7, 20, 3, 6

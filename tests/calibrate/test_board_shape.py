@@ -7,7 +7,7 @@ from observed import make_scene, turned
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.simulate import shapes
-from camcal.simulate.observe import project_all
+from camcal.simulate.scene import project_all
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import CLASSES, basis
 

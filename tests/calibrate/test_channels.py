@@ -14,9 +14,8 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
-from camcal.simulate.sensor import lenses
+from camcal.simulate.mosaics import lenses
+from camcal.simulate.scene import observe, views
 from camcal.simulate.shapes import bow
 from camcal.targets.board import Board, Detection
 

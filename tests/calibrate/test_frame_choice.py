@@ -23,9 +23,8 @@ from camcal.calibrate.frames import (
 )
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.quality.forecast import calibration_std
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.quality.projection_uncertainty import calibration_std
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 
 BOARD = Board("chessboard", 9, 6, 0.025)

@@ -16,7 +16,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import observe
+from camcal.simulate.scene import observe
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import factorise
 from camcal.targets.board import Board, Detection

@@ -17,7 +17,7 @@ from camcal.calibrate.single_points import point_equations
 from camcal.calibrate.variances import EffectScales, Posterior
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import observe
+from camcal.simulate.scene import observe
 from camcal.solve.steps import Step
 from camcal.targets.board import Board
 

@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from camcal.calibrate import variances
 from camcal.calibrate.variances import EffectScales, fit_effects, likelihood_gain, posterior, scaled
-from camcal.solve.assembly import assemble
+from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian, factorise
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from camcal.calibrate.view_offsets import Found, ViewOffsets, followed
-from camcal.solve.assembly import assemble
+from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian
 
 VIEWS, ROWS, POSE, EFFECTS, LENS = 8, 15, 6, 3, 4

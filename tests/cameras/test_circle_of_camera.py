@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view, folds_inside, rim, valid_block
+from camcal.cameras.validity import ImageCircle, field_of_view, folds_inside, rim, valid_block
 
 SIZE = (641, 481)
 MIDDLE = np.array([320.0, 240.0])

@@ -5,8 +5,7 @@ import pytest
 
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
-from camcal.cameras.pixel_size import field_size, pixel_angles, pixel_sizes
-from camcal.cameras.validity import field_of_view
+from camcal.cameras.validity import field_of_view, field_size, pixel_angles, pixel_sizes
 
 SIZE = (640, 480)
 PIXELS = np.array([[319.5, 239.5], [0.0, 0.0], [639.0, 100.0]])

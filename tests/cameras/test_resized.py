@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera
-from camcal.cameras.resized import resized
+from camcal.cameras.model import Camera, resized
 from camcal.errors import InvalidInput
 
 

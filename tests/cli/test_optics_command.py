@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 

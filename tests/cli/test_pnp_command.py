@@ -15,7 +15,7 @@ from camcal.cli.main import app
 from camcal.formats import detections, native, poses
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import observe
+from camcal.simulate.scene import observe
 from camcal.targets.board import parse_board
 
 SETTINGS = Path(__file__).parents[2] / "sample_configs" / "pnp.yaml"

@@ -14,9 +14,8 @@ from camcal.images.save import save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Capture, Mosaic
 from camcal.raw.pixel_formats import pack, pixel_format_named
-from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
 from camcal.simulate.options import Sensor
-from camcal.simulate.sensor import FixedPattern
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate
 

@@ -8,7 +8,7 @@ import pytest
 
 from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 SIGMA = 0.02
 KNOWN = ("--q", "1,1", "--sigma", "0.01,0.01")

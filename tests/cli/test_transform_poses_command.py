@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.formats import pointclouds, trajectories
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 RIG = """format: camcal-calibration
 version: 1

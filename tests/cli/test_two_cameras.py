@@ -9,8 +9,7 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import detections
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Detections
 
 BOARD = Board("chessboard", 9, 6, 0.040)

@@ -12,7 +12,7 @@ import toy_model
 from camcal.cameras.catalogue import MODELS as REGISTERED
 from camcal.cameras.plane_model import PART
 from camcal.errors import InvalidInput
-from camcal.simulate.lens import make_camera
+from camcal.simulate.scene import make_camera
 from camcal.solve.differentiate import central_jacobian
 
 IMAGE_SIZE = (641, 481)

@@ -7,7 +7,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.trajectory_error import ErrorOptions, align, associate, pairs, trajectory_error
 from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 # Computed with evo 1.38.1 (nearest stamps within 0.01 s; RPE of consecutive pairs, or of all): ATE, RPE in m and deg.
 EVO = [

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import detections, detections_csv
 from camcal.targets.board import Detection, Detections, parse_board

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import (

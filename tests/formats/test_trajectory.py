@@ -9,7 +9,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import trajectories
 from camcal.formats.trajectories.ros import static_transform_publisher
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 TUM = "0 1 2 3 0 0 0 1\n"
 YAML = """format: camcal-trajectory

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camcal.geometry.dual_quaternion import dual_quaternion_error, from_dual_quaternion, to_dual_quaternion
 from camcal.geometry.pose import Pose
+from camcal.geometry.rotation import dual_quaternion_error, from_dual_quaternion, to_dual_quaternion
 
 POSES = st.tuples(*[st.floats(-2, 2)] * 6).map(lambda v: Pose.from_vector(np.array(v[:3]), np.array(v[3:])))
 

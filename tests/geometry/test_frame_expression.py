@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.geometry.frame_expression import evaluate
+from camcal.geometry.frame_graph import evaluate
 from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import Pose
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.geometry import rotation as so3
-from camcal.geometry.orthogonality import examine
+from camcal.geometry.rotation import examine
 
 ROTATION = so3.exp(np.array([0.3, -0.5, 1.0]))
 

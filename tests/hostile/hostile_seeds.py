@@ -18,10 +18,9 @@ from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.points.vertices import VertexStream, vertex_type
+from camcal.stereo.points.frames import VertexStream, vertex_type
 from camcal.targets.board import Board
 
 FILE, OUT, GOOD = "FILE", "OUT", "GOOD/"

@@ -9,7 +9,7 @@ from camcal.errors import InvalidInput
 from camcal.images.options import ViewOptions
 from camcal.images.remap import INTERPOLATIONS, align_channels, build_maps
 from camcal.images.views import make_view
-from camcal.simulate.sensor import lenses
+from camcal.simulate.mosaics import lenses
 
 SIZE = (160, 120)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([130.0, 131, 82, 58, -0.2, 0.05, 1e-3, -1e-3, 0]))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.images.lattice import STEP, Trace, bands, exact_bands
 from camcal.images.options import ViewOptions

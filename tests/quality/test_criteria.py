@@ -16,14 +16,13 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, Options, RejectedCorner, calibrate
 from camcal.calibrate.several_cameras import TwoCameras
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.quality.advise import advise
 from camcal.quality.criteria import CRITERIA
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, parse_board
 
 WIDTH, HEIGHT = SIZE = (1600, 1200)

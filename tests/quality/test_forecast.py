@@ -11,9 +11,8 @@ from camcal.errors import InsufficientData
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.forecast import calibration_std, forecast_pose
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.quality.projection_uncertainty import calibration_std, forecast_pose
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import parse_board
 
 SIZE = (1280, 960)

@@ -15,8 +15,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 
 BOARD = Board("chessboard", 9, 6, 0.040)

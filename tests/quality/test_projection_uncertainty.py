@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import MODELS, model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.quality.projection_uncertainty import projection_uncertainty

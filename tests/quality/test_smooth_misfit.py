@@ -9,8 +9,7 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 
 BOARD = Board("chessboard", 9, 6, 0.040)

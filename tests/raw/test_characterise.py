@@ -11,9 +11,8 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import FULL_WELL, NOT_REACHED, WHITE_LEVEL, characterise
-from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
 from camcal.simulate.options import Sensor
-from camcal.simulate.sensor import FixedPattern
 
 SENSOR = Sensor(0.3, 4.0, 12000.0, 100.0, 12, dark_current_e_s=40.0, prnu=0.01, dsnu_e=2.0)
 SIZE = (240, 180)

@@ -11,9 +11,8 @@ from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import characterise
 from camcal.report.figures import photon_transfer, require_suffix
-from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
 from camcal.simulate.options import Sensor
-from camcal.simulate.sensor import FixedPattern
 
 
 @cache

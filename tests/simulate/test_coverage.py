@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from camcal.simulate.coverage import draw, piece_length
+from camcal.simulate.render import draw, piece_length
 
 MOVE = np.array([8.0, 5.0])
 PLACE = st.floats(-10.0, 30.0)

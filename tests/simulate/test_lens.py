@@ -5,7 +5,7 @@ import pytest
 
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.errors import InvalidInput
-from camcal.simulate.lens import make_camera
+from camcal.simulate.scene import make_camera
 
 SIZE = (1280, 960)
 

@@ -7,7 +7,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.simulate.observe import observe
+from camcal.simulate.scene import observe
 from camcal.simulate.shapes import bow
 from camcal.targets.board import Board
 

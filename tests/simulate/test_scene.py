@@ -6,9 +6,7 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
-from camcal.simulate.lens import make_camera
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import make_camera, observe, views
 from camcal.targets.board import Board, parse_board
 
 BOARD = Board("chessboard", 9, 6, 0.025)

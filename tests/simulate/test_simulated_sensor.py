@@ -7,11 +7,20 @@ from camcal.cameras.catalogue import MODELS
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.raw.mosaic import sites
-from camcal.simulate.lens import make_camera
-from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder, photograph
+from camcal.simulate.mosaics import (
+    FixedPattern,
+    RawCamera,
+    Shot,
+    even_frame,
+    expose,
+    filtered,
+    ladder,
+    lenses,
+    photograph,
+)
 from camcal.simulate.options import Sensor
 from camcal.simulate.render import Exposure, evenly_lit
-from camcal.simulate.sensor import FixedPattern, expose, filtered, lenses
+from camcal.simulate.scene import make_camera
 from camcal.simulate.shapes import FLAT
 from camcal.targets.board import parse_board
 

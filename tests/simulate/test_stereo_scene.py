@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from camcal.errors import InvalidInput
-from camcal.simulate import stereo_eyes
-from camcal.simulate.coverage import draw
+from camcal.simulate import stereo_scene
+from camcal.simulate.render import draw
 from camcal.simulate.stereo_scene import PairOptions, Scene, make_scene, render_pair
 from camcal.simulate.stereo_surfaces import Ball, Facet, Paint
 
@@ -200,7 +200,7 @@ def test_a_seed_gives_the_same_pair_and_another_seed_another():
 
 def test_strips_of_a_large_image_join_without_a_seam(monkeypatch):
     scene, whole = drawn(0)
-    monkeypatch.setattr(stereo_eyes, "_STRIP", 20_000)  # rays: a strip of a few rows of pixels
+    monkeypatch.setattr(stereo_scene, "_STRIP", 20_000)  # rays: a strip of a few rows of pixels
     found = render_pair(scene, np.random.default_rng(0))
     assert np.array_equal(found.left, whole.left)
     assert np.array_equal(found.right, whole.right)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from camcal.solve import assembly
-from camcal.solve.assembly import assemble
+from camcal.solve import least_squares
+from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Block, Jacobian, NormalEquations, SingularError, Step, factorise
 
@@ -147,7 +147,7 @@ def cases(rng):
 @pytest.mark.parametrize("rows", [5, 4000])
 @pytest.mark.parametrize("name", cases(np.random.default_rng(0)))
 def test_equations_are_the_sums_of_all_rows(monkeypatch, name, rows):
-    monkeypatch.setattr(assembly, "_PART_ROWS", rows)  # in parts of a group or two, and at once
+    monkeypatch.setattr(least_squares, "_PART_ROWS", rows)  # in parts of a group or two, and at once
     blocks, dense = cases(np.random.default_rng(1))[name]
     found = assemble(blocks, SHARED, GROUPS, SIZE)
     assert found.group_products.shape == (GROUPS, dense, dense)

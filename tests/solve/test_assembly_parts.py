@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.solve.assembly import assemble
+from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian, lowest_along
 
 GROUPS, ROWS, SIZE, DENSE, POINTS = 90, 100, 2, 3, 5  # 9 000 rows: several parts

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from camcal.solve.assembly import assemble
 from camcal.solve.dense import assemble_dense
+from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Block, Jacobian, SingularError, factorise
 

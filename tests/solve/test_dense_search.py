@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from camcal.solve.dense_search import DenseMethod, linearise_dense, minimise_dense
+from camcal.solve.dense import DenseMethod, linearise_dense, minimise_dense
 from camcal.solve.descent import Stopping
 from camcal.solve.differentiate import complex_jacobian
 from camcal.solve.least_squares import minimise

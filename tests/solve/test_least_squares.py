@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from camcal.solve.assembly import assemble
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.least_squares import Stopping, assemble, minimise
 from camcal.solve.losses import Cauchy, Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step, factorise
 

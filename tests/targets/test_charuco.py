@@ -8,8 +8,8 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.geometry.pose import Pose
-from camcal.simulate.lens import make_camera
 from camcal.simulate.render import Exposure, render
+from camcal.simulate.scene import make_camera
 from camcal.targets.board import parse_board
 from camcal.targets.checker.charuco import find_charuco
 from camcal.targets.detect import detect

@@ -10,8 +10,8 @@ from drawn import picture, pose
 
 from camcal.cameras.catalogue import model_named
 from camcal.geometry.pose import Pose
-from camcal.simulate.lens import make_camera
 from camcal.simulate.render import render
+from camcal.simulate.scene import make_camera
 from camcal.targets.board import Board, parse_board
 from camcal.targets.checker.charuco import find_charuco
 from camcal.targets.checker.charuco_rows import ends_after, rows_seen

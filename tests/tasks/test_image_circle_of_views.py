@@ -13,13 +13,11 @@ import pytest
 from camcal.calibrate.intrinsics import Options
 from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import folds_inside
+from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Detection, Detections
 from camcal.tasks.calibration import model_selection
 from camcal.tasks.calibration.calibrate import calibrate

@@ -14,8 +14,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import detections
 from camcal.progress import SILENT
-from camcal.simulate.observe import observe
-from camcal.simulate.scene import views
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Detection, Detections, parse_board
 from camcal.targets.mixed_sizes import CLOCKWISE, COUNTER_CLOCKWISE, pixel_map
 from camcal.tasks.calibration.board_views import board_views

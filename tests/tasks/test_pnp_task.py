@@ -18,7 +18,7 @@ from camcal.formats.poses.record import PixelNoise, Sight
 from camcal.geometry.pose import Pose
 from camcal.progress import Silent
 from camcal.report import pose_words
-from camcal.simulate.observe import observe
+from camcal.simulate.scene import observe
 from camcal.targets.board import Detection, Detections, parse_board
 from camcal.targets.surface import Surface
 from camcal.tasks.poses.pnp import Gates, PnpOptions, PriorOptions, pnp

@@ -20,8 +20,8 @@ from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.raw.options import MONO, PATTERNS, GivenLayout
 from camcal.raw.pixel_formats import pack, pixel_format_named
+from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit
-from camcal.simulate.sensor import filtered, lenses
 from camcal.targets.board import Board, parse_board
 from camcal.tasks.calibration.detect import MIXED, detect_images
 from camcal.tasks.calibration.options import DetectOptions, Reading

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
-from camcal.cameras.rig import Rig
+from camcal.cameras.model import Camera, Rig
 from camcal.errors import InvalidInput
 from camcal.formats import detections
 from camcal.formats.camera_file import CameraEntry, CameraFile

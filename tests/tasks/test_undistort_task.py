@@ -8,8 +8,8 @@ import pytest
 from PIL import Image as Pillow
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion

@@ -13,7 +13,7 @@ from camcal.arrays import Array
 from camcal.estimate.curves.fit import quantile
 from camcal.estimate.curves.problem import CurveProblem
 from camcal.estimate.curves.result import CurveFit
-from camcal.solve.dense_search import DenseMethod, linearise_dense, minimise_dense
+from camcal.solve.dense import DenseMethod, linearise_dense, minimise_dense
 from camcal.solve.descent import Stopping
 
 _STOPPING = Stopping(1e-10, 200, damping=1e-3, least=1 / 3, rise=2.0)

@@ -10,8 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.curves import robust
 from camcal.estimate.curves.curve import Curve, Data, require_enough
 from camcal.estimate.curves.problem import CurveProblem
-from camcal.solve.dense import DenseEquations
-from camcal.solve.dense_search import DenseMethod, linearise_dense, minimise_dense
+from camcal.solve.dense import DenseEquations, DenseMethod, linearise_dense, minimise_dense
 from camcal.solve.descent import Descent, Iteration, Stopping
 
 METHODS = ("levenberg-marquardt", "gauss-newton")

@@ -12,7 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.linear_system import LinearSystem, Smoothed
-from camcal.solve.tridiagonal import banded, blocks_of
+from camcal.solve.triangles import banded, blocks_of
 
 _LOST = 1e-14  # a pivot this much smaller than its diagonal is rounding
 _SMALL_STATE = 3  # up to this size all covariances come from one banded triangle, above it from a loop

@@ -14,7 +14,7 @@ from camcal.arrays import Array
 from camcal.estimate.smoothing.linear_system import LinearSystem
 from camcal.estimate.smoothing.motion_models import MotionModel
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from camcal.estimate.smoothing.robust import robust_weights
 from camcal.estimate.smoothing.smooth import require_size, smooth_system
 from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 _SETTLED = 1e-7  # rad
 _ITERATIONS = 50

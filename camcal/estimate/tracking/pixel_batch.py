@@ -17,7 +17,7 @@ from camcal.errors import InsufficientData
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, difference
 from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised
 from camcal.geometry import rotation as so3
-from camcal.solve.tridiagonal import TridiagonalFactor, factorise
+from camcal.solve.triangles import TridiagonalFactor, factorise
 
 _ITERATIONS = 20
 _SETTLED = 1e-3  # decrease of a chain's cost that is no longer worth a step

@@ -14,7 +14,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes, replacing
 from camcal.formats.pointclouds import glb, glb_reading, las, npz, pcd, ply, xyz
 from camcal.formats.pointclouds.record import PointCloudFile
-from camcal.stereo.points.vertices import VertexStream
+from camcal.stereo.points.frames import VertexStream
 
 __all__ = ["SUFFIXES", "PointCloudFile", "read", "require_suffix", "write"]
 

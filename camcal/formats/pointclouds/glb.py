@@ -17,7 +17,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, blocks_of
 from camcal.geometry.axes import rotation_of
-from camcal.stereo.points.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.points.frames import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2
 HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file

@@ -10,7 +10,7 @@ from camcal.errors import FileError
 from camcal.formats.pointclouds import glb
 from camcal.formats.pointclouds.record import PointCloudFile, cloud_of
 from camcal.raw.tone import encode
-from camcal.stereo.points.vertices import METRES
+from camcal.stereo.points.frames import METRES
 
 _KINDS = {number: np.dtype(name) for name, number in glb.COMPONENTS.items()}
 

@@ -16,7 +16,7 @@ from camcal.errors import CamcalError, FileError
 from camcal.formats import strict_json
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, cloud_of
 from camcal.images.npy import arrays_of
-from camcal.stereo.points.vertices import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 _FIELDS: dict[str, tuple[str, ...]] = {
     "points": POSITION,

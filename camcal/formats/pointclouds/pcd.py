@@ -15,7 +15,7 @@ from camcal.formats.pointclouds import text
 from camcal.formats.pointclouds.lzf import decompressed
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, comments_of, from_comments
 from camcal.parsing import parse_integer
-from camcal.stereo.points.vertices import COLOUR, VertexStream
+from camcal.stereo.points.frames import COLOUR, VertexStream
 
 _NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}  # as PCL has them
 _PACKED = ("rgb", "rgba")

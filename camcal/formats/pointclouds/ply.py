@@ -14,7 +14,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError
 from camcal.formats.pointclouds import text
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, comments_of, from_comments
-from camcal.stereo.points.vertices import VertexStream
+from camcal.stereo.points.frames import VertexStream
 
 _WRITTEN = {"f": "float", "u": "uchar"}
 _TYPES = {

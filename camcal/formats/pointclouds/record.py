@@ -8,7 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.stereo.points.vertices import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
+from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
 
 MILLIMETRES = "mm"
 

@@ -12,7 +12,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError
 from camcal.formats.pointclouds import text
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, from_comments
-from camcal.stereo.points.vertices import COLOUR, INTENSITY, METRES, NORMAL, POSITION, VertexStream
+from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, VertexStream
 
 _PLAIN: dict[int, tuple[str, ...]] = {
     3: POSITION,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from camcal.errors import InvalidInput
 from camcal.formats.trajectories import line_formats, native, ros, table
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 KINDS = {
     "tum": (".tum", ".txt"),

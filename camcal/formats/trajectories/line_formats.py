@@ -10,7 +10,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.formats.trajectories.rows import named, numbers, trajectory
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 _FRAMES = "frames:"
 _TUM, _KITTI, _EUROC = 8, 12, (8, 17)

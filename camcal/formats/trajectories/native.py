@@ -15,7 +15,7 @@ from camcal.formats.strict_yaml import MAX_VALUES, Document, child
 from camcal.formats.trajectories import ros, tracked
 from camcal.formats.trajectories.rows import ORDER, QUATERNION, named, trajectory
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 FORMAT = "camcal-trajectory"
 VERSION = 1

@@ -17,8 +17,7 @@ from camcal.formats.strict_yaml import Document, child
 from camcal.formats.trajectories.rows import trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import frames_of
-from camcal.geometry.pose import Pose
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Pose, Trajectory
 
 KEY = "transforms"
 

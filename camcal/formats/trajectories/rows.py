@@ -9,7 +9,7 @@ from camcal.errors import InvalidInput
 from camcal.formats.tables import LONGEST_QUOTE, Lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import frames_of
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 from camcal.parsing import parse_number, parse_numbers
 
 DEFAULT_FRAMES = "world_T_camera"

@@ -13,7 +13,7 @@ from camcal.formats import tables
 from camcal.formats.trajectories import line_formats, tracked
 from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, numbers, trajectory
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 FORMAT = "camcal-trajectory"
 

@@ -11,7 +11,7 @@ from camcal.formats.schema import integer, items, mapping, matrix, number, one_o
 from camcal.formats.strict_yaml import Document, child
 from camcal.formats.tables import Lines, Table
 from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, named, trajectory
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 
 FORMAT = "camcal-track"
 

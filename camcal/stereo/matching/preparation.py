@@ -6,9 +6,8 @@ from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.stereo.matching.gray import GrayPair, gray_pair
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
-from camcal.stereo.pair.coarse import CoarseMap, coarse_map
-from camcal.stereo.pair.pair_order import FINDINGS, SWAPPED, finding_of
-from camcal.stereo.pair.search_range import default_range, range_in
+from camcal.stereo.pair.coarse import CoarseMap, coarse_map, default_range, range_in
+from camcal.stereo.pair.pair_check import FINDINGS, SWAPPED, finding_of
 
 _FEWEST = 4  # disparities; with fewer there is nothing between them
 _WIDEST = 1 << 14

@@ -1,13 +1,20 @@
-"""Roughly where pixels of a pair are in the other image: two looks at reduced size, the first at all there could be."""
+"""Roughly where pixels of a pair are in the other image: two passes at reduced size, the first over all there could be.
+
+From the coarse map comes the range of disparities to search. Features that both images share say where to compare
+their rows, their exposure and their order.
+"""
 
 import math
+from dataclasses import dataclass
+from math import ceil, floor, sqrt
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from camcal.arrays import Array
-from camcal.stereo.pair.features import require_pair
+from camcal.arrays import Array, readonly, require_shape
+from camcal.errors import InvalidInput
+from camcal.opencv import resized
 
 LOOKS = (128, 256)  # px of width; the first look is for all disparities up to half the width, either sign
 
@@ -33,6 +40,11 @@ _PRICE = 0.007  # share of the matches that makes a range worth widening by its 
 _NEARLY_ALL, _LEAST_SPAN = (0.02, 0.98), 2.0  # quantiles, and pixels, of that span
 _FEWEST = 50  # matches
 _FEWEST_SHARE = 0.02  # of the pixels; noise alone gives fewer
+_FAR, _NEAR = 0.04, 0.12  # margins, of the span: what is missed at reduced size is thin and stands in front
+_DEFAULT_SHARE = 1 / 6  # of the width
+PIXELS = 1e6  # of the image features are looked for in; they are found to a part of a pixel that is as large there
+_MOST = 1500  # features of an image; more make the trend of the rows no surer than it is already
+_FEATURE_CONTRAST = 0.01  # SIFT's own limit is 0.04, too much for dark images; the strongest are taken anyway
 
 
 class CoarseMap(NamedTuple):
@@ -220,3 +232,100 @@ def _repeated(image: Array, farthest: int) -> Array:
 def _least(pixels: int) -> float:
     """Return how many matches of a map of so many pixels are enough to go by."""
     return max(_FEWEST, _FEWEST_SHARE * pixels)
+
+
+def default_range(width: int) -> tuple[int, int]:
+    """Return the range of disparities for images that do not tell theirs: 0 to a sixth of their width, pixels."""
+    return 0, max(1, round(_DEFAULT_SHARE * width))
+
+
+def range_in(coarse: CoarseMap, width: int) -> tuple[int, int] | None:
+    """Return the smallest and the largest disparity to look for, pixels, with margins; None if the map tells none.
+
+    coarse: of a pair whose images are `width` pixels wide; it tells none where nothing is matched but what repeats
+    itself. The range is negative where the cameras are toed in, or where left and right are swapped.
+    """
+    known = coarse.disparities[np.isfinite(coarse.disparities)]
+    if not known.size or coarse.periodic:
+        return None
+    low, high = float(known.min()), float(known.max())
+    pixel, span = max(1.0, width / LOOKS[-1]), high - low
+    return floor(low - pixel - _FAR * span) - 1, ceil(high + pixel + _NEAR * span) + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Features found in both images of a pair, each the other's best match; some are wrong.
+
+    left, right: (N, 2) pixels, column and row. turns: (N,) radians from the left feature's direction to the right
+    one's, -π … π, positive clockwise. size: (width, height) of the images. contrast: standard deviation of the gray
+    levels in the image that has less, counts.
+    """
+
+    left: Array
+    right: Array
+    turns: Array
+    size: tuple[int, int]
+    contrast: float
+
+    def __post_init__(self) -> None:
+        count = len(self.left)
+        object.__setattr__(self, "left", readonly(self.left, (count, 2), "left"))
+        object.__setattr__(self, "right", readonly(self.right, (count, 2), "right"))
+        object.__setattr__(self, "turns", readonly(self.turns, (count,), "turns"))
+
+    @property
+    def coarseness(self) -> float:
+        """Side of the pixels that features were looked for in, pixels of the images."""
+        return max(1.0, sqrt(self.size[0] * self.size[1] / PIXELS))
+
+
+def match_features(left: Array, right: Array) -> Matches:
+    """Return the features two images share. left, right: (H, W) uint8.
+
+    Raises InvalidInput for images of different sizes. Source: Lowe, Distinctive Image Features from Scale-Invariant
+    Keypoints, IJCV 2004.
+    """
+    left, right = require_pair(left, right)
+    scale = min(1.0, sqrt(PIXELS / left.size))
+    size, contrast = (left.shape[1], left.shape[0]), contrast_of(left, right)
+    first, second = _Features(left, scale), _Features(right, scale)
+    if not first.count or not second.count:
+        return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), size, contrast)
+    likeness = first.descriptors @ second.descriptors.T
+    best, best_back = likeness.argmax(axis=1), likeness.argmax(axis=0)
+    mutual = np.flatnonzero(best_back[best] == np.arange(first.count))
+    partners = best[mutual]
+    turns = second.angles[partners] - first.angles[mutual]
+    turns = (turns + np.pi) % (2 * np.pi) - np.pi
+    return Matches(first.pixels[mutual], second.pixels[partners], turns, size, contrast)
+
+
+def require_pair(left: Array, right: Array) -> tuple[Array, Array]:
+    """Return both images of a pair as (H, W) uint8; raises InvalidInput unless they are, and of one size."""
+    left = require_shape(left, (None, None), "left", np.uint8)
+    right = require_shape(right, (None, None), "right", np.uint8)
+    if left.shape != right.shape:
+        sizes = (*left.shape[::-1], *right.shape[::-1])
+        raise InvalidInput("the images differ in size: {}x{} and {}x{}".format(*sizes))
+    return left, right
+
+
+def contrast_of(*images: Array) -> float:
+    """Return the least standard deviation of the gray levels of images (H, W) uint8, counts."""
+    return min(float(np.ravel(cv2.meanStdDev(image)[1])[0]) for image in images)
+
+
+class _Features:
+    """The strongest features of an image: pixels (N, 2), angles (N,) radians and descriptors (N, 128) of length 1."""
+
+    def __init__(self, gray: Array, scale: float) -> None:
+        finder = cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_FEATURE_CONTRAST)
+        small = gray if scale == 1 else resized(gray, scale)
+        points, descriptors = finder.detectAndCompute(small, np.empty(0, np.uint8))
+        self.count = len(points)
+        ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
+        self.pixels = (np.array([point.pt for point in points]).reshape(-1, 2) + 0.5) * ratio - 0.5
+        self.angles = np.radians([point.angle for point in points])
+        found = np.zeros((0, 128), np.float32) if descriptors is None else np.asarray(descriptors)
+        self.descriptors = found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)

@@ -17,8 +17,18 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
 from camcal.stereo.points.depth import StereoImage, row_blocks, widened
-from camcal.stereo.points.frames import UNITS, BackProjection, Frame
-from camcal.stereo.points.vertices import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
+from camcal.stereo.points.frames import (
+    COLOUR,
+    INTENSITY,
+    NORMAL,
+    POSITION,
+    SIGMA,
+    UNITS,
+    BackProjection,
+    Frame,
+    VertexStream,
+    vertex_type,
+)
 
 _REACH = 4  # pixels to all sides
 _FEWEST = 6  # matches in a window

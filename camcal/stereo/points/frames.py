@@ -1,5 +1,6 @@
-"""Where the points of a cloud are said to be: the frames, and pixels with their depth taken to one of them."""
+"""Points of a cloud in the frame asked for, as vertices: records without padding, in blocks that fit in memory."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -10,16 +11,21 @@ from camcal.errors import InvalidInput
 from camcal.geometry.axes import CONVENTIONS, change
 from camcal.geometry.pose import Pose
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.points.vertices import LEFT_CAMERA, METRES
 
+POSITION = ("x", "y", "z")
+COLOUR = ("red", "green", "blue")
+NORMAL = ("nx", "ny", "nz")
+INTENSITY = "intensity"
+SIGMA = "sigma"
+
+METRES = "m"
+LEFT_CAMERA = "left camera: x right, y down, z forward"
 OPTICAL = "optical"
 CAMERA = "camera"
 ROS = "ros"
 OPENGL = "opengl"
 ENU = "enu"
-
 UNITS = MappingProxyType({METRES: 1.0, "mm": 1000.0})
-
 _TURNS = {name: change(CONVENTIONS["opencv"], CONVENTIONS[name]) for name in (ROS, OPENGL)}
 WORDS = MappingProxyType(
     {
@@ -31,6 +37,45 @@ WORDS = MappingProxyType(
     }
 )
 FRAMES = tuple(WORDS)
+
+
+def vertex_type(
+    *, colour: bool = False, intensity: bool = False, normals: bool = False, sigma: bool = False
+) -> np.dtype[np.void]:
+    """Return the record of one vertex: x y z, then what else it has, in the order in which files hold it.
+
+    x y z: float32. red green blue: uint8. intensity: float32, 0 … 1. nx ny nz: float32, of length 1. sigma: float32,
+    standard deviation of the depth, in the unit of x y z.
+    """
+    fields = [(name, "<f4") for name in POSITION]
+    if colour:
+        fields += [(name, "u1") for name in COLOUR]
+    if intensity:
+        fields.append((INTENSITY, "<f4"))
+    if normals:
+        fields += [(name, "<f4") for name in NORMAL]
+    if sigma:
+        fields.append((SIGMA, "<f4"))
+    return np.dtype(fields)
+
+
+@dataclass(frozen=True, eq=False)
+class VertexStream:
+    """A point cloud on its way to a file.
+
+    count: number of vertices, known before the first. type: their record, see `vertex_type`. blocks: structured arrays
+    (N,) of that type which together hold `count`; can be gone through once. unit: m or mm. frame: in words. notes:
+    more that files with room for comments carry, such as fx and the baseline. grid: (width, height) if the vertices
+    are the pixels of an image, row by row, with NaN where there is no point; None otherwise.
+    """
+
+    count: int
+    type: np.dtype[np.void]
+    blocks: Iterable[Array]
+    unit: str = METRES
+    frame: str = LEFT_CAMERA
+    notes: dict[str, str] = field(default_factory=dict)
+    grid: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,8 @@
 """Errors of a disparity map against the truth, the way Middlebury and KITTI count them.
 
-Every figure is given for the non-occluded pixels and for all that have a truth, and there twice: with pixels without a
-disparity counted as bad, and among those that have one.
-
-Sparsification tells whether the pixels that a matcher calls uncertain are the ones that are wrong.
+Every figure is given for the non-occluded pixels, which the right camera sees as well, and for all that have a truth,
+and there twice: with pixels without a disparity counted as bad, and among those that have one. Sparsification tells
+whether the pixels that a matcher calls uncertain are the ones that are wrong.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,20 @@ from camcal.stereo.points.depth import StereoImage
 
 _STEPS = 100
 _LARGEST = 1 << 20  # pixels; of more than that every n-th is enough and sorted in no time
+NON_OCCLUDED = "nocc"
+ALL = "all"
+AMONG_VALID = "-valid"
+THRESHOLDS = (0.5, 1.0, 2.0, 3.0, 4.0)
+FIGURES = (
+    "density", *(f"bad{threshold:g}" for threshold in THRESHOLDS), "d1", "avg", "rms", "a50", "a90", "a99",
+    "z_avg_m", "z_a50_m", "z_a90_m", "z_avg_percent", "z_a50_percent", "z_a90_percent", "within1", "within2", "ause",
+)  # fmt: skip
+AT_LEAST = ("density", "within1", "within2")  # of all other figures less is better
+_QUANTILES = (50, 90, 99)
+_ONE_SIGMA = 68  # percent
+_MEANS = ("error68", "bad1", "bad2", "sigma", "within1", "within2")
+_SAME_VIEW = 0.01  # of the ratio of width to height: the same images at another size
+_TOLERANCE = 1.0  # pixels: what quarter-pixel truths and slanted surfaces leave between the two views
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,23 +72,6 @@ def sparsify(error: Array, sigma: Array) -> Sparsification:
         for certainty in (sigma, error)
     )
     return Sparsification(by_sigma, by_error)
-
-
-NON_OCCLUDED = "nocc"
-ALL = "all"
-AMONG_VALID = "-valid"
-THRESHOLDS = (0.5, 1.0, 2.0, 3.0, 4.0)
-
-FIGURES = (
-    "density", *(f"bad{threshold:g}" for threshold in THRESHOLDS), "d1", "avg", "rms", "a50", "a90", "a99",
-    "z_avg_m", "z_a50_m", "z_a90_m", "z_avg_percent", "z_a50_percent", "z_a90_percent", "within1", "within2", "ause",
-)  # fmt: skip
-AT_LEAST = ("density", "within1", "within2")  # of all other figures less is better
-
-_QUANTILES = (50, 90, 99)
-_ONE_SIGMA = 68  # percent
-_MEANS = ("error68", "bad1", "bad2", "sigma", "within1", "within2")
-_SAME_VIEW = 0.01  # of the ratio of width to height: the same images at another size
 
 
 @dataclass(frozen=True)
@@ -330,3 +326,42 @@ def _require_size(name: str, image: Array | None, disparity: Array) -> None:
     if name == "truth" and abs(across / down - 1) < _SAME_VIEW:
         advice = f"; match images of that size, or make the truth {across:.4g} times as large and its values as well"
     raise InvalidInput(f"the {name} is {size}, the disparity map {wanted}; they must be the same{advice}")
+
+
+def seen_by_both(truth: Array, right_truth: Array) -> Array:
+    """Return where the truths of both images agree within a pixel (H, W), bool.
+
+    truth, right_truth: (H, W) disparity of the left and the right image, pixels, NaN where unknown; both positive for
+    what is in front of the cameras. A pixel whose counterpart is unknown or outside does not agree.
+    Raises InvalidInput if the sizes differ.
+    """
+    if truth.shape != right_truth.shape:
+        sizes = " and ".join("{1} × {0}".format(*image.shape) for image in (truth, right_truth))
+        raise InvalidInput(f"the truths of the left and the right image are {sizes}; they must be the same size")
+    column, inside = _counterparts(truth)
+    there = np.take_along_axis(right_truth, column, axis=1)
+    return np.asarray(inside & (np.abs(truth - there) <= _TOLERANCE))
+
+
+def unhidden(truth: Array) -> Array:
+    """Return where nothing nearer lies before a pixel in the right image (H, W), bool, by the left truth alone.
+
+    truth: (H, W) pixels, NaN where unknown. What is unknown hides nothing, so this finds less than `seen_by_both`.
+    """
+    column, inside = _counterparts(truth)
+    height, width = truth.shape
+    nearest = np.full(truth.size, -np.inf, truth.dtype)
+    rows = np.broadcast_to(np.arange(height)[:, None] * width, truth.shape)[inside]
+    exact = (np.arange(width) - truth)[inside]
+    for side in (np.floor(exact), np.ceil(exact)):  # both, so that what is stretched in the right image has no gaps
+        np.maximum.at(nearest, rows + side.astype(np.intp), truth[inside])
+    found = np.take_along_axis(nearest.reshape(truth.shape), column, axis=1)
+    return np.asarray(inside & (truth >= found - _TOLERANCE))
+
+
+def _counterparts(truth: Array) -> tuple[Array, Array]:
+    """Return the nearest column to the counterpart of each pixel in the right image, and which have one inside it."""
+    width = truth.shape[1]
+    exact = np.arange(width) - truth
+    inside = (exact >= 0) & (exact <= width - 1)  # False for NaN
+    return np.where(inside, np.rint(exact), 0).astype(np.intp), inside

@@ -14,7 +14,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.model_choice import Contender
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict

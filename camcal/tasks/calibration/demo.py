@@ -6,7 +6,7 @@ from typing import Any
 from camcal import files
 from camcal.calibrate.intrinsics import Calibration
 from camcal.progress import SILENT, Progress
-from camcal.simulate.observe import Truth
+from camcal.simulate.scene import Truth
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
 from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
 from camcal.tasks.calibration.undistort import UndistortReport, undistort

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from camcal.arrays import Array
-from camcal.cameras.image_circle import ImageCircle
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.formats.camera_file import CameraEntry
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced

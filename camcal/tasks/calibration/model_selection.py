@@ -9,8 +9,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.intrinsics import Calibration, compare_models
 from camcal.calibrate.model_choice import GAIN, Contender, chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.image_circle import ImageCircle
-from camcal.cameras.validity import folds_inside
+from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.targets.board import Board, Detection

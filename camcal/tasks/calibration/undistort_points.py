@@ -8,8 +8,8 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.views import make_view

@@ -10,8 +10,8 @@ import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.formats.pose_forms import form_of
-from camcal.geometry.frame_expression import evaluate as evaluate_product
 from camcal.geometry.frame_graph import FrameGraph, Loop
+from camcal.geometry.frame_graph import evaluate as evaluate_product
 from camcal.geometry.named import Derived, Key, NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop

@@ -10,8 +10,8 @@ from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_forms import LoosePose, form_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import NamedTransform, frames_of
-from camcal.geometry.orthogonality import HOPELESS, Orthogonality, examine
 from camcal.geometry.pose import Pose
+from camcal.geometry.rotation import HOPELESS, Orthogonality, examine
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.pose_sources import read_loose

@@ -19,7 +19,7 @@ from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.outputs import refuse_overwriting
 from camcal.run.pose_sources import files_of, read_one
-from camcal.stereo.points.vertices import METRES, NORMAL, POSITION, VertexStream
+from camcal.stereo.points.frames import METRES, NORMAL, POSITION, VertexStream
 from camcal.tasks.frames.options import PointsOptions
 
 _CSV = ".csv"

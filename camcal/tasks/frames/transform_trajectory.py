@@ -10,8 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import trajectories
 from camcal.geometry.axes import reexpress, reexpress_jacobian
 from camcal.geometry.named import frames_of
-from camcal.geometry.pose import inverse_jacobian
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
 from camcal.run.pose_sources import split_name

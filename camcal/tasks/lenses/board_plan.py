@@ -13,9 +13,9 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.optics import light, precision
-from camcal.quality.forecast import calibration_std, forecast_pose
-from camcal.simulate.observe import observe
+from camcal.optics import lens
+from camcal.quality.projection_uncertainty import calibration_std, forecast_pose
+from camcal.simulate.scene import observe
 from camcal.simulate.scene import views as scene_views
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, Board
 from camcal.targets.boards.types import TAG_BORDER
@@ -234,9 +234,9 @@ def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, fil
 def _blur_factor(setup: Setup, known: AtDistance) -> float:
     """Return how much more a corner scatters than in a sharp image at rest: by defocus and motion, where known."""
     number, pitch = setup.effective_f_number, setup.pitch
-    spot = 0.0 if number is None or pitch is None else light.airy_sigma(setup.options.wavelength, number) / pitch
-    spread = precision.edge_spread(spot, known.blur_px or 0.0, known.motion_px or 0.0)
-    return precision.edge_noise_factor(spread, precision.edge_spread(spot, 0.0, 0.0))
+    spot = 0.0 if number is None or pitch is None else lens.airy_sigma(setup.options.wavelength, number) / pitch
+    spread = lens.edge_spread(spot, known.blur_px or 0.0, known.motion_px or 0.0)
+    return lens.edge_noise_factor(spread, lens.edge_spread(spot, 0.0, 0.0))
 
 
 def _calibration(setup: Setup, board: Board, options: BoardOptions) -> tuple[Mapping[str, float] | None, str | None]:

@@ -7,9 +7,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
-from camcal.cameras.pixel_size import field_size, pixel_angles, pixel_sizes
-from camcal.cameras.validity import field_of_view
-from camcal.optics import lens, light, precision
+from camcal.cameras.validity import field_of_view, field_size, pixel_angles, pixel_sizes
+from camcal.optics import lens
 from camcal.tasks.lenses.optics_setup import Setup
 
 
@@ -57,7 +56,7 @@ class Diffraction:
     @property
     def limited(self) -> bool:
         """Whether the lens, not the pixels, limits how fine a detail is."""
-        return self.airy_px is not None and self.airy_px > light.AIRY_PIXELS
+        return self.airy_px is not None and self.airy_px > lens.AIRY_PIXELS
 
 
 @dataclass(frozen=True)
@@ -147,11 +146,11 @@ def diffraction(setup: Setup) -> Diffraction | None:
     number, pitch, wavelength = setup.effective_f_number, setup.pitch, setup.options.wavelength
     if number is None:
         return None
-    disc = light.airy_diameter(wavelength, number)
+    disc = lens.airy_diameter(wavelength, number)
     if pitch is None:
         return Diffraction(disc)
-    contrast = light.diffraction_contrast(wavelength, number, pitch)
-    return Diffraction(disc, disc / pitch, contrast, light.widest_sharp_f_number(wavelength, pitch))
+    contrast = lens.diffraction_contrast(wavelength, number, pitch)
+    return Diffraction(disc, disc / pitch, contrast, lens.widest_sharp_f_number(wavelength, pitch))
 
 
 def exposure(setup: Setup) -> Exposure | None:
@@ -159,8 +158,8 @@ def exposure(setup: Setup) -> Exposure | None:
     number, effective, time = setup.options.f_number, setup.effective_f_number, setup.options.exposure
     if number is None or effective is None:
         return None
-    value = None if time is None else light.exposure_value(number, time)
-    return Exposure(effective, light.bellows_stops(setup.magnification or 0.0), value)
+    value = None if time is None else lens.exposure_value(number, time)
+    return Exposure(effective, lens.bellows_stops(setup.magnification or 0.0), value)
 
 
 def image_circle(setup: Setup) -> ImageCircle | None:
@@ -233,10 +232,10 @@ def _motion(setup: Setup, pixel: float | None) -> tuple[float | None, float | No
     speed, time = setup.options.speed, setup.options.exposure
     if speed is None or pixel is None:
         return None, None, None
-    longest = precision.longest_exposure(speed, 1.0, pixel)
+    longest = lens.longest_exposure(speed, 1.0, pixel)
     if time is None:
         return None, longest, None
-    return precision.motion_blur(speed, time, pixel), longest, light.stops_between(time, longest)
+    return lens.motion_blur(speed, time, pixel), longest, lens.stops_between(time, longest)
 
 
 def _stereo(setup: Setup, distance: float) -> tuple[float | None, float | None]:
@@ -244,7 +243,7 @@ def _stereo(setup: Setup, distance: float) -> tuple[float | None, float | None]:
     if baseline is None or setup.camera is None:
         return None, None
     fx = setup.camera.value("fx")
-    return fx * baseline / distance, precision.depth_error(distance, fx, baseline, setup.options.disparity_noise)
+    return fx * baseline / distance, lens.depth_error(distance, fx, baseline, setup.options.disparity_noise)
 
 
 def missing(setup: Setup) -> dict[str, str]:

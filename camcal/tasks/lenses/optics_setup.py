@@ -7,13 +7,12 @@ from functools import cached_property
 from math import inf, isfinite
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
-from camcal.cameras.pixel_size import field_size
+from camcal.cameras.validity import ImageCircle, field_size
 from camcal.errors import InvalidInput
 from camcal.formats import native
 from camcal.optics import lens
-from camcal.optics.light import effective_f_number
+from camcal.optics.lens import effective_f_number
 from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
 from camcal.run.inputs import split_address
 from camcal.tasks.lenses.options import OpticsOptions, is_possible

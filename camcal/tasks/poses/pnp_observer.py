@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from camcal.cameras.model import Camera
-from camcal.cameras.rig import Rig
+from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses, estimate_rig_poses
 from camcal.formats.camera_file import CameraFile, Noise

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera
-from camcal.cameras.resized import resized
+from camcal.cameras.model import Camera, resized
 from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import Correspondences
 from camcal.formats import boards, tags

@@ -12,7 +12,7 @@ from camcal.estimate.smoothing.poses import PosesOptions, SmoothedPoses, poses_a
 from camcal.estimate.trajectory_error import TrajectoryError, trajectory_error
 from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 from camcal.progress import Progress
 from camcal.report.over_time import Panel, over_time
 from camcal.tasks.poses.smooth_options import SmoothOptions

@@ -18,7 +18,7 @@ from camcal.formats import poses, tracks, trajectories
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tracks import TrackedObject
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 from camcal.progress import SILENT, Progress
 from camcal.report import track_words
 from camcal.run.inputs import Media, find_media, require_there

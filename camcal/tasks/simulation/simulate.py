@@ -24,10 +24,8 @@ from camcal.run.camera_files import read_camera_file
 from camcal.run.fanout import fan_out
 from camcal.run.inputs import split_address
 from camcal.simulate import mosaics
-from camcal.simulate.lens import make_camera
-from camcal.simulate.observe import Truth, observe, view_name
 from camcal.simulate.render import render
-from camcal.simulate.scene import views
+from camcal.simulate.scene import Truth, make_camera, observe, view_name, views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
 from camcal.targets.pattern import pattern_of

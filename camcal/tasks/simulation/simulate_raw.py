@@ -13,8 +13,7 @@ from camcal.formats.camera_file import CameraEntry, ValidRegion
 from camcal.images.save import save
 from camcal.progress import Progress, require_all
 from camcal.run.fanout import fan_out
-from camcal.simulate.mosaics import RawCamera, Shot, even_frame, ladder
-from camcal.simulate.sensor import FixedPattern, lenses
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder, lenses
 from camcal.tasks.simulation.options import RawOptions
 
 FLATS, DARKS = "flats", "darks"

@@ -22,10 +22,8 @@ from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
 from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import UNITS, Frame, frame_named
-from camcal.stereo.points.outliers import RADIUS
-from camcal.stereo.points.selection import Selected, Selection, depth_figures, select
-from camcal.stereo.points.vertices import VertexStream
+from camcal.stereo.points.frames import UNITS, Frame, VertexStream, frame_named
+from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
 from camcal.tasks.stereo import rectified_pair
 from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
 from camcal.tasks.stereo.map_sources import named_file, stereo_image

@@ -20,8 +20,7 @@ from camcal.run.fanout import fan_out
 from camcal.run.inputs import recorded
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import find_pairs
-from camcal.stereo.pair.pair_check import PairCheck, check_pair
-from camcal.stereo.pair.pair_order import FINDINGS
+from camcal.stereo.pair.pair_check import FINDINGS, PairCheck, check_pair
 from camcal.tasks.stereo.options import StereoCheckOptions
 
 _SUFFIX = "_check.png"

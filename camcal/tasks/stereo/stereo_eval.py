@@ -26,8 +26,16 @@ from camcal.run.inputs import require_there
 from camcal.run.outputs import place, refuse_overwriting
 from camcal.run.pairs import paired
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Evaluation, Prediction, evaluate, mean_of
-from camcal.stereo.truth.visibility import seen_by_both, unhidden
+from camcal.stereo.truth.evaluate import (
+    AT_LEAST,
+    FIGURES,
+    Evaluation,
+    Prediction,
+    evaluate,
+    mean_of,
+    seen_by_both,
+    unhidden,
+)
 from camcal.tasks.stereo.map_sources import named_file
 from camcal.tasks.stereo.options import EvalOptions, TruthPair
 from camcal.tasks.stereo.rectified_pair import geometry_of, warn_of_file

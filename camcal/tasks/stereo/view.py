@@ -33,9 +33,8 @@ from camcal.run.fanout import over_threads
 from camcal.run.inputs import require_there
 from camcal.run.outputs import refuse_overwriting
 from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.frames import WORDS, Frame
+from camcal.stereo.points.frames import WORDS, Frame, VertexStream
 from camcal.stereo.points.selection import Selection, select
-from camcal.stereo.points.vertices import VertexStream
 from camcal.tasks.stereo.map_sources import named_file, stereo_image
 from camcal.tasks.stereo.options import GeometryOptions, ViewOptions
 from camcal.tasks.stereo.rectified_pair import pair_of

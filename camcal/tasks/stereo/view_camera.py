@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from camcal import files
-from camcal.cameras.image_circle import ImageCircle
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Verdict

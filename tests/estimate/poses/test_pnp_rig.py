@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
-from camcal.cameras.rig import Rig
+from camcal.cameras.model import Camera, Rig
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses, estimate_rig_poses
 from camcal.geometry.pose import Pose

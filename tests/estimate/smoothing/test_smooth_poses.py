@@ -10,7 +10,7 @@ from camcal.estimate.smoothing.motion_models import MotionModel
 from camcal.estimate.smoothing.pose_system import PoseGuess, PoseProblem
 from camcal.estimate.smoothing.poses import PosesOptions, poses_at, smooth_poses
 from camcal.geometry import rotation as so3
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Trajectory
 from camcal.solve.differentiate import central_jacobian
 
 DT, COUNT = 1 / 30, 120

@@ -15,8 +15,7 @@ from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.segments import Following
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
-from camcal.geometry.trajectory import Trajectory
+from camcal.geometry.pose import Pose, Trajectory
 
 STAMPS = np.arange(90) / 30
 MIDDLE = Pose(so3.about_x(np.pi - 0.5), np.array([0.05, -0.02, 1.0]))

@@ -8,7 +8,7 @@ import pytest
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds import glb, glb_reading, write
-from camcal.stereo.points.vertices import VertexStream
+from camcal.stereo.points.frames import VertexStream
 
 
 def chunks_of(content):

@@ -5,7 +5,7 @@ import pytest
 from textured import noisy, textured_pair, waves
 
 from camcal.stereo.matching.preparation import prepare
-from camcal.stereo.pair.pair_order import FINDINGS, SWAPPED
+from camcal.stereo.pair.pair_check import FINDINGS, SWAPPED
 
 
 def test_a_range_all_behind_infinity_is_a_failure_without_alignment():

@@ -11,7 +11,7 @@ from textured import noisy, textured_pair, waves
 
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.stereo.pair.alignment import align_rows, quick_residual, residual_of, row_correction, vertical_residual
-from camcal.stereo.pair.features import Matches
+from camcal.stereo.pair.coarse import Matches
 
 SIZE = (300, 240)
 

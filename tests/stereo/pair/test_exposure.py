@@ -5,7 +5,7 @@ import pytest
 from textured import darker, noisy, textured_pair, waves
 
 from camcal.stereo.pair.alignment import vertical_residual
-from camcal.stereo.pair.exposure import exposure_of
+from camcal.stereo.pair.pair_check import exposure_of
 
 
 @pytest.fixture(scope="module")

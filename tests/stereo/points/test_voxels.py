@@ -5,7 +5,7 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.stereo.points.cloud import drawn, one_per_voxel
-from camcal.stereo.points.vertices import vertex_type
+from camcal.stereo.points.frames import vertex_type
 
 EVERYTHING = vertex_type(colour=True, intensity=True, normals=True, sigma=True)
 
