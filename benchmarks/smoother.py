@@ -21,8 +21,7 @@ from functools import partial
 import numpy as np
 
 from camcal.estimate.smoothing.batch import solve_batch
-from camcal.estimate.smoothing.linear_system import LinearSystem, kalman_filter, rts
-from camcal.estimate.smoothing.motion_models import MotionModel
+from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
 from camcal.estimate.smoothing.series import Series, system_of
 
 Q, R = 0.04, 0.25

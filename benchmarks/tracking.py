@@ -26,8 +26,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses
 from camcal.estimate.tracking import pose_filter
-from camcal.estimate.tracking.measurements import PoseMeasurements
-from camcal.estimate.tracking.segments import candidates_at
+from camcal.estimate.tracking.segments import PoseMeasurements, candidates_at
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory

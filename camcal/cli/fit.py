@@ -7,7 +7,7 @@ from camcal.cli.command import Call
 from camcal.tasks.curves.options import TABLE, FitOptions
 
 if TYPE_CHECKING:
-    from camcal.estimate.curves.result import CurveFit, Estimate
+    from camcal.estimate.curves.curve import CurveFit, Estimate
     from camcal.tasks.curves.fit_report import FitReport
 
 

@@ -7,8 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from camcal.arrays import Array
-from camcal.estimate.curves.curve import predictions
-from camcal.estimate.curves.result import CurveFit
+from camcal.estimate.curves.curve import CurveFit, predictions
 from camcal.report.figures import STYLE, encoded
 
 _POINTS, _CURVE, _OUTLIERS = "tab:blue", "tab:red", "0.6"

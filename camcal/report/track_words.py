@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.jitter import Jitter
-from camcal.estimate.tracking.shaking import Shaking
+from camcal.estimate.tracking.jitter import Jitter, Shaking
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.tracks import TrackedObject
 

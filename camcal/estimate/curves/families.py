@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.curves import shapes, starts
+from camcal.estimate.curves import starts
 from camcal.estimate.curves.curve import Columns, Curve
+from camcal.estimate.curves.starts import Start
 
-Start = Mapping[str, float]
+_HIGHEST_POWER = 20
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,11 @@ FAMILIES: Mapping[str, Family] = {
             rise_10_90="2.5631031310892007*s",
         ),
     ),
-    "circle": Family("centre cx, cy and radius r", ("x", "y"), shapes.circle),
-    "line2d": Family("x cos(theta) + y sin(theta) = d", ("x", "y"), shapes.line_2d),
-    "plane": Family("a plane, one coordinate by the other two", ("x", "y", "z"), shapes.plane),
-    "line3d": Family("a line, two coordinates by the third", ("x", "y", "z"), shapes.line_3d),
+    "circle": Family("centre cx, cy and radius r", ("x", "y"), starts.circle),
+    "line2d": Family("x cos(theta) + y sin(theta) = d", ("x", "y"), starts.line_2d),
+    "plane": Family("a plane, one coordinate by the other two", ("x", "y", "z"), starts.plane),
+    "line3d": Family("a line, two coordinates by the third", ("x", "y", "z"), starts.line_3d),
 }
-_HIGHEST_POWER = 20
 
 
 def family_named(name: str) -> Family | None:

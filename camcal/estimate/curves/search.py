@@ -1,26 +1,133 @@
-"""A curve fitted to data: the search from its start, restarts, robust losses, and what the result is worth."""
+"""The search for the best fit of a curve: its residuals as a problem, restarts, and losses for data with outliers."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.curves import robust
-from camcal.estimate.curves.curve import Curve, Data, require_enough
-from camcal.estimate.curves.problem import CurveProblem
+from camcal.estimate.curves.curve import Curve, Data, predictions, predictions_with_jacobian, require_enough
 from camcal.solve.dense import DenseEquations, DenseMethod, linearise_dense, minimise_dense
 from camcal.solve.descent import Descent, Iteration, Stopping
+from camcal.solve.losses import Cauchy, Huber, Loss, SoftL1, Tukey
+from camcal.solve.steps import Block, Jacobian, Step
 
+# Loss of each name, at 95 % of the efficiency of least squares for normal errors (computed from its ψ).
+LOSSES: Mapping[str, tuple[Callable[[float], Loss], float]] = {
+    "huber": (Huber, 1.345),
+    "soft_l1": (SoftL1, 1.287),
+    "cauchy": (Cauchy, 2.385),
+    "tukey": (Tukey, 4.685),
+}
+_MEDIAN = {1: 0.6744897501960817, 2: 1.1774100225154747}  # of the length of a normal vector of so many components
+_SMALL = 1e-4
 METHODS = ("levenberg-marquardt", "gauss-newton")
-LOSSES = ("none", *robust.LOSSES)
 Found = Descent[Array, DenseEquations]
 Observe = Callable[[int, Iteration], None]
-
 _ITERATIONS = 2000
 LARGEST = 1e100  # of residuals and slopes: sums of their squares are numbers
 _ROUNDS, _STEADY = 30, 1e-3  # of the scale of a robust fit: how often it is found anew, and when it has settled
+
+
+@dataclass(frozen=True, eq=False)
+class CurveProblem:
+    """Predicted minus measured; `free` (L,) indices of the parameters that move, the others stay at `values` (K,).
+
+    low, high: (K,) bounds. loss: of residuals divided by sigma.
+    """
+
+    curve: Curve
+    data: Data
+    values: Array
+    free: Array
+    low: Array
+    high: Array
+    loss: Loss | None = None
+
+    @property
+    def shared(self) -> int:
+        return len(self.free)
+
+    @property
+    def groups(self) -> tuple[int, int]:
+        return 0, 0
+
+    def full(self, state: Array) -> Array:
+        """Return all parameters (K,) at a state (L,)."""
+        result = np.array(self.values)
+        result[self.free] = state
+        return result
+
+    def blocks(self, state: Array) -> Sequence[Block]:
+        """Return the one block of residuals; numbers in it are not finite where the curve is not defined."""
+        names = [self.curve.parameters[index] for index in self.free]
+        predicted, slopes = predictions_with_jacobian(
+            self.curve, self.data.columns, self.full(state), len(self.data), names
+        )
+        target = 0.0 if self.data.target is None else self.data.target[:, None]
+        weights = None if self.data.sigma is None else self.data.sigma**-2.0
+        with np.errstate(invalid="ignore", over="ignore"):
+            residuals = predicted - target
+        return [Block(residuals, (Jacobian(slopes, np.arange(self.shared)),), weights=weights, loss=self.loss)]
+
+    def residuals(self, state: Array) -> Array:
+        """Return the residuals (N·D,) alone."""
+        predicted = predictions(self.curve, self.data.columns, self.full(state), len(self.data))
+        return np.asarray(predicted if self.data.target is None else predicted - self.data.target[:, None]).ravel()
+
+    def retract(self, state: Array, step: Step) -> Array:
+        """Return the parameters moved by a step; a bound that the step ends at is met exactly."""
+        return np.asarray(np.clip(state + step.shared, self.low[self.free], self.high[self.free]))
+
+    def room(self, state: Array) -> tuple[Array, Array]:
+        """Return the least and the greatest step that the bounds allow."""
+        return self.low[self.free] - state, self.high[self.free] - state
+
+    def rounding(self) -> float:
+        """Return the cost of residuals that are rounding errors of the data and nothing else."""
+        if self.data.target is None:
+            sizes = np.sqrt(np.sum([column**2 for column in self.data.columns.values()], axis=0))
+        else:
+            sizes = self.data.target
+        weighted = sizes if self.data.sigma is None else sizes / self.data.sigma
+        return 0.5 * float(np.sum((np.finfo(float).eps * weighted) ** 2))
+
+
+def loss_named(name: str, scale: float) -> Loss | None:
+    """Return the loss of a name for residuals of standard deviation `scale`, None for least squares ('none')."""
+    if name == "none":
+        return None
+    kind, tuning = LOSSES[name]
+    return kind(tuning * scale)
+
+
+def spread(residuals: Array, freedom: int, parameters: int) -> float:
+    """Return the standard deviation of residuals (N, D) by the median of their lengths, which outliers hardly move.
+
+    freedom: how many of the D components are independent. parameters: how many the residuals were fitted by.
+    """
+    count = len(residuals) * freedom
+    lengths = np.linalg.norm(residuals, axis=1)
+    correction = np.sqrt(count / max(count - parameters, 1))
+    return float(np.median(lengths) / _MEDIAN[freedom] * correction)
+
+
+def covariance_factor(loss: Loss, squared: Array, freedom: int, parameters: int) -> float:
+    """Return what (JᵀJ)⁻¹ of unweighted residuals is to be multiplied by to be the covariance of a robust fit.
+
+    squared: (N,) squared lengths of the residuals. With ψ(r) = ρ'(r²) r it is E[ψ²] / E[ψ']², corrected for the
+    number of parameters. Source: Huber, Robust Statistics, 1981, equations 6.5 and 7.6.
+    """
+    weights = loss.weight(squared)
+    higher, lower = squared * (1 + _SMALL), squared * (1 - _SMALL)
+    bend = (loss.weight(higher) - loss.weight(lower)) / (2 * _SMALL)  # s dρ'/ds
+    slopes = weights + 2 * bend / freedom
+    count = len(squared) * freedom
+    power = float(np.sum(weights**2 * squared)) / max(count - parameters, 1)
+    mean = float(np.mean(slopes))
+    correction = 1 + parameters / count * float(np.var(slopes)) / mean**2
+    return correction**2 * power / mean**2
 
 
 @dataclass(frozen=True)
@@ -159,7 +266,7 @@ def _settled(problem: CurveProblem, name: str, searches: _Searches) -> Search:
     """Return the fit with a loss whose scale is that of the residuals it leaves; its problem has the fitted values."""
     for _ in range(_ROUNDS):
         scale = _scale(problem)
-        problem = replace(problem, loss=robust.loss_named(name, scale))
+        problem = replace(problem, loss=loss_named(name, scale))
         found = searches.best(problem)
         problem = replace(problem, values=problem.full(found.state))
         if abs(_scale(problem) - scale) <= _STEADY * scale:
@@ -172,5 +279,5 @@ def _scale(problem: CurveProblem) -> float:
     if problem.data.sigma is not None:
         return 1.0
     residuals = problem.blocks(problem.values[problem.free])[0].residuals
-    found = robust.spread(residuals, problem.curve.freedom, problem.shared)
+    found = spread(residuals, problem.curve.freedom, problem.shared)
     return max(found, float(np.sqrt(2 * problem.rounding() / len(problem.data))), np.finfo(float).tiny)

@@ -8,27 +8,27 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.extent import Extents
-from camcal.estimate.poses.groups import Group
 from camcal.estimate.poses.inliers import (
     KEPT_VARIANCE,
     MEDIAN,
     WIDTH,
     Agreement,
+    Sampling,
     Settled,
     approached,
     choose,
     likeliest_threshold,
+    sampled,
     settle,
     squared_as_new,
     truncated_cost,
 )
 from camcal.estimate.poses.judgement import Noise
-from camcal.estimate.poses.minima import anchors, lowest, pose_minima
-from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems
+from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems, anchors, lowest, pose_minima
 from camcal.estimate.poses.records import PoseOptions
-from camcal.estimate.poses.samples import Sampling, sampled
+from camcal.estimate.poses.sightings import Group
 from camcal.estimate.poses.starts import FEW
+from camcal.estimate.poses.states import Extents
 from camcal.solve.independent import Minima, joined
 
 MIN_POINTS = 4

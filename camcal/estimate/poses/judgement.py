@@ -9,12 +9,11 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.extent import NEAR_PLANE, Extents
 from camcal.estimate.poses.inliers import Agreement
-from camcal.estimate.poses.minima import lowest
 from camcal.estimate.poses.moments import covariances, inverses, scaled_eigenvalues
-from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.problem import PoseProblems, lowest
 from camcal.estimate.poses.records import Alternative, PoseEstimate
+from camcal.estimate.poses.states import NEAR_PLANE, Extents
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.solve.independent import REASONS, Minima

@@ -14,6 +14,7 @@ AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags
 WEAK_TURN, WEAK_PLACE = 0.1, 0.1  # standard deviations: rad, and share of the distance
 LARGEST_PX = 1e9  # of a noise; its inverse is the least: numbers beyond cannot be computed with
 WEAK_CHANCE, WEAK_MISFIT = 1e-3, 3.0  # poses; times the noise
+_PARTS = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +241,3 @@ class PoseEstimate:
             noise_covariance=jacobian @ self.noise_covariance @ jacobian.T,
             alternatives=tuple(other.inverse() for other in self.alternatives),
         )
-
-
-_PARTS = slice(0, 3), slice(3, 6)

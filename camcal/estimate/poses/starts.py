@@ -1,19 +1,129 @@
-"""First poses of many views by one camera."""
+"""First poses of many views by one camera: by the error in space, or through three points exactly.
 
+The error in space are the distances of the points from the rays they should lie on. Σ ‖(I - d dᵀ)(R x + t)‖² is
+quadratic in [R t], so that a linear solution starts a search among rotations alone; the best translation follows the
+rotation. Rays in place of pixels serve every lens, also for points beyond 90° from its axis.
+Sources: Lu, Hager & Mjolsness, PAMI 2000 (the error); Terzakis & Lourakis, SQPnP, ECCV 2020 (eigenvectors as starts).
+
+Poses that meet three points are solved for thousands of triplets at once. With distances λ along the unit rays d, the
+three equations |λi di - λj dj|² = |xi - xj|² are two homogeneous quadratic forms and a scale. A singular member of the
+forms' pencil is a pair of planes; each meets the other forms in two lines.
+Source: Persson & Nordberg, Lambda Twist: An Accurate Fast Robust Perspective Three Point (P3P) Solver, ECCV 2018;
+here with a homogeneous cubic, so that no member of the pencil is at infinity.
+"""
+
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.extent import IN_PLANE, NEAR_PLANE, Extents
-from camcal.estimate.poses.object_space import SpaceErrors
 from camcal.estimate.poses.sightings import Sightings
-from camcal.estimate.poses.three_points import poses_of_triplets
+from camcal.estimate.poses.states import IN_PLANE, NEAR_PLANE, Extents
 from camcal.geometry import rotation as so3
+from camcal.solve.descent import Stopping
+from camcal.solve.independent import Models, minimise_each
 
+_STARTS = 4  # eigenvectors, each with both signs
+_STOPPING = Stopping(relative_decrease=1e-3, iterations=15, damping=1e-3)
+_HELD = 1e-12  # keeps points on a single ray, whose distance is open, from being singular
+_PAIRS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where the upper triangle of a 3 × 3 matrix stands
+_UPPER = np.triu_indices(3)
+_GENERATORS = so3.hat(np.eye(3))
 FEW = 5  # points for which every choice of three gives starts: noise may have the others lead astray
 _LEAST = 4  # points below which only triplets give starts
+_POLISH = 3  # Newton steps on the distances
+_FIRST, _SECOND = [0, 0, 1], [1, 2, 2]  # the corners that each edge joins
+_FITS = 1e-8  # of the longest edge squared
+_DOUBLE = 1e-9  # a discriminant this little below zero is a double root's rounding
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceErrors:
+    """The errors in space of W views: (vec R)ᵀ Ω vec R with the best translation, which is `follow` · vec R.
+
+    form: Ω (W, 9, 9). follow: (W, 3, 9). facing: (W, 12), positive on a state's rows [R t] of points in front.
+    Points are in a frame with the origin at their mean; vec R goes row by row.
+    """
+
+    form: Array
+    follow: Array
+    facing: Array
+
+    @classmethod
+    def of(cls, rays: Array, points: Array, mask: Array) -> "SpaceErrors":
+        """Return the errors of points (3, W, N) on unit rays (3, W, N), where the mask (W, N) is True."""
+        weights = mask.astype(float)
+        upper = [weights * ((row == column) - rays[row] * rays[column]) for row, column in zip(*_UPPER, strict=True)]
+        powers = [points[row] * points[column] for row, column in zip(*_UPPER, strict=True)]
+        across = np.stack(upper).transpose(1, 0, 2)
+        moments = np.stack([*powers, *points, np.ones_like(weights)]).transpose(1, 2, 0)
+        sums = (across @ moments)[:, _PAIRS]  # (W, a, c, moment) of P_ac
+        squares = sums[..., :6][..., _PAIRS]  # (W, a, c, b, d) of P_ac x_b x_d
+        count = len(weights)
+        quadratic = squares.transpose(0, 1, 3, 2, 4).reshape(count, 9, 9)
+        linear, constant = sums[..., 6:9].reshape(count, 3, 9), sums[..., 9]
+        held = weights.sum(axis=1)[:, None, None] * _HELD * np.eye(3)
+        follow = -np.linalg.solve(constant + held, linear)
+        form = quadratic + linear.transpose(0, 2, 1) @ follow
+        homogeneous = np.concatenate([points, np.ones((1, *weights.shape))])
+        seen = (rays * weights).transpose(1, 0, 2) @ homogeneous.transpose(1, 2, 0)
+        return cls(form, follow, seen.reshape(count, 12))
+
+    def states(self, rotations: Array, which: Array) -> Array:
+        """Return the states (S, 3, 4) of rotations (S, 3, 3) with their best translations."""
+        translations = np.einsum("sij,sj->si", self.follow[which], rotations.reshape(-1, 9))
+        return se3.stacked(rotations, translations)
+
+    def in_front(self, states: Array, which: Array) -> Array:
+        """Return the mask (S,) of states that put the points on the side the rays point to."""
+        return np.asarray(np.einsum("si,si->s", self.facing[which], states.reshape(-1, 12)) > 0)
+
+    def of_planes(self) -> Array:
+        """Return states (W, 3, 4) of points that lie in or near z = 0: the homography of least error made a pose."""
+        columns = np.array([0, 1, 3, 4, 6, 7])
+        flat = self.form[:, columns[:, None], columns]
+        first = np.linalg.eigh(flat)[1][:, :, 0].reshape(-1, 3, 2)
+        third = (so3.hat(first[:, :, 0]) @ first[:, :, 1, None])[..., 0]
+        size = np.linalg.norm(first, axis=1).mean(axis=1)[:, None, None]
+        third /= np.maximum(np.linalg.norm(third, axis=1, keepdims=True), np.finfo(float).tiny)
+        which = np.arange(len(first))
+        turns = so3.nearest(np.concatenate([first / size, third[..., None]], axis=2))
+        # the sign of the homography is open, and with it that of the first two columns
+        one, other = (self.states(turns * signs, which) for signs in ([1, 1, 1], [-1, -1, 1]))
+        return np.where(self.in_front(one, which)[:, None, None], one, other)
+
+    def minima(self) -> tuple[Array, Array]:
+        """Return states (S, 3, 4) at minima of the errors, and the views (S,) they belong to; several a view."""
+        count = len(self.form)
+        values, vectors = np.linalg.eigh(self.form)
+        roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.transpose(0, 2, 1)
+        starts = vectors[:, :, :_STARTS].transpose(0, 2, 1).reshape(count, _STARTS, 3, 3)
+        rotations = so3.nearest(np.concatenate([starts, -starts], axis=1)).reshape(-1, 3, 3)
+        which = np.repeat(np.arange(count), 2 * _STARTS)
+        found = minimise_each(_Turns(roots), rotations, which, _STOPPING)
+        states = self.states(found.states, which)
+        front = self.in_front(states, which)
+        return states[front], which[front]
+
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """The search among rotations (S, 3, 3): residuals roots · vec R with roots (W, 9, 9)."""
+
+    roots: Array
+
+    def linearise(self, rotations: Array, which: Array) -> Models:
+        roots = self.roots[which]
+        residuals = np.einsum("sij,sj->si", roots, rotations.reshape(-1, 9))
+        moved = np.einsum("kab,sbc->sack", _GENERATORS, rotations).reshape(-1, 9, 3)
+        jacobian = roots @ moved
+        gradient = np.einsum("sik,si->sk", jacobian, residuals)
+        return Models(0.5 * np.sum(residuals**2, axis=1), gradient, jacobian.transpose(0, 2, 1) @ jacobian)
+
+    def retract(self, rotations: Array, steps: Array) -> Array:
+        return so3.exp(steps) @ rotations
 
 
 def starts(sight: Sightings, extents: Extents) -> tuple[Array, Array]:
@@ -57,3 +167,145 @@ def _of_triplets(sight: Sightings, views: Array) -> tuple[Array, Array]:
     rays, points = (each[:, table[:, :1], table[:, 1:]].transpose(1, 2, 0) for each in (sight.rays, sight.points))
     states, triplet = poses_of_triplets(rays, points)
     return se3.stacked(so3.nearest(states[:, :, :3]), states[:, :, 3]), table[triplet, 0]
+
+
+def poses_of_triplets(rays: Array, points: Array) -> tuple[Array, Array]:
+    """Return states (S, 3, 4), camera_T_object, and which triplet (S,) each belongs to, up to four of one.
+
+    rays: (T, 3, 3) unit, one a row. points: (T, 3, 3). Triplets in a line, or that no pose meets, have none.
+    """
+    with np.errstate(all="ignore"):
+        edges = points[:, _FIRST] - points[:, _SECOND]
+        lengths = np.einsum("tei,tei->te", edges, edges)
+        cosines = np.einsum("tei,tei->te", rays[:, _FIRST], rays[:, _SECOND])
+        # without a scale, nothing is too small or too large
+        unit = np.sqrt(lengths.max(axis=1, keepdims=True))
+        distances, triplet = _distances(lengths / unit**2, cosines)
+        distances = unit[triplet] * _polished(distances, (lengths / unit**2)[triplet], cosines[triplet])
+        states = _aligned(distances[:, :, None] * rays[triplet], points[triplet])
+        sound = np.all(distances > 0, axis=1) & np.isfinite(states).all(axis=(1, 2))
+    return states[sound], triplet[sound]
+
+
+def _distances(lengths: Array, cosines: Array) -> tuple[Array, Array]:
+    """Return distances (S, 3) along the rays and their triplets (S,), from squared lengths (T, 3) of the edges."""
+    forms = np.zeros((len(lengths), 3, 3, 3))
+    for edge, (i, j) in enumerate(zip(_FIRST, _SECOND, strict=True)):
+        forms[:, edge, i, i] = forms[:, edge, j, j] = 1.0
+        forms[:, edge, i, j] = forms[:, edge, j, i] = -cosines[:, edge]
+    pencil = lengths[:, 2, None, None, None] * forms[:, :2] - lengths[:, :2, None, None] * forms[:, 2:]
+    x, y = _singular_member(pencil[:, 0], pencil[:, 1])
+    planes = _planes(x * pencil[:, 0] + y * pencil[:, 1])
+    directions = _lines(planes, x * pencil[:, 1] - y * pencil[:, 0]).reshape(-1, 3)
+    triplet = np.repeat(np.arange(len(lengths)), 4)
+    directions *= np.sign(directions.sum(axis=1, keepdims=True))
+    square = np.einsum("si,seij,sj->s", directions, forms[triplet], directions)
+    distances = directions * np.sqrt(lengths.sum(axis=1)[triplet] / square)[:, None]
+    sound = np.all(distances > 0, axis=1)
+    return distances[sound], triplet[sound]
+
+
+def _singular_member(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return x, y (T, 1, 1), x² + y² = 1, for which x · first + y · second (T, 3, 3) has no inverse."""
+    of_first, of_second = _adjugate(first), _adjugate(second)
+    coefficients = np.stack(
+        [
+            np.einsum("tij,tji->t", of_first, first) / 3,
+            np.einsum("tij,tji->t", of_first, second),
+            np.einsum("tij,tji->t", of_second, first),
+            np.einsum("tij,tji->t", of_second, second) / 3,
+        ]
+    )
+    turned = np.abs(coefficients[0]) < np.abs(coefficients[3])
+    root = _isolated_root(np.where(turned, coefficients[::-1], coefficients))
+    length = np.sqrt(1 + root * root)
+    x, y = np.where(turned, 1.0, root) / length, np.where(turned, root, 1.0) / length
+    return x[:, None, None], y[:, None, None]
+
+
+def _isolated_root(coefficients: Array) -> Array:
+    """Return the real root (T,) of cubics (4, T), highest power first, that stands farthest from the others."""
+    b, c, d = coefficients[1:] / coefficients[0]
+    p, q = c - b * b / 3, b * (2 * b * b - 9 * c) / 27 + d
+    half, third = q / 2, p / 3
+    square = half * half + third**3
+    one = np.cbrt(-half - np.copysign(np.sqrt(np.maximum(square, 0.0)), half))
+    one = one - np.where(one != 0, third / one, 0.0)
+    reach = np.sqrt(np.maximum(-third, 0.0))
+    three = -np.copysign(2 * reach, half) * np.cos(np.arccos(np.minimum(np.abs(half) / reach**3, 1.0)) / 3)
+    root = np.where(square >= 0, one, three) - b / 3
+    for _ in range(2):
+        step = (((root + b) * root + c) * root + d) / ((3 * root + 2 * b) * root + c)
+        root = root - np.where(np.isfinite(step), step, 0.0)
+    return np.asarray(root)
+
+
+def _planes(singular: Array) -> Array:
+    """Return bases (T, 2, 2, 3) of the two planes through the origin on which singular forms (T, 3, 3) vanish."""
+    values, vectors = np.linalg.eigh(np.nan_to_num(singular))
+    low, null, high = vectors.transpose(2, 0, 1)
+    of_low, of_high = (np.sqrt(np.maximum(value, 0.0))[:, None] for value in (-values[:, 0], values[:, 2]))
+    pair = [np.stack([null, of_low * high + sign * of_high * low], axis=1) for sign in (-1, 1)]
+    bases = np.stack(pair, axis=1)
+    return np.asarray(bases / np.linalg.norm(bases, axis=-1, keepdims=True))
+
+
+def _lines(planes: Array, forms: Array) -> Array:
+    """Return the directions (T, 2, 2, 3) in planes (T, 2, 2, 3) on which forms (T, 3, 3) vanish, NaN without any."""
+    on_plane = planes @ forms[:, None] @ planes.swapaxes(-1, -2)
+    first, mixed, last = on_plane[..., 0, 0], on_plane[..., 0, 1], on_plane[..., 1, 1]
+    square = mixed * mixed - first * last
+    size = mixed * mixed + np.abs(first * last)
+    square = np.where((square < 0) & (square > -_DOUBLE * size), 0.0, square)
+    root = -(mixed + np.copysign(np.sqrt(square), mixed))
+    along = np.stack([np.stack([root, first], axis=-1), np.stack([last, root], axis=-1)], axis=-2)
+    return np.asarray(along @ planes)
+
+
+def _polished(distances: Array, lengths: Array, cosines: Array) -> Array:
+    """Return distances (S, 3) after Newton steps on the squared lengths (S, 3) of edges, NaN where they do not fit."""
+    for _ in range(_POLISH):
+        one, two = distances[:, _FIRST], distances[:, _SECOND]
+        jacobian = np.zeros((len(distances), 3, 3))
+        rows = np.arange(3)
+        jacobian[:, rows, _FIRST] = 2 * (one - cosines * two)
+        jacobian[:, rows, _SECOND] = 2 * (two - cosines * one)
+        adjugate = _adjugate(jacobian)
+        determinant = np.einsum("si,si->s", jacobian[:, 0], adjugate[:, :, 0])
+        step = np.einsum("sij,sj->si", adjugate, _excess(distances, lengths, cosines)) / determinant[:, None]
+        distances = distances - np.where(np.isfinite(step), step, 0.0)
+    fits = np.abs(_excess(distances, lengths, cosines)).max(axis=1) < _FITS
+    return np.where(fits[:, None], distances, np.nan)
+
+
+def _excess(distances: Array, lengths: Array, cosines: Array) -> Array:
+    """Return by how much the squared lengths of the edges (S, 3) are too large."""
+    one, two = distances[:, _FIRST], distances[:, _SECOND]
+    return np.asarray(one * one + two * two - 2 * cosines * one * two - lengths)
+
+
+def _aligned(seen: Array, points: Array) -> Array:
+    """Return the states (S, 3, 4) that take points (S, 3, 3), one a row, to congruent ones."""
+    axes = []
+    for corners in (seen, points):
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normal = _cross(first, second)
+        along = first / np.linalg.norm(first, axis=1, keepdims=True)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        axes.append(np.stack([along, normal, _cross(along, normal)], axis=2))
+    rotation = axes[0] @ axes[1].transpose(0, 2, 1)
+    moved = np.einsum("sij,sj->si", rotation, points.mean(axis=1))
+    return se3.stacked(rotation, seen.mean(axis=1) - moved)
+
+
+def _adjugate(matrices: Array) -> Array:
+    """Return the matrices (T, 3, 3) that give the determinant times the identity with `matrices`."""
+    rows = [matrices[:, row] for row in range(3)]
+    return np.stack([_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])], axis=2)
+
+
+def _cross(first: Array, second: Array) -> Array:
+    """Return first × second (S, 3): what numpy's own takes several times as long for."""
+    a, b, c = first.T
+    x, y, z = second.T
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)

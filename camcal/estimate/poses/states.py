@@ -1,6 +1,10 @@
-"""Poses as an array of states (S, 3, 4), each [R t], for the solver of many problems."""
+"""Poses as an array of states (S, 3, 4), each [R t], for the solver of many problems; how points spread.
+
+The spread says which other pose a plane is mistaken for.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,6 +12,10 @@ from camcal.arrays import Array
 from camcal.geometry import pose as se3
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+
+IN_PLANE = 1e-4  # third spread over the first: below, points count as a plane
+NEAR_PLANE = 0.1  # below, a plane's second pose may be near a minimum too
+_IDENTITY = np.eye(3)
 
 
 def stacked(rotations: Array, translations: Array) -> Array:
@@ -57,3 +65,76 @@ def near(first: Array, second: Array, tolerance: Array | float) -> Array:
     apart = np.sum((first - second) ** 2, axis=-2)
     turn, shift, distance = apart[..., :3].sum(axis=-1) / 2, apart[..., 3], np.sum(first[..., 3] ** 2, axis=-1)
     return np.asarray((turn < tolerance**2) & (shift <= tolerance**2 * distance))
+
+
+@dataclass(frozen=True, eq=False)
+class Extents:
+    """How the points of W views spread: plane_T_object (W, 3, 4) takes their mean to the origin and their best plane
+    to z = 0; spread (W, 3) are the root sums of squares along x, y and z there, largest first.
+    """
+
+    plane_T_object: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, points: Array, mask: Array) -> "Extents":
+        """Return the extents of points (3, W, N) where the mask (W, N) is True."""
+        count = np.maximum(mask.sum(axis=1), 1)
+        centre = np.where(mask, points, 0.0).sum(axis=2) / count
+        offsets = np.where(mask, points - centre[:, :, None], 0.0).transpose(1, 0, 2)
+        values, axes = np.linalg.eigh(offsets @ offsets.transpose(0, 2, 1))
+        rotation = axes[:, :, ::-1].transpose(0, 2, 1).copy()
+        rotation[:, 2] *= np.linalg.det(rotation)[:, None]
+        spread = np.sqrt(np.maximum(values[:, ::-1], 0.0))
+        return cls(stacked(rotation, -np.einsum("wij,jw->wi", rotation, centre)), spread)
+
+    def take(self, chosen: Array) -> "Extents":
+        """Return the extents of some of the views."""
+        return Extents(self.plane_T_object[chosen], self.spread[chosen])
+
+    @property
+    def flatness(self) -> Array:
+        """The third spread over the first (W,), 0 for a plane."""
+        return np.asarray(self.spread[:, 2] / np.maximum(self.spread[:, 0], np.finfo(float).tiny))
+
+    @property
+    def narrowness(self) -> Array:
+        """The second spread over the first (W,), 0 for a line."""
+        return np.asarray(self.spread[:, 1] / np.maximum(self.spread[:, 0], np.finfo(float).tiny))
+
+    def in_plane(self, points: Array) -> Array:
+        """Return points (3, W, N) in the frames of the planes."""
+        moved = self.plane_T_object[:, :, :3] @ points.transpose(1, 0, 2) + self.plane_T_object[:, :, 3:]
+        return np.ascontiguousarray(moved.transpose(1, 0, 2))
+
+    def sight_and_normal(self, states: Array, view: Array, eye: Array) -> tuple[Array, Array]:
+        """Return the vectors (S, 3) from the eye (3,) to the middle of the points, and the planes' unit normals (S, 3),
+        at states (S, 3, 4), frame_T_object, of the views (S,).
+        """
+        frame_T_plane = compose(states, inverse(self.plane_T_object[view]))
+        return frame_T_plane[:, :, 3] - eye, frame_T_plane[:, :, 2]
+
+    def reflected(self, states: Array, view: Array, eye: Array) -> Array:
+        """Return states (S, 3, 4) with the planes' normals reflected about the lines of sight from the eye (3,).
+
+        Seen from afar both poses show the same image; near by, the other minimum of the error lies close to it.
+        Source: Oberkampf, DeMenthon & Davis, Iterative Pose Estimation Using Coplanar Feature Points, 1996.
+        """
+        sight, _ = self.sight_and_normal(states, view, eye)
+        middle = sight + eye
+        in_object = self.plane_T_object[view, 2, :3]
+        line = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+        rotation = _mirrors(line) @ states[:, :, :3] @ _mirrors(in_object)
+        centre = inverse(self.plane_T_object[view])[:, :, 3]
+        return stacked(rotation, middle - np.einsum("sij,sj->si", rotation, centre))
+
+    def tilt(self, states: Array, view: Array, eye: Array) -> Array:
+        """Return the angles (S,), rad, between the lines of sight and the planes' normals, at most π/2."""
+        sight, normal = self.sight_and_normal(states, view, eye)
+        across = np.linalg.norm((so3.hat(sight) @ normal[..., None])[..., 0], axis=1)
+        return np.asarray(np.arctan2(across, np.abs(np.einsum("si,si->s", sight, normal))))
+
+
+def _mirrors(normals: Array) -> Array:
+    """Return the reflections (S, 3, 3) at the planes through the origin with unit normals (S, 3)."""
+    return np.asarray(_IDENTITY - 2 * normals[:, :, None] * normals[:, None, :])

@@ -1,11 +1,16 @@
-"""The steps of a Kalman filter and of its smoother, on vectors or on the error of a state that is none.
+"""The steps of a Kalman filter and of its smoother, on vectors or on the error of a state; the extended filter.
 
 A linear filter keeps its state in `Gaussian.mean`. One on rotations keeps poses outside and lets the mean be the error
-of the pose, zero after every correction: the same steps serve both. What innovations say about the noise that was
-assumed is in `consistency`; whole series are in `linear_system` and `extended`.
-Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 5 and 8.
+of the pose, zero after every correction: the same steps serve both. `consistency` says whether the errors are as large
+as the noise a filter was told claims; whole series are in `linear_system`.
+
+In the extended filter motion and measurement are any functions, each with its Jacobian beside it:
+x_{k+1} = f(x_k, dt) + w, w ~ N(0, Q);  y_k = h(x_k) + n, n ~ N(0, R). Noise that enters elsewhere goes into Q as
+G Q Gᵀ. What is measured on a circle or a sphere is compared by `difference`, not by subtraction.
+Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 5, 8 and 10.3.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +19,22 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 
 _LOG_2PI = float(np.log(2 * np.pi))
+CONSISTENT, OVERCONFIDENT, UNDERCONFIDENT = "consistent", "overconfident", "underconfident"
+NOT_JUDGED, AMBIGUOUS = "not judged", "ambiguous"
+_NEAR_ONE = 0.1  # a mean NIS this near to 1 means standard deviations right to 5 %: no reason to change anything
+_CONFIDENCE = 0.95
+_MANY = 0.08  # of innovations beyond their 95 % bound
+_NOTHING = "no measurement could be predicted from earlier ones"
+_ADVICE = {
+    CONSISTENT: "errors are as large as the covariances say",
+    OVERCONFIDENT: "errors are larger than the covariances say: raise sigma",
+    UNDERCONFIDENT: "errors are smaller than the covariances say: lower sigma or q",
+}
+_ALTERNATING = {
+    CONSISTENT: "errors are as large as the covariances say, but the filter runs after the noise: lower q, raise sigma",
+    OVERCONFIDENT: "the filter runs after noise that is larger than sigma says: raise sigma",
+    UNDERCONFIDENT: "the filter runs after the noise, its gain is too high: lower q",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,3 +134,162 @@ def _whitener(S: Array) -> Array:
         return np.linalg.inv(np.linalg.cholesky(S))
     except np.linalg.LinAlgError as error:
         raise InvalidInput("a measurement's covariance is not positive definite; is a sigma 0?") from error
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """How innovations compare with what was claimed of them.
+
+    innovations: how many. mean_nis: mean normalised innovation squared of one degree of freedom, 1 if all is right.
+    interval: in which it lies with 95 % if all is right. beyond_95: share of innovations beyond their own 95 % bound.
+    autocorrelation: of successive innovations, 0 if all is right; autocorrelation_limit: its 95 % bound.
+    verdict: consistent, overconfident, underconfident, not judged without innovations, or, of poses, ambiguous where
+    too many may be another pose. advice: what to do, in words.
+    """
+
+    innovations: int
+    mean_nis: float
+    interval: tuple[float, float]
+    beyond_95: float
+    autocorrelation: float
+    autocorrelation_limit: float
+    verdict: str
+    advice: str
+
+
+def consistency(nis: Array, freedom: Array, pairs: tuple[Array, Array]) -> Consistency:
+    """Return what innovations say about the noise.
+
+    nis: (N,) their normalised squares. freedom: (N,) the numbers each has. pairs: two arrays (M,) of whitened numbers,
+    the second measured one step after the first, of the same kind.
+    Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+    """
+    if len(nis) == 0:
+        unknown = float("nan")
+        return Consistency(0, unknown, (unknown, unknown), unknown, 0.0, 1.0, NOT_JUDGED, _NOTHING)
+    total = float(np.sum(freedom))
+    mean = float(np.sum(nis)) / total
+    tail = (1 - _CONFIDENCE) / 2
+    low, high = (gate(total, level) / total for level in (tail, 1 - tail))
+    limits = {number: gate(number, _CONFIDENCE) for number in np.unique(freedom).tolist()}
+    beyond = float(np.mean(nis > [limits[number] for number in freedom.tolist()]))
+    correlation, limit = _autocorrelation(*pairs)
+    verdict = _verdict(mean, low, high)
+    least = max(limit, _NEAR_ONE)
+    advice = _advice(verdict, correlation > least, correlation < -least, beyond > _MANY)
+    return Consistency(len(nis), mean, (low, high), beyond, correlation, limit, verdict, advice)
+
+
+def successive(whitened: Array, chains: Array) -> tuple[Array, Array]:
+    """Return whitened innovations (N, m), NaN where there is none, paired with the next of the same chain.
+
+    chains: (N,) innovations of one number belong together. Returns two arrays (M,).
+    """
+    pairs: tuple[list[Array], list[Array]] = ([], [])
+    for chain in np.unique(chains):
+        for column in whitened[chains == chain].T:
+            present = column[np.isfinite(column)]
+            pairs[0].append(present[:-1])
+            pairs[1].append(present[1:])
+    return np.concatenate(pairs[0] or [np.empty(0)]), np.concatenate(pairs[1] or [np.empty(0)])
+
+
+def _autocorrelation(first: Array, second: Array) -> tuple[float, float]:
+    """Return the correlation of successive numbers of mean 0 and the 95 % bound of white noise; 0 and 1 without any."""
+    scale = np.sqrt(np.sum(first**2) * np.sum(second**2))
+    if not scale > 0:
+        return 0.0, 1.0
+    return float(np.sum(first * second) / scale), float(min(1.96 / np.sqrt(len(first)), 1.0))
+
+
+def _verdict(mean: float, low: float, high: float) -> str:
+    if low <= mean <= high or abs(mean - 1) <= _NEAR_ONE:
+        return CONSISTENT
+    return OVERCONFIDENT if mean > 1 else UNDERCONFIDENT
+
+
+def _advice(verdict: str, lasting: bool, alternating: bool, many_large: bool) -> str:
+    """Return what to do.
+
+    lasting: errors stay from step to step, a motion the model does not follow. alternating: they change sign from step
+    to step, as where a filter runs after the noise of its measurements. many_large: more innovations are beyond their
+    bound than noise makes.
+    """
+    if alternating:
+        return _ALTERNATING[verdict]
+    if verdict == OVERCONFIDENT and lasting:
+        return "the motion changes faster than the model allows: raise q"
+    if verdict == CONSISTENT and lasting:
+        return "errors are as large as the covariances say, but successive ones are alike: try another motion model"
+    if verdict == CONSISTENT and many_large:
+        return "errors are as large as the covariances say, but large ones come too often: use a robust loss"
+    return _ADVICE[verdict]
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """A motion and a measurement of a state (n,), dt in seconds.
+
+    f(x, dt): the next state (n,). F(x, dt): its Jacobian (n, n). Q(x, dt): process noise (n, n). h(x): the expected
+    measurement (m,). H(x): its Jacobian (m, n). R: (m, m). difference(y, expected): (m,) their difference as a vector.
+    """
+
+    f: Callable[[Array, float], Array]
+    F: Callable[[Array, float], Array]
+    Q: Callable[[Array, float], Array]
+    h: Callable[[Array], Array]
+    H: Callable[[Array], Array]
+    R: Array
+    difference: Callable[[Array, Array], Array] = np.subtract
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedRun:
+    """What a filter knew at each of K stamps, before and after its measurement.
+
+    updates: None where nothing was measured. transitions: (K - 1, n, n) Jacobians of the motion.
+    """
+
+    predicted: tuple[Gaussian, ...]
+    states: tuple[Gaussian, ...]
+    updates: tuple[Updated | None, ...]
+    transitions: Array
+
+    @property
+    def log_likelihood(self) -> float:
+        """The logarithm of the density of all measurements, each given those before it."""
+        return sum(step.log_likelihood for step in self.updates if step is not None)
+
+
+def extended_filter(
+    model: ExtendedModel, start: Gaussian, stamps: Array, measurements: Sequence[Array | None]
+) -> ExtendedRun:
+    """Return what an extended Kalman filter knows at stamps (K,), from the state before the first measurement.
+
+    measurements: K of (m,), None where missing.
+    """
+    before, predicted, states, updates, transitions = start, [], [], [], []
+    for k, measured in enumerate(measurements):
+        predicted.append(before)
+        step = None if measured is None else _measured(model, before, measured)
+        state = before if step is None else step.state
+        states.append(state)
+        updates.append(step)
+        if k < len(measurements) - 1:
+            dt = float(stamps[k + 1] - stamps[k])
+            F = model.F(state.mean, dt)
+            transitions.append(F)
+            before = predict(state, F, model.Q(state.mean, dt), model.f(state.mean, dt) - F @ state.mean)
+    return ExtendedRun(tuple(predicted), tuple(states), tuple(updates), np.array(transitions))
+
+
+def extended_smoother(run: ExtendedRun) -> tuple[Gaussian, ...]:
+    """Return the K states given all measurements, linear about the filter's. Source: Rauch, Tung, Striebel 1965."""
+    smoothed = [run.states[-1]]
+    for k in reversed(range(len(run.states) - 1)):
+        smoothed.append(smooth_back(run.states[k], run.predicted[k + 1], smoothed[-1], run.transitions[k]))
+    return tuple(reversed(smoothed))
+
+
+def _measured(model: ExtendedModel, before: Gaussian, measured: Array) -> Updated:
+    return update(before, model.difference(measured, model.h(before.mean)), model.H(before.mean), model.R)

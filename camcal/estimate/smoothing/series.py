@@ -6,10 +6,9 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.smoothing.consistency import Consistency
-from camcal.estimate.smoothing.linear_system import LinearSystem, kalman_filter, rts
-from camcal.estimate.smoothing.motion_models import MotionModel
-from camcal.estimate.smoothing.smooth import require_size, smooth_system
+from camcal.estimate.smoothing.batch import require_size, smooth_system
+from camcal.estimate.smoothing.kalman import Consistency
+from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
 from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength, with_noise
 
 

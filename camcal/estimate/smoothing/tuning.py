@@ -7,10 +7,17 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, NotConverged
-from camcal.estimate.smoothing.batch import BatchSolution, invertible, solve_batch
-from camcal.estimate.smoothing.linear_system import LinearSystem
-from camcal.estimate.smoothing.motion_models import MotionModel
-from camcal.estimate.smoothing.robust import disagreement, huber, is_outlier, robust_weights, squared_residuals
+from camcal.estimate.smoothing.batch import (
+    BatchSolution,
+    disagreement,
+    huber,
+    invertible,
+    is_outlier,
+    robust_weights,
+    solve_batch,
+    squared_residuals,
+)
+from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel
 
 _DECADES = 5  # how far from the first guess noise is looked for, to either side
 _TOLERANCE = 0.01  # of a logarithm: 1 % of q, less than any series tells

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.flat import Flat
-from camcal.estimate.tracking.free_motion import MotionState
-from camcal.estimate.tracking.noise_choice import Explained
+from camcal.estimate.tracking.free_motion import Flat, MotionState
 from camcal.estimate.tracking.pixel_batch import Chains, solved, spread_of
 from camcal.estimate.tracking.pixel_costs import minimised
+from camcal.estimate.tracking.process_noise import Explained
 from camcal.geometry import rotation as so3
 
 FAR = np.radians(10.0)  # poses that are more than this apart are not the same

@@ -14,9 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.descents import Ends, descended
-from camcal.estimate.tracking.flat import Flat
-from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, difference
+from camcal.estimate.tracking.free_motion import POSE, Ends, Flat, FreeMotion, MotionState, descended, difference
 from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised, minimised
 from camcal.geometry import rotation as so3
 

@@ -1,4 +1,9 @@
-"""How much a series of poses trembles: what is left of each pose when its two neighbours have predicted it."""
+"""What is not smooth in a series of poses: its jitter, and shakes as on a carrier that vibrates.
+
+Jitter is what is left of each pose when its two neighbours have predicted it. Shakes have three independent causes: the
+camera turns about its own centre, the object is shifted, the object is turned. Each has a variance that all frames
+share.
+"""
 
 from dataclasses import dataclass
 
@@ -6,6 +11,9 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.geometry import rotation as so3
+
+_START = 2e-3  # rad, or share of the distance: first guess
+_STRIDE = 1.5  # exponent of a step: the plain rule creeps
 
 
 @dataclass(frozen=True)
@@ -35,3 +43,51 @@ def jitter(stamps: Array, rotations: Array, translations: Array, chains: Array) 
     shifts = (translations[inner] - between) / scale
     turns = so3.log(rotations[inner] @ halfway.swapaxes(-1, -2)) / scale
     return Jitter(*(float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in (shifts, turns)))
+
+
+@dataclass(frozen=True)
+class Shaking:
+    """Standard deviations of shakes: camera_turn (rad), object_shift (m), object_turn (rad), all per axis."""
+
+    camera_turn: float = 0.0
+    object_shift: float = 0.0
+    object_turn: float = 0.0
+
+    @classmethod
+    def guess(cls, distance: float) -> "Shaking":
+        """Return a first guess for an object that is so far (m) away."""
+        return cls(_START, _START * distance / 3, _START)
+
+    @property
+    def any(self) -> bool:
+        """Whether anything shakes."""
+        return max(self.camera_turn, self.object_shift, self.object_turn) > 0
+
+    def covariance(self, translations: Array) -> Array:
+        """Return the covariances (N, 6, 6) of the shakes of poses; translations: (N, 3) m."""
+        return np.asarray(sum(self._parts(translations)))
+
+    def _parts(self, translations: Array) -> list[Array]:
+        arm = np.concatenate([-so3.hat(translations), np.tile(np.eye(3), (len(translations), 1, 1))], axis=1)
+        shift, turn = np.zeros((6, 6)), np.zeros((6, 6))
+        shift[:3, :3] = turn[3:, 3:] = np.eye(3)
+        every = np.ones((len(translations), 1, 1))
+        return [
+            self.camera_turn**2 * arm @ arm.swapaxes(-1, -2),
+            self.object_shift**2 * shift * every,
+            self.object_turn**2 * turn * every,
+        ]
+
+    def likelier(self, translations: Array, pulls: Array, informed: Array) -> "Shaking":
+        """Return the shaking of the next step to the highest evidence.
+
+        pulls: (N, 6), Σ⁻¹ times the shakes as they were found. informed: (N, 6, 6) of `Spread`. MacKay's rule for one
+        variance, cause by cause: σ² ← σ² Σ jᵀ Σ⁻¹ Σᵢ Σ⁻¹ j / Σ tr Σᵢ (H' - H' C H'), Σᵢ the cause's part of Σ.
+        """
+        result = []
+        for name, part in zip(("camera_turn", "object_shift", "object_turn"), self._parts(translations), strict=True):
+            squares = float(np.einsum("ni,nij,nj->", pulls, part, pulls))
+            known = float(np.einsum("nij,nji->", informed, part))
+            factor = squares / max(known, 0.05 * squares, 1e-12)
+            result.append(getattr(self, name) * float(np.clip(factor**_STRIDE, 0.02, 20.0)) ** 0.5)
+        return Shaking(*result)

@@ -1,4 +1,8 @@
-"""Poses followed over time on the pixels themselves: several hypotheses forward, all frames at once, flips searched."""
+"""Poses followed over time on the pixels themselves: several hypotheses forward, all frames at once, flips searched.
+
+With a bounded look-ahead, a frame's pose is that of the hypothesis that is best so many frames later, smoothed back
+along it (Rauch, Tung, Striebel 1965).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,17 +13,15 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
-from camcal.estimate.tracking import hypotheses, noise_choice
-from camcal.estimate.tracking.flat import Flat
+from camcal.estimate.tracking import hypotheses, process_noise
 from camcal.estimate.tracking.flips import FAR, Searched, searched
-from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState
-from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward
-from camcal.estimate.tracking.measurements import FramePose, PoseMeasurements
-from camcal.estimate.tracking.noise_choice import Explained
+from camcal.estimate.tracking.free_motion import POSE, Flat, FreeMotion, MotionState, difference
+from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward, Hypotheses
+from camcal.estimate.tracking.jitter import Shaking
 from camcal.estimate.tracking.pixel_batch import Chains
 from camcal.estimate.tracking.pixel_costs import PixelFrames, rightness, squares
-from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.shaking import Shaking
+from camcal.estimate.tracking.process_noise import Explained, ProcessNoise
+from camcal.estimate.tracking.segments import FramePose, PoseMeasurements
 from camcal.geometry import rotation as so3
 
 _START_TRANSLATION, _START_ROTATION = 0.3, 10.0  # first guess: m²/s³ of an object 1 m away (by its square), rad²/s³
@@ -91,9 +93,9 @@ def track_pixels(
     )
     tune = noise is None
     first, _ = run.followed(motion, Shaking(), tune=tune)
-    best = noise_choice.chosen(first, distance=distance, tune=tune)
+    best = process_noise.chosen(first, distance=distance, tune=tune)
     if not given:
-        factor = float(np.clip(noise_choice.noise_factor(best.track, best.spread), *_NOISE_RANGE))
+        factor = float(np.clip(process_noise.noise_factor(best.track, best.spread), *_NOISE_RANGE))
         factor = max(factor, _LEAST_NOISE / sigma)
         if abs(factor - 1) > _NOTED:
             sigma *= factor
@@ -140,13 +142,13 @@ class _Run:
             self.candidates,
             self.stamps,
             motion,
-            noise_choice.covariance_for(shaking, self._places()),
+            process_noise.covariance_for(shaking, self._places()),
             self.distance,
             self.max_gap,
             self.flat,
         )
         chains, states = self._chains(forward, motion)
-        return noise_choice.explained(chains, motion, states, shaking, tune=tune), forward
+        return process_noise.explained(chains, motion, states, shaking, tune=tune), forward
 
     def _places(self) -> Array:
         there = self.candidates.there[:, 0]
@@ -191,12 +193,12 @@ class _Run:
         self, forward: Forward, found: Explained, lag: int, sigma: float, noise: ProcessNoise | None
     ) -> PixelTrack:
         """Return what the frames up to `lag` later ones say of each frame."""
-        from camcal.estimate.tracking.lagged import lagged
+        from camcal.estimate.tracking.pixel_track import lagged
 
         states, covariances, p_wrong = lagged(forward, lag, FAR)
         path = _Path.of(forward, len(self.stamps) - 1)
         kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
-        shakes = noise_choice.covariance_for(found.shaking, states.translations)
+        shakes = process_noise.covariance_for(found.shaking, states.translations)
         used = (kinds == MEASURED) | (kinds == BEGUN)
         apart = so3.angle_between(states.rotations, searched(found).found.track.poses[0]) > FAR
         parts = (used, states, covariances[:, POSE, POSE] + shakes, p_wrong, apart, path.surprises)
@@ -264,3 +266,59 @@ class _Path:
             np.array([each.kinds[which] for each, which in known]),
             np.array([each.surprises[which] for each, which in known]),
         )
+
+
+def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, Array]:
+    """Return the states (M), covariances (M, S, S) and chances (M) that another pose holds, from the first detection.
+
+    far: angle (rad) from which on a pose is another one.
+    """
+    known = [hypotheses for hypotheses in forward.frames if hypotheses is not None]
+    last = len(known) - 1
+    frames = np.arange(last + 1)
+    newest = np.minimum(frames + lag, last)
+    chosen = np.array([int(np.argmin(known[frame].costs)) for frame in newest])
+    states, covariances = _gathered(known, newest, chosen, "states", "covariances")
+    at = newest.copy()
+    which = chosen.copy()
+    while (going := at > frames).any():
+        rows = np.flatnonzero(going)
+        later, index = at[rows], which[rows]
+        expected, expected_spread = _gathered(known, later, index, "forecasts", "forecast_covariances")
+        growth = np.array([known[frame].transitions[one] for frame, one in zip(later, index, strict=True)])
+        which[rows] = [int(known[frame].parents[one]) for frame, one in zip(later, index, strict=True)]
+        at[rows] -= 1
+        filtered, spread = _gathered(known, at[rows], which[rows], "states", "covariances")
+        gain = np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2)
+        step = (gain @ difference(states.at(rows), expected)[..., None])[..., 0]
+        after = spread + gain @ (covariances[rows] - expected_spread) @ gain.swapaxes(-1, -2)
+        for whole, part in zip(states, filtered.moved(step), strict=True):
+            whole[rows] = part
+        covariances[rows] = (after + after.swapaxes(-1, -2)) / 2
+    return states, covariances, _wrong(known, newest, states.rotations, far)
+
+
+def _gathered(
+    known: list[Hypotheses], frames: Array, which: Array, states: str, covariances: str
+) -> tuple[MotionState, Array]:
+    """Return one hypothesis of each of some frames."""
+    pairs = list(zip(frames, which, strict=True))
+    chosen = [getattr(known[frame], states).at(one) for frame, one in pairs]
+    spread = np.array([getattr(known[frame], covariances)[one] for frame, one in pairs])
+    return MotionState(*map(np.stack, zip(*chosen, strict=True))), spread
+
+
+def _wrong(known: list[Hypotheses], newest: Array, rotations: Array, far: float) -> Array:
+    """Return the weight (M) of the hypotheses at the newest frames that were at another pose."""
+    result = np.zeros(len(newest))
+    for frame, last in enumerate(newest):
+        hypotheses = known[last]
+        if len(hypotheses.costs) == 1:
+            continue
+        weights = np.exp(-(hypotheses.costs - hypotheses.costs.min()) / 2)
+        which = np.arange(len(weights))
+        for back in range(last, frame, -1):
+            which = known[back].parents[which]
+        apart = so3.angle_between(known[frame].states.rotations[which], rotations[frame]) > far
+        result[frame] = weights[apart].sum() / weights.sum()
+    return result

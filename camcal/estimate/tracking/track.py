@@ -7,14 +7,11 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.smoothing.consistency import Consistency, consistency, successive
-from camcal.estimate.tracking.jitter import Jitter, jitter
-from camcal.estimate.tracking.measurements import FramePose, PoseMeasurements
-from camcal.estimate.tracking.pose_filter import Belief
-from camcal.estimate.tracking.pose_smoother import smoothed, smoothed_with_lag
+from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
+from camcal.estimate.tracking.jitter import Jitter, Shaking, jitter
+from camcal.estimate.tracking.pose_filter import Belief, smoothed, smoothed_with_lag
 from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
-from camcal.estimate.tracking.segments import LEAST, Following, Segment, follow
-from camcal.estimate.tracking.shaking import Shaking
+from camcal.estimate.tracking.segments import LEAST, Following, FramePose, PoseMeasurements, Segment, follow
 from camcal.geometry.pose import Pose, inverse_jacobian
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"

@@ -9,12 +9,11 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
-from camcal.estimate.smoothing.consistency import AMBIGUOUS, Consistency, consistency, successive
+from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
 from camcal.estimate.tracking.flips import FAR
 from camcal.estimate.tracking.jitter import jitter
-from camcal.estimate.tracking.measurements import FramePose, PoseMeasurements
 from camcal.estimate.tracking.pixel_track import PixelTrack, track_pixels
-from camcal.estimate.tracking.segments import LEAST
+from camcal.estimate.tracking.segments import LEAST, FramePose, PoseMeasurements
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, Track, TrackOptions, common_part
 from camcal.geometry import rotation as so3
 

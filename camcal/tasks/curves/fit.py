@@ -8,11 +8,8 @@ import numpy as np
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.estimate.curves.comparison import compare
-from camcal.estimate.curves.curve import predictions, predictions_with_jacobian
-from camcal.estimate.curves.fit import fit_curve
-from camcal.estimate.curves.profile import likelihood_intervals
-from camcal.estimate.curves.result import CurveFit
+from camcal.estimate.curves.curve import CurveFit, predictions, predictions_with_jacobian
+from camcal.estimate.curves.fit import compare, fit_curve, likelihood_intervals
 from camcal.estimate.curves.search import SearchOptions
 from camcal.formats import emit, measurements
 from camcal.formats.schema import did_you_mean

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from camcal.estimate.curves.comparison import Comparison
-from camcal.estimate.curves.profile import End
-from camcal.estimate.curves.result import CurveFit, Estimate
+from camcal.estimate.curves.curve import CurveFit, Estimate
+from camcal.estimate.curves.fit import Comparison, End
 from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck
 

@@ -22,7 +22,7 @@ from camcal.tasks.options import output_option
 from camcal.tasks.poses.options import AUTO
 
 if TYPE_CHECKING:
-    from camcal.estimate.smoothing.motion_models import MotionModel
+    from camcal.estimate.smoothing.linear_system import MotionModel
     from camcal.estimate.trajectory_error import ErrorOptions
 
 MODELS = ("rw", "cv", "ca")
@@ -180,7 +180,7 @@ class SmoothOptions(OptionsRecord):
     @property
     def motion(self) -> "MotionModel":
         """How things move."""
-        from camcal.estimate.smoothing.motion_models import MotionModel
+        from camcal.estimate.smoothing.linear_system import MotionModel
 
         return MotionModel(self.model, self.form)
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from math import degrees
 
-from camcal.estimate.smoothing.consistency import Consistency
-from camcal.estimate.smoothing.robust import OUTLIER_CONFIDENCE
+from camcal.estimate.smoothing.batch import OUTLIER_CONFIDENCE
+from camcal.estimate.smoothing.kalman import Consistency
 from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError
 from camcal.tasks.poses.smoothing import Smoothing
 

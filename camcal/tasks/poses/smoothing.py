@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.smoothing.consistency import Consistency
+from camcal.estimate.smoothing.kalman import Consistency
 from camcal.estimate.trajectory_error import TrajectoryError
 from camcal.tasks.poses.smooth_options import SmoothOptions
 

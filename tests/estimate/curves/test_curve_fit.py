@@ -7,10 +7,8 @@ import pytest
 from scipy.optimize import curve_fit, least_squares
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.curves.comparison import compare, criteria
 from camcal.estimate.curves.curve import Curve, Data
-from camcal.estimate.curves.fit import fit_curve
-from camcal.estimate.curves.profile import likelihood_intervals
+from camcal.estimate.curves.fit import compare, criteria, fit_curve, likelihood_intervals
 from camcal.estimate.curves.search import METHODS, SearchOptions
 
 EXPQUAD = Curve.of("expquad", ["exp(a*x**2 + b*x + c)"], ["a", "b", "c"])

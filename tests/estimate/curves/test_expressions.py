@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.estimate.curves.dual import FUNCTIONS
-from camcal.estimate.curves.expressions import parse
+from camcal.estimate.curves.expressions import FUNCTIONS, parse
 from camcal.solve.differentiate import central_jacobian, complex_jacobian
 
 X = np.array([0.2, 0.5, 0.9])

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camcal.estimate.poses.three_points import poses_of_triplets
+from camcal.estimate.poses.starts import poses_of_triplets
 from camcal.geometry import rotation as so3
 
 

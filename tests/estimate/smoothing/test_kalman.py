@@ -4,9 +4,18 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.estimate.smoothing.consistency import consistency, successive
-from camcal.estimate.smoothing.extended import ExtendedModel, extended_filter, extended_smoother
-from camcal.estimate.smoothing.kalman import Gaussian, gate, predict, smooth_back, update
+from camcal.estimate.smoothing.kalman import (
+    ExtendedModel,
+    Gaussian,
+    consistency,
+    extended_filter,
+    extended_smoother,
+    gate,
+    predict,
+    smooth_back,
+    successive,
+    update,
+)
 from camcal.solve.differentiate import check_jacobian
 
 F = np.array([[1.0, 0.1], [0.0, 1.0]])

@@ -8,12 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.smoothing.batch import solve_batch
-from camcal.estimate.smoothing.linear_system import LinearSystem, kalman_filter, rts
-from camcal.estimate.smoothing.motion_models import MotionModel
-from camcal.estimate.smoothing.robust import disagreement
+from camcal.estimate.smoothing.batch import disagreement, smooth_system, solve_batch
+from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
 from camcal.estimate.smoothing.series import Series, SeriesOptions, series_at, smooth_series, system_of
-from camcal.estimate.smoothing.smooth import smooth_system
 from camcal.estimate.smoothing.tuning import log_likelihood
 
 SIGMA, STRENGTH = 0.05, 2.0

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import InsufficientData
-from camcal.estimate.smoothing.motion_models import MotionModel
-from camcal.estimate.smoothing.pose_system import PoseGuess, PoseProblem
-from camcal.estimate.smoothing.poses import PosesOptions, poses_at, smooth_poses
+from camcal.estimate.smoothing.linear_system import MotionModel
+from camcal.estimate.smoothing.poses import PoseGuess, PoseProblem, PosesOptions, poses_at, smooth_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 from camcal.solve.differentiate import central_jacobian

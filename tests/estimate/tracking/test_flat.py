@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from camcal.estimate.tracking.flat import Flat
-from camcal.estimate.tracking.free_motion import MotionState
+from camcal.estimate.tracking.free_motion import Flat, MotionState
 from camcal.estimate.tracking.hypotheses import MISSED, Hypotheses, with_mirrored
 from camcal.geometry import rotation as so3
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from moving_objects import glances
 
-from camcal.estimate.tracking.measurements import PoseMeasurements
 from camcal.estimate.tracking.process_noise import tuned
-from camcal.estimate.tracking.segments import Following
+from camcal.estimate.tracking.segments import Following, PoseMeasurements
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
