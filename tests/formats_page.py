@@ -8,7 +8,7 @@ from pathlib import Path
 
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import CameraModel
-from camcal.formats.native_lens import CORE
+from camcal.formats.native_entry import CORE
 
 PAGE = Path(__file__).parents[1] / "docs" / "formats.md"
 _START, _END = "<!-- lens models -->\n", "<!-- end -->"

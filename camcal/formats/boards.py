@@ -1,4 +1,4 @@
-"""Board files: the YAML form of a Board, or a target file of Kalibr's.
+"""Boards as text: the YAML form of a Board, a target file of Kalibr's, and the short form `parse_board` reads back.
 
 type: charuco
 squares: [9, 7]              # chessboard: inner_corners: [9, 6]; aprilgrid: tags: [6, 6]; circles: [10, 8]
@@ -7,21 +7,31 @@ marker_mm: 22.0              # or marker_ratio: 0.73, the marker's share of the 
 dictionary: DICT_5X5_100     # aprilgrid: family: tag36h11
 first_marker_id: 0           # optional; aprilgrid: first_tag_id
 legacy: false                # optional: the pattern of OpenCV before 4.6; left out, it is found out
+
+Each type of board has a size (columns, rows), a length that gives the scale, such as square_mm, and may have a second
+length, which can be given as a ratio of the first instead.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats import board_keys, emit, kalibr_target, strict_yaml
-from camcal.formats.schema import mapping, one_of
-from camcal.formats.strict_yaml import Fault
-from camcal.targets.board import Board, parse_board
-from camcal.targets.boards.types import BOARD_TYPES
+from camcal.formats import emit, kalibr_target, strict_yaml
+from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text
+from camcal.formats.strict_yaml import Check, Fault
+from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board, parse_board
+from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
+from camcal.targets.boards.types import BOARD_TYPES, METRES, TAG_FAMILY
 
 SUFFIXES = (".yaml", ".yml")
+SPACING = "spacing_ratio"  # of an AprilGrid: the gap between two tags as a share of a tag's side
+
+Data = Mapping[str, Any]
 
 
 def read(path: Path) -> Board:
@@ -59,7 +69,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
             data, path
         )
         return
-    faults = list(board_keys.shape_of(kind)(data, path)) or list(board_keys.check_lengths(data, path))
+    faults = list(shape_of(kind)(data, path)) or list(check_lengths(data, path))
     yield from faults
     if not faults:
         try:
@@ -68,11 +78,160 @@ def check(data: Any, path: str) -> Iterator[Fault]:
             yield Fault(path, error.message)
 
 
-def from_block(data: Mapping[str, Any]) -> Board:
-    """Return the board of plain data that has passed `check`."""
-    return board_keys.board_of(data)
+@dataclass(frozen=True)
+class BoardKeys:
+    """What a board file of one type holds beside `type`.
+
+    size: the key of columns and rows. scale: the length that gives the scale, its key without the unit. part: another
+    length that is a field of a Board, "" if there is none. need: what to say if the part is missing, "" if it may be.
+    required, optional: further keys, by the fields of a Board that they fill.
+    """
+
+    size: str
+    scale: str
+    part: str = ""
+    need: str = ""
+    required: Mapping[str, tuple[str, Check]] = field(default_factory=dict)
+    optional: Mapping[str, tuple[str, Check]] = field(default_factory=dict)
+
+
+BOARD_KEYS: Mapping[str, BoardKeys] = {
+    CHESSBOARD: BoardKeys("inner_corners", "square", optional={"dots": ("dots", flag)}),
+    CHARUCO: BoardKeys(
+        "squares",
+        "square",
+        "marker",
+        "a ChArUco board needs its marker's size",
+        {"dictionary": ("dictionary", text)},
+        {"first_marker": ("first_marker_id", integer(0)), "legacy": ("legacy", flag)},
+    ),
+    APRILGRID: BoardKeys(
+        "tags",
+        "tag",
+        optional={"dictionary": ("family", text), "first_marker": ("first_tag_id", integer(0))},
+    ),
+    CIRCLES: BoardKeys("circles", "pitch", "diameter"),
+    ASYMMETRIC_CIRCLES: BoardKeys("circles", "pitch", "diameter"),
+}
+
+
+def lengths(name: str) -> tuple[str, ...]:
+    """Return the keys under which a length may be given, one for each unit."""
+    return tuple(f"{name}_{unit}" for unit in METRES) if name else ()
+
+
+def shape_of(kind: str) -> Check:
+    """Return the check that a board file of one type has its keys and no others."""
+    keys = BOARD_KEYS[kind]
+    fewest = BOARD_TYPES[kind].least + BOARD_TYPES[kind].border
+    required = {"type": text, keys.size: items(integer(fewest), 2), **dict(keys.required.values())}
+    if kind == APRILGRID:
+        required[SPACING] = number(above=0)
+    positive = dict.fromkeys((*lengths(keys.scale), *_parts(keys)), number(above=0))
+    return mapping(required, positive | dict(keys.optional.values()))
+
+
+def check_lengths(data: Data, path: str) -> Iterator[Fault]:
+    """Check that every length of a board is given once, and in proportion to another only if that one is given."""
+    keys = BOARD_KEYS[data["type"]]
+    scales = [key for key in lengths(keys.scale) if key in data]
+    parts = [key for key in _parts(keys) if key in data]
+    ratio = f"{keys.part}_ratio"
+    if len(scales) > 1 or len(parts) > 1:
+        yield Fault(path, f"{' and '.join(scales if len(scales) > 1 else parts)}: give one of them")
+    elif keys.need and not parts:
+        yield Fault(path, f"{keys.need}: {keys.part}_mm, or {ratio} as a share of the {keys.scale}")
+    elif parts and not scales and parts != [ratio]:
+        yield Fault(path, f"{parts[0]} without a {keys.scale}'s length: add {keys.scale}_mm, or give {ratio}")
+
+
+def _parts(keys: BoardKeys) -> tuple[str, ...]:
+    return (*lengths(keys.part), f"{keys.part}_ratio") if keys.part else ()
+
+
+def from_block(data: Data) -> Board:
+    """Return the board of plain data that has passed the checks."""
+    keys, border = BOARD_KEYS[data["type"]], BOARD_TYPES[data["type"]].border
+    columns, rows = data[keys.size]
+    fields = {name: data[key] for name, (key, _) in {**keys.required, **keys.optional}.items() if key in data}
+    if data["type"] == APRILGRID:
+        fields = {"dictionary": TAG_FAMILY, **fields, **aprilgrid_fields(_length(data, keys.scale), data[SPACING])}
+    else:
+        fields["square"] = _length(data, keys.scale)
+    if keys.part:
+        fields[keys.part] = _part(data, keys.part, fields["square"])
+    return Board(data["type"], columns - border, rows - border, **fields)
+
+
+def _length(data: Data, name: str) -> float | None:
+    return next((float(data[key]) * METRES[key.removeprefix(f"{name}_")] for key in lengths(name) if key in data), None)
+
+
+def _part(data: Data, name: str, scale: float | None) -> float | None:
+    ratio = data.get(f"{name}_ratio")
+    return _length(data, name) if ratio is None else float(ratio) * (scale or 1.0)
 
 
 def block(board: Board) -> dict[str, Any]:
     """Return a board as plain data with the keys of a board file."""
-    return board_keys.data_of(board)
+    keys, border = BOARD_KEYS[board.type], BOARD_TYPES[board.type].border
+    data: dict[str, Any] = {"type": board.type, keys.size: [board.columns + border, board.rows + border]}
+    if board.square is not None:
+        data |= _length_key(keys.scale, board.marker if board.type == APRILGRID else board.square)
+    if board.type == APRILGRID:
+        data[SPACING] = spacing_of(board.square, board.marker or 0.0)
+    if keys.part:
+        part = getattr(board, keys.part)
+        data |= {f"{keys.part}_ratio": part} if board.square is None and part else _length_key(keys.part, part)
+    data |= {key: getattr(board, name) for name, (key, _) in keys.required.items()}
+    optional = {key: getattr(board, name) for name, (key, _) in keys.optional.items()}
+    return data | {key: value for key, value in optional.items() if value or (key == "legacy" and value is not None)}
+
+
+def _length_key(name: str, metres: float | None) -> dict[str, float]:
+    if metres is None:
+        return {}
+    length, unit = in_unit(metres)
+    return {f"{name}_{unit}": length}
+
+
+def in_unit(metres: float) -> tuple[float, str]:
+    """Return a length in the unit in which it is a short number and comes back exactly: mm, else m."""
+    length = float(f"{metres / METRES['mm']:.9g}")
+    return (length, "mm") if length * METRES["mm"] == metres else (metres, "m")
+
+
+def short_form(board: Board) -> str:
+    """Return the short form of a board, which `parse_board` reads back exactly (an AprilGrid's pitch to the last bit).
+
+    Raises InvalidInput if the first marker's id is not 0, which only a board file can say.
+    """
+    if board.first_marker:
+        raise InvalidInput(f"a board whose first marker has id {board.first_marker} has no short form")
+    border = BOARD_TYPES[board.type].border
+    parts = [board.type, f"{board.columns + border}x{board.rows + border}"]
+    parts += _aprilgrid(board) if board.type == APRILGRID else _lengths(board)
+    if board.dictionary is not None and (board.type, board.dictionary) != (APRILGRID, TAG_FAMILY):
+        parts.append(board.dictionary)
+    if board.legacy is not None:
+        parts.append("legacy" if board.legacy else "current")
+    return ":".join(parts + ["dots"] * board.dots)
+
+
+def _lengths(board: Board) -> list[str]:
+    """Return the side of a square and what is printed in proportion to it, as far as they are known."""
+    part = board.marker if board.diameter is None else board.diameter
+    square = [] if board.square is None else [_length_text(board.square)]
+    if part is None:
+        return square
+    return [*square, _length_text(part) if square else repr(float(part))]
+
+
+def _aprilgrid(board: Board) -> list[str]:
+    side = board.marker or 0.0
+    return [*([] if board.square is None else [_length_text(side)]), repr(spacing_of(board.square, side))]
+
+
+def _length_text(metres: float) -> str:
+    length, unit = in_unit(metres)
+    return np.format_float_positional(length, trim="-") + unit

@@ -1,10 +1,47 @@
-"""Detections files: camcal's own CSV, or mrcal's corners.vnl, by the file's suffix."""
+"""Detections files: mrcal's corners.vnl, or a CSV that anyone can write by hand or from another tool.
 
+    # camcal-detections 1 board=charuco:9x7:30mm:22mm:DICT_5X5_100
+    # image_circle 640,480,319.5,239.5,228.25
+    image,width,height,id,u,v
+    a.png,640,480,0,101.25,88.5
+    # none b.png,640,480,no board found
+
+The first line may be left out. The columns may stand in any order; camera, orientation (the EXIF tag) and suu, suv,
+svv (covariance, px²) may be added. id = row · columns + column of the inner corner; pixel (0, 0) is the centre of the
+top-left pixel. A '# none' line keeps an image that yielded nothing in its place: image, width, height, reason, then
+camera and orientation where they are known. A '# image_circle' line says which disc of the image the lens lights:
+width and height of the image, u and v of the centre, radius, pixels, then camera where it is known. Numbers are written
+so that they are read back bit for bit.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from camcal import files
-from camcal.formats import detections_csv, vnl
-from camcal.targets.board import Board, Detections
+from camcal.arrays import Array
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import InvalidInput
+from camcal.formats import vnl
+from camcal.formats.boards import short_form
+from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
+from camcal.parsing import parse_integer
+from camcal.targets.board import Board, Detection, Detections, parse_board
+
+MAGIC = "# camcal-detections"
+VERSION = "1"
+NONE = "# none "
+CIRCLE = "# image_circle "
+COLUMNS = ("image", "width", "height", "id", "u", "v")
+COVARIANCE = ("suu", "suv", "svv")
+OPTIONAL = ("camera", "orientation", *COVARIANCE)
+MAX_COUNT = 1_000_000
+MAX_SIDE = 1_000_000
+MARGIN = 0.1  # a corner farther outside than this share of the image's side is a mistake, not a measurement
+
+Placed = tuple[int, Detection]  # with the line on which the file first names the image
 
 
 def read(path: Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
@@ -15,11 +52,260 @@ def read(path: Path, board: Board | None = None, image_size: vnl.ImageSize | Non
     Raises InvalidInput with file and line for the first row that breaks a rule, FileError if the file cannot be read.
     """
     if path.suffix.lower() == vnl.SUFFIX:
-        return vnl.read(path, board, image_size)
-    return detections_csv.read(path, board)
+        return vnl.read_vnl(path, board, image_size)
+    return read_csv(path, board)
 
 
 def write(path: Path, detections: Detections) -> None:
     """Write detections in the form the file's suffix says; raises InvalidInput for what the form cannot hold."""
-    form = vnl if path.suffix.lower() == vnl.SUFFIX else detections_csv
-    files.write_text(path, form.text(detections))
+    text = vnl.vnl_text if path.suffix.lower() == vnl.SUFFIX else csv_text
+    files.write_text(path, text(detections))
+
+
+def read_csv(path: Path, board: Board | None = None) -> Detections:
+    """Return the detections in a CSV file; `board` takes the place of the board the file names."""
+    lines = numbered_lines(path)
+    board = _board(str(path), lines[0][1] if lines else "", board)
+    nothing = [(number, _nothing(str(path), number, line)) for number, line in lines if line.startswith(NONE)]
+    views = [*nothing, *_views(Table.from_csv(str(path), lines, COLUMNS, OPTIONAL), board)]
+    views.sort(key=lambda view: view[0])
+    _refuse_repeats(str(path), views)
+    return Detections(board, tuple(view for _, view in views), _circles(str(path), lines))
+
+
+def _board(path: str, first: str, given: Board | None) -> Board | None:
+    """Return the given board, or else the one the file's first line names."""
+    if not first.startswith(MAGIC):
+        return given
+    version, *rest = first.removeprefix(MAGIC).split() or [""]
+    if version != VERSION:
+        raise InvalidInput(f"detections of version {version!r}; this camcal reads {VERSION}", where=f"{path}:1")
+    words = dict(word.partition("=")[::2] for word in rest)
+    named = _named_board(path, words) if "board" in words else None
+    if given and named and _numbering(given) != _numbering(named):
+        message = f"the points are those of another board ({named.words}) than the one given ({given.words})"
+        raise InvalidInput(message, where=f"{path}:1")
+    return given or named
+
+
+def _numbering(board: Board) -> tuple[str, int, int]:
+    """Return what tells how points are numbered: a chessboard, a ChArUco board and a grid of circles do it alike."""
+    return "grid" if board.has_grid else board.type, board.columns, board.rows
+
+
+def _named_board(path: str, words: dict[str, str]) -> Board:
+    try:
+        return replace(parse_board(words["board"]), first_marker=parse_integer(words.get("first_marker_id", "0")))
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=f"{path}:1") from error
+    except ValueError as error:
+        raise InvalidInput("first_marker_id is not a whole number", where=f"{path}:1") from error
+
+
+def _nothing(path: str, number: int, line: str) -> Detection:
+    """Return the view of a '# none' line."""
+    cells = csv_rows(path, [(number, line.removeprefix(NONE))])[0]
+    if not 4 <= len(cells) <= 6:
+        raise InvalidInput(f"{NONE}needs IMAGE,WIDTH,HEIGHT,REASON[,CAMERA[,ORIENTATION]]", where=f"{path}:{number}")
+    cells += ["", "1"][len(cells) - 4 :]
+    names = ("image", "width", "height", "reason", "camera", "orientation")
+    table = Table(path, {name: [text] for name, text in zip(names, cells, strict=True)}, [number])
+    size, orientation = _sizes(table)[0], int(table.integers("orientation", 1, 8)[0])
+    view = Detection.nothing(cells[0], (int(size[0]), int(size[1])), cells[3] or "nothing found")
+    return replace(view, camera=cells[4], orientation=orientation)
+
+
+def _circles(path: str, lines: Lines) -> dict[str, ImageCircle]:
+    """Return the image circles by the names of their cameras."""
+    circles: dict[str, ImageCircle] = {}
+    for number, line in lines:
+        if line.startswith(CIRCLE):
+            camera, circle = _circle(path, number, line)
+            if circles.setdefault(camera, circle) is not circle:
+                raise InvalidInput(
+                    f"a second image circle{f' of {camera}' if camera else ''}", where=f"{path}:{number}"
+                )
+    return circles
+
+
+def _circle(path: str, number: int, line: str) -> tuple[str, ImageCircle]:
+    """Return the camera and the image circle of a '# image_circle' line."""
+    cells = csv_rows(path, [(number, line.removeprefix(CIRCLE))])[0]
+    if not 5 <= len(cells) <= 6:
+        raise InvalidInput(f"{CIRCLE}needs WIDTH,HEIGHT,U,V,RADIUS[,CAMERA]", where=f"{path}:{number}")
+    names = ("width", "height", "u", "v", "radius")
+    table = Table(path, {name: [text] for name, text in zip(names, cells[:5], strict=True)}, [number])
+    width, height = _sizes(table)[0].tolist()
+    u, v, radius = (float(table.numbers(name)[0]) for name in names[2:])
+    if radius <= 0:
+        raise InvalidInput(f"radius {radius:g} px is not positive", where=f"{path}:{number}")
+    return "".join(cells[5:]), ImageCircle((width, height), (u, v), radius)
+
+
+def _views(table: Table, board: Board | None) -> list[Placed]:
+    """Return the views with points, each with its first line."""
+    if not len(table):
+        return []
+    keys: dict[tuple[str, str], int] = {}
+    images, cameras = table.columns["image"], table.columns.get("camera", [""] * len(table))
+    view_of_row = np.array([keys.setdefault(key, len(keys)) for key in zip(cameras, images, strict=True)])
+    rows = np.split(np.argsort(view_of_row, kind="stable"), np.cumsum(np.bincount(view_of_row))[:-1])
+    first = np.array([group[0] for group in rows])[view_of_row]
+    ids, pixels, covariance = _ids(table, board, view_of_row), _pixels(table), _covariance(table)
+    sizes = _same_in_view(table, "size", _sizes(table), first)
+    orientations = _same_in_view(table, "orientation", _orientations(table), first)
+    _refuse_outside(table, pixels, sizes)
+    return [
+        (
+            table.lines[group[0]],
+            Detection(
+                image,
+                (int(sizes[group[0], 0]), int(sizes[group[0], 1])),
+                ids[group],
+                pixels[group],
+                _covariance_of_view(table, covariance, group),
+                camera,
+                orientation=int(orientations[group[0], 0]),
+            ),
+        )
+        for (camera, image), group in zip(keys, rows, strict=True)
+    ]
+
+
+def _ids(table: Table, board: Board | None, view_of_row: Array) -> Array:
+    """Return the ids (N,), each at most once in a view."""
+    count = board.count if board else MAX_COUNT
+    ids = table.integers("id", 0, count - 1)
+    pairs = view_of_row * count + ids
+    order = np.argsort(pairs, kind="stable")
+    repeated = np.zeros(len(ids), dtype=bool)
+    repeated[order[1:]] = np.diff(pairs[order]) == 0
+    table.refuse(repeated, lambda row: f"image {table.columns['image'][row]!r}: id {ids[row]} stands twice")
+    return ids
+
+
+def _pixels(table: Table) -> Array:
+    return np.column_stack([table.numbers("u"), table.numbers("v")])
+
+
+def _sizes(table: Table) -> Array:
+    return np.column_stack([table.integers(name, 1, MAX_SIDE) for name in ("width", "height")])
+
+
+def _orientations(table: Table) -> Array:
+    if "orientation" not in table.columns:
+        return np.ones((len(table), 1), dtype=np.int64)
+    return table.integers("orientation", 1, 8)[:, None]
+
+
+def _same_in_view(table: Table, what: str, values: Array, first: Array) -> Array:
+    """Return values (N, D), refusing a row that differs from the first one of its view."""
+    table.refuse(
+        (values != values[first]).any(axis=1),
+        lambda row: (
+            f"image {table.columns['image'][row]!r}: {what} {' x '.join(map(str, values[row]))} "
+            f"here, {' x '.join(map(str, values[first[row]]))} at line {table.lines[first[row]]}"
+        ),
+    )
+    return values
+
+
+def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
+    margin = MARGIN * sizes
+    outside = np.any((pixels < -0.5 - margin) | (pixels > sizes - 0.5 + margin), axis=1)
+    table.refuse(
+        outside,
+        lambda row: (
+            f"image {table.columns['image'][row]!r}: ({pixels[row, 0]:g}, {pixels[row, 1]:g}) "
+            f"is far outside the image of {sizes[row, 0]} x {sizes[row, 1]}; are u and v exchanged?"
+        ),
+    )
+
+
+def _covariance(table: Table) -> Array | None:
+    """Return the covariances (N, 2, 2) in px², NaN in rows that leave them empty; None without the columns."""
+    given = [name for name in COVARIANCE if name in table.columns]
+    if not given:
+        return None
+    if len(given) < len(COVARIANCE):
+        raise InvalidInput(f"column {given[0]!r} without the others of {','.join(COVARIANCE)}", where=table.path)
+    empty = np.array([[not text.strip() for text in table.columns[name]] for name in COVARIANCE])
+    table.refuse(
+        np.asarray(empty.any(axis=0) & ~empty.all(axis=0)), lambda _row: f"only a part of {','.join(COVARIANCE)}"
+    )
+    filled = np.flatnonzero(~empty[0])
+    part = table.rows(filled)
+    suu, suv, svv = (part.numbers(name) for name in COVARIANCE)
+    part.refuse(
+        np.asarray((suu <= 0) | (suu * svv <= suv**2)), lambda _row: "suu, suv, svv are no covariance (not positive)"
+    )
+    result = np.full((len(table), 2, 2), np.nan)
+    result[filled] = np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
+    return result
+
+
+def _covariance_of_view(table: Table, covariance: Array | None, group: Array) -> Array | None:
+    if covariance is None:
+        return None
+    missing = np.isnan(covariance[group, 0, 0])
+    if missing.all():
+        return None
+    if missing.any():
+        table.rows(group).refuse(missing, lambda _row: "no covariance here, but in other rows of the same image")
+    return covariance[group]
+
+
+def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
+    lines: dict[tuple[str, str], int] = {}
+    for line, view in views:
+        first = lines.setdefault((view.camera, view.image), line)
+        if first != line:
+            raise InvalidInput(f"image {view.image!r} is already named at line {first}", where=f"{path}:{line}")
+
+
+def csv_text(detections: Detections) -> str:
+    """Return the text of a CSV file, columns that would say nothing left out."""
+    views = detections.views
+    cameras = any(view.camera for view in views)
+    turned = any(view.orientation != 1 for view in views)
+    measured = any(view.covariance is not None for view in views)
+    names = [*COLUMNS, *["camera"] * cameras, *["orientation"] * turned, *(COVARIANCE if measured else ())]
+    circles = [_circle_line(camera, circle) for camera, circle in detections.circles.items()]
+    lines = [_first_line(detections.board), *circles, ",".join(names)]
+    for view in views:
+        tail = f",{cell(view.camera)}" * cameras + f",{view.orientation}" * turned
+        lines += _rows(view, tail, measured=measured) if view.found else [_none_line(view)]
+    return "\n".join(lines) + "\n"
+
+
+def _first_line(board: Board | None) -> str:
+    if board is None:
+        return f"{MAGIC} {VERSION}"
+    marker = f" first_marker_id={board.first_marker}" if board.first_marker else ""
+    return f"{MAGIC} {VERSION} board={short_form(replace(board, first_marker=0))}{marker}"
+
+
+def _circle_line(camera: str, circle: ImageCircle) -> str:
+    numbers = ",".join(map(repr, (*circle.image_size, *circle.centre, circle.radius)))
+    return CIRCLE + numbers + (f",{cell(camera)}" if camera else "")
+
+
+def _rows(view: Detection, tail: str, *, measured: bool) -> Iterator[str]:
+    start = f"{cell(view.image)},{view.size[0]},{view.size[1]}"
+    points = [f"{start},{i},{u!r},{v!r}{tail}" for i, (u, v) in zip(view.ids, view.pixels.tolist(), strict=True)]
+    if not measured:
+        return iter(points)
+    if view.covariance is None:
+        return (f"{point},,," for point in points)
+    parts = view.covariance[:, [0, 0, 1], [0, 1, 1]].tolist()
+    return (f"{point},{suu!r},{suv!r},{svv!r}" for point, (suu, suv, svv) in zip(points, parts, strict=True))
+
+
+def _none_line(view: Detection) -> str:
+    reason = " ".join((view.reason or "nothing found").split())
+    cells = [cell(view.image), str(view.size[0]), str(view.size[1]), cell(reason)]
+    if view.camera or view.orientation != 1:
+        cells.append(cell(view.camera))
+    if view.orientation != 1:
+        cells.append(str(view.orientation))
+    return NONE + ",".join(cells)

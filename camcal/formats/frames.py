@@ -23,7 +23,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import emit, native, poses, strict_json, strict_yaml
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.native_transforms import check_name
-from camcal.formats.pose_forms import LARGEST, Form, LoosePose, form_named
+from camcal.formats.pose_text import LARGEST, Form, LoosePose, form_named
 from camcal.formats.poses import plain as plain_poses
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import Check, Document, Fault, child

@@ -1,9 +1,11 @@
 """camcal's own camera file: one YAML that every command reads (docs/formats.md).
 
 Units are in the keys or are pixels, metres and radians; pixel (0, 0) is the centre of the top-left pixel.
+What breaks no rule but looks wrong is a warning.
 """
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,57 +15,37 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InvalidInput
-from camcal.formats import (
-    covariance,
-    emit,
-    native_board_shape,
-    native_entry,
-    native_transforms,
-    native_warnings,
-    provenance,
-    strict_yaml,
-)
+from camcal.formats import covariance, emit, native_entry, native_transforms, provenance, strict_yaml
 from camcal.formats.camera_file import (
     CameraEntry,
     CameraFile,
     JointCovariance,
-    Noise,
-    ProjectionStd,
-    Transform,
-    ValidRegion,
-    Verdict,
 )
+from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
 from camcal.formats.schema import VENDOR, did_you_mean, flag, integer, mapping, number, plain, text
 from camcal.formats.strict_yaml import Fault, child
-
-__all__ = [
-    "CameraEntry",
-    "CameraFile",
-    "JointCovariance",
-    "Noise",
-    "ProjectionStd",
-    "Transform",
-    "ValidRegion",
-    "Verdict",
-    "check",
-    "read",
-    "read_camera",
-    "write",
-]
 
 FORMAT = "camcal-calibration"
 VERSION = 1
 COMMENT = "camcal camera file. Units: pixels, metres, radians. Pixel (0, 0) = centre of the top-left pixel.\n"
 TRANSFORMS = "a_T_b takes points in b to points in a."
 
+OFF_CENTRE = 0.25  # of the image's side: more than any lens is decentred, less than a wrong resolution
+ASPECT = (0.9, 1.1)
+FIELD_DEG = (3.0, 200.0)
+LARGE_RMS = 1.0
+FEW_IMAGES = 10
+FAR = 20.0  # metres between two cameras; 20 and more are probably millimetres
+
 _JOINT = mapping({}, covariance.KEYS)
 _FILE = mapping(
     {"format": text, "version": integer(1), "cameras": mapping({}, others=native_entry.check)},
     {
-        "transforms": mapping({}, others=plain),  # native_transforms.check needs the cameras' names as well
+        "transforms": mapping({}, others=plain),  # the check of transforms needs the cameras' names as well
         "joint_covariance": _JOINT,
-        "board_shape": native_board_shape.check,
+        "board_shape": check_board_shape,
         "provenance": provenance.check,
         "converted_from": mapping(
             {"file": text, "format": text}, {"exact": flag, "refit_rms_px": number(0), "refit_max_px": number(0)}
@@ -86,17 +68,17 @@ def from_document(document: strict_yaml.Document, folder: Path) -> CameraFile:
     findings: list[Fault] = []
     for name, data in document["cameras"].items():
         cameras[name], unknown = native_entry.read(data, folder)
-        findings += native_warnings.without_uncertainty(child("cameras", name), unknown)
+        findings += without_uncertainty(child("cameras", name), unknown)
     file = CameraFile(
         cameras,
         transforms=native_transforms.read(document.get("transforms", {})),
         joint_covariance=_read_joint(document.get("joint_covariance"), folder),
-        board_shape=native_board_shape.read(document["board_shape"], folder) if "board_shape" in document else None,
+        board_shape=read_board_shape(document["board_shape"], folder) if "board_shape" in document else None,
         provenance=document.get("provenance", {}),
         converted_from=document.get("converted_from", {}),
         extra={key: value for key, value in document.items() if key.startswith(VENDOR)},
     )
-    findings += native_warnings.findings(file)
+    findings += implausible(file)
     return replace(file, warnings=tuple(map(document.message, findings)))
 
 
@@ -186,7 +168,7 @@ def _block(file: CameraFile, path: Path) -> dict[str, Any]:
         "cameras": {name: native_entry.block(entry, path) for name, entry in file.cameras.items()},
         "transforms": native_transforms.block(file.transforms) or None,
         "joint_covariance": covariance.block(joint.names, joint.matrix, path) if joint else None,
-        "board_shape": native_board_shape.block(file.board_shape, path) if file.board_shape else None,
+        "board_shape": board_shape_block(file.board_shape, path) if file.board_shape else None,
         "converted_from": file.converted_from or None,
         "provenance": file.provenance or None,
         **file.extra,
@@ -202,3 +184,69 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     return str(value) if isinstance(value, Path) else value
+
+
+def implausible(file: CameraFile) -> Iterator[Fault]:
+    """Yield what a reader should know before trusting the file, with the key it is about."""
+    for name, entry in file.cameras.items():
+        path = child("cameras", name)
+        yield from _principal_point(entry.camera, child(path, "intrinsics"))
+        yield from _aspect(entry.camera, child(path, "intrinsics"))
+        if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
+            yield from _opening(entry, child(path, "intrinsics"))
+            yield from _folding(entry, child(path, "distortion"))
+        yield from _quality(entry, child(path, "quality"))
+        yield from _verdict(entry, child(path, "verdict"))
+    for name, transform in file.transforms.items():
+        distance = float(np.linalg.norm(transform.pose.translation))
+        if distance > FAR:
+            yield Fault(child(child("transforms", name), "t"), f"{distance:g} m: are these millimetres?")
+
+
+def without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Fault]:
+    """Yield that a camera's uncertainty cannot be used, if there are parameters without one."""
+    if names:
+        text = f"no uncertainty of {', '.join(names)}; the camera's uncertainty is not used"
+        yield Fault(child(path, "uncertainty"), text)
+
+
+def _principal_point(camera: Camera, path: str) -> Iterator[Fault]:
+    for name, side, what in zip(("cx", "cy"), camera.image_size, ("width", "height"), strict=True):
+        value = camera.value(name)
+        if abs(value - (side - 1) / 2) > OFF_CENTRE * side:
+            yield Fault(child(path, name), f"{name}={value:g} for {what} {side}: are these of another resolution?")
+
+
+def _aspect(camera: Camera, path: str) -> Iterator[Fault]:
+    ratio = camera.value("fx") / camera.value("fy")
+    if not ASPECT[0] <= ratio <= ASPECT[1]:
+        yield Fault(path, f"fx/fy = {ratio:.3g}: anamorphic or stretched video? check the display aspect ratio")
+
+
+def _opening(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    horizontal = math.degrees(field_of_view(entry.camera, entry.image_circle)[0])
+    if horizontal < FIELD_DEG[0] or horizontal > FIELD_DEG[1]:
+        text = f"horizontal field of view {horizontal:.3g}°: are the focal length and image_size of one resolution?"
+        yield Fault(child(path, "fx"), text)
+
+
+def _folding(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    fold = folds_inside(entry.camera, entry.image_circle)
+    if fold.folds:
+        limit = f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre"
+        end = "image corner is at" if entry.image_circle is None else "image circle reaches to"
+        yield Fault(path, f"{limit}; the {end} {fold.corner_px:.0f} px")
+
+
+def _quality(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    rms, images = entry.quality.get("rms_px", 0.0), entry.quality.get("images_used", FEW_IMAGES)
+    if rms > LARGE_RMS:
+        yield Fault(child(path, "rms_px"), f"{rms:g} px is a poor fit; a good calibration is below {LARGE_RMS:g}")
+    if images < FEW_IMAGES:
+        yield Fault(child(path, "images_used"), f"{images} images; take {FEW_IMAGES} or more")
+
+
+def _verdict(entry: CameraEntry, path: str) -> Iterator[Fault]:
+    if entry.verdict is not None and not entry.verdict.trustworthy:
+        reasons = " ".join("; ".join(entry.verdict.reasons).split())  # a warning is one line
+        yield Fault(path, f"do not trust this calibration: {reasons or 'no reason is given'}")

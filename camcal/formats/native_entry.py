@@ -1,16 +1,44 @@
-"""One camera of a camera file: its lens and everything else that is known of it."""
+"""The blocks of a camera file: a camera with all that is known of it, and the shape of the board it was calibrated on.
+
+The lens of a camera has a model's parameters by name, which of them were held, how well the others are known:
+
+    intrinsics: {fx: 458.654, fy: 457.296, cx: 367.215, cy: 248.375}
+    distortion: {k1: -0.28340811, k2: 0.07395907, p1: 0.00019359, p2: 1.76187114e-05, k3: 0.0}
+    fixed: [k3]
+    uncertainty: {std: {fx: 0.41, ...}, covariance_order: [fx, ...], covariance: [[...], ...]}
+
+The shape of a board:
+
+    board: {type: chessboard, inner_corners: [9, 6], square_mm: 25.0}
+    classes:                              # optional
+      bow: {scale: 0.00039, std: 0.0001}
+    coefficients: {xy: 1.2e-05, P2(x): 0.00021, P2(y): -3.1e-05, stretch: -0.003, shear: 1.0e-05}
+    uncertainty: {std: {xy: 2.0e-06, ...}, covariance_order: [...], covariance: [...]}
+    deflection_m: 0.00031
+    deflection_std_m: 1.5e-05
+    offsets: one [x, y, z] per corner, in the order of the ids (optional)
+    tiers: [bow, stretch]                 # optional, in older files
+
+Coefficients, offsets and deflection are in metres, in squares when the square's size is unknown (the keys then end in
+_squares); stretch and shear are ratios. Scales are shares of the board's longer side, ratios for stretch and shear.
+"""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.validity import ImageCircle
-from camcal.formats import native_lens
+from camcal.cameras.validity import ImageCircle
+from camcal.cameras.model import Camera, CameraModel
+from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
-from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text
-from camcal.formats.strict_yaml import Check, Fault, child
+from camcal.formats.schema import VENDOR, did_you_mean, flag, integer, items, mapping, number, one_of, plain, text
+from camcal.formats.strict_yaml import Check, Fault, child, nearest
+from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 
 FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
 COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")
@@ -28,6 +56,39 @@ SENSOR: Mapping[str, Check] = {
     "black_level_dn": number(0),
     "bits": integer(1),
 }
+CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others are named under distortion
+PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
+
+_FOCAL = ("fx", "fy")
+_POSITIVE = number(above=0, hint=" (mirrored image? flip the image instead)")
+_UNCERTAINTY = mapping(
+    {},
+    {
+        **covariance.KEYS,
+        "projection": items(mapping({}, {"range_m": number(above=0), **dict.fromkeys(PROJECTION_FIGURES, number(0))})),
+    },
+)
+
+# A key of the file is a plain word.
+KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term.replace(" ", "_")) for term in TERMS}
+KEY_OF_CLASS = {name: name.replace(" ", "_") for name in (*CLASSES, *CORNER_CLASSES)}
+_TERM_OF_KEY = {key: term for term, key in KEY_OF_TERM.items()}
+_CLASS_OF_KEY = {key: name for name, key in KEY_OF_CLASS.items()}
+
+_SCALE = mapping({"scale": number(0), "std": number(0)})
+_SHAPE = mapping(
+    {
+        "board": boards.check,
+        "coefficients": mapping({}, dict.fromkeys(_TERM_OF_KEY, number())),
+        "uncertainty": mapping({}, covariance.KEYS),
+    },
+    {
+        "tiers": items(one_of((*TIERS, OFFSETS), "tier")),
+        "classes": mapping({}, dict.fromkeys(_CLASS_OF_KEY, _SCALE)),
+        **{f"{what}_{unit}": number(0) for what in ("deflection", "deflection_std") for unit in ("m", "squares")},
+        "offsets": items(items(number(), 3)),
+    },
+)
 
 
 def _model(value: Any, path: str) -> Iterator[Fault]:
@@ -35,7 +96,7 @@ def _model(value: Any, path: str) -> Iterator[Fault]:
 
 
 def _unchecked(_value: Any, _path: str) -> tuple[Fault, ...]:
-    """Pass anything: native_lens checks it once the model is known."""
+    """Pass anything: `check_lens` looks at it once the model is known."""
     return ()
 
 
@@ -62,21 +123,21 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     name = data.get("model") if isinstance(data, dict) else None
     if not isinstance(name, str) or name not in MODELS:
         return
-    yield from native_lens.check(data, path, MODELS[name])
-    yield from native_lens.check_held_by_prior(data, path, MODELS[name])
+    yield from check_lens(data, path, MODELS[name])
+    yield from check_held_by_prior(data, path, MODELS[name])
     if "configuration" in data:
         yield Fault(child(path, "configuration"), f"model {name!r} takes no configuration; leave it out")
     channels = data.get("channels")
     for colour, lens in channels.items() if isinstance(channels, dict) else ():
         if isinstance(lens, dict):
-            yield from native_lens.check(lens, child(child(path, "channels"), colour), MODELS[name])
+            yield from check_lens(lens, child(child(path, "channels"), colour), MODELS[name])
 
 
 def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str, ...]]:
     """Return the entry of data that has passed `check`, and the parameters that lack an uncertainty others have."""
     model, size = MODELS[data["model"]], (data["image_size"][0], data["image_size"][1])
-    camera, unknown = native_lens.read(data, model, size, folder)
-    channels = {name: native_lens.read(lens, model, size, folder)[0] for name, lens in data.get("channels", {}).items()}
+    camera, unknown = read_lens(data, model, size, folder)
+    channels = {name: read_lens(lens, model, size, folder)[0] for name, lens in data.get("channels", {}).items()}
     return CameraEntry(
         camera,
         valid=_read_valid(data["valid"], size) if "valid" in data else None,
@@ -114,7 +175,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     """Return the data of one camera; beside: the file it is for."""
     camera = entry.camera
     data: dict[str, Any] = {"image_size": list(camera.image_size), "model": camera.model.name}
-    data.update(native_lens.block(camera, beside))
+    data.update(lens_block(camera, beside))
     data["held_by_prior"] = list(entry.held_by_prior) or None
     if entry.projection:
         data.setdefault("uncertainty", {})["projection"] = [
@@ -125,7 +186,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     data["noise"] = vars(entry.noise) if entry.noise else None
     data["verdict"] = vars(entry.verdict) if entry.verdict else None
     data["sensor"] = entry.sensor or None
-    data["channels"] = {name: native_lens.block(lens, beside) for name, lens in entry.channels.items()} or None
+    data["channels"] = {name: lens_block(lens, beside) for name, lens in entry.channels.items()} or None
     return {**data, **entry.extra}
 
 
@@ -141,3 +202,148 @@ def _valid_block(valid: ValidRegion) -> dict[str, Any]:
 def circle_block(circle: ImageCircle | None) -> dict[str, Any] | None:
     """Return an image circle as plain data."""
     return None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius}
+
+
+def check_lens(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
+    """Check the keys of a lens of the given model; other keys of the block are not looked at."""
+    names = model.parameter_names
+    yield from _check_names(block.get("intrinsics", {}), child(path, "intrinsics"), model, _core(names))
+    yield from _check_names(block.get("distortion", {}), child(path, "distortion"), model, _distortion(names))
+    fixed = block.get("fixed", [])
+    yield from items(one_of(names, "parameter"))(fixed, child(path, "fixed"))
+    uncertainty, where = block.get("uncertainty", {}), child(path, "uncertainty")
+    faults = list(_UNCERTAINTY(uncertainty, where))
+    yield from faults or covariance.check(uncertainty, where, names, fixed if isinstance(fixed, list) else ())
+
+
+def check_held_by_prior(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
+    """Check the names of coefficients that a prior holds: some of the model's that were not fixed."""
+    held, fixed = block.get("held_by_prior", []), block.get("fixed", [])
+    where = child(path, "held_by_prior")
+    faults = list(items(one_of(_distortion(model.parameter_names), "coefficient"))(held, where))
+    yield from faults
+    for index, name in enumerate([] if faults else held):
+        if name in held[:index]:
+            yield Fault(child(where, index), f"{name!r} stands twice")
+        elif isinstance(fixed, list) and name in fixed:
+            yield Fault(child(where, index), f"{name!r} is fixed and has no prior; leave it out")
+
+
+def _core(names: Sequence[str]) -> list[str]:
+    return [name for name in names if name in CORE]
+
+
+def _distortion(names: Sequence[str]) -> list[str]:
+    return [name for name in names if name not in CORE]
+
+
+def _check_names(values: Any, path: str, model: CameraModel, names: Sequence[str]) -> Iterator[Fault]:
+    """Check that values are named as the model needs them, no more and no fewer."""
+    if not isinstance(values, dict):
+        yield from mapping({})(values, path)
+        return
+    missing = [name for name in names if name not in values]
+    misspelt: set[str | None] = set()
+    for name, value in values.items():
+        if name in names:
+            yield from (_POSITIVE if name in _FOCAL else number(*model.limits[name]))(value, child(path, name))
+        else:
+            misspelt.add(nearest(name, missing))
+            yield Fault(child(path, name), f"model {model.name!r} has no {name!r} here{did_you_mean(name, missing)}")
+    missing = [name for name in missing if name not in misspelt]
+    if missing:
+        lacks = f"model {model.name!r} needs {','.join(names)}; missing {', '.join(map(repr, missing))}"
+        yield Fault(path, lacks if missing[0] in CORE else f"{lacks} (write {missing[0]}: 0.0)")
+
+
+def read_lens(
+    block: Mapping[str, Any], model: CameraModel, image_size: tuple[int, int], folder: Path
+) -> tuple[Camera, tuple[str, ...]]:
+    """Return the camera of a block that has passed `check`, and the parameters that have no uncertainty beside others
+    that do.
+    """
+    values = {**block["intrinsics"], **block.get("distortion", {})}
+    parameters = np.array([float(values[name]) for name in model.parameter_names])
+    fixed = tuple(block.get("fixed", ()))
+    uncertainty = block.get("uncertainty", {})
+    if not {"std", "covariance_order"} & uncertainty.keys():
+        return Camera(model, image_size, parameters, fixed=fixed), ()
+    known, unknown = covariance.read(uncertainty, model.parameter_names, folder, fixed)
+    return Camera(model, image_size, parameters, known, fixed), unknown
+
+
+def lens_block(camera: Camera, beside: Path) -> dict[str, Any]:
+    """Return the block of a camera's lens; beside: the file it is for."""
+    names = camera.model.parameter_names
+    values = dict(zip(names, camera.parameters.tolist(), strict=True))
+    data: dict[str, Any] = {"intrinsics": {name: values[name] for name in _core(names)}}
+    if distortion := _distortion(names):
+        data["distortion"] = {name: values[name] for name in distortion}
+    if camera.fixed:
+        data["fixed"] = list(camera.fixed)
+    if camera.covariance is not None:
+        data["uncertainty"] = covariance.block(names, camera.covariance, beside, camera.fixed)
+    return data
+
+
+def check_board_shape(data: Any, path: str) -> Iterator[Fault]:
+    """Check the shape of a board."""
+    faults = list(_SHAPE(data, path))
+    yield from faults
+    if faults:
+        return
+    board, terms = boards.from_block(data["board"]), _terms(data)
+    yield from covariance.check(data["uncertainty"], child(path, "uncertainty"), terms)
+    lacking = [name for name in terms if name not in data["uncertainty"].get("std", {})]
+    if lacking:
+        yield Fault(child(path, "uncertainty"), f"std is missing for {', '.join(lacking)}")
+    other = "squares" if board.unit == "m" else "m"
+    for key in (f"deflection_{other}", f"deflection_std_{other}"):
+        if key in data:
+            yield Fault(child(path, key), f"the board's lengths are in {board.unit}; write deflection_{board.unit}")
+    if "offsets" in data and len(data["offsets"]) != board.count:
+        yield Fault(child(path, "offsets"), f"{len(data['offsets'])} offsets; the board has {board.count} corners")
+
+
+def read_board_shape(data: Mapping[str, Any], folder: Path) -> Surface:
+    """Return the surface of data that has passed `check`."""
+    board, keys = boards.from_block(data["board"]), _terms(data)
+    known, _ = covariance.read(data["uncertainty"], keys, folder)
+    return Surface(
+        board,
+        tuple(data.get("tiers", ())),
+        terms=tuple(_TERM_OF_KEY[key] for key in keys),
+        coefficients=np.array([float(data["coefficients"][key]) for key in keys]),
+        covariance=np.zeros((0, 0)) if known is None else known,
+        offsets=np.array(data["offsets"], dtype=float) if "offsets" in data else None,
+        deflection=float(data.get(f"deflection_{board.unit}", 0.0)),
+        deflection_std=float(data.get(f"deflection_std_{board.unit}", 0.0)),
+        classes={
+            _CLASS_OF_KEY[key]: (float(found["scale"]), float(found["std"]))
+            for key, found in data.get("classes", {}).items()
+            if key in _CLASS_OF_KEY  # and not x_ keys of others
+        },
+    )
+
+
+def _terms(data: Mapping[str, Any]) -> list[str]:
+    return [key for key in data["coefficients"] if key in _TERM_OF_KEY]
+
+
+def board_shape_block(surface: Surface, beside: Path) -> dict[str, Any]:
+    """Return a surface as plain data; beside: the file it is for."""
+    keys, unit = [KEY_OF_TERM[term] for term in surface.terms], surface.board.unit
+    return {
+        "board": boards.block(surface.board),
+        "tiers": list(surface.tiers) or None,
+        "classes": {
+            KEY_OF_CLASS[name]: {"scale": float(scale), "std": float(std)}
+            for name, (scale, std) in surface.classes.items()
+        }
+        or None,
+        "coefficients": dict(zip(keys, surface.coefficients.tolist(), strict=True)),
+        "uncertainty": covariance.block(keys, surface.covariance, beside),
+        f"deflection_{unit}": float(surface.deflection),
+        f"deflection_std_{unit}": float(surface.deflection_std),
+        "offsets": None if surface.offsets is None else surface.offsets.tolist(),
+    }

@@ -12,9 +12,9 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.series import Series, SmoothedSeries
-from camcal.formats import emit, measurements
+from camcal.formats import emit
 from camcal.formats.schema import did_you_mean
-from camcal.formats.tables import Table
+from camcal.formats.tables import Table, read_measurements
 from camcal.formats.trajectories.rows import require_increasing
 
 SUFFIXES = (".csv", ".json")
@@ -31,7 +31,7 @@ def read(path: Path, columns: Sequence[str] = ()) -> Series:
     which hold standard deviations of all, or of one column. An empty cell is a missing measurement.
     Raises InvalidInput with file and line for a name that is no column and for anything wrong in the cells.
     """
-    table = measurements.read(path)
+    table = read_measurements(path)
     if not columns and any(f"{_STD}{name}" in table.columns for name in table.columns):
         raise InvalidInput("holds smoothed states, not measurements; --columns says what to smooth", where=str(path))
     time, *names = columns or [name for name in table.columns if not name.startswith(_SIGMA)]
@@ -54,7 +54,7 @@ def read_controls(path: Path, series: Series) -> Array:
     The file has the time's column first and one for every column of the series; what stands between two stamps is
     summed up. Raises InvalidInput if a displacement lies outside the series.
     """
-    table = measurements.read(path)
+    table = read_measurements(path)
     time = next(iter(table.columns))
     missing = [name for name in series.names if name not in table.columns]
     if missing:

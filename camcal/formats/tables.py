@@ -19,6 +19,8 @@ LONGEST_QUOTE = 60  # characters of a cell that a message repeats
 
 _SHIELD = "'"
 _FORMULA = ("=", "+", "@", "\t")  # a minus too, but numbers begin with it
+_COMMENT = "#"
+_SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 Lines = Sequence[tuple[int, str]]
 
@@ -180,3 +182,32 @@ def _unshielded(text: str) -> str:
     """Return a cell without the apostrophe that `cell` put before what looks like a formula."""
     inner = text.removeprefix(_SHIELD)
     return inner if inner != text and inner.lstrip(_SHIELD)[:1] in _FORMULA else text
+
+
+def read_measurements(path: Path) -> Table:
+    """Return the table of a CSV file whose first row names its columns freely; lines that begin with # are left out.
+
+    Raises FileError if the file cannot be read or has no rows, InvalidInput for rows of other lengths, for names that
+    are numbers or stand twice, and for columns that are not separated by commas.
+    """
+    lines = [(number, line) for number, line in numbered_lines(path) if not line.lstrip().startswith(_COMMENT)]
+    rows = csv_rows(str(path), lines)
+    if len(rows) < 2:
+        raise FileError("no rows of numbers below a row of column names", where=str(path))
+    names = [name.strip() for name in rows[0]]
+    _check_columns(f"{path}:{lines[0][0]}", names)
+    return Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
+
+
+def _check_columns(where: str, names: list[str]) -> None:
+    if all(map(is_number, names)):
+        raise InvalidInput("no column names; the first row is to name the columns, such as x,y", where=where)
+    used = next((letter for letter in _SEPARATORS if len(names) == 1 and letter in names[0]), None)
+    if used is not None:
+        raise InvalidInput(
+            f"one column, {names[0]!r}: columns are separated by commas, not {_SEPARATORS[used]}", where=where
+        )
+    if not all(names):
+        raise InvalidInput(f"column {names.index('') + 1} has no name", where=where)
+    if len(set(names)) < len(names):
+        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=where)

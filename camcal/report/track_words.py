@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.tracking.jitter import Jitter, Shaking
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
-from camcal.formats.tracks import TrackedObject
+from camcal.formats.trajectories.tracked import TrackedObject
 
 _IN_A_ROW = 3  # outliers hardly ever come so
 _ASTRAY = "they fit neither the track nor one another; wrong times or detections? Else raise --process-noise"

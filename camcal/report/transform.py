@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.pose_average import PoseAverage
 from camcal.formats import pose_text
-from camcal.formats.pose_forms import Form
+from camcal.formats.pose_text import Form
 from camcal.geometry import rotation as so3
 from camcal.geometry.frame_graph import Loop
 from camcal.geometry.named import NamedTransform

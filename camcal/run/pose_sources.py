@@ -18,7 +18,7 @@ from typing import TypeVar
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import frames, pose_text, trajectories
 from camcal.formats.frames import LooseTransform
-from camcal.formats.pose_forms import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
+from camcal.formats.pose_text import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
 from camcal.formats.schema import did_you_mean
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.named import JOINT, NamedTransform, frames_of

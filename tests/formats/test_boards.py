@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import boards, emit, strict_yaml
-from camcal.formats.board_text import short_form
+from camcal.formats.boards import short_form
 from camcal.targets.board import Board, parse_board
 from camcal.targets.boards.types import METRES
 

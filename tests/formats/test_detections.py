@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import detections, detections_csv
+from camcal.formats import detections
+from camcal.formats.detections import read_csv
 from camcal.targets.board import Detection, Detections, parse_board
 
 BOARD = parse_board("chessboard:4x3:25mm")
@@ -278,7 +279,7 @@ def test_any_text_is_read_or_refused_with_file_and_reason(tmp_path_factory, cont
     path = tmp_path_factory.mktemp("csv") / "d.csv"
     path.write_text("image,width,height,id,u,v\n" + content, encoding="utf-8", newline="")
     try:
-        found = detections_csv.read(path)
+        found = read_csv(path)
     except InvalidInput as error:
         assert str(error).startswith(str(path))  # noqa: PT017 either outcome is right, a traceback is not
     else:

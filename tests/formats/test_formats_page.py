@@ -8,20 +8,19 @@ from formats_page import with_models
 
 from camcal.cameras.catalogue import MODELS
 from camcal.formats import (
-    board_keys,
     boards,
     correspondences,
     covariance,
     detections,
-    detections_csv,
     frames,
     native,
-    native_board_shape,
     native_entry,
     tags,
     trajectories,
 )
-from camcal.formats.native_lens import PROJECTION_FIGURES
+from camcal.formats.boards import BOARD_KEYS, SPACING, lengths
+from camcal.formats.detections import COLUMNS, OPTIONAL
+from camcal.formats.native_entry import KEY_OF_CLASS, KEY_OF_TERM, PROJECTION_FIGURES
 from camcal.targets.board import parse_board
 from camcal.targets.surface import TIERS
 
@@ -91,12 +90,12 @@ def test_the_page_has_examples_of_every_kind():
 
 
 def keys_of_boards():
-    for keys in board_keys.BOARD_KEYS.values():
-        yield from (keys.size, *board_keys.lengths(keys.scale), *board_keys.lengths(keys.part))
+    for keys in BOARD_KEYS.values():
+        yield from (keys.size, *lengths(keys.scale), *lengths(keys.part))
         yield from (key for key, _ in (*keys.required.values(), *keys.optional.values()))
         if keys.part:
             yield f"{keys.part}_ratio"
-    yield board_keys.SPACING
+    yield SPACING
 
 
 def test_every_key_and_column_is_named_on_the_page():
@@ -107,11 +106,11 @@ def test_every_key_and_column_is_named_on_the_page():
         *native_entry.FIGURES,
         *native_entry.COUNTS,
         *PROJECTION_FIGURES,
-        *native_board_shape.KEY_OF_TERM.values(),
-        *native_board_shape.KEY_OF_CLASS.values(),
+        *KEY_OF_TERM.values(),
+        *KEY_OF_CLASS.values(),
         *keys_of_boards(),
-        *detections_csv.COLUMNS,
-        *detections_csv.OPTIONAL,
+        *COLUMNS,
+        *OPTIONAL,
         *TIERS,
         *MODELS,
     ]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import frames
-from camcal.formats.pose_forms import form_named
+from camcal.formats.pose_text import form_named
 from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import Pose
 

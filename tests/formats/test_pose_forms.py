@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from camcal.errors import InvalidInput
-from camcal.formats.pose_forms import FORMS, elementary, form_named, guessed, is_elementary, is_row, numbers_in
+from camcal.formats.pose_text import FORMS, elementary, form_named, guessed, is_elementary, is_row, numbers_in
 from camcal.geometry.pose import Pose
 
 NUMBERS = st.floats(-2, 2)

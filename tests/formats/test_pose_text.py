@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import pose_text
-from camcal.formats.pose_forms import form_named
+from camcal.formats.pose_text import form_named
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import Pose

@@ -6,8 +6,7 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
-from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
-from camcal.formats.rigs import rig_of
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, rig_of
 from camcal.geometry.pose import Pose
 
 CAMERA = CameraEntry(Camera(model_named("pinhole"), (640, 480), [500.0, 500.0, 320.0, 240.0]))

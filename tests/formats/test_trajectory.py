@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import trajectories
-from camcal.formats.trajectories.ros import static_transform_publisher
+from camcal.formats.pose_text import static_transform_publisher
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 

@@ -18,7 +18,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import strict_json
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.tables import MAX_LINES, Table, cell, csv_rows, numbered_lines
-from camcal.formats.trajectories import line_formats
+from camcal.formats.trajectories.table import read_lines
 from camcal.images import limits
 from camcal.images.load import load
 from camcal.images.save import save
@@ -130,7 +130,7 @@ def test_a_trajectory_with_other_numbers_is_refused_with_its_line(tmp_path, text
     path = tmp_path / "path.tum"
     path.write_text(f"0 0 0 0 0 0 0 1\n1 {text} 0 0 0 0 0 1\n", encoding="utf-8")
     with pytest.raises(InvalidInput, match=r"path\.tum:2: .* is not a number"):
-        line_formats.read(path)
+        read_lines(path)
 
 
 @pytest.mark.parametrize("text", ['{"a": ' + "9" * 5000 + "}", '{"a":' * 100_000, "[" * 100_000])

@@ -7,7 +7,7 @@ from moving_objects import glances
 
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import TrackOptions, track_poses
-from camcal.formats.tracks import TrackedObject
+from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.report.track_words import lines

@@ -5,7 +5,7 @@ import pytest
 
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import poses
-from camcal.formats.pose_forms import form_named
+from camcal.formats.pose_text import form_named
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 from camcal.run.pose_sources import files_of, read_loose, read_one, read_transforms

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes, replacing
-from camcal.formats.pointclouds import glb, glb_reading, las, npz, pcd, ply, xyz
+from camcal.formats.pointclouds import glb, las, npz, pcd, ply, xyz
 from camcal.formats.pointclouds.record import PointCloudFile
 from camcal.stereo.points.frames import VertexStream
 
@@ -31,7 +31,7 @@ _FORMATS = {
     ".pcd": _Format(pcd.write, pcd.read, pcd.write_text),
     ".xyz": _Format(xyz.write, xyz.read, xyz.write),
     ".npz": _Format(npz.write, npz.read),
-    ".glb": _Format(glb.write, glb_reading.read),
+    ".glb": _Format(glb.write, glb.read),
     ".las": _Format(partial(las.write, compress=False), las.read),
     ".laz": _Format(partial(las.write, compress=True), las.read),
 }

@@ -2,7 +2,7 @@
 
 The vertices stay in their own frame and unit. The node that holds them turns them into glTF's, metres with x right,
 y up and z towards the viewer. Colour is linear in glTF, and has 16 bits so that the 8-bit colour comes back. Vertices
-without a position are left out.
+without a position are left out. Of a file the first primitive is read, as this package writes it and as others may.
 Source: Khronos, glTF 2.0 specification, sections 3.6.2, 3.7.2.1, 3.9.2 and 4.4.
 """
 
@@ -14,10 +14,12 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
-from camcal.formats.pointclouds.record import MILLIMETRES, blocks_of
+from camcal.errors import FileError, InvalidInput
+from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
 from camcal.geometry.axes import rotation_of
 from camcal.stereo.points.frames import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.raw.tone import encode
+from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2
 HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
@@ -38,6 +40,8 @@ _OPAQUE = 65535
 _POINTS = 0  # the mode of a primitive
 _LIMIT = (1 << 32) - (1 << 20)  # bytes; the lengths in the file have 32 bits
 _GLTF_R_CAMERA = np.diag([1.0, -1.0, -1.0])
+
+_KINDS = {number: np.dtype(name) for name, number in COMPONENTS.items()}
 
 
 def write(file: BinaryIO, stream: VertexStream) -> None:
@@ -152,3 +156,82 @@ def _placement(stream: VertexStream) -> Array:
     if stream.unit == MILLIMETRES:
         placement[:3, :3] *= 1e-3
     return placement + 0.0  # without negative zeros
+
+
+def read(content: bytes) -> PointCloudFile:
+    """Return the vertices of the first primitive, in their own frame: what the node does to them is left undone.
+
+    Raises FileError if the file is damaged, or describes its points in another way than by interleaved or plain
+    arrays of floating-point numbers and normalised colours.
+    """
+    document, binary = _chunks(content)
+    try:
+        columns = _columns(document, binary)
+        extras = document["nodes"][0].get("extras", {})
+        notes = {str(key): str(value) for key, value in extras.get("notes", {}).items()}
+        words = {"unit": str(extras.get("unit", METRES)), "frame": str(extras.get("frame", ""))}
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise FileError("the description in the GLB file is not one of points") from error
+    return cloud_of(columns, **words, notes=notes)
+
+
+def _chunks(content: bytes) -> tuple[Any, bytes]:
+    """Return the description and the binary part."""
+    if len(content) < HEADER.size or content[:4] != MAGIC:
+        raise FileError("not a GLB file (it begins with glTF)")
+    _, version, length = HEADER.unpack_from(content)
+    if version != VERSION or length > len(content):
+        raise FileError(f"glTF {version} of {length} bytes; found {len(content)} bytes, and only glTF 2 is read")
+    chunks: dict[bytes, bytes] = {}
+    at = HEADER.size
+    while at + CHUNK.size <= length:
+        size, kind = CHUNK.unpack_from(content, at)
+        at += CHUNK.size
+        chunks.setdefault(kind, content[at : at + size])
+        at += size
+    try:
+        return json.loads(chunks[JSON_CHUNK]), chunks.get(BINARY_CHUNK, b"")
+    except (KeyError, ValueError, RecursionError) as error:
+        raise FileError("the GLB file has no readable description") from error
+
+
+def _columns(document: Any, binary: bytes) -> dict[str, Array]:
+    """Return the columns of the first primitive; raises KeyError and the like where something is missing."""
+    if not document.get("meshes"):
+        return {name: np.empty(0, np.float32) for name in ATTRIBUTES["POSITION"]}
+    found: dict[str, Array] = {}
+    for name, index in document["meshes"][0]["primitives"][0]["attributes"].items():
+        if name in ATTRIBUTES:
+            values = _values(document, index, binary)
+            values = _srgb(values) if name == "COLOR_0" else values
+            fields = ATTRIBUTES[name]
+            found |= dict(zip(fields, values.reshape(len(values), -1).T[: len(fields)], strict=True))
+    return found
+
+
+def _values(document: Any, index: int, binary: bytes) -> Array:
+    accessor = document["accessors"][index]
+    view = document["bufferViews"][accessor["bufferView"]]
+    kind = np.dtype((_KINDS[accessor["componentType"]], SHAPES[accessor["type"]]))
+    count, stride = int(accessor["count"]), int(view.get("byteStride", kind.itemsize))
+    start = int(view.get("byteOffset", 0)) + int(accessor.get("byteOffset", 0))
+    needed = start + max(count - 1, 0) * stride + kind.itemsize
+    if min(count, start) < 0 or stride < kind.itemsize or needed > len(binary):
+        raise FileError(f"{count} points end {needed} bytes into the GLB file's binary part, which has {len(binary)}")
+    return np.ndarray((count, *kind.shape), kind.base, binary, start, (stride, *_steps(kind)))
+
+
+def _steps(kind: np.dtype[Any]) -> tuple[int, ...]:
+    return (kind.base.itemsize,) if kind.shape else ()
+
+
+def _srgb(linear: Array) -> Array:
+    """Return the 8-bit counts of linear light, 0 … 1 or the full scale of integers."""
+    if linear.dtype.kind == "f":
+        return _encoded(linear)
+    scale = np.iinfo(linear.dtype).max
+    return np.asarray(_encoded(np.arange(scale + 1) / scale)[linear])
+
+
+def _encoded(light: Array) -> Array:
+    return np.asarray(np.rint(255 * np.clip(encode(np.nan_to_num(light), "srgb"), 0, 1)), np.uint8)

@@ -1,6 +1,7 @@
 """PCD 0.7, the format of the Point Cloud Library (PCL): binary or ASCII written; compressed read as well.
 
-Colour is one field rgb of 32 bits, 0x00RRGGBB. PCL calls its type F in binary and U, an integer, in ASCII files.
+Colour is one field rgb of 32 bits, 0x00RRGGBB. PCL calls its type F in binary and U, an integer, in ASCII files. The
+compression is LZF (M. Lehmann, liblzf), which is read only.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,9 +12,14 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.formats.pointclouds import text
-from camcal.formats.pointclouds.lzf import decompressed
-from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, comments_of, from_comments
+from camcal.formats.pointclouds.record import (
+    PointCloudFile,
+    blocks_of,
+    comments_of,
+    from_comments,
+    numbers_in,
+    text_rows,
+)
 from camcal.parsing import parse_integer
 from camcal.stereo.points.frames import COLOUR, VertexStream
 
@@ -21,6 +27,9 @@ _NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}  # as PCL has th
 _PACKED = ("rgb", "rgba")
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST_COUNT = 1 << 16  # numbers of one field, such as a histogram
+
+_LITERALS = 32  # a control byte below this announces that many bytes less one as they are
+_LONG = 7  # a length that another byte adds to
 
 
 @dataclass(frozen=True)
@@ -47,7 +56,7 @@ def write_text(file: BinaryIO, stream: VertexStream) -> None:
     """Write a cloud as ASCII, block by block."""
     kind = _type_of(stream, "<u4")
     file.write(_header_of(stream, kind, "ascii"))
-    file.writelines(text.rows(_packed(stream, kind)))
+    file.writelines(text_rows(_packed(stream, kind)))
 
 
 def _type_of(stream: VertexStream, rgb: str) -> np.dtype[np.void]:
@@ -162,7 +171,7 @@ def _compressed(body: memoryview, header: _Header) -> dict[str, Array]:
     packed, size = (int(number) for number in np.frombuffer(body, "<u4", 2))
     _require(len(body) - 8, packed, header)
     _require(size, header.count * header.type.itemsize, header)
-    content = decompressed(bytes(body[8 : 8 + packed]), size)
+    content = lzf_decompressed(bytes(body[8 : 8 + packed]), size)
     columns, at = {}, 0
     for name in header.type.names or ():
         kind = header.type[name]
@@ -175,9 +184,7 @@ def _text(body: memoryview, header: _Header) -> dict[str, Array]:
     lines = [line for line in str(body, "ascii", "replace").splitlines() if line.strip()]
     if len(lines) < header.count:
         raise FileError(f"the PCD header promises {header.count} points, there are {len(lines)} lines")
-    numbers = text.numbers_in(
-        lines[: header.count], sum(_numbers_of(header.type[name]) for name in header.type.names or ())
-    )
+    numbers = numbers_in(lines[: header.count], sum(_numbers_of(header.type[name]) for name in header.type.names or ()))
     columns, at = {}, 0
     for name in header.type.names or ():
         with np.errstate(invalid="ignore", over="ignore"):
@@ -206,3 +213,38 @@ def _unpacked(columns: dict[str, Array]) -> dict[str, Array]:
 
 
 _READERS = {"binary": _binary, "binary_compressed": _compressed, "ascii": _text}
+
+
+def lzf_decompressed(packed: bytes, size: int) -> bytearray:
+    """Return the `size` bytes that were packed; raises FileError if it is another number of bytes, or damaged."""
+    found = bytearray()
+    at = 0
+    try:
+        while at < len(packed) and len(found) <= size:
+            control = packed[at]
+            if control < _LITERALS:
+                found += packed[at + 1 : at + 2 + control]
+                at += 2 + control
+            else:
+                at = _repeat(found, packed, at)
+    except IndexError as error:
+        raise FileError(f"compressed data damaged at byte {at}") from error
+    if len(found) != size:
+        raise FileError(f"compressed data hold {len(found)} bytes or more, the header promises {size}")
+    return found
+
+
+def _repeat(found: bytearray, packed: bytes, at: int) -> int:
+    """Append a piece of what stands already in `found`; return where the next control byte is."""
+    length, distance = packed[at] >> 5, (packed[at] & 31) << 8
+    if length == _LONG:
+        at += 1
+        length += packed[at]
+    distance += packed[at + 1] + 1
+    length += 2
+    start = len(found) - distance
+    if start < 0:
+        raise IndexError
+    piece = found[start : start + length]
+    found += (piece * (length // len(piece) + 1))[:length]  # the piece may run into itself
+    return at + 2

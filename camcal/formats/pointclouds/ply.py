@@ -12,8 +12,17 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.formats.pointclouds import text
+from camcal.formats.schema import text
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, comments_of, from_comments
+from camcal.stereo.points.frames import VertexStream
+from camcal.formats.pointclouds.record import (
+    PointCloudFile,
+    blocks_of,
+    comments_of,
+    from_comments,
+    text_rows,
+    text_table,
+)
 from camcal.stereo.points.frames import VertexStream
 
 _WRITTEN = {"f": "float", "u": "uchar"}
@@ -55,7 +64,7 @@ def write(file: BinaryIO, stream: VertexStream) -> None:
 def write_text(file: BinaryIO, stream: VertexStream) -> None:
     """Write a cloud as ASCII, block by block."""
     file.write(_header_of(stream, "ascii"))
-    file.writelines(text.rows(blocks_of(stream)))
+    file.writelines(text_rows(blocks_of(stream)))
 
 
 def _header_of(stream: VertexStream, form: str) -> bytes:
@@ -129,7 +138,7 @@ def _text(body: memoryview, before: list[_Element], vertex: _Element) -> Array:
     lines = [line for line in str(body, "ascii", "replace").splitlines() if line.strip()]
     if len(lines) < start + vertex.count:
         raise FileError(f"{vertex.count} vertices end on line {start + vertex.count}, there are {len(lines)} lines")
-    return text.table(lines[start : start + vertex.count], kind)
+    return text_table(lines[start : start + vertex.count], kind)
 
 
 def _type_of(element: _Element, order: str) -> np.dtype[np.void]:

@@ -1,8 +1,11 @@
-"""A point cloud as read from a file, and what all formats share: comments, and columns under the names of the house."""
+"""A point cloud as read from a file, and what all formats share: comments, and columns under the names of the house.
 
-from collections.abc import Iterator, Mapping, Sequence
+Text has nine significant digits, all that a float32 holds.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 
@@ -31,6 +34,8 @@ _HOUSE_TYPES = {
 }
 _FAR = 1 << 17  # beyond, float32 is coarser than 8 mm
 _UNITS = {"metre": METRES, "meter": METRES, "millimetre": MILLIMETRES, "millimeter": MILLIMETRES}
+_ROWS = 1 << 12  # turned into text at a time: Python's numbers take ten times the room of the array's
+_NUMBER = {"f": "%.9g", "u": "%d"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,3 +181,41 @@ def _as_share(column: Array) -> Array:
 
 
 _CONVERSIONS = {**dict.fromkeys(COLOUR, _as_byte), INTENSITY: _as_share}
+
+
+def text_rows(blocks: Iterable[Array]) -> Iterator[bytes]:
+    """Yield structured arrays (N,) as lines of numbers with blanks between them."""
+    for block in blocks:
+        row = " ".join(_NUMBER[block.dtype[name].kind] for name in block.dtype.names or ()) + "\n"
+        for start in range(0, len(block), _ROWS):
+            part = block[start : start + _ROWS].tolist()
+            yield (row * len(part) % tuple(chain.from_iterable(part))).encode("ascii")
+
+
+def text_table(lines: Sequence[str], kind: np.dtype[np.void]) -> Array:
+    """Return lines of text as a structured array (N,) of the type `kind`.
+
+    Raises FileError naming what was expected and found.
+    """
+    names = kind.names or ()
+    found = np.empty(len(lines), kind)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for name, column in zip(names, numbers_in(lines, len(names)).T, strict=True):
+            found[name] = column
+    return found
+
+
+def numbers_in(lines: Sequence[str], columns: int | None = None) -> Array:
+    """Return the numbers of lines of text, (N, columns) float64; None for as many columns as there are.
+
+    Raises FileError if they are no table, or one of another width.
+    """
+    if not lines:
+        return np.empty((0, columns or 0))
+    try:
+        found: Array = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+    except ValueError as error:
+        raise FileError(f"the rows of vertices are no table of numbers: {error}") from error
+    if columns not in {None, found.shape[1]}:
+        raise FileError(f"a vertex has {columns} numbers by the header, a row has {found.shape[1]}")
+    return found

@@ -10,8 +10,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.formats.pointclouds import text
+from camcal.formats.schema import text
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, from_comments
+from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, VertexStream
+from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, from_comments, numbers_in, text_rows
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, VertexStream
 
 _PLAIN: dict[int, tuple[str, ...]] = {
@@ -31,7 +33,7 @@ def write(file: BinaryIO, stream: VertexStream) -> None:
         file.write(f"# columns: {' '.join(names)}\n".encode())
     if stream.unit != METRES:
         file.write(f"# unit: {stream.unit}\n".encode())
-    file.writelines(text.rows(blocks_of(stream)))
+    file.writelines(text_rows(blocks_of(stream)))
 
 
 def read(content: bytes) -> PointCloudFile:
@@ -44,7 +46,7 @@ def read(content: bytes) -> PointCloudFile:
     lines = [line.strip() for line in content.decode("utf-8", "replace").splitlines()]
     remarks = [line.lstrip("#/ ") for line in lines if line.startswith(_REMARKS)]
     rows = [line.replace(",", " ").replace(";", " ") for line in lines if not line.startswith(_REMARKS)]
-    numbers = text.numbers_in([row for row in rows if row.strip()])
+    numbers = numbers_in([row for row in rows if row.strip()])
     names = next((remark.split()[1:] for remark in remarks if remark.startswith("columns:")), None)
     columns = _columns(numbers, names) if len(numbers) else dict.fromkeys(names or POSITION, np.empty(0))
     remarks = [remark for remark in remarks if not remark.startswith("columns:")]

@@ -9,6 +9,10 @@ from pathlib import Path
 from camcal.errors import InvalidInput
 from camcal.formats.trajectories import line_formats, native, ros, table
 from camcal.geometry.pose import Trajectory
+from camcal.formats.trajectories import native, table
+from camcal.formats.trajectories.native import write_tf
+from camcal.formats.trajectories.table import read_lines, read_with_repeats, write_kitti, write_tum
+from camcal.geometry.pose import Trajectory
 
 KINDS = {
     "tum": (".tum", ".txt"),
@@ -21,12 +25,12 @@ KINDS = {
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes in KINDS.values() for suffix in suffixes))
 
 _WRITERS = {
-    "tum": line_formats.write_tum,
+    "tum": write_tum,
     "csv": table.write,
     "yaml": native.write_yaml,
     "json": native.write_json,
-    "kitti": line_formats.write_kitti,
-    "tf": ros.write,
+    "kitti": write_kitti,
+    "tf": write_tf,
 }
 
 
@@ -60,7 +64,7 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
     if suffix in (".yaml", ".yml", ".json"):
         return native.read(path)
     if suffix in SUFFIXES:
-        return line_formats.read(path, frames)
+        return read_lines(path, frames)
     raise InvalidInput(f"trajectories are {', '.join(SUFFIXES)}, found {suffix or 'no suffix'}", where=str(path))
 
 
@@ -72,7 +76,7 @@ def is_trajectory_csv(path: Path) -> bool:
 def read_reference(path: Path) -> tuple[Trajectory, int]:
     """Return the trajectory to compare with, and how many poses were left out of it because their time is repeated."""
     if path.suffix.lower() in KINDS["tum"]:
-        return line_formats.read_with_repeats(path)
+        return read_with_repeats(path)
     return read(path), 0
 
 

@@ -1,6 +1,11 @@
-"""Trajectories with every number named, as YAML or JSON; both hold the same."""
+"""Trajectories with every number named: camcal's own, as YAML or JSON, and the YAML of ROS transforms.
+
+ROS transforms are those of a tf2_msgs/TFMessage. A transform's frame_id is the parent a, its child_frame_id b: it takes
+coordinates in b to coordinates in a, as a_T_b.
+"""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +15,20 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import emit, strict_json, strict_yaml
+from camcal.formats.emit import number_text
+from camcal.formats.pose_text import static_transform_publisher
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import MAX_VALUES, Document, child
-from camcal.formats.trajectories import ros, tracked
+from camcal.formats.trajectories import tracked
 from camcal.formats.trajectories.rows import ORDER, QUATERNION, named, trajectory
 from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Trajectory
+from camcal.geometry.named import frames_of
 from camcal.geometry.pose import Trajectory
 
 FORMAT = "camcal-trajectory"
 VERSION = 1
+TRANSFORMS = "transforms"
 
 _STEPS = "R <- Exp(dr) R, t <- t + dt"
 _OPTIONAL = {"covariance": matrix(6, 6), "velocity": items(number(), 6), "segment": integer(0)}
@@ -34,13 +44,30 @@ _CHECK = mapping(
     {"format": one_of((FORMAT,), "format"), "version": integer(1), "frames": text, "poses": items(_POSE)},
     {"epoch": integer(), "covariance_order": items(one_of(ORDER, "coordinate"), 6), "covariance_steps": text},
 )
+_NS = 1_000_000_000
+_XYZ, _XYZW = ("x", "y", "z"), ("x", "y", "z", "w")
+_STAMPED = mapping(
+    {
+        "header": mapping(
+            {"stamp": mapping({"sec": integer(), "nanosec": integer(0)}), "frame_id": text}, {"seq": integer()}
+        ),
+        "child_frame_id": text,
+        "transform": mapping(
+            {
+                "translation": mapping(dict.fromkeys(_XYZ, number())),
+                "rotation": mapping(dict.fromkeys(_XYZW, number())),
+            }
+        ),
+    }
+)
+_TF_CHECK = mapping({TRANSFORMS: items(_STAMPED)})
 
 
 def read(path: Path) -> Trajectory:
     """Return the trajectory of a YAML or JSON file of camcal, or of ROS transforms as YAML."""
     document = strict_json.load(path) if path.suffix.lower() == ".json" else strict_yaml.load(path)
-    if ros.KEY in document:
-        return ros.from_document(document)
+    if TRANSFORMS in document:
+        return from_transforms(document)
     is_track = document.get("format") == tracked.FORMAT
     if faults := list((tracked.CHECK if is_track else _CHECK)(document.data, "")):
         raise document.error(faults)
@@ -111,3 +138,51 @@ def _all(document: Document, name: str) -> Array | None:
     if without and len(without) < len(blocks):
         raise InvalidInput(f"poses[{without[0]}] has no {name}, others have: all or none", where=document.where)
     return None if without else np.array([block[name] for block in blocks], float)
+
+
+def from_transforms(document: Document) -> Trajectory:
+    """Return the trajectory of a document of transforms of one frame in one other."""
+    if faults := list(_TF_CHECK(document.data, "")):
+        raise document.error(faults)
+    transforms = document[TRANSFORMS]
+    if not transforms:
+        raise FileError("holds no transforms", where=document.where)
+    lines = [document.line(child(TRANSFORMS, index)) for index in range(len(transforms))]
+    names = [f"{each['header']['frame_id']}_T_{each['child_frame_id']}" for each in transforms]
+    other = next((index for index, name in enumerate(names) if name != names[0]), None)
+    if other is not None:
+        raise InvalidInput(
+            f"{names[other]} after {names[0]}: one file holds one transform over time",
+            where=f"{document.where}:{lines[other]}",
+        )
+    numbers = np.array([list(_stamped_numbers(each)) for each in transforms])
+    return trajectory(document.where, lines, names[0], numbers[:, 0], numbers[:, 1:4], numbers[:, 4:])
+
+
+def write_tf(path: Path, poses: Trajectory) -> None:
+    """Write the poses as transforms; the file of a single one also says how to publish it."""
+    head = f"# {static_transform_publisher(poses.frames, poses.pose(0))}\n" if len(poses) == 1 else ""
+    files.write_text(path, f"{head}{TRANSFORMS}:\n" + "".join(_stamped(poses)))
+
+
+def _stamped_numbers(stamped: dict[str, Any]) -> Iterator[float]:
+    """Yield time, translation and quaternion w x y z of a transform."""
+    stamp, transform = stamped["header"]["stamp"], stamped["transform"]
+    yield stamp["sec"] + stamp["nanosec"] / _NS
+    yield from (transform["translation"][name] for name in _XYZ)
+    yield from (transform["rotation"][name] for name in ("w", *_XYZ))
+
+
+def _stamped(poses: Trajectory) -> Iterator[str]:
+    a, b = frames_of(poses.frames)
+    rows = zip(
+        poses.stamps.tolist(), poses.translations.tolist(), so3.to_quaternion(poses.rotations).tolist(), strict=True
+    )
+    for stamp, translation, (w, *imaginary) in rows:
+        sec, nanosec = divmod(round(stamp * _NS), _NS)
+        place = ", ".join(f"{name}: {number_text(value)}" for name, value in zip(_XYZ, translation, strict=True))
+        turn = ", ".join(f"{name}: {number_text(value)}" for name, value in zip(_XYZW, (*imaginary, w), strict=True))
+        yield (
+            f"- header: {{stamp: {{sec: {sec}, nanosec: {nanosec}}}, frame_id: {a}}}\n  child_frame_id: {b}\n"
+            f"  transform:\n    translation: {{{place}}}\n    rotation: {{{turn}}}\n"
+        )

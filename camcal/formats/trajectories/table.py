@@ -1,4 +1,7 @@
-"""Trajectories as tables: a row a pose, with its covariance, velocity and segment where they are known."""
+"""Trajectories a line a pose: tables with covariance, velocity and segment where they are known, and bare numbers.
+
+Bare lines of numbers are those of TUM, KITTI, and EuRoC's tables.
+"""
 
 from collections.abc import Sequence
 from itertools import combinations_with_replacement
@@ -10,8 +13,8 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
-from camcal.formats.trajectories import line_formats, tracked
-from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, numbers, trajectory
+from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, named, numbers, trajectory
+from camcal.formats.trajectories.tracked import VELOCITY, holds_track, read_table
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 
@@ -21,18 +24,24 @@ _PAIRS = tuple(combinations_with_replacement(range(6), 2))
 _POSE = ("t", *POSITION, *QUATERNION)
 _COVARIANCE = tuple(f"cov_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
 _SEGMENT = "segment"
+_FRAMES = "frames:"
+_TUM, _KITTI, _EUROC = 8, 12, (8, 17)
+_TUM_LINE = " ".join(["%.9f", *["%.12g"] * 7])
+_KITTI_LINE = " ".join(["%.12g"] * 12) + "\n"
+_NS = 1e-9
+_ROUNDED = 1e-3
 
 
 def read(path: Path, frames: str | None = None) -> Trajectory:
     """Return the trajectory of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, of a track, or of a truth of EuRoC."""
-    if line_formats.is_euroc(path):
-        return line_formats.read_euroc(path, frames)
+    if is_euroc(path):
+        return read_euroc(path, frames)
     lines = tables.numbered_lines(path)
-    if tracked.holds_track(lines):
-        return tracked.read(path, lines, frames or _named(lines))
+    if holds_track(lines):
+        return read_table(path, lines, frames or _named(lines))
     rows = [(number, line) for number, line in lines if not line.startswith("#")]
     # The header is checked by itself: the rows of a long file are read in one go.
-    head = tables.Table.from_csv(str(path), rows[:1], _POSE, (*_COVARIANCE, *tracked.VELOCITY, _SEGMENT))
+    head = tables.Table.from_csv(str(path), rows[:1], _POSE, (*_COVARIANCE, *VELOCITY, _SEGMENT))
     names = list(head.columns)
     if len(rows) < 2:
         raise FileError("holds no poses", where=str(path))
@@ -50,7 +59,7 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
         rotations=poses.rotations,
         translations=poses.translations,
         covariances=None if upper is None else _matrices(upper),
-        velocities=columns(tracked.VELOCITY),
+        velocities=columns(VELOCITY),
         segments=table[:, names.index(_SEGMENT)] if _SEGMENT in names else None,
     )
 
@@ -58,14 +67,14 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
 def holds_poses(path: Path) -> bool:
     """Tell whether a CSV names the columns of poses, or is a ground truth of EuRoC."""
     first = next((line for _, line in tables.numbered_lines(path) if not line.startswith("#")), "")
-    return line_formats.is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
+    return is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
 
 
 def write(path: Path, poses: Trajectory) -> None:
     """Write a row for every pose, with all that is known of it."""
     names, columns = list(_POSE[1:]), [poses.translations, so3.to_quaternion(poses.rotations)]
     if poses.velocities is not None:
-        names += tracked.VELOCITY
+        names += VELOCITY
         columns.append(poses.velocities)
     if poses.covariances is not None:
         names += _COVARIANCE
@@ -103,3 +112,82 @@ def _matrices(upper: Array) -> Array:
     for column, (i, j) in enumerate(_PAIRS):
         result[:, i, j] = result[:, j, i] = upper[:, column]
     return result
+
+
+def read_lines(path: Path, frames: str | None = None) -> Trajectory:
+    """Return the trajectory of lines of 8 numbers (TUM) or of 12 (KITTI); a line '# frames: a_T_b' names it."""
+    where, table, name = _rows(path)
+    if table.shape[1] == _KITTI:
+        return _of_matrices(str(path), where, table, frames or name)
+    return _of_tum(str(path), where, table, frames or name)
+
+
+def read_with_repeats(path: Path) -> tuple[Trajectory, int]:
+    """Return the trajectory of lines of 8 numbers (TUM) without those whose time is repeated, and how many these are.
+
+    Motion capture writes them; the first of each is kept.
+    """
+    where, table, name = _rows(path)
+    new = np.append(True, np.diff(table[:, 0]) != 0)
+    kept = [where[index] for index in np.flatnonzero(new)]
+    return _of_tum(str(path), kept, table[new], name), int(np.sum(~new))
+
+
+def _rows(path: Path) -> tuple[list[int], Array, str | None]:
+    """Return the lines' numbers, what stands in them, and the frames if a line names them."""
+    lines = tables.numbered_lines(path)
+    remarks = [line.lstrip("# ") for _, line in lines if line.startswith("#")]
+    frames = next((line.removeprefix(_FRAMES).strip() for line in remarks if line.startswith(_FRAMES)), None)
+    rows = [(number, line) for number, line in lines if not line.startswith("#")]
+    if not rows:
+        raise FileError("holds no poses", where=str(path))
+    separator = "," if "," in rows[0][1] else None
+    table = numbers(str(path), rows, (_TUM, _KITTI), separator)
+    return [number for number, _ in rows], table, frames
+
+
+def _of_tum(path: str, lines: list[int], table: Array, frames: str | None) -> Trajectory:
+    return trajectory(path, lines, frames, table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]])
+
+
+def is_euroc(path: Path) -> bool:
+    """Tell whether a CSV is a ground truth of EuRoC or of what writes its form."""
+    return files.read_text(path).startswith("#timestamp")
+
+
+def read_euroc(path: Path, frames: str | None = None) -> Trajectory:
+    """Return the trajectory of lines `nanoseconds, x, y, z, qw, qx, qy, qz` and whatever follows."""
+    rows = [(number, line) for number, line in tables.numbered_lines(path) if not line.startswith("#")]
+    if not rows:
+        raise FileError("holds no poses", where=str(path))
+    table = numbers(str(path), rows, _EUROC, ",")
+    where = [number for number, _ in rows]
+    return trajectory(str(path), where, frames, table[:, 0] * _NS, table[:, 1:4], table[:, 4:8])
+
+
+def write_tum(path: Path, poses: Trajectory) -> None:
+    """Write lines `time tx ty tz qx qy qz qw` below one that names the frames."""
+    quaternions = so3.to_quaternion(poses.rotations)
+    table = np.column_stack([poses.translations, quaternions[:, [1, 2, 3, 0]]])
+    a, b = poses.frames.split("_T_")
+    head = f"# {_FRAMES} {poses.frames}\n# time tx ty tz qx qy qz qw: pose of {b} in {a}, s and m\n"
+    rows = zip(poses.stamps.tolist(), table.tolist(), strict=True)
+    lines = [_TUM_LINE % (stamp, *row) for stamp, row in rows]
+    files.write_text(path, head + "\n".join(lines) + "\n")
+
+
+def write_kitti(path: Path, poses: Trajectory) -> None:
+    """Write the upper 3 × 4 numbers of every pose in a line; times are left out, which is how the form is."""
+    table = np.concatenate([poses.rotations, poses.translations[:, :, None]], axis=2).reshape(-1, 12)
+    files.write_text(path, "".join([_KITTI_LINE % tuple(row) for row in table.tolist()]))
+
+
+def _of_matrices(path: str, lines: list[int], table: Array, frames: str | None) -> Trajectory:
+    matrices = table.reshape(-1, 3, 4)
+    rotations = matrices[:, :, :3]
+    error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    bad = (error > _ROUNDED) | (np.linalg.det(rotations) < 0)
+    if bad.any():
+        raise InvalidInput("the left 3 × 3 numbers are no rotation", where=f"{path}:{lines[int(np.argmax(bad))]}")
+    stamps = np.arange(len(matrices), dtype=float)
+    return Trajectory(named(frames, path), stamps, so3.nearest(rotations), matrices[:, :, 3])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from camcal.errors import InsufficientData
-from camcal.formats.board_text import short_form
+from camcal.formats.boards import short_form
 from camcal.targets.board import (
     APRILGRID,
     ASYMMETRIC_CIRCLES,

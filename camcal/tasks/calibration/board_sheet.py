@@ -7,7 +7,7 @@ from typing import Any
 from camcal import files
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, emit, kalibr_target, provenance
-from camcal.formats.board_text import short_form
+from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board

@@ -11,9 +11,9 @@ from camcal.errors import InvalidInput
 from camcal.estimate.curves.curve import CurveFit, predictions, predictions_with_jacobian
 from camcal.estimate.curves.fit import compare, fit_curve, likelihood_intervals
 from camcal.estimate.curves.search import SearchOptions
-from camcal.formats import emit, measurements
+from camcal.formats import emit
 from camcal.formats.schema import did_you_mean
-from camcal.formats.tables import Table
+from camcal.formats.tables import Table, read_measurements
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import refuse_overwriting
 from camcal.solve.descent import Iteration
@@ -35,7 +35,7 @@ def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
 
         require_suffix(options.plot)
     refuse_overwriting(options.outputs(), [options.data])
-    table = measurements.read(options.data)
+    table = read_measurements(options.data)
     measured = Measured(table, _names(options.x), options.y, options.sigma)
     fixed, values = fit_texts.fixed(options.fix)
     start = fit_texts.starts(options.start) | values

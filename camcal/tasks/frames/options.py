@@ -10,7 +10,7 @@ from camcal.tasks.options import Output as OutputFile
 from camcal.tasks.options import output_option
 
 if TYPE_CHECKING:
-    from camcal.formats.pose_forms import Form
+    from camcal.formats.pose_text import Form
 
 LOOP_MM, LOOP_DEG = 1.0, 0.1
 UNITS = ("m", "mm")
@@ -63,7 +63,7 @@ class Output(OptionsRecord):
 
     def __post_init__(self) -> None:
         from camcal.formats import frames
-        from camcal.formats.pose_forms import form_of
+        from camcal.formats.pose_text import form_of
 
         super().__post_init__()
         form_of(self.form)  # which refuses what is none
@@ -74,7 +74,7 @@ class Output(OptionsRecord):
     @property
     def numbers(self) -> "Form | None":
         """The form of numbers that was asked for."""
-        from camcal.formats.pose_forms import form_of
+        from camcal.formats.pose_text import form_of
 
         return form_of(self.form)
 

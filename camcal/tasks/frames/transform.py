@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from camcal.errors import InvalidInput
-from camcal.formats.pose_forms import form_of
+from camcal.formats.pose_text import form_of
+from camcal.formats.pose_text import form_of
+from camcal.geometry.frame_graph import evaluate as evaluate_product
 from camcal.geometry.frame_graph import FrameGraph, Loop
 from camcal.geometry.frame_graph import evaluate as evaluate_product
 from camcal.geometry.named import Derived, Key, NamedTransform

@@ -8,7 +8,7 @@ import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.estimate.pose_average import PoseAverage, average_poses
-from camcal.formats.pose_forms import form_of
+from camcal.formats.pose_text import form_of
 from camcal.geometry.named import NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain

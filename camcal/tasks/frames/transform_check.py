@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.errors import GateFailed
 from camcal.formats.frames import LooseTransform
-from camcal.formats.pose_forms import LoosePose, form_of
+from camcal.formats.pose_text import LoosePose, form_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.named import NamedTransform, frames_of
 from camcal.geometry.pose import Pose

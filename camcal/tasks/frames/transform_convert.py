@@ -9,7 +9,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import native, strict_yaml
-from camcal.formats.pose_forms import form_of
+from camcal.formats.pose_text import form_of
 from camcal.formats.schema import did_you_mean
 from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
 from camcal.geometry.named import NamedTransform, carried

@@ -6,7 +6,7 @@ from dataclasses import replace
 from camcal import files
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import frames, pose_text
-from camcal.formats.pose_forms import Form
+from camcal.formats.pose_text import Form
 from camcal.geometry.named import NamedTransform
 from camcal.run.outputs import refuse_overwriting
 from camcal.run.pose_sources import files_of

@@ -12,7 +12,7 @@ from camcal.formats import point_table, pointclouds
 from camcal.formats.point_table import PointTable
 from camcal.formats.pointclouds import PointCloudFile
 from camcal.formats.pointclouds.record import MILLIMETRES, cloud_of
-from camcal.formats.pose_forms import form_of
+from camcal.formats.pose_text import form_of
 from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import point_jacobian
 from camcal.progress import SILENT, Progress

@@ -14,8 +14,8 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, PosePrior
-from camcal.formats import correspondences, native, pose_text, poses, rigs
-from camcal.formats.camera_file import CameraFile
+from camcal.formats import correspondences, native, pose_text, poses
+from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.poses.record import PixelNoise, Poses, Sight
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.progress import SILENT, Progress
@@ -121,7 +121,7 @@ def _check(options: PnpOptions) -> None:
 def _observer(options: PnpOptions, file: CameraFile) -> Observer:
     path, name = split_address(options.camera_file)
     if options.rig:
-        rig, frame = rigs.rig_of(file, str(path))
+        rig, frame = rig_of(file, str(path))
         return Observer.of_rig(rig, frame, {name: file.cameras[name].noise for name in rig.cameras})
     entry = native.select(file, name or options.name, str(path))
     return Observer.of_camera(entry.camera, entry.noise)

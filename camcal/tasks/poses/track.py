@@ -14,10 +14,12 @@ from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.segments import Following
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.estimate.tracking.view_track import track_views
-from camcal.formats import poses, tracks, trajectories
+from camcal.formats import poses, trajectories
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.schema import did_you_mean
-from camcal.formats.tracks import TrackedObject
+from camcal.formats.trajectories.tracked import TrackedObject
+from camcal.geometry.pose import Trajectory
+from camcal.formats.trajectories.tracked import SUFFIXES, TrackedObject, write_tracks
 from camcal.geometry.pose import Trajectory
 from camcal.progress import SILENT, Progress
 from camcal.report import track_words
@@ -114,7 +116,7 @@ def _tracking(options: FollowOptions) -> TrackOptions:
 
 def _check(options: FollowOptions) -> None:
     if options.output is not None:
-        if options.kind is not None or options.output.suffix.lower() not in tracks.SUFFIXES:
+        if options.kind is not None or options.output.suffix.lower() not in SUFFIXES:
             trajectories.kind_of(options.output, options.kind)
     elif options.kind is not None:
         raise InvalidInput("--format is about the output; give it with -o")
@@ -193,7 +195,7 @@ def _direction(options: FollowOptions, seen: Poses) -> str:
 
 def _form(options: FollowOptions) -> str | None:
     """Return the form of trajectory that is written, None for a track with all its frames."""
-    if options.output is None or (options.kind is None and options.output.suffix.lower() in tracks.SUFFIXES):
+    if options.output is None or (options.kind is None and options.output.suffix.lower() in SUFFIXES):
         return None
     return trajectories.kind_of(options.output, options.kind)
 
@@ -216,7 +218,7 @@ def _written(options: FollowOptions, images: Sequence[str], objects: Mapping[str
     if options.output is not None:
         form = _form(options)
         if form is None:
-            tracks.write(options.output, images, objects)
+            write_tracks(options.output, images, objects)
         else:
             trajectories.write(options.output, _trajectory(options.output, objects), form)
         outputs.append(options.output)
@@ -247,7 +249,7 @@ def _trajectory(output: Path, objects: Mapping[str, TrackedObject]) -> Trajector
     if len(objects) > 1:
         raise InvalidInput(
             f"holds one object, and {len(objects)} were followed ({', '.join(objects)}): choose one with --object, "
-            f"or write {' '.join(tracks.SUFFIXES)}",
+            f"or write {' '.join(SUFFIXES)}",
             where=str(output),
         )
     (track,) = (item.track for item in objects.values())

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats.pointclouds import glb, glb_reading, write
+from camcal.formats.pointclouds import glb, write
+from camcal.stereo.points.frames import VertexStream
+from camcal.formats.pointclouds import write
+from camcal.formats.pointclouds.glb import _description, _type_of, read
 from camcal.stereo.points.frames import VertexStream
 
 
@@ -91,7 +94,7 @@ def test_colour_is_linear_light_and_every_shade_comes_back(tmp_path, vertices, s
     assert (accessor["componentType"], accessor["normalized"]) == (5123, True)
     counts = np.frombuffer(binary, "<u2").reshape(256, -1)[:, accessor["byteOffset"] // 2 :][:, :4]
     assert counts[188].tolist() == [*[round(0.50289 * 65535)] * 3, 65535]  # IEC 61966-2-1: 188 is 0.50289
-    found = glb_reading.read((tmp_path / "cloud.glb").read_bytes()).vertices
+    found = read((tmp_path / "cloud.glb").read_bytes()).vertices
     np.testing.assert_array_equal(found["green"], np.arange(256))
 
 
@@ -108,7 +111,7 @@ def test_more_than_four_gibibytes_are_refused_before_anything_is_written(tmp_pat
 
 
 def test_plain_points_of_another_program_are_read():
-    found = glb_reading.read(glb_of(points_of(), np.arange(6, dtype="<f4").tobytes()))
+    found = read(glb_of(points_of(), np.arange(6, dtype="<f4").tobytes()))
     assert found.vertices.tolist() == [(0, 1, 2), (3, 4, 5)]
     assert (found.unit, found.frame) == ("m", "")
 
@@ -128,15 +131,15 @@ def test_plain_points_of_another_program_are_read():
 )
 def test_a_file_that_is_none_says_what_was_expected_and_found(content, message):
     with pytest.raises(FileError, match=message):
-        glb_reading.read(content)
+        read(content)
 
 
 def test_the_room_for_the_description_fits_the_longest_extents(vertices):
-    kind = glb._type_of(VertexStream(1, vertices(1).dtype, ()))
+    kind = _type_of(VertexStream(1, vertices(1).dtype, ()))
     longest = np.full((2, 3), np.finfo(np.float32).min)
     stream = VertexStream(1, vertices(1).dtype, ())
-    room = len(glb._description(stream, kind, 1, longest))
+    room = len(_description(stream, kind, 1, longest))
     rng = np.random.default_rng(0)
     for bits in rng.integers(0, 1 << 32, (200, 6), dtype=np.uint32):
         extent = np.nan_to_num(bits.view(np.float32)).reshape(2, 3)
-        assert len(glb._description(stream, kind, 1, extent)) <= room
+        assert len(_description(stream, kind, 1, extent)) <= room
