@@ -37,7 +37,7 @@ from hard_scenes import SCENES, photographs
 from opencv_charuco import found_by_opencv
 
 from camcal.images.load import load_gray
-from camcal.run.inputs import find_images
+from camcal.run.paths import find_images
 from camcal.targets.board import CHARUCO, Board, parse_board
 from camcal.targets.checker.charuco import find_charuco
 from camcal.targets.checker.chessboard import find_chessboard

@@ -32,7 +32,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.errors import CamcalError
 from camcal.images.load import gray_8bit, load
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import find_images
+from camcal.run.paths import find_images
 from camcal.targets.board import Board, Detection, parse_board
 from camcal.targets.detect import detect
 

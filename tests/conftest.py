@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from camcal.run.startup import BLAS_THREADS
+from camcal.run.process import BLAS_THREADS
 
 PROJECT = Path(__file__).parents[1]
 

@@ -37,10 +37,9 @@ MAY_USE_SIMULATE = {"tasks"}
 OPENCV_EDGES = {
     "formats/disparity.py",
     "images/load.py",
-    "images/motion.py",
+    "images/video.py",
     "images/remap.py",
     "images/save.py",
-    "images/video.py",
     "opencv.py",
     "raw/planes.py",
     "raw/simple_filters.py",

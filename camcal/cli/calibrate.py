@@ -1,18 +1,21 @@
-"""`camcal calibrate`."""
+"""`camcal board`, `detect` and `calibrate`."""
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import ImageCall
-from camcal.cli.detect import show_frames
-from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.cli.command import Call, ImageCall
+from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions, SheetOptions
 
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner
+    from camcal.tasks.calibration.board_sheet import BoardSheet
     from camcal.tasks.calibration.calibrate import CalibrateReport
+    from camcal.tasks.calibration.detect import DetectReport
+    from camcal.tasks.calibration.video_frames import FrameRecord
 
-LISTED = 10
+IMAGES_LISTED = 50
 
 
 def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
@@ -26,13 +29,15 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     from camcal.tasks.calibration.calibrate import document, require_good
 
     report = run(options, call.progress)
-    call.give(lambda: document(report, options), lambda: _show(report, options, call.verbose))
+    call.give(lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose))
     require_good(report, options)
     if report.failed:
-        raise ItemsFailed(f"{len(report.failed)} of the images could not be read: {', '.join(report.failed[:LISTED])}")
+        raise ItemsFailed(
+            f"{len(report.failed)} of the images could not be read: {', '.join(report.failed[: show.LISTED])}"
+        )
 
 
-def _show(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
+def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import contender_rows, headline, parameter_rows, summary
     from camcal.report.uncertain import projection_words
@@ -62,9 +67,9 @@ def _show(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -
     for line in summary(calibration):
         show.text(line)
     _show_channels(report)
-    _list("Not used:", [f"  {view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
+    _list("Not used:", [f"{view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
     if verbose:
-        corners = [f"  {corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
+        corners = [f"{corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
         _list("Rejected corners:", corners, verbose)
     show.text(f"wrote {options.output}")
 
@@ -90,11 +95,81 @@ def _how_far(corner: "RejectedCorner") -> str:
 
 
 def _list(title: str, lines: list[str], verbose: bool) -> None:
-    if not lines:
-        return
-    show.text(title)
-    shown = lines if verbose else lines[:LISTED]
-    for line in shown:
-        show.text(line)
-    if len(shown) < len(lines):
-        show.text(f"  … and {len(lines) - len(shown)} more (--verbose lists all)")
+    if lines:
+        show.text(title)
+        show.lines([f"  {line}" for line in lines], verbose)
+
+
+def board(options: SheetOptions, call: Call) -> None:
+    """Draw a board to print at true scale, and write its board file beside it.
+
+    Print it at 100 % (actual size, no scaling), let nothing but black ink be used, and measure the ruler and some
+    squares on the sheet: what calibration takes for the size of the board is what you measure.
+    """
+    from camcal.tasks.calibration.board_sheet import board_sheet, document
+
+    sheet = board_sheet(options, call.progress)
+    call.give(lambda: document(sheet), lambda: _show_sheet(sheet))
+
+
+def _show_sheet(sheet: "BoardSheet") -> None:
+    options, (width, height) = sheet.options, sheet.ink.size
+    show.text(f"{options.output}: {sheet.board.words}, {width:g} x {height:g} mm, on {sheet.paper.described()}")
+    if sheet.pixels is not None:
+        show.text("  {} x {} pixels, gray where an edge runs through one".format(*sheet.pixels))
+    show.text(f"{options.board_file}: the board file, for --board")
+    if options.kalibr is not None:
+        show.text(f"{options.kalibr}: the same for Kalibr")
+    show.text("print at 100 % (actual size)" + (", then measure the ruler" if options.ruler else ""))
+
+
+def detect(options: DetectOptions, call: ImageCall) -> None:
+    """Find the corners of a board in images, videos or raw frames and write a table (.csv, or .vnl for mrcal).
+
+    Sizes of chessboards count inner corners, sizes of ChArUco boards count squares. Images that show nothing are
+    listed with the reason. Of videos sharp frames are chosen that show the board as differently as possible, and the
+    choice is listed. `camcal calibrate` takes the table in place of the images.
+    """
+    from camcal.errors import ItemsFailed
+    from camcal.tasks.calibration.detect import detect_images, document
+
+    report = detect_images(options, call.progress)
+    call.give(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
+    if report.failed:
+        raise ItemsFailed(f"{len(report.failed)} of the images could not be read, the rest is written")
+
+
+def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bool) -> None:
+    filmed = {record.look.view.image for record in report.frames}
+    views = [view for view in report.detections.views if view.image not in filmed]
+    shown = views if verbose or len(views) <= IMAGES_LISTED else [view for view in views if not view.found]
+    rows = [[view.image, len(view.ids), view.reason or ""] for view in shown]
+    if views:
+        found = sum(view.found for view in views)
+        show.table(f"{found} of {len(views)} images show the board", ["image", "corners", "reason"], rows)
+    if len(shown) < len(views):
+        show.text(f"  … and {len(views) - len(shown)} with corners (--verbose lists all)")
+    if report.frames:
+        show_frames(report.frames, verbose)
+    for note in report.notes:
+        show.text(note)
+    for message in report.failed:
+        show.text(f"failed: {message}")
+    show.text(f"wrote {options.output}")
+    if report.pictures:
+        count = len(report.pictures)
+        show.text(f"drew {count} picture{'s' if count > 1 else ''} in {options.draw}")
+
+
+def show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
+    """Print which frames of videos are taken, or with `verbose` what became of all that were searched."""
+    from camcal.tasks.calibration.video_frames import COLUMNS, cells
+
+    taken = [record for record in records if record.taken]
+    shown = records if verbose else taken[:IMAGES_LISTED]
+    title = f"{len(taken)} of {len(records)} frames that were searched are taken"
+    show.table(title, COLUMNS, [cells(record) for record in shown])
+    if len(shown) < len(taken):
+        show.text(f"  … and {len(taken) - len(shown)} more")
+    if len(shown) < len(records):
+        show.text("  (--verbose lists all that were searched)")

@@ -202,7 +202,7 @@ class _Maker:
 
     def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
         """Call the function with the records that these values make; `config` is not overwritten by its results."""
-        from camcal.run.outputs import refuse_overwriting
+        from camcal.run.paths import refuse_overwriting
 
         record = self.records[0]
         call = self.call(values)
@@ -216,7 +216,7 @@ class _Maker:
 
     def write(self, values: Mapping[Declared, Any], path: Path) -> None:
         """Write these values as a settings file, over none of the inputs that they name."""
-        from camcal.run.outputs import refuse_overwriting
+        from camcal.run.paths import refuse_overwriting
         from camcal.run.settings import write_settings
 
         inputs = [each for each in values if not each.flag and each.option.group != OUTPUT]

@@ -20,7 +20,7 @@ from camcal.cli import show
 from camcal.cli.catalogue import CommandGroup
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, InvalidInput, in_one_line, translated
 from camcal.images import limits
-from camcal.run.startup import BLAS_THREADS, Stopped, stop_on_signals
+from camcal.run.process import BLAS_THREADS, Stopped, stop_on_signals
 
 
 class Boundary(CommandGroup):

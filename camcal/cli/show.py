@@ -6,17 +6,19 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from camcal.errors import FileError, in_one_line, reason
-from camcal.progress import Progress, Silent
+from camcal.progress import Outcome, Progress, Silent
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
+
+LISTED = 10  # rows and lines of a list, unless all are asked for
 
 _REDRAW_S = 0.1
 _LONGEST = 400  # characters of a line on stderr
@@ -58,18 +60,42 @@ def give_up_stdout(error: OSError) -> None:
         raise FileError(f"cannot be written: {reason(error)}", where="standard output") from error
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a title and aligned columns; numbers to the right with 6 significant digits, None as a dash."""
-    lines = [list(columns), *([_cell(value) for value in row] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    numeric = [all(value is None or _is_number(value) for value in column) for column in zip(*rows, strict=True)]
-    text(title)
-    for line in lines:
-        cells = [
+def lines(items: Sequence[str], verbose: bool) -> None:
+    """Print the lines of a list: all of them, or the first ones and how many more there are."""
+    for line in items if verbose else items[:LISTED]:
+        text(line)
+    if not verbose and len(items) > LISTED:
+        text(f"… and {len(items) - LISTED} more (--verbose lists all)")
+
+
+def failed(outcomes: Iterable[Outcome[Any, Any]]) -> None:
+    """Print why items of a fan-out failed, a line each."""
+    for outcome in outcomes:
+        if outcome.error is not None:
+            text(f"failed: {outcome.error}")
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], verbose: bool = True) -> None:
+    """Print a title and aligned columns; numbers to the right with 6 significant digits, None as a dash.
+
+    verbose: all rows, otherwise the first ones and how many more there are.
+    """
+    shown = rows if verbose else rows[:LISTED]
+    cells = [list(columns), *([_cell(value) for value in row] for row in shown)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    numeric = [all(value is None or _is_number(value) for value in column) for column in zip(*shown, strict=True)]
+    aligned = [
+        [
             cell.rjust(width) if right else cell.ljust(width)
-            for cell, width, right in zip(line, widths, numeric or [False] * len(widths), strict=True)
+            for cell, width, right in zip(row, widths, numeric or [False] * len(widths), strict=True)
         ]
-        text(f"  {'  '.join(cells)}".rstrip())
+        for row in cells
+    ]
+    text(title)
+    for row in aligned:
+        text(f"  {'  '.join(row)}".rstrip())
+    if len(shown) < len(rows):
+        text(f"… and {len(rows) - len(shown)} more (--verbose lists all)")
 
 
 def document(command: str, payload: Mapping[str, Any]) -> None:

@@ -1,13 +1,15 @@
-"""`camcal simulate`."""
+"""`camcal simulate` and `demo`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call
+from camcal.tasks.calibration.options import DemoOptions
 from camcal.tasks.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
+    from camcal.tasks.calibration.demo import DemoReport
     from camcal.tasks.simulation.simulate import SimulateReport
     from camcal.tasks.simulation.simulate_stereo import StereoReport
 
@@ -32,7 +34,7 @@ def _simulate_photographs(options: SimulateOptions, call: Call) -> None:
     from camcal.tasks.simulation.simulate import simulate as run
 
     report = run(options, call.progress)
-    call.give(lambda: document(report, options), lambda: _show(report, options, call.verbose))
+    call.give(lambda: document(report, options), lambda: _show_photographs(report, options, call.verbose))
 
 
 def _simulate_pairs(options: SimulateOptions, call: Call) -> None:
@@ -42,7 +44,7 @@ def _simulate_pairs(options: SimulateOptions, call: Call) -> None:
     call.give(lambda: document(report, options), lambda: _show_pairs(report, options.output, call.verbose))
 
 
-def _show(report: "SimulateReport", options: SimulateOptions, verbose: bool) -> None:
+def _show_photographs(report: "SimulateReport", options: SimulateOptions, verbose: bool) -> None:
     truth, output = report.truth, options.output
     camera = truth.camera
     count = sum(len(view.ids) for view in report.corners.views)
@@ -83,3 +85,39 @@ def _show_pairs(report: "StereoReport", output: Path, verbose: bool) -> None:
 
 def _matching(left: Path, right: Path, rig: Path) -> str:
     return f"camcal stereo disparity {left} {right} {rig} -o disparity.pfm"
+
+
+def demo(options: DemoOptions, call: Call) -> None:
+    """See the main job without any input: a board is photographed, the camera calibrated, an image undistorted.
+
+    The photographs are rendered with a known lens and a slightly bent board, so that truth stands beside estimate.
+    """
+    from camcal.tasks.calibration.demo import demo as run
+    from camcal.tasks.calibration.demo import document
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report, options), lambda: _show_demo(report, options.output, call.verbose))
+
+
+def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
+    from camcal.report.calibration import summary
+    from camcal.report.uncertain import value_and_std
+
+    rows = [
+        [row.name, f"{row.truth:.6g}", *value_and_std(row.estimate, row.std), _sigmas(row.sigmas)]
+        for row in report.compared
+    ]
+    show.table("truth beside estimate", ["parameter", "truth", "estimate", "± std", "off by"], rows)
+    calibration = report.calibrated.calibration
+    for line in (*report.calibrated.notes, *summary(calibration)):
+        show.text(line)
+    if verbose:
+        views = [[view.image, view.kept, view.rms_px] for view in calibration.views]
+        show.table("images", ["image", "corners", "rms px"], views)
+    for reason in report.calibrated.advice.reasons:
+        show.text(f"DO NOT TRUST: {reason}")
+    show.text(f"{output / 'README.txt'} says what lies in {output} and what to try next")
+
+
+def _sigmas(value: float | None) -> str:
+    return "-" if value is None else f"{value:+.1f} σ"

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from camcal.tasks.calibration.undistort import UndistortReport
     from camcal.tasks.calibration.undistort_points import PointsReport
 
-LISTED = 10
-
 
 def undistort(options: UndistortOptions, call: ImageCall) -> None:
     """Undistort images, videos or points, and write the camera file that fits what comes out.
@@ -53,12 +51,8 @@ def _show_points(report: "PointsReport") -> None:
 
 def _show(report: "UndistortReport", verbose: bool) -> None:
     written = [outcome.value.output for outcome in report.outcomes if outcome.value is not None]
-    for path in written if verbose else written[:LISTED]:
-        show.text(f"{path}")
-    if not verbose and len(written) > LISTED:
-        show.text(f"… and {len(written) - LISTED} more (--verbose lists all)")
-    for outcome in report.failed:
-        show.text(f"failed: {outcome.error}")
+    show.lines(list(map(str, written)), verbose)
+    show.failed(report.failed)
     if report.aligned:
         show.text(f"{' and '.join(report.aligned)} of colour images are drawn through lenses of their own")
     width, height = report.view.image_size

@@ -6,10 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from camcal.arrays import Array, readonly
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle, valid_block
-from camcal.cameras.model import Rig
-from camcal.cameras.validity import valid_block
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.named import JOINT, NamedTransform, frames_of

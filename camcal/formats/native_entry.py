@@ -31,9 +31,8 @@ from typing import Any
 import numpy as np
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.validity import ImageCircle
-from camcal.cameras.validity import ImageCircle
 from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
 from camcal.formats.schema import VENDOR, did_you_mean, flag, integer, items, mapping, number, one_of, plain, text

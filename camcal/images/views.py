@@ -13,8 +13,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
-from camcal.images.lattice import LONGEST_SIDE, Trace
 from camcal.images.options import PINHOLE, ViewOptions
+from camcal.images.remap import LONGEST_SIDE, Trace
 
 PANORAMAS = {model.name: model for model in panoramic.MODELS}
 PROJECTIONS = (PINHOLE, *PANORAMAS)

@@ -26,8 +26,7 @@ from typing import Any, Generic, NamedTuple
 
 from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run.cores import available_cores
-from camcal.run.startup import surroundings_of_a_worker
+from camcal.run.process import available_cores, surroundings_of_a_worker
 
 __all__ = ["available_cores", "fan_out", "over_threads"]
 

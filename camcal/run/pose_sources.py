@@ -1,12 +1,14 @@
 """Poses as they are named on a command line: numbers, files, transforms of files, with a name before them if need be.
 
-"1 0 0.5 0 0 1.5708"            numbers, in a form that is said beside them
+    "1 0 0.5 0 0 1.5708"            numbers, in a form that is said beside them
     "Rz(90deg)"                     a turn about a coordinate axis; Rx, Ry, Rz, deg or rad
-base_T_cam="1 0 0.5 0 0 1.57"   and what they take where
-pose.txt, base_T_cam=pose.txt   a file of numbers; a remark '# base_T_cam' in it, or its own name, says the frames
-frames.yaml, rig.yaml           all transforms of a file
-frames.yaml#base_T_tag          one of them, or what a chain of them gives
-poses.yaml#image.png            the pose of one image
+    base_T_cam="1 0 0.5 0 0 1.57"   and what they take where
+    pose.txt, base_T_cam=pose.txt   a file of numbers; a remark '# base_T_cam' in it, or its own name, says the frames
+    frames.yaml, rig.yaml           all transforms of a file
+    frames.yaml#base_T_tag          one of them, or what a chain of them gives
+    poses.yaml#image.png            the pose of one image
+
+Camera files are read here too: every command warns of what looks wrong in one.
 """
 
 import re
@@ -16,13 +18,15 @@ from pathlib import Path
 from typing import TypeVar
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.formats import frames, pose_text, trajectories
+from camcal.formats import frames, native, pose_text, trajectories
+from camcal.formats.camera_file import CameraFile
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
 from camcal.formats.schema import did_you_mean
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.named import JOINT, NamedTransform, frames_of
-from camcal.run.inputs import split_address
+from camcal.progress import Progress
+from camcal.run.paths import split_address
 
 Item = TypeVar("Item", NamedTransform, LooseTransform)
 
@@ -185,3 +189,15 @@ def _addressed(found: Sequence[NamedTransform], address: str, where: str) -> Nam
         raise InvalidInput(error.message, where=where) from error
     covariance = derived.covariance({index: item.covariance for index, item in enumerate(found)})
     return NamedTransform(target, source, derived.pose, covariance, where)
+
+
+def read_camera_file(path: Path, progress: Progress) -> CameraFile:
+    """Return a camera file after warning of what looks wrong in it, and of cameras that are not to be trusted.
+
+    Every command whose result depends on a calibration reads it here. Raises InvalidInput and FileError as
+    `native.read` does.
+    """
+    file = native.read(path)
+    for warning in file.warnings:
+        progress.warn(warning)
+    return file

@@ -206,7 +206,7 @@ def test_quiet_prints_nothing(run, folder, tmp_path):
 
 
 def test_of_many_images_those_without_corners_are_listed(run, folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("camcal.cli.detect.LISTED", 1)
+    monkeypatch.setattr("camcal.cli.calibrate.IMAGES_LISTED", 1)
     arguments = ("detect", folder, "-b", "chessboard:6x5", "-o", tmp_path / "corners.csv", "--jobs", 1)
     _, out, _ = run(*arguments)
     assert "wall.png" in out

@@ -340,7 +340,7 @@ def test_no_command_imports_the_core_before_it_is_run():
         "print(*sys.modules)"
     )
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "camcal.cli.stereo_cloud" in process.stdout.split()
+    assert "camcal.cli.stereo" in process.stdout.split()
     assert not {"numpy", "scipy", "cv2", "yaml", "matplotlib"} & set(process.stdout.split())
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.images.motion import PIXELS, focus, motion, reduced
+from camcal.images.video import PIXELS, focus, motion, reduced
 
 
 def scene(shape=(600, 800), seed=0):

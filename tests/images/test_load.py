@@ -9,9 +9,8 @@ from PIL import Image as Pillow
 
 from camcal.errors import FileError, InvalidInput
 from camcal.images import exif
-from camcal.images.image import Image
+from camcal.images.image import Image, Scratch
 from camcal.images.load import gray_8bit, load, load_gray
-from camcal.images.scratch import Scratch
 
 
 def pictures():

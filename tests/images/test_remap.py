@@ -10,10 +10,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
-from camcal.images.lattice import STEP, Trace, bands, exact_bands
+from camcal.images.image import Scratch
 from camcal.images.options import ViewOptions
-from camcal.images.remap import INTERPOLATIONS, Maps, build_maps
-from camcal.images.scratch import Scratch
+from camcal.images.remap import INTERPOLATIONS, STEP, Maps, Trace, bands, build_maps, exact_bands
 from camcal.images.views import make_view
 
 

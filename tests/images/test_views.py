@@ -6,9 +6,8 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
-from camcal.images.lattice import Trace
 from camcal.images.options import ViewOptions
-from camcal.images.remap import build_maps
+from camcal.images.remap import Trace, build_maps
 from camcal.images.views import make_view, seen_across
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from camcal.errors import InsufficientData
 from camcal.images.load import load_gray
-from camcal.run.inputs import find_images
+from camcal.run.paths import find_images
 from camcal.targets.board import parse_board
 from camcal.targets.checker.charuco_search import search_charuco
 from camcal.targets.checker.chessboard import find_chessboard

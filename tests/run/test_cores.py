@@ -2,7 +2,7 @@
 
 import pytest
 
-from camcal.run.cores import quota_cores
+from camcal.run.process import quota_cores
 
 MANY = 1 << 10  # no machine the tests know of has more
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.run.inputs import find_images, find_media, record_outputs, split_address
+from camcal.run.paths import find_images, find_media, record_outputs, split_address
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.run.outputs import place
+from camcal.run.paths import place
 
 FRAMES = [Path("raw/a.png"), Path("raw/b.png")]
 KINDS = (".tiff", ".png")

@@ -3,7 +3,7 @@
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.run.pairs import find_pairs
+from camcal.run.paths import find_pairs
 
 
 @pytest.fixture

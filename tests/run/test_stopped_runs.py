@@ -103,7 +103,7 @@ def test_runs_into_one_folder_keep_all_of_their_outputs_listed(start_python, tmp
     program = """
 import sys
 from pathlib import Path
-from camcal.run.inputs import record_outputs
+from camcal.run.paths import record_outputs
 for number in range(40):
     record_outputs(Path(sys.argv[1]), [f"{sys.argv[2]}{number}.png"])
 """

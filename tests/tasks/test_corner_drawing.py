@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.run.inputs import find_media
+from camcal.run.paths import find_media
 from camcal.targets.board import Board
 from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.options import DetectOptions, FrameOptions

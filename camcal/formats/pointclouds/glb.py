@@ -17,7 +17,6 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
 from camcal.geometry.axes import rotation_of
-from camcal.stereo.points.frames import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
 from camcal.raw.tone import encode
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 

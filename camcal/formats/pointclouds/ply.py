@@ -12,9 +12,6 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.formats.schema import text
-from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, comments_of, from_comments
-from camcal.stereo.points.frames import VertexStream
 from camcal.formats.pointclouds.record import (
     PointCloudFile,
     blocks_of,

@@ -10,9 +10,6 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.formats.schema import text
-from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, from_comments
-from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, VertexStream
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, from_comments, numbers_in, text_rows
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, VertexStream
 

@@ -7,8 +7,6 @@ names. kitti: 12 numbers a line, no times. tf: ROS transforms as YAML. EuRoC's d
 from pathlib import Path
 
 from camcal.errors import InvalidInput
-from camcal.formats.trajectories import line_formats, native, ros, table
-from camcal.geometry.pose import Trajectory
 from camcal.formats.trajectories import native, table
 from camcal.formats.trajectories.native import write_tf
 from camcal.formats.trajectories.table import read_lines, read_with_repeats, write_kitti, write_tum

@@ -21,7 +21,6 @@ from camcal.formats.schema import integer, items, mapping, matrix, number, one_o
 from camcal.formats.strict_yaml import Document, child
 from camcal.formats.tables import Lines, Table, cell
 from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, named, trajectory
-from camcal.geometry.pose import Trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 

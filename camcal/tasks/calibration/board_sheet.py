@@ -9,7 +9,7 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, emit, kalibr_target, provenance
 from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
 from camcal.targets.printing.draw import Sheet, encoded, page_of, require_fine
 from camcal.targets.printing.footer import RULER_MM, Footer

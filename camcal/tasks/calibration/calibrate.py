@@ -23,9 +23,8 @@ from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.report.calibration import as_data, contenders_data, uncertainty_data, view_record
-from camcal.run.camera_files import read_camera_file
-from camcal.run.inputs import find_media, split_address
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import find_media, refuse_overwriting, split_address
+from camcal.run.pose_sources import read_camera_file
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle

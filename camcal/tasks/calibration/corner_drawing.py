@@ -10,8 +10,7 @@ from camcal.images.save import save
 from camcal.progress import Progress, values_of
 from camcal.report.corner_overlays import corner_overlay
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import record_outputs
-from camcal.run.outputs import refuse_collisions, refuse_overwriting
+from camcal.run.paths import record_outputs, refuse_collisions, refuse_overwriting
 from camcal.targets.board import Detection
 from camcal.tasks.calibration.options import Reading
 from camcal.tasks.calibration.photographs import read_photograph

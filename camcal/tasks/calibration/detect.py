@@ -9,8 +9,7 @@ from typing import Any
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.progress import SILENT, Progress
-from camcal.run.inputs import Media, find_images, find_media
-from camcal.run.outputs import refuse_overwriting, require_folder
+from camcal.run.paths import Media, find_images, find_media, refuse_overwriting, require_folder
 from camcal.targets.board import CHARUCO, Board, Detection, Detections
 from camcal.targets.detect import require_findable
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from camcal.errors import CamcalError, InvalidInput
-from camcal.images.image import Image
+from camcal.images.image import Image, Scratch
 from camcal.images.load import load
 from camcal.images.remap import Maps
 from camcal.images.save import save
-from camcal.images.scratch import Scratch
 from camcal.images.video import frames
 from camcal.progress import Outcome, Progress
 from camcal.run.fanout import fan_out

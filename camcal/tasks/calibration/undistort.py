@@ -17,8 +17,7 @@ from camcal.images.video import frames
 from camcal.images.views import make_view
 from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.run.inputs import Media, find_media, record_outputs, recorded
-from camcal.run.outputs import refuse_collisions, refuse_overwriting
+from camcal.run.paths import Media, find_media, record_outputs, recorded, refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.stereo.view_camera import SourceCamera, read_source, require_own, write_view

@@ -15,7 +15,7 @@ from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.views import make_view
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.stereo.view_camera import read_source, require_own, write_view
 

@@ -21,7 +21,7 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
 from camcal.images.image import Image
 from camcal.images.load import gray_8bit
-from camcal.images.motion import focus, motion, reduced
+from camcal.images.video import focus, motion, reduced
 from camcal.progress import Progress
 from camcal.targets.board import Board, Detection
 from camcal.targets.detect import SEED, detect

@@ -15,7 +15,7 @@ from camcal.formats import emit
 from camcal.formats.schema import did_you_mean
 from camcal.formats.tables import Table, read_measurements
 from camcal.progress import SILENT, Progress
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting
 from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck, check_jacobian
 from camcal.tasks.curves import fit_texts

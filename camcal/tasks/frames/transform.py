@@ -1,25 +1,25 @@
-"""`camcal transform chain`, `eval`, `compose` and `invert`: transforms made of others."""
+"""`camcal transform chain`, `eval`, `compose` and `invert`: transforms made of others; where results go."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from camcal.errors import InvalidInput
-from camcal.formats.pose_text import form_of
-from camcal.formats.pose_text import form_of
-from camcal.geometry.frame_graph import evaluate as evaluate_product
+from camcal import files
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats import frames, pose_text
+from camcal.formats.pose_text import Form, form_of
 from camcal.geometry.frame_graph import FrameGraph, Loop
 from camcal.geometry.frame_graph import evaluate as evaluate_product
 from camcal.geometry.named import Derived, Key, NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop
-from camcal.run.pose_sources import read_transforms
+from camcal.run.paths import refuse_overwriting
+from camcal.run.pose_sources import files_of, read_transforms
 from camcal.tasks.frames.options import ChainOptions, ExpressionOptions, Output, PosesOptions
-from camcal.tasks.frames.transform_output import require_own, write
 
 _CONSISTENT = 27.86  # χ² of 6 degrees of freedom that chance exceeds once in 10 000 times
 
@@ -153,3 +153,32 @@ def _require_closed(loop: Loop, options: ChainOptions) -> None:
     elif offset_mm > options.loop_mm or angle_deg > options.loop_deg:
         limit = f"{options.loop_mm:g} mm and {options.loop_deg:g}°"
         raise InvalidInput(f"{far}, more than {limit}; one of them is wrong, or allow it with --loop-mm, --loop-deg")
+
+
+def require_own(output: Output, sources: Sequence[str]) -> None:
+    """Raise InvalidInput if the output is one of the files that arguments name."""
+    if output.path is not None:
+        refuse_overwriting([output.path], files_of(sources))
+
+
+def write(output: Output, transforms: Sequence[NamedTransform]) -> None:
+    """Write transforms if they go anywhere.
+
+    Raises InvalidInput for several in a text, or two of one name, InsufficientData for none.
+    """
+    path = output.path
+    if path is None:
+        return
+    if not transforms:
+        raise InsufficientData("there are no transforms to write", where=str(path))
+    if path.suffix.lower() in frames.SUFFIXES:
+        frames.write(path, [_with_frames(transform) for transform in transforms], output.numbers)
+        return
+    if len(transforms) != 1:
+        raise InvalidInput(f"{len(transforms)} transforms do not go into a text; use .yaml", where=str(path))
+    files.write_text(path, pose_text.text_of(transforms[0], output.numbers or Form("matrix")))
+
+
+def _with_frames(transform: NamedTransform) -> NamedTransform:
+    """Return a transform with frames: a and b where it has none."""
+    return transform if transform.name else replace(transform, target="a", source="b")

@@ -1,27 +1,30 @@
-"""`camcal transform convert`: poses in other forms and along other axes."""
+"""`camcal transform convert`: poses in other forms and along other axes; over time, with --trajectory."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.formats import native, strict_yaml
+from camcal.formats import native, strict_yaml, trajectories
 from camcal.formats.pose_text import form_of
 from camcal.formats.schema import did_you_mean
 from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
-from camcal.geometry.named import NamedTransform, carried
+from camcal.geometry.named import NamedTransform, carried, frames_of
+from camcal.geometry.pose import Trajectory, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.camera_files import read_camera_file
-from camcal.run.pose_sources import files_of, read_transforms
+from camcal.run.paths import refuse_overwriting
+from camcal.run.pose_sources import files_of, read_camera_file, read_transforms, split_name
 from camcal.tasks.frames.options import ConvertOptions, Output
-from camcal.tasks.frames.transform_output import require_own, write
+from camcal.tasks.frames.transform import require_own, write
 
 _UNNAMED = ("a", "b")
 _CAMERA_FILES = (".yaml", ".yml")
+_KINDS = {"tum": "tum", "kitti": "kitti", "ros": "tf"}
 
 
 @dataclass(frozen=True)
@@ -174,3 +177,84 @@ def _counted_from_corners(
         if item is not None and item.after.pixel_centre:
             shift = item.after.pixel_centre
             yield PrincipalPoint(name, item.after.name, cx + shift, cy + shift)
+
+
+@dataclass(frozen=True, eq=False)
+class ConvertedTrajectory:
+    """What was written: poses over time, and the changes of axes."""
+
+    trajectory: Trajectory
+    changes: tuple[AxesChange, ...]
+    output: Path
+
+
+def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> ConvertedTrajectory:
+    """Return what was written to the output: the trajectory of the one source, in other axes or another form.
+
+    Raises InvalidInput as `convert` does, and without an output, FileError.
+    """
+    output, form = options.output.path, options.output.form
+    if len(options.sources) != 1 or output is None:
+        raise InvalidInput("--trajectory takes one file, and --output for where it goes")
+    if form is not None and form not in _KINDS:
+        raise InvalidInput(f"--as {form}: a trajectory is written as {', '.join(_KINDS)}, or as its suffix says")
+    if options.form is not None:
+        raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
+    name, body = split_name(options.sources[0])
+    refuse_overwriting([output], [Path(body)])
+    kind = trajectories.kind_of(output, None if form is None else _KINDS[form])
+    trajectory = trajectories.read(Path(body), name or None)
+    if options.inverse:
+        trajectory = _inverse_trajectory(trajectory, progress)
+    changes = changes_of(options.axes)
+    frames = frames_of(trajectory.frames)
+    require_known(changes, set(frames))
+    trajectory = _trajectory_along(trajectory, changes, frames)
+    trajectories.write(output, trajectory, kind)
+    return ConvertedTrajectory(trajectory, tuple(changes.values()), output)
+
+
+def trajectory_document(converted: ConvertedTrajectory) -> dict[str, Any]:
+    """Return what was written as plain data for --json, under the keys of `document`."""
+    trajectory = converted.trajectory
+    return {
+        "transforms": [],
+        "axes": plain_changes(converted.changes),
+        "principal_points": [],
+        "trajectory": {
+            "frames": trajectory.frames,
+            "poses": len(trajectory),
+            "start_s": float(trajectory.stamps[0]) if len(trajectory) else None,
+            "end_s": float(trajectory.stamps[-1]) if len(trajectory) else None,
+            "covariances": trajectory.covariances is not None,
+        },
+        "output": converted.output,
+    }
+
+
+def _inverse_trajectory(trajectory: Trajectory, progress: Progress) -> Trajectory:
+    """Return the poses in the other direction; velocities are of the moving frame in the fixed one and are left out."""
+    if trajectory.velocities is not None:
+        progress.warn("velocities are left out of inverted poses")
+    poses = [trajectory.pose(index) for index in range(len(trajectory))]
+    inverses = [pose.inverse() for pose in poses]
+    covariances = trajectory.covariances
+    if covariances is not None:
+        jacobians = np.array([inverse_jacobian(pose) for pose in poses]).reshape(-1, 6, 6)
+        covariances = jacobians @ covariances @ np.swapaxes(jacobians, 1, 2)
+    a, b = frames_of(trajectory.frames)
+    inverted = Trajectory.of(f"{b}_T_{a}", trajectory.stamps, inverses)
+    return replace(inverted, covariances=covariances, segments=trajectory.segments)
+
+
+def _trajectory_along(trajectory: Trajectory, changes: dict[str, AxesChange], frames: tuple[str, str]) -> Trajectory:
+    change_a, change_b = matrices_of(changes, frames)
+    poses = [reexpress(trajectory.pose(index), change_a, change_b) for index in range(len(trajectory))]
+    jacobian = reexpress_jacobian(change_a)
+    covariances, velocities = trajectory.covariances, trajectory.velocities
+    return replace(
+        Trajectory.of(trajectory.frames, trajectory.stamps, poses),
+        covariances=None if covariances is None else jacobian @ covariances @ jacobian.T,
+        velocities=None if velocities is None else velocities @ jacobian.T,
+        segments=trajectory.segments,
+    )

@@ -17,7 +17,7 @@ from camcal.geometry.named import NamedTransform
 from camcal.geometry.pose import point_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting
 from camcal.run.pose_sources import files_of, read_one
 from camcal.stereo.points.frames import METRES, NORMAL, POSITION, VertexStream
 from camcal.tasks.frames.options import PointsOptions

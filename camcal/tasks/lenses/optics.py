@@ -10,8 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board
 from camcal.progress import SILENT, Progress
-from camcal.run.inputs import split_address
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting, split_address
 from camcal.targets.boards.types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
 from camcal.tasks.lenses.board_plan import BoardPlan, plan_board

@@ -14,7 +14,7 @@ from camcal.formats import native
 from camcal.optics import lens
 from camcal.optics.lens import effective_f_number
 from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
-from camcal.run.inputs import split_address
+from camcal.run.paths import split_address
 from camcal.tasks.lenses.options import OpticsOptions, is_possible
 
 _DISAGREE = 0.05  # of two ways to the same length: more than lenses and data sheets are off

@@ -14,7 +14,7 @@ from camcal.images import exif, video
 from camcal.images.load import load
 from camcal.parsing import parse_number
 from camcal.progress import Progress
-from camcal.run.inputs import require_there
+from camcal.run.paths import require_there
 from camcal.tasks.poses.track_options import UNITS, Timing
 
 _NAME, _EXIF = "name", "exif"

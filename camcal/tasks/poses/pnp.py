@@ -21,9 +21,8 @@ from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
-from camcal.run.camera_files import read_camera_file
-from camcal.run.inputs import split_address
-from camcal.run.outputs import refuse_overwriting, require_folder
+from camcal.run.paths import refuse_overwriting, require_folder, split_address
+from camcal.run.pose_sources import read_camera_file
 from camcal.tasks.poses import pnp_remarks
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_drawing import draw, sheets, videos_in

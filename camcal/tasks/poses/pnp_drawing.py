@@ -14,8 +14,7 @@ from camcal.images.video import frame_name, frames
 from camcal.progress import Progress, values_of
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs
-from camcal.run.outputs import refuse_collisions, refuse_overwriting
+from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs, refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.photographs import read_photograph
 
 _SUFFIX = "_pose.png"

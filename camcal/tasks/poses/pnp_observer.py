@@ -17,7 +17,7 @@ from camcal.formats.schema import did_you_mean
 from camcal.geometry.pose import Pose
 from camcal.progress import Progress
 from camcal.report.overlays import Posed
-from camcal.run.inputs import VIDEO_SUFFIXES
+from camcal.run.paths import VIDEO_SUFFIXES
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
 from camcal.tasks.poses.options import Looking
 from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by

@@ -17,7 +17,7 @@ from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import Sight
 from camcal.images.video import frames
 from camcal.progress import Progress
-from camcal.run.inputs import find_media
+from camcal.run.paths import find_media
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views

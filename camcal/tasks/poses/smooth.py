@@ -7,7 +7,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import trajectories
 from camcal.progress import SILENT, Progress
 from camcal.report import figures
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting
 from camcal.tasks.poses.smooth_options import SmoothOptions
 from camcal.tasks.poses.smooth_table import smooth_table
 from camcal.tasks.poses.smooth_trajectory import evaluation, smooth_trajectory

@@ -16,7 +16,7 @@ from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import find_media
+from camcal.run.paths import find_media
 from camcal.targets.markers.markers import Markers, detect_markers
 from camcal.targets.markers.tags import TagObjects
 from camcal.tasks.calibration.photographs import read_photograph

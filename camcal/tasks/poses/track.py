@@ -17,14 +17,11 @@ from camcal.estimate.tracking.view_track import track_views
 from camcal.formats import poses, trajectories
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.formats.schema import did_you_mean
-from camcal.formats.trajectories.tracked import TrackedObject
-from camcal.geometry.pose import Trajectory
 from camcal.formats.trajectories.tracked import SUFFIXES, TrackedObject, write_tracks
 from camcal.geometry.pose import Trajectory
 from camcal.progress import SILENT, Progress
 from camcal.report import track_words
-from camcal.run.inputs import Media, find_media, require_there
-from camcal.run.outputs import refuse_collisions, refuse_overwriting
+from camcal.run.paths import Media, find_media, refuse_collisions, refuse_overwriting, require_there
 from camcal.targets.markers.tags import single_name
 from camcal.tasks.poses.frame_times import frame_times, require_times
 from camcal.tasks.poses.options import PnpOptions

@@ -1,4 +1,8 @@
-"""`camcal demosaic`: raw frames to images, as many at a time as there are cores."""
+"""`camcal demosaic`: raw frames to images, as many at a time as there are cores.
+
+Settings that repeat a development bit for bit are written beside every image. With --preview-patterns, what a mosaic
+looks like with each of the four patterns.
+"""
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
@@ -7,30 +11,45 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+import camcal
 from camcal import files
+from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.formats import emit
 from camcal.images.image import Image
 from camcal.images.save import KINDS, save
-from camcal.options import NUMBERS
+from camcal.options import NUMBERS, declared
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.raw.bit_depth import likely_white
 from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_BALANCE
-from camcal.raw.phase import check_phase
+from camcal.raw.options import (
+    BARE_SUFFIXES,
+    GRAY_WORLD,
+    HEADERLESS_SUFFIXES,
+    NO_BALANCE,
+    PATTERNS,
+    Balance,
+    Development,
+)
+from camcal.raw.phase import check_phase, green_diagonal
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
 from camcal.raw.tone import DTYPES
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.inputs import find_images, recorded
-from camcal.run.outputs import place, refuse_overwriting
-from camcal.tasks.raw import demosaic_settings
+from camcal.run.paths import find_images, place, record_outputs, recorded, refuse_overwriting
 from camcal.tasks.raw.options import DemosaicOptions
 from camcal.tasks.raw.raw_corrections import load_corrections, read_frame
 
 DNG = ".dng"
+
+_SETTINGS = ".yaml"
+_COMMENT = "What camcal demosaic did; given to --config, this file repeats it."
+_LONGEST = 480  # pixels of a thumbnail's longer side
 
 
 @dataclass(frozen=True)
@@ -62,10 +81,10 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
     _require_pattern(sources, options.reading.pattern)
     outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
-    settings = [demosaic_settings.path_beside(output) for output in outputs.values()]
+    settings = [settings_beside(output) for output in outputs.values()]
     refuse_overwriting(settings, sources)
     for path in settings:
-        demosaic_settings.require_own(path)
+        require_own_settings(path)
     corrections = load_corrections(options.corrections, options.reading, sources[0])
     into_a_folder = outputs[sources[0]] != options.output
     names = [output.name for output in outputs.values()]
@@ -106,7 +125,7 @@ def _developed(
     frame = read_frame(source, options.reading)
     if not options.trust_pattern:
         check_phase(frame)
-    settings = demosaic_settings.path_beside(output)
+    settings = settings_beside(output)
     if output.suffix.lower() == DNG:
         kept = negative(frame, options.development, corrections)
         write_dng(output, kept)
@@ -127,7 +146,7 @@ def _developed(
         gains=picture.gains,
     )
     repeating = _repeating(options, picture, frame.pattern)
-    files.write_text(settings, demosaic_settings.text(repeating, _record(frame, developed, options)))
+    files.write_text(settings, settings_text(repeating, _record(frame, developed, options)))
     return developed
 
 
@@ -154,7 +173,7 @@ def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) 
         "black": list(developed.black),
         "white": developed.white,
         "clipped": list(developed.clipped),
-        "capture": demosaic_settings.capture_facts(frame),
+        "capture": _capture_facts(frame),
     }
     if options.development.algorithm == HALF:
         record["pixel_of_the_mosaic"] = "(2 x + 0.5, 2 y + 0.5)"
@@ -190,4 +209,99 @@ def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any
         "failed": [
             {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
         ],
+    }
+
+
+def settings_beside(image: Path) -> Path:
+    """Return where the settings of an image stand."""
+    return image.with_name(image.name + _SETTINGS)
+
+
+def require_own_settings(path: Path) -> None:
+    """Raise InvalidInput if something else stands where settings go."""
+    if path.exists() and _COMMENT.encode() not in files.read_bytes(path):
+        raise InvalidInput("was not written by 'camcal demosaic' and is kept; choose another output", where=str(path))
+
+
+def settings_text(options: DemosaicOptions, record: Mapping[str, Any]) -> str:
+    """Return the settings file: options of the command by name, and under x_record what was found on the way.
+
+    Of the development it has everything, so that another version with other defaults repeats it too.
+    """
+    recorded = [each for each in declared(DemosaicOptions) if each.option.recorded and not each.positional]
+    settings = {
+        each.key: each.setting(value)
+        for each in recorded
+        if (value := each.of(options)) is not None and (value != each.default or each.path[0] == "development")
+    }
+    return emit.document({**settings, "x_record": {"camcal": camcal.__version__, **record}}, _COMMENT)
+
+
+def _capture_facts(frame: Mosaic) -> dict[str, Any]:
+    """Return what the file of a frame says of its capture, without what it does not say."""
+    capture = frame.capture
+    facts = {
+        "make": capture.make,
+        "model": capture.model,
+        "exposure_s": capture.exposure_s,
+        "iso": capture.iso,
+        "f_number": capture.f_number,
+        "focal_mm": capture.focal_mm,
+    }
+    return {name: value for name, value in facts.items() if value not in (None, "")}
+
+
+@dataclass(frozen=True)
+class PatternPreviews:
+    """The thumbnails of one frame by pattern, and the patterns that its greens allow: two, or all four."""
+
+    source: Path
+    thumbnails: dict[str, Path]
+    likely: tuple[str, ...]
+
+
+def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
+    """Return what was written: for each raw frame four small PNG images in the folder options.output.
+
+    White balance is that of a gray world and tone sRGB, so that wrong colours are seen, not only wrong levels.
+    Raises FileError or InvalidInput as reading does, InvalidInput for a frame without a Bayer mosaic.
+    """
+    look = Development(HALF, Balance(GRAY_WORLD), tone="srgb", depth="8")
+    written = []
+    for source in find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES):
+        frame = read_frame(source, replace(options.reading, pattern=options.reading.pattern or PATTERNS[0]))
+        if frame.pattern not in PATTERNS:
+            raise InvalidInput(f"has the pattern {frame.pattern}, not one of four", where=str(source))
+        thumbnails = {}
+        for pattern in PATTERNS:
+            path = options.output / f"{source.stem}_{pattern}.png"
+            save(path, _thumbnail(develop(replace(frame, pattern=pattern), look).pixels))
+            thumbnails[pattern] = path
+        record_outputs(options.output, [path.name for path in thumbnails.values()])
+        written.append(PatternPreviews(source, thumbnails, _likely(frame)))
+    return written
+
+
+def _likely(frame: Mosaic) -> tuple[str, ...]:
+    main = green_diagonal(frame.values, frame.black).main
+    return tuple(pattern for pattern in PATTERNS if main is None or (pattern[0] == "G") == main)
+
+
+def _thumbnail(pixels: Array) -> Array:
+    """Return every so many-th pixel of an image: a thumbnail that keeps its colours."""
+    step = -(-max(pixels.shape[:2]) // _LONGEST)
+    return np.ascontiguousarray(pixels[::step, ::step])
+
+
+def previews_document(previews: list[PatternPreviews]) -> dict[str, Any]:
+    """Return the previews as plain data for --json."""
+    return {
+        "previews": [
+            {
+                "source": each.source.as_posix(),
+                "thumbnails": {pattern: path.as_posix() for pattern, path in each.thumbnails.items()},
+                "likely": list(each.likely),
+            }
+            for each in previews
+        ]
     }

@@ -14,7 +14,7 @@ from camcal.progress import Progress, values_of
 from camcal.raw.mosaic import Capture
 from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import find_images
+from camcal.run.paths import find_images
 from camcal.tasks.raw.options import RawInput
 from camcal.tasks.raw.raw_corrections import read_frame
 

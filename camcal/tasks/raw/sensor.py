@@ -25,7 +25,7 @@ from camcal.raw.photon_transfer import Curve, Figure
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report import figures
 from camcal.run.fanout import fan_out
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
 from camcal.tasks.raw.options import RawInput, SensorOptions
 from camcal.tasks.raw.raw_corrections import read_frame

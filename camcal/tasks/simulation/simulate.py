@@ -20,9 +20,9 @@ from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
-from camcal.run.camera_files import read_camera_file
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import split_address
+from camcal.run.paths import split_address
+from camcal.run.pose_sources import read_camera_file
 from camcal.simulate import mosaics
 from camcal.simulate.render import render
 from camcal.simulate.scene import Truth, make_camera, observe, view_name, views

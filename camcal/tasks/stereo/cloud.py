@@ -16,8 +16,7 @@ from camcal.images.load import load
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.inputs import require_there, split_address
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting, require_there, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned

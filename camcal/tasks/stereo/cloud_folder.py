@@ -10,7 +10,7 @@ from camcal.errors import FileError
 from camcal.formats import disparity, pointclouds
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
-from camcal.run.outputs import place
+from camcal.run.paths import place
 from camcal.tasks.stereo import cloud
 from camcal.tasks.stereo.cloud import CloudReport, stereo_cloud
 from camcal.tasks.stereo.cloud_options import CloudOptions

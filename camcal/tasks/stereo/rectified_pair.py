@@ -12,8 +12,8 @@ from camcal.formats import native, pair_calibration
 from camcal.formats.camera_file import CameraFile, Transform
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.progress import SILENT, Progress
-from camcal.run.camera_files import read_camera_file
-from camcal.run.inputs import split_address
+from camcal.run.paths import split_address
+from camcal.run.pose_sources import read_camera_file
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.tasks.stereo.options import GeometryOptions
 

@@ -17,9 +17,7 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.report import pair_check as words
 from camcal.report.pair_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import recorded
-from camcal.run.outputs import place, refuse_overwriting
-from camcal.run.pairs import find_pairs
+from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
 from camcal.stereo.pair.pair_check import FINDINGS, PairCheck, check_pair
 from camcal.tasks.stereo.options import StereoCheckOptions
 

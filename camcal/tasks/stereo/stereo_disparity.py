@@ -21,9 +21,7 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.raw.planes import one_by_one
 from camcal.report.disparity_pictures import disparity_picture, robust_range
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.inputs import recorded
-from camcal.run.outputs import place, refuse_overwriting
-from camcal.run.pairs import find_pairs
+from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
 from camcal.stereo.acceptance import too_few
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.learned import learned_disparity

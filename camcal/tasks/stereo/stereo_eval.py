@@ -22,9 +22,7 @@ from camcal.images.save import save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report.disparity_pictures import error_picture
 from camcal.run.fanout import fan_out
-from camcal.run.inputs import require_there
-from camcal.run.outputs import place, refuse_overwriting
-from camcal.run.pairs import paired
+from camcal.run.paths import paired, place, refuse_overwriting, require_there
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.truth.evaluate import (
     AT_LEAST,

@@ -30,8 +30,7 @@ from camcal.report.cloud_scene import CloudScene, gather
 from camcal.report.cloud_view import Start
 from camcal.report.cloud_views import turn, view_of
 from camcal.run.fanout import over_threads
-from camcal.run.inputs import require_there
-from camcal.run.outputs import refuse_overwriting
+from camcal.run.paths import refuse_overwriting, require_there
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import WORDS, Frame, VertexStream
 from camcal.stereo.points.selection import Selection, select

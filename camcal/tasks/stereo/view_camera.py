@@ -13,8 +13,8 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Verdict
 from camcal.progress import Progress
-from camcal.run.camera_files import read_camera_file
-from camcal.run.inputs import split_address
+from camcal.run.paths import split_address
+from camcal.run.pose_sources import read_camera_file
 
 _COMMAND = "camcal undistort"
 

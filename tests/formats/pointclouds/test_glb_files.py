@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats.pointclouds import glb, write
-from camcal.stereo.points.frames import VertexStream
 from camcal.formats.pointclouds import write
 from camcal.formats.pointclouds.glb import _description, _type_of, read
 from camcal.stereo.points.frames import VertexStream

@@ -1,15 +1,19 @@
-"""What a command works on: files, folders and patterns become lists of images; `rig.yaml#left` a file and a camera.
+"""What a command reads and writes: files, folders and patterns as lists of images; `rig.yaml#left`, a file and camera.
 
 Files that camcal wrote into a folder are listed in `.camcal-output` there, one name per line (`recorded`). They
 are left out beside other images, so that a second run does not read what the first one wrote; a folder with nothing
 else was named on purpose and is read.
+
+Left and right images belong together by their names. Results go to a file or a folder, no two to one place, and never
+over an input or over what others wrote.
 """
 
 import difflib
 import glob
 import os
+import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -24,6 +28,12 @@ IMAGE_SUFFIXES = RAW_SUFFIXES | {
 }  # fmt: skip
 VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".mjpeg", ".mjpg"})
 OUTPUT_INDEX = ".camcal-output"
+
+# As words or before a capital or a digit (left_01, imgL, leftImage, L7), not within words such as bright.
+_SIDE = re.compile(
+    r"(?<![A-Za-z])(?:left|right|Left|Right|LEFT|RIGHT|[lrLR])(?![a-z])|(?<=[a-z])(?:Left|Right|[LR])(?![a-z])"
+)
+_NUMBER = re.compile(r"(?<!\d)[01](?!\d)")
 
 
 @dataclass(frozen=True)
@@ -202,3 +212,125 @@ def _missing(path: Path) -> str:
 
 def _natural_path(path: Path) -> tuple[object, ...]:
     return tuple(files.natural_key(part) for part in path.parts), str(path)
+
+
+def find_pairs(
+    lefts: Sequence[Path | str], rights: Sequence[Path | str], recursive: bool = False
+) -> list[tuple[Path, Path]]:
+    """Return the pairs (left, right) that files, folders and quoted patterns stand for, in natural order of the left.
+
+    Raises FileError as `find_images` does, InvalidInput as `paired` does, or if an image stands on both sides.
+    """
+    left, right = find_images(lefts, recursive), find_images(rights, recursive)
+    alone = len(left) == len(right) == 1
+    pairs = [(left[0], right[0])] if alone else paired(left, right, ("left", "right images"))
+    for first, second in pairs:
+        if first.resolve() == second.resolve():
+            raise InvalidInput("is given as the left and as the right image", where=str(first))
+    return pairs
+
+
+def paired(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str]) -> list[tuple[Path, Path]]:
+    """Return the files of two sides that belong together, in the order of the left.
+
+    They are paired by name where names agree but for marks such as left, right, L, R, 0 and 1, and in the order given
+    where no two names do. sides: what a message calls so many of each.
+    Raises InvalidInput if one side has more files or only some names agree.
+    """
+    return _by_name(left, right) or _in_order(left, right, sides)
+
+
+def _by_name(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]] | None:
+    """Return the pairs if some reading of the names gives each image its partner."""
+    for name in _READINGS:
+        partners = {name(path): path for path in right}
+        names = [name(path) for path in left]
+        if len(set(names)) == len(left) and len(partners) == len(right) and set(names) == set(partners):
+            return [(path, partners[key]) for path, key in zip(left, names, strict=True)]
+    return None
+
+
+def _in_order(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str]) -> list[tuple[Path, Path]]:
+    lonely = _lonely(left, right)
+    counts = f"{len(left)} {sides[0]} and {len(right)} {sides[1]}"
+    if len(left) != len(right):
+        raise InvalidInput(f"{counts} do not pair up" + (f"; {lonely} has no partner" if lonely else ""))
+    if lonely:
+        raise InvalidInput(f"{counts} agree in some names only; {lonely} has no partner")
+    return list(zip(left, right, strict=True))
+
+
+def _lonely(left: Sequence[Path], right: Sequence[Path]) -> Path | None:
+    """Return the first image whose name has no partner in the reading that pairs most; None if none pairs any."""
+    best: tuple[int, Path | None] = (0, None)
+    for name in _READINGS:
+        sides = {name(path) for path in left}, {name(path) for path in right}
+        shared = sides[0] & sides[1]
+        if len(shared) > best[0]:
+            best = len(shared), next((path for path in (*left, *right) if name(path) not in shared), None)
+    return best[1]
+
+
+def _stem(path: Path) -> str:
+    return path.stem
+
+
+def _without_sides(path: Path) -> str:
+    return _SIDE.sub("", path.stem)
+
+
+def _without_numbers(path: Path) -> str:
+    return _NUMBER.sub("", path.stem)
+
+
+def _with_folder(path: Path) -> str:
+    """Return the name after that of its folder, both without marks, for scene1/left.png or cam0/0001.png."""
+    return "/".join(_NUMBER.sub("", _SIDE.sub("", part)) for part in (path.absolute().parent.name, path.stem))
+
+
+_READINGS: tuple[Callable[[Path], str], ...] = (_stem, _without_sides, _without_numbers, _with_folder)
+
+
+def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str]) -> dict[Path, Path]:
+    """Return the file for each input: the output itself for a single one, else one by its name in a folder.
+
+    suffix: of files in a folder. kinds: suffixes that a file may have.
+    Raises InvalidInput if the output is a file for several inputs, of another kind, or a suffix without a name; see
+    also `refuse_collisions`.
+    """
+    if output.name.lower() in kinds and not output.is_dir():
+        raise InvalidInput(f"is a suffix without a name; write NAME{output.name}, or a folder", where=str(output))
+    if output.suffix and not output.is_dir():
+        if len(inputs) > 1:
+            raise InvalidInput(f"{len(inputs)} inputs do not go into one file; give a folder", where=str(output))
+        if output.suffix.lower() not in kinds:
+            raise InvalidInput(f"{output.suffix} is not written; use {', '.join(kinds)}", where=str(output))
+        outputs = {inputs[0]: output}
+    else:
+        outputs = {path: output / f"{path.stem}{suffix}" for path in inputs}
+    refuse_collisions(outputs)
+    refuse_overwriting(outputs.values(), inputs)
+    return outputs
+
+
+def require_folder(path: Path, option: str) -> None:
+    """Raise InvalidInput, naming the option, if files cannot go to this folder because it is a file."""
+    if path.exists() and not path.is_dir():
+        raise InvalidInput(f"{option} takes a folder, this is a file", where=str(path))
+
+
+def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Raise InvalidInput if an output is one of the inputs."""
+    read = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in read:
+            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(path))
+
+
+def refuse_collisions(outputs: Mapping[Path, Path]) -> None:
+    """Raise InvalidInput if two inputs (the keys) would be written to one file."""
+    taken: dict[Path, Path] = {}
+    for source, file in outputs.items():
+        if file in taken:
+            raise InvalidInput(f"{taken[file]} and {source} would both be written to it; rename one", where=str(file))
+        taken[file] = source

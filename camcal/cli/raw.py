@@ -1,4 +1,4 @@
-"""`camcal demosaic`."""
+"""`camcal demosaic` and `sensor`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
-from camcal.tasks.raw.options import DemosaicOptions
+from camcal.tasks.raw.options import DemosaicOptions, SensorOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
-    from camcal.tasks.raw.bad_pixel_map import BadPixelMap
-    from camcal.tasks.raw.demosaic import DevelopedFrame
-    from camcal.tasks.raw.pattern_previews import PatternPreviews
+    from camcal.tasks.raw.demosaic import DevelopedFrame, PatternPreviews
+    from camcal.tasks.raw.raw_corrections import BadPixelMap
+    from camcal.tasks.raw.sensor import SensorReport
 
-LISTED = 10
+
 CLIPPED = 1e-3  # share of a colour's samples that is worth saying
 
 
@@ -40,24 +40,24 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
     from camcal.tasks.raw.demosaic import document
 
     outcomes = run(options, call.progress)
-    call.give(lambda: document(outcomes), lambda: _show(outcomes, call.verbose))
+    call.give(lambda: document(outcomes), lambda: _show_images(outcomes, call.verbose))
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
         raise ItemsFailed(f"{len(failed)} of {len(outcomes)} frames failed, the rest is written")
 
 
 def _make_map(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.bad_pixel_map import document, make_bad_pixel_map
+    from camcal.tasks.raw.raw_corrections import make_bad_pixel_map, map_document
 
     found = make_bad_pixel_map(options, call.progress)
-    call.give(lambda: document(found), lambda: _show_map(found))
+    call.give(lambda: map_document(found), lambda: _show_map(found))
 
 
 def _preview(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.pattern_previews import document, preview_patterns
+    from camcal.tasks.raw.demosaic import preview_patterns, previews_document
 
     previews = preview_patterns(options)
-    call.give(lambda: document(previews), lambda: _show_previews(previews))
+    call.give(lambda: previews_document(previews), lambda: _show_previews(previews))
 
 
 def _show_map(found: "BadPixelMap") -> None:
@@ -71,19 +71,45 @@ def _show_previews(previews: "Sequence[PatternPreviews]") -> None:
         show.text(f"{preview.source}{likely}: {' '.join(str(path) for path in preview.thumbnails.values())}")
 
 
-def _show(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: bool) -> None:
+def _show_images(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: bool) -> None:
     from camcal.raw.mosaic import pattern_words
 
     written = [outcome.value for outcome in outcomes if outcome.value is not None]
-    shown = written if verbose else written[:LISTED]
-    for frame in shown:
+    lines = []
+    for frame in written:
         gains = "" if frame.gains is None else ", gains {:.4g} {:.4g} {:.4g}".format(*frame.gains)
         levels = f"black {' '.join(f'{level:g}' for level in sorted(set(frame.black)))}, white {frame.white:g}"
         clipped = f", {max(frame.clipped):.1%} clipped" if max(frame.clipped) >= CLIPPED else ""
         pattern = pattern_words(frame.pattern)
-        show.text(f"{frame.output}: {frame.size[0]}x{frame.size[1]}, {pattern}, {levels}{gains}{clipped}")
-    if len(shown) < len(written):
-        show.text(f"… and {len(written) - len(shown)} more (--verbose lists all)")
-    for outcome in outcomes:
-        if outcome.error is not None:
-            show.text(f"failed: {outcome.error}")
+        lines.append(f"{frame.output}: {frame.size[0]}x{frame.size[1]}, {pattern}, {levels}{gains}{clipped}")
+    show.lines(lines, verbose)
+    show.failed(outcomes)
+
+
+def sensor(options: SensorOptions, call: ImageCall) -> None:
+    """Measure a sensor by photon transfer (EMVA 1288): gain, read noise, full well, dynamic range, nonuniformity.
+
+    Two flat and two dark frames are enough for a first answer; twelve levels from dark to saturated and sixteen dark
+    frames for a good one. Frames are sorted by folder, exposure, and brightness.
+    """
+    from camcal.tasks.raw.sensor import document
+    from camcal.tasks.raw.sensor import sensor as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report, options), lambda: _show_sensor(report, options, call.verbose))
+
+
+def _show_sensor(report: "SensorReport", options: SensorOptions, verbose: bool) -> None:
+    from camcal.tasks.raw.sensor import rows
+
+    found = report.sensor
+    width, height = found.size
+    show.text(f"{len(report.flats)} levels of light, {len(report.darks)} of darkness, {width}x{height}")
+    show.table("sensor", ["figure", "value", "std", "unit"], rows(found.figures))
+    show.text(f"the counts end at the {found.saturation}" if found.saturation != "not reached" else "not saturated")
+    if report.pitch is not None:
+        show.text(f"pixel pitch {1e6 * report.pitch:.3g} um")
+    if verbose:
+        for name, part in found.phases.items():
+            show.table(name, ["figure", "value", "std", "unit"], rows(part))
+    show.text(f"wrote {options.output}" + (f" and {options.plot}" if options.plot else ""))

@@ -1,11 +1,16 @@
-"""`camcal transform check`: how far poses, as they are written, are from being any."""
+"""`camcal transform average` and `check`.
 
+The mean of several estimates of one transform; how far poses, as they are written, are from being any.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from camcal.errors import GateFailed
+from camcal.errors import GateFailed, InvalidInput
+from camcal.estimate.pose_average import PoseAverage, average_poses
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import LoosePose, form_of
 from camcal.geometry import rotation as so3
@@ -14,16 +19,93 @@ from camcal.geometry.pose import Pose
 from camcal.geometry.rotation import HOPELESS, Orthogonality, examine
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.pose_sources import read_loose
-from camcal.tasks.frames.options import CheckOptions, Output
-from camcal.tasks.frames.transform_output import require_own, write
+from camcal.run.pose_sources import read_loose, read_trajectories, read_transforms
+from camcal.tasks.frames.options import AverageOptions, CheckOptions, Output
+from camcal.tasks.frames.transform import require_own, write
 
 EXACT = 1e-6  # what a camera file asks of its rotations
-
 OK = "ok"
 INEXACT = "inexact"
 REFLECTION = "reflection"
 NONE = "no pose"
+
+_FAR = 3.0  # standard deviations of χ² above its mean
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """The mean as a transform, what it is the mean of, and how these lie about it; weighted: by their covariances."""
+
+    transform: NamedTransform
+    estimates: tuple[NamedTransform, ...]
+    mean: PoseAverage
+    weighted: bool
+
+
+def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
+    """Return the mean of transforms that all have one name, or none.
+
+    Raises InvalidInput for transforms of other frames, FileError, InsufficientData for fewer than two, NotConverged.
+    """
+    require_own(options.output, options.sources)
+    estimates = _estimates(options)
+    _require_one_name(estimates)
+    covariances = [item.covariance for item in estimates if item.covariance is not None]
+    weighted = not options.equal and bool(estimates) and len(covariances) == len(estimates)
+    if covariances and not weighted and not options.equal:
+        progress.warn(f"{len(estimates) - len(covariances)} of {len(estimates)} have no covariance: all count alike")
+    poses = [item.pose for item in estimates]
+    mean = average_poses(poses, covariances if weighted else None, robust=options.robust)
+    _warn(mean, progress)
+    first = estimates[0]
+    result = NamedTransform(first.target, first.source, mean.pose, mean.covariance)
+    write(options.output, [result])
+    return Averaged(result, estimates, mean, weighted)
+
+
+def _estimates(options: AverageOptions) -> tuple[NamedTransform, ...]:
+    if not options.trajectory:
+        return read_transforms(options.sources, form_of(options.form))
+    if options.form is not None:
+        raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
+    return read_trajectories(options.sources)
+
+
+def average_document(averaged: Averaged, output: Output) -> dict[str, Any]:
+    """Return the mean and the estimates as plain data for --json."""
+    mean = averaged.mean
+    return {
+        "transform": plain(averaged.transform, output.numbers),
+        "weighted": averaged.weighted,
+        "unique": mean.unique,
+        "chi_square": mean.chi_square,
+        "degrees_of_freedom": mean.freedom,
+        "estimates": [
+            {"name": item.name or None, "where": item.where, "weight": weight, "offset_m": offset, "angle_deg": angle}
+            for item, weight, offset, angle in zip(
+                averaged.estimates, mean.weights, mean.offsets, np.degrees(mean.angles), strict=True
+            )
+        ],
+        "output": output.path,
+    }
+
+
+def _require_one_name(estimates: Sequence[NamedTransform]) -> None:
+    for item in estimates:
+        if item.name != estimates[0].name:
+            raise InvalidInput(
+                f"{item.called} and {estimates[0].called} are other transforms; a mean is of one", where=item.where
+            )
+
+
+def _warn(mean: PoseAverage, progress: Progress) -> None:
+    if not mean.unique:
+        progress.warn(f"rotations lie up to {np.degrees(mean.angles.max()):.0f}° from their mean: there may be another")
+    if mean.chi_square is not None and mean.chi_square > mean.freedom + _FAR * np.sqrt(2 * mean.freedom):
+        progress.warn(
+            f"the estimates differ more than their covariances say (χ² = {mean.chi_square:.4g}, "
+            f"{mean.freedom} degrees of freedom); with --equal the covariance follows from how they scatter"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +165,7 @@ def require_good(checked: Checked, *, fix: bool) -> None:
         raise GateFailed("\n".join(faults))
 
 
-def document(checked: Checked, output: Output) -> dict[str, Any]:
+def check_document(checked: Checked, output: Output) -> dict[str, Any]:
     """Return what was found as plain data for --json."""
     return {
         "poses": [

@@ -1,0 +1,123 @@
+"""`camcal pnp`, `track` and `smooth`."""
+
+from typing import TYPE_CHECKING
+
+from camcal.cli import show
+from camcal.cli.command import Call, ImageCall
+from camcal.tasks.poses.options import PnpOptions
+from camcal.tasks.poses.smooth_options import SmoothOptions
+from camcal.tasks.poses.track_options import FollowOptions
+
+if TYPE_CHECKING:
+    from camcal.tasks.poses.pnp import PnpReport
+    from camcal.tasks.poses.smoothing import Smoothing
+    from camcal.tasks.poses.track import FollowReport
+
+
+def pnp(options: PnpOptions, call: ImageCall) -> None:
+    """Find the pose of an object from known points and their pixels, or of a board or of tags from images of them.
+
+    camera_T_object takes points of the object to the camera (x right, y down, z forward). Every pose comes with its
+    covariance and, where another pose fits nearly as well, with that pose and its probability.
+    """
+    from camcal.errors import ItemsFailed, NotConverged
+    from camcal.tasks.poses.pnp import document
+    from camcal.tasks.poses.pnp import pnp as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_poses(report, options, verbose=call.verbose))
+    if report.unsettled:
+        raise NotConverged(f"these poses did not converge: {', '.join(map(str, report.unsettled[: show.LISTED]))}")
+    report.require_good(options.gates)
+    if failed := report.failed:
+        total = len(failed) + len(report.poses.estimates)
+        raise ItemsFailed(f"{len(failed)} of {total} images have no pose: {', '.join(failed[: show.LISTED])}")
+
+
+def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> None:
+    from camcal.report import pose_words
+
+    for note in report.notes:
+        show.text(note)
+    poses = report.poses
+    rows = [pose_words.row(poses, sight, record) for sight, record in poses.estimates.items()]
+    show.table(poses.frames, pose_words.columns(poses), rows, verbose)
+    if options.all_solutions:
+        _show_alternatives(report, verbose)
+    show.text(pose_words.noise(poses))
+    show.lines([f"no pose: {sight}: {reason}" for sight, reason in poses.missing.items()], verbose)
+    if options.output:
+        show.text(f"wrote {options.output}")
+    if report.pictures:
+        show.text(f"drew {len(report.pictures)} pictures in {report.pictures[0].parent}")
+
+
+def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
+    from camcal.report import pose_words
+
+    poses = report.poses
+    rows = [row for item in poses.estimates.items() for row in pose_words.alternative_rows(poses, *item)]
+    if not rows:
+        show.text("no other pose fits")
+        return
+    heads = ["image", "x y z", "rotation vector, deg", "χ² above", "probability"]
+    show.table("other poses", heads, rows, verbose)
+
+
+def track(options: FollowOptions, call: ImageCall) -> None:
+    """Follow a board or tags over a video, a folder of images or a pose file: smooth poses with their uncertainty.
+
+    Detections that do not fit are left out, mirrored poses of flat objects are told apart by the motion, and where the
+    object is lost the track ends and another begins. It says whether the uncertainty is to be trusted.
+    """
+    from camcal.errors import ItemsFailed
+    from camcal.tasks.poses.track import document
+    from camcal.tasks.poses.track import track as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_tracks(report, call.verbose))
+    if report.lost or report.failed:
+        lost = [f"{name}: {error.message}" for name, error in report.lost.items()]
+        raise ItemsFailed(f"some failed, the rest is followed: {'; '.join((*lost, *report.failed))}")
+
+
+def _show_tracks(report: "FollowReport", verbose: bool) -> None:
+    from camcal.report.track_words import lines, plain
+
+    for note in report.notes:
+        show.text(note)
+    for name, item in report.objects.items():
+        show.text(f"{item.track.frames}{f', {name}' if name else ''}:")
+        for line in lines(item):
+            show.text(f"  {line}")
+        if verbose:
+            for image in plain(item, report.images)["rejected"]:
+                show.text(f"  left out: {image}")
+    for path in report.outputs:
+        show.text(f"wrote {path}")
+
+
+def smooth(options: SmoothOptions, call: Call) -> None:
+    """Smooth what was measured over time, and say how well it is known.
+
+    Noise is estimated where it is not given. The result has covariances; what does not fit is listed, and the filter's
+    innovations say whether the covariances can be believed.
+    """
+    from camcal.tasks.poses.smooth import document
+    from camcal.tasks.poses.smooth import smooth as run
+
+    found = run(options, call.progress)
+    call.give(lambda: document(found), lambda: _show_smoothed(found, call.verbose))
+
+
+def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
+    from camcal.tasks.poses.smooth_words import evaluation_rows, lines, outlier_line
+
+    for line in lines(found):
+        show.text(line)
+    if found.outliers:
+        show.text(outlier_line(found, verbose))
+    if found.before is not None and found.after is not None:
+        show.table(*evaluation_rows(found.options.comparison, found.before, found.after))
+    for path in found.written:
+        show.text(f"wrote {path}")

@@ -1,0 +1,234 @@
+"""`camcal stereo check`, `disparity`, `cloud` and `eval`, and `camcal view`."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from camcal.cli import show
+from camcal.cli.command import Call, ImageCall
+from camcal.tasks.stereo.cloud_options import CloudOptions
+from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
+
+if TYPE_CHECKING:
+    from camcal.progress import Outcome
+    from camcal.tasks.stereo.cloud import CloudReport
+    from camcal.tasks.stereo.matched_pair import MatchedPair
+    from camcal.tasks.stereo.stereo_check import CheckedPair, Pair
+    from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
+    from camcal.tasks.stereo.view import ViewReport
+
+
+def check(options: StereoCheckOptions, call: ImageCall) -> None:
+    """Say how good a rectified pair is: how far rows are off and where, swapped or repeated images, exposure, range.
+
+    Every number comes with its standard error. Below 0.1 px rows need nothing, up to 0.5 px 'camcal stereo disparity'
+    puts them right, and more is worth a new rectification.
+    """
+    from camcal.errors import ItemsFailed
+    from camcal.tasks.stereo.stereo_check import document, require_good, stereo_check
+
+    outcomes = stereo_check(options, call.progress)
+    call.give(lambda: document(outcomes), lambda: _show_checks(outcomes, call.verbose))
+    require_good(outcomes, options.max_rms)
+    failed = [outcome for outcome in outcomes if outcome.error]
+    if failed:
+        raise ItemsFailed(f"{len(failed)} of {len(outcomes)} pairs failed, the rest is checked")
+
+
+def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool) -> None:
+    from camcal.report.pair_check import lines
+
+    checked = [outcome.value for outcome in outcomes if outcome.value is not None]
+    if len(outcomes) == 1 or verbose:
+        for pair in checked:
+            show.text(f"{pair.left}, {pair.right}:")
+            for line in lines(pair.check):
+                show.text(f"  {line}")
+            if pair.picture is not None:
+                show.text(f"wrote {pair.picture}")
+    if len(outcomes) > 1:
+        _show_together(outcomes)
+    show.failed(outcomes)
+
+
+def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]") -> None:
+    from camcal.report.pair_check import spanned, verdict
+    from camcal.tasks.stereo.stereo_check import overall
+
+    checked = [outcome.value for outcome in outcomes if outcome.value is not None]
+    columns = ("left", "median dy", "±", "RMS", "95 %", "disparity", "")
+    rows = []
+    for pair in checked:
+        residual = pair.check.residual
+        numbers = (*residual.median, residual.rms, residual.p95)
+        rows.append(
+            [
+                pair.left,
+                *(f"{number:.3f}" for number in numbers),
+                spanned(*pair.check.disparity),
+                verdict(pair.check),
+            ]
+        )
+    show.table("pixels", columns, rows)
+    together = overall(outcomes)
+    if together is not None:
+        show.text(
+            f"all {together.pairs} pairs: median {together.median:+.3f} px, RMS {together.rms:.2f} px, 95 % within "
+            f"{together.p95:.2f} px; the worst is {together.worst}"
+        )
+
+
+def disparity(options: DisparityOptions, call: ImageCall) -> None:
+    """Match rectified pairs: the disparity of every pixel, its uncertainty and its class.
+
+    Column in the left image minus column in the right one, in pixels. Beside a map stand its standard deviation, the
+    class of every pixel (1 filled, 2 single, 3 apart, 4 near, 5 agreed) and a JSON file with scale, code of no match
+    and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options. Exit 7 if left and right are swapped,
+    rows differ by more than 5 px, or fewer than 15 % of the pixels are matched; the map is written all the same.
+    """
+    from camcal.progress import require_all
+    from camcal.tasks.stereo.matched_pair import document
+    from camcal.tasks.stereo.stereo_disparity import require_good, stereo_disparity
+
+    outcomes = stereo_disparity(options, call.progress)
+    matched = [outcome.value for outcome in outcomes if outcome.value is not None]
+    call.give(
+        lambda: document(outcomes), lambda: show.lines([_matched(pair, call.verbose) for pair in matched], call.verbose)
+    )
+    if options.force:
+        for pair in matched:
+            for failure in pair.failures:
+                show.warning(f"{pair.left}: {failure}")
+    else:
+        require_good(outcomes)
+    require_all(outcomes, "pairs")
+
+
+def _matched(pair: "MatchedPair", verbose: bool) -> str:
+    """Return the line of a pair, with `verbose` another one of its classes."""
+    figures = pair.figures
+    first, last = figures.searched
+    filled = f", {figures.filled:.1%} filled" if figures.filled else ""
+    median = "" if figures.median is None else f", median {figures.median:.2f} px"
+    sigma = "" if figures.sigma is None else f", sigma {figures.sigma:.2f} px"
+    rows = f", rows aligned by {pair.rows:.2f} px" if pair.rows else ""
+    line = f"{pair.output}: {figures.matched:.1%} matched{filled}, range {first}:{last}{median}{sigma}{rows}"
+    classes = ", ".join(f"{name} {share:.1%}" for name, share in figures.classes.items())
+    return f"{line}\n  {classes}" if verbose else line
+
+
+def cloud(options: CloudOptions, call: ImageCall) -> None:
+    """Make a point cloud from a disparity map: z = f b / (d + doffs).
+
+    What is not given is taken from the file that 'camcal stereo disparity' writes beside a map. Pixels without a match
+    (zero, negative, NaN, infinite) never become points. Gray images give a colour and an intensity from 0 to 1.
+    """
+    from camcal.tasks.stereo.cloud import document, stereo_cloud
+
+    if options.disparity.is_dir():
+        _make_clouds(options, call)
+        return
+    report = stereo_cloud(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_cloud(report))
+
+
+def _make_clouds(options: CloudOptions, call: Call) -> None:
+    from camcal.progress import require_all
+    from camcal.tasks.stereo.cloud_folder import cloud_folder, document
+
+    outcomes = cloud_folder(options, call.progress)
+    reports = [outcome.value for outcome in outcomes if outcome.value is not None]
+    call.give(lambda: document(outcomes), lambda: _show_clouds(reports, call.verbose))
+    require_all(outcomes, "maps")
+
+
+def _show_clouds(reports: "list[CloudReport]", verbose: bool) -> None:
+    lines = [f"{report.output}: {report.points} points of {report.pixels} pixels" for report in reports]
+    show.lines(lines, verbose)
+
+
+def _show_cloud(report: "CloudReport") -> None:
+    geometry = report.geometry
+    show.text(
+        f"disparity = count / {report.scale:g}, {report.points} points of {report.pixels} pixels "
+        f"({report.matched} with a match, {report.outliers} of these alone)"
+    )
+    show.text(f"fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px")
+    if report.depth is not None:
+        nearest, median, farthest = report.depth
+        show.text(f"depth {nearest:.3f} … {farthest:.3f} m, median {median:.3f} m")
+    show.text(f"wrote {report.output}: {' '.join(report.fields)} in {report.unit}; {report.frame}")
+
+
+def evaluate(options: EvalOptions, call: ImageCall) -> None:
+    """Compare a disparity map with the truth: bad pixels, D1, averages, quantiles, depth errors, uncertainty.
+
+    Figures stand in four columns: nocc counts the pixels both cameras see, all every pixel with a truth; a pixel
+    without a disparity is bad there and left out in nocc-valid and all-valid. Without --mask and --right-truth the
+    truth itself, warped to the right image, tells what is occluded.
+    """
+    from camcal.errors import GateFailed, ItemsFailed
+    from camcal.tasks.stereo.stereo_eval import document, stereo_eval
+
+    report = stereo_eval(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_errors(report, call.verbose))
+    broken = [f"{verdict.gate} (found {verdict.value:.4g})" for verdict in report.verdicts if not verdict.passed]
+    if broken:
+        raise GateFailed(f"gate failed: {', '.join(broken)}")
+    failed = [outcome for outcome in report.outcomes if outcome.error]
+    if failed:
+        raise ItemsFailed(f"{len(failed)} of {len(report.outcomes)} maps failed: {failed[0].error}")
+
+
+def _show_errors(report: "EvalReport", verbose: bool) -> None:
+    from camcal.report.disparity_errors import CLASS_COLUMNS, class_rows, figure_rows
+
+    in_full = verbose or len(report.outcomes) == 1
+    show.lines(["\n".join(_compared(pair, in_full=in_full)) for pair in report.pairs], verbose)
+    title = "errors" if len(report.outcomes) == 1 else f"mean over {len(report.pairs)} maps"
+    show.table(title, ["", *report.mean.figures, ""], figure_rows(report.mean))
+    if report.mean.classes:
+        show.table("confidence, all-valid (% and px)", CLASS_COLUMNS, class_rows(report.mean.classes))
+    for verdict in report.verdicts:
+        show.text(f"gate {verdict.gate}: {verdict.value:.4g}, {'holds' if verdict.passed else 'FAILED'}")
+    show.failed(report.outcomes)
+
+
+def _compared(pair: "PairReport", *, in_full: bool) -> Iterator[str]:
+    disparity, truth = _counted(pair.files.disparity, pair.scale), _counted(pair.files.truth, pair.truth_scale)
+    yield f"{disparity} against {truth}"
+    if not in_full:
+        return
+    yield f"  occluded by: {pair.occlusion}"
+    if pair.geometry is not None:
+        geometry = pair.geometry
+        yield f"  fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px"
+    if pair.picture is not None:
+        yield f"  wrote {pair.picture}"
+
+
+def _counted(path: Path, scale: float) -> str:
+    """Return the file, and what its counts are divided by where they are not pixels already."""
+    return str(path) if scale == 1 else f"{path} (count / {scale:g})"
+
+
+def view(options: ViewOptions, call: ImageCall) -> None:
+    """Look at a point cloud or a disparity map: a page that turns and measures, a picture, or a film.
+
+    A page is one file that opens offline in any browser: drag to turn, wheel or pinch to zoom, click two points to
+    measure. Pictures and films need no screen. A map without a geometry beside it is shown as it is, as a .png.
+    """
+    from camcal.tasks.stereo.view import document
+    from camcal.tasks.stereo.view import view as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_view(report))
+
+
+def _show_view(report: "ViewReport") -> None:
+    if report.points:
+        shown = report.shown + report.outside
+        points = f"{report.points} points" if shown == report.points else f"{shown} of {report.points} points"
+        outside = f" ({report.outside} far outside left out)" if report.outside else ""
+        show.text(f"{points}{outside} in {report.unit}, coloured by {report.colour}; {report.frame}")
+    show.text(f"wrote {report.output}" if report.output else "opened the Rerun viewer")

@@ -1,0 +1,132 @@
+"""What a process has: its cores, the signals that stop it, and what a worker finds when it starts.
+
+A process may use the cores of its CPU affinity and of the quota of its control group. A worker finds one BLAS and
+OpenCV thread, no Ctrl-C, no main script to run again.
+"""
+
+import math
+import os
+import signal
+import sys
+import types
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+BLAS_THREADS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
+
+_MOUNT = Path("/sys/fs/cgroup")
+_MEMBERSHIP = Path("/proc/self/cgroup")
+_STOPPING = ("SIGTERM", "SIGHUP")
+_ONE_THREAD = (*BLAS_THREADS, "OPENCV_FOR_THREADS_NUM")
+
+
+def available_cores() -> int:
+    """Return the number of cores this process may use, at least 1."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cores, quota_cores(_MEMBERSHIP, _MOUNT)))
+
+
+def quota_cores(membership: Path, mount: Path) -> int:
+    """Return the cores the tightest CPU quota of a control group allows, rounded up; a huge number without one.
+
+    membership: a file as /proc/self/cgroup, lines `id:controllers:path`. mount: the folder of the control groups.
+    Source: Linux documentation, cgroup-v2 (cpu.max) and sched-bwc (cpu.cfs_quota_us).
+    """
+    shares = [share for folder in _folders(membership, mount) if (share := _share(folder)) is not None]
+    return math.ceil(min(shares, default=1 << 20))
+
+
+def _folders(membership: Path, mount: Path) -> list[Path]:
+    """Return the folders that may limit the process; a parent's quota holds for its children too."""
+    result = []
+    for line in _text(membership).splitlines():
+        _, controllers, path = line.split(":", 2)
+        if not controllers:
+            root = mount
+        elif "cpu" in controllers.split(","):
+            root = mount / controllers if (mount / controllers).is_dir() else mount / "cpu"
+        else:
+            continue
+        # Inside a container the path may be the host's; its own group is then the root of the mount.
+        group = root / path.lstrip("/")
+        result += [group, *(parent for parent in group.parents if parent.is_relative_to(root))]
+    return result
+
+
+def _share(folder: Path) -> float | None:
+    """Return quota / period of one group, None where it has no limit."""
+    words = _text(folder / "cpu.max").split() or [
+        *_text(folder / "cpu.cfs_quota_us").split(),
+        *_text(folder / "cpu.cfs_period_us").split(),
+    ]
+    if len(words) != 2 or not all(word.isdigit() for word in words) or int(words[1]) == 0:
+        return None  # "max 100000" and "-1" mean no limit
+    return int(words[0]) / int(words[1])
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+class Stopped(BaseException):
+    """A signal asks this process to end; raised where the main thread is, so that temporary files are removed."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.signal = signal.Signals(number)
+
+
+def stop_on_signals() -> None:
+    """Let SIGTERM and SIGHUP raise Stopped; a second one ends the process at once, and one ignored stays so."""
+    for name in _STOPPING:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _stop)
+
+
+def _stop(number: int, _: types.FrameType | None) -> None:
+    signal.signal(number, signal.SIG_DFL)
+    raise Stopped(number)
+
+
+@contextmanager
+def surroundings_of_a_worker(*, needs_main: bool) -> Iterator[None]:
+    """Start processes inside this block: they find one BLAS thread, no Ctrl-C and no main script to run again."""
+    environment = {name: os.environ.get(name) for name in _ONE_THREAD}
+    main = sys.modules["__main__"]
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    if not needs_main:  # spawn runs the file of __main__ again in the child; only functions defined there need that
+        sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        with _interrupt_blocked():
+            yield
+    finally:
+        sys.modules["__main__"] = main
+        for name, value in environment.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _interrupt_blocked() -> Iterator[None]:
+    """Hold Ctrl-C back for the block: it reaches this process afterwards, and never a process started inside."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
