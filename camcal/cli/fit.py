@@ -18,8 +18,7 @@ def fit(options: FitOptions, call: Call) -> None:
     did not end in a minimum.
     """
     from camcal.tasks.curves.fit import fit as run
-    from camcal.tasks.curves.fit_report import document
-    from camcal.tasks.curves.fit_verdict import require_settled
+    from camcal.tasks.curves.fit_report import document, require_settled
 
     report = run(options, call.progress)
     call.give(lambda: document(report), lambda: _show(report, options, call.verbose))

@@ -111,7 +111,7 @@ def smooth(options: SmoothOptions, call: Call) -> None:
 
 
 def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
-    from camcal.tasks.poses.smooth_words import evaluation_rows, lines, outlier_line
+    from camcal.tasks.poses.smoothing import evaluation_rows, lines, outlier_line
 
     for line in lines(found):
         show.text(line)

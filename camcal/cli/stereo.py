@@ -12,8 +12,8 @@ from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoChe
 if TYPE_CHECKING:
     from camcal.progress import Outcome
     from camcal.tasks.stereo.cloud import CloudReport
-    from camcal.tasks.stereo.matched_pair import MatchedPair
     from camcal.tasks.stereo.stereo_check import CheckedPair, Pair
+    from camcal.tasks.stereo.stereo_disparity import MatchedPair
     from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
     from camcal.tasks.stereo.view import ViewReport
 
@@ -87,8 +87,7 @@ def disparity(options: DisparityOptions, call: ImageCall) -> None:
     rows differ by more than 5 px, or fewer than 15 % of the pixels are matched; the map is written all the same.
     """
     from camcal.progress import require_all
-    from camcal.tasks.stereo.matched_pair import document
-    from camcal.tasks.stereo.stereo_disparity import require_good, stereo_disparity
+    from camcal.tasks.stereo.stereo_disparity import document, require_good, stereo_disparity
 
     outcomes = stereo_disparity(options, call.progress)
     matched = [outcome.value for outcome in outcomes if outcome.value is not None]
@@ -134,11 +133,11 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
 
 def _make_clouds(options: CloudOptions, call: Call) -> None:
     from camcal.progress import require_all
-    from camcal.tasks.stereo.cloud_folder import cloud_folder, document
+    from camcal.tasks.stereo.cloud import cloud_folder, folder_document
 
     outcomes = cloud_folder(options, call.progress)
     reports = [outcome.value for outcome in outcomes if outcome.value is not None]
-    call.give(lambda: document(outcomes), lambda: _show_clouds(reports, call.verbose))
+    call.give(lambda: folder_document(outcomes), lambda: _show_clouds(reports, call.verbose))
     require_all(outcomes, "maps")
 
 
@@ -181,7 +180,7 @@ def evaluate(options: EvalOptions, call: ImageCall) -> None:
 
 
 def _show_errors(report: "EvalReport", verbose: bool) -> None:
-    from camcal.report.disparity_errors import CLASS_COLUMNS, class_rows, figure_rows
+    from camcal.report.pair_check import CLASS_COLUMNS, class_rows, figure_rows
 
     in_full = verbose or len(report.outcomes) == 1
     show.lines(["\n".join(_compared(pair, in_full=in_full)) for pair in report.pairs], verbose)

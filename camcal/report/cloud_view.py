@@ -5,23 +5,31 @@ N: low and high bytes of x, of y and of z as differences from point to point (mo
 green, red minus green and blue minus green, also as differences from point to point (modulo 256); if there is sigma,
 its codes (0: not known; c: low · ratio^(c - 1)). Neighbours in a file are mostly neighbours in space, so differences
 are small and the planes of high bytes shrink to next to nothing.
+
+Where the Rerun viewer is installed, a cloud can be recorded for it or shown in it.
 """
 
 import base64
 import html
+import importlib
 import json
+import os
+import sys
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput
+from camcal.files import replacing
 from camcal.report.cloud_scene import CloudScene, evenly
 from camcal.report.cloud_views import named_views, view_of
-from camcal.report.colour_scale import ColourScale, scale_of, turbo_table
+from camcal.report.colour_scale import ColourScale, Paint, scale_of, turbo_table
 
 _STEPS = 65535
 _THINNEST = 1e-9  # of an axis along which all points are the same
@@ -29,6 +37,13 @@ _SIGMA_STEPS = 254
 _SAMPLE = 20_000
 _JUMP = 1024  # steps from point to point, above which the order of a file is none
 _CELL_BITS = 10  # cells of 1024 steps, 64 along each axis
+_ASSETS = files("camcal.report") / "assets" / "cloud_view"
+_SCRIPTS = ("vectors", "scale", "cloud", "viewpoint", "painter", "measuring", "drawing", "gestures", "main")
+_SPACE = "\N{NARROW NO-BREAK SPACE}"
+SUFFIX = ".rrd"
+_APPLICATION = "camcal view"
+_IDENTIFIER = "camcal"  # the same in every run
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 @dataclass(frozen=True)
@@ -126,11 +141,6 @@ def _sigma_codes(sigma: Array) -> tuple[Array, tuple[float, float]]:
     return codes, (float(np.exp(low)), float(np.exp(per_code)))
 
 
-_ASSETS = files("camcal.report") / "assets" / "cloud_view"
-_SCRIPTS = ("vectors", "scale", "cloud", "viewpoint", "painter", "measuring", "drawing", "gestures", "main")
-_SPACE = "\N{NARROW NO-BREAK SPACE}"
-
-
 @dataclass(frozen=True)
 class Start:
     """How a page looks at first: see `cloud_paint.COLOURS` and `cloud_views.view_of`; point_size: a factor."""
@@ -204,3 +214,53 @@ def statistics(scene: CloudScene, packed: PackedCloud) -> str:
 
 def _count(number: int) -> str:
     return f"{number:,}".replace(",", _SPACE)
+
+
+def require_rerun() -> Any:
+    """Return the module of the Rerun SDK; raises InvalidInput, naming the extra, where it is not installed."""
+    try:
+        return importlib.import_module("rerun")
+    except ImportError as error:
+        raise InvalidInput("Rerun is not installed; pip install 'camcal[view]', or write .html instead") from error
+
+
+def save_recording(path: Path, scene: CloudScene, paint: Paint) -> None:
+    """Write a recording of a cloud. Raises InvalidInput without the Rerun SDK, FileError if it cannot be written."""
+    rerun = require_rerun()
+    with replacing(path) as temporary:
+        recording = rerun.RecordingStream(_APPLICATION, recording_id=_IDENTIFIER)
+        recording.save(temporary)
+        _log(rerun, recording, scene, paint)
+        recording.flush()
+        recording.disconnect()
+        if not temporary.stat().st_size:
+            raise FileError("Rerun wrote nothing", where=str(path))
+
+
+def open_viewer(scene: CloudScene, paint: Paint) -> None:
+    """Show a cloud in the Rerun viewer, which stays open. Raises InvalidInput without the Rerun SDK or a screen."""
+    rerun = require_rerun()
+    if sys.platform == "linux" and not any(map(os.environ.get, _SCREENS)):
+        raise InvalidInput(f"there is no screen to open Rerun on; write for it with -o NAME{SUFFIX}")
+    recording = rerun.RecordingStream(_APPLICATION, recording_id=_IDENTIFIER)
+    try:
+        recording.spawn()
+        _log(rerun, recording, scene, paint)
+        recording.flush()
+    except RuntimeError as error:
+        reason = str(error).splitlines()[0]
+        raise InvalidInput(f"the Rerun viewer does not start: {reason} Write for it with -o NAME{SUFFIX}") from error
+
+
+def _log(rerun: Any, recording: Any, scene: CloudScene, paint: Paint) -> None:
+    spacing, grows = scene.spacing
+    radius = 0.5 * spacing * (scene.median_depth if grows else 1.0)
+    recording.log("cloud", getattr(rerun.ViewCoordinates, _axes(scene.view_T_cloud)), static=True)
+    recording.log("cloud/points", rerun.Points3D(scene.points, colors=paint.colours, radii=abs(radius)), static=True)
+
+
+def _axes(view_T_cloud: Array) -> str:
+    """Return where x, y and z of a cloud point, as the first letters of right, left, down, up, forward and back."""
+    pairs = ("RL", "DU", "FB")
+    rows = np.abs(view_T_cloud).argmax(axis=0).tolist()
+    return "".join(pairs[row][int(view_T_cloud[row, axis] < 0)] for axis, row in enumerate(rows))

@@ -7,12 +7,19 @@ from clouds import BLUE, RED, middle_of, scene_of, square, two_squares
 from PIL import Image
 
 from camcal.errors import InvalidInput
-from camcal.report import turntable
-from camcal.report.cloud_labels import nice_below
-from camcal.report.cloud_paint import paint_of
-from camcal.report.cloud_pictures import draw, labels_of, montage, picture, rendered, shading
+from camcal.report.cloud_pictures import (
+    draw,
+    film_frames,
+    labels_of,
+    montage,
+    nice_below,
+    picture,
+    rendered,
+    shading,
+    write_film,
+)
 from camcal.report.cloud_views import View, named_views, turn, view_of
-from camcal.report.colour_scale import ColourScale, scale_of, turbo, turbo_table
+from camcal.report.colour_scale import ColourScale, paint_of, scale_of, turbo, turbo_table
 
 SIZE = (240, 180)
 
@@ -183,7 +190,7 @@ def test_turbo_has_gray_for_what_is_not_known():
 
 def film(scene, path, size=(160, 120), count=4):
     views = turn(named_views(scene)["camera"], np.radians(40), count)
-    turntable.write(path, turntable.frames(scene, paint_of(scene), views, size))
+    write_film(path, film_frames(scene, paint_of(scene), views, size))
 
 
 def test_a_gif_turns_without_end(scene, tmp_path):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.report.canvas import Canvas
-from camcal.report.corner_overlays import MOST_WIDTH, corner_overlay
+from camcal.report.overlays import MOST_WIDTH, Canvas, corner_overlay
 from camcal.targets.board import Detection
 
 GREEN, YELLOW = (80, 255, 80), (0, 235, 255)  # blue, green, red

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from camcal.report.disparity_errors import figure_rows
+from camcal.report.pair_check import figure_rows
 from camcal.stereo.truth.evaluate import evaluate
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from camcal.arrays import Array
 from camcal.images.save import save
 from camcal.progress import Progress, values_of
-from camcal.report.corner_overlays import corner_overlay
+from camcal.report.overlays import corner_overlay
 from camcal.run.fanout import fan_out
 from camcal.run.paths import record_outputs, refuse_collisions, refuse_overwriting
 from camcal.targets.board import Detection

@@ -1,4 +1,4 @@
-"""What `camcal fit` found, as a record and as plain data."""
+"""What `camcal fit` found, as a record and as plain data; whether it can be trusted, and if not, why."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from camcal.errors import InsufficientData, NotConverged
 from camcal.estimate.curves.curve import CurveFit, Estimate
 from camcal.estimate.curves.fit import Comparison, End
 from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck
 
 TRACE_COLUMNS = ("run", "iteration", "cost", "trial_cost", "damping", "gain", "step", "accepted")
+_JACOBIAN_ERROR = {"complex": 1e-10, "central": 1e-6}  # of the largest: exact to rounding, and about the root of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,3 +131,41 @@ def _cell(value: object) -> str:
     if value is None:
         return ""
     return f"{value:.12g}" if isinstance(value, float) else str(value).lower()
+
+
+def require_settled(report: FitReport) -> None:
+    """Raise what keeps a fit from being trusted: InsufficientData, NotConverged, or nothing at all."""
+    found = report.fit
+    check = report.check
+    if check is not None and check.error > _JACOBIAN_ERROR[check.method]:
+        name = found.curve.parameters[check.column]
+        raise NotConverged(
+            f"the derivative by {name} of row {report.lines[check.row[0]]} is {check.analytic:.9g}, numerically "
+            f"{check.numeric:.9g}: {check.error:.1e} of the largest one"
+        )
+    if found.combinations:
+        raise InsufficientData(
+            f"the data do not tell apart: {'; '.join(map(combination_text, found.combinations))}; "
+            "hold one of each with --fix, or measure where they differ"
+        )
+    if not found.converged:
+        raise NotConverged(
+            f"the search ended without a minimum after {found.iterations} iterations: {found.reason}; "
+            "try another --start or --restarts 5"
+        )
+    if found.at_bounds:
+        held = ", ".join(f"{name}={found.parameters[name].value:g}" for name in found.at_bounds)
+        raise NotConverged(
+            f"held at a bound: {held}; the data ask for more; widen --bounds, or --fix it if the bound is certain"
+        )
+
+
+def combination_text(parts: Mapping[str, float]) -> str:
+    """Return a change that changes no residual in words, such as 'a + 2 b'; a single parameter by its name."""
+    terms = [f"{'-' if part < 0 else '+'} {_times(abs(part))}{name}" for name, part in parts.items()]
+    return " ".join(terms).removeprefix("+ ").replace("- ", "-", terms[0].startswith("-"))
+
+
+def _times(factor: float) -> str:
+    text = f"{factor:.3g}"
+    return "" if text == "1" else f"{text} "

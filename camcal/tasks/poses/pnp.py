@@ -23,10 +23,9 @@ from camcal.report import pose_words
 from camcal.report.overlays import Posed
 from camcal.run.paths import refuse_overwriting, require_folder, split_address
 from camcal.run.pose_sources import read_camera_file
-from camcal.tasks.poses import pnp_remarks
+from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
-from camcal.tasks.poses.pnp_drawing import draw, sheets, videos_in
-from camcal.tasks.poses.pnp_observer import Observer, joined, seen_by_rig
+from camcal.tasks.poses.pnp_observer import Observer, draw, joined, seen_by_rig, sheets, videos_in
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
 from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
 
@@ -225,15 +224,15 @@ def _warnings(
     settings: PoseOptions,
 ) -> list[str]:
     estimates = list(found.values())
-    warnings = pnp_remarks.of_noise(estimates, observations, observer.noise_px)
-    warnings += pnp_remarks.of_outliers(estimates, observations)
+    warnings = pnp_records.of_noise(estimates, observations, observer.noise_px)
+    warnings += pnp_records.of_outliers(estimates, observations)
     if seen.unit == "m":
-        warnings += pnp_remarks.of_units(estimates, observations)
+        warnings += pnp_records.of_units(estimates, observations)
     if observer.rig is not None:
-        warnings += pnp_remarks.of_rig(estimates, observations)
+        warnings += pnp_records.of_rig(estimates, observations)
     else:
         views = [observation.views[0] for observation in observations]
-        warnings += pnp_remarks.of_lens(observer.cameras[None], views, estimates, settings)
+        warnings += pnp_records.of_lens(observer.cameras[None], views, estimates, settings)
     return warnings
 
 

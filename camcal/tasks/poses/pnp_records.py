@@ -1,15 +1,26 @@
-"""From estimates to what is written of them."""
+"""From estimates of poses to what is written of them, and to warnings: units, wrong images, too little to go by."""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import PoseEstimate
+from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses
 from camcal.formats.poses.record import PoseRecord
 from camcal.tasks.poses.pnp_views import Observation
+
+_LIKELY_DISTANCE_M = (0.05, 100.0)  # outside, the points are likely not in metres
+_GAP = 100.0  # between lengths of one object, or of two; millimetres and metres differ by 1000
+_FEW = 3  # points that make a group of their own
+_SUSPICIOUS_PX = 1.0  # RMS; less may be noise
+_BETTER = 0.5  # share of the RMS that is left if the lens is the cause
+_MOST_TRIED = 20  # views, to find that out
+_TOO_LARGE, _UNLIKELY = 1.5, 1e-3  # times the noise that is given, and by chance
+_LITTLE = 10  # degrees of freedom; a standard deviation from fewer is off by a quarter and more
 
 
 def record_of(
@@ -91,3 +102,125 @@ def _image_share(inliers: Array, observation: Observation, cameras: Mapping[str 
         extent = np.ptp(view.pixels[mask], axis=0) if mask.any() else np.zeros(2)
         shares.append(float(np.prod(extent / cameras[view.camera].image_size)))
     return max(shares)
+
+
+def of_units(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+    """Return warnings of lengths that are hardly metres, or not all in one unit."""
+    distance = float(np.median([np.linalg.norm(estimate.transform.translation) for estimate in estimates]))
+    nearest, farthest = _LIKELY_DISTANCE_M
+    warnings = []
+    if not nearest <= distance <= farthest:
+        warnings.append(f"the object is {distance:.3g} m away from the camera; are the points in metres?")
+    mixed = [str(observation.sight) for observation in observations if _is_mixed(observation)]
+    extents = np.array([np.linalg.norm(np.ptp(_points(observation), axis=0)) for observation in observations])
+    if mixed:
+        warnings.append(f"{mixed[0]}: some points are a hundred times farther apart than others; are all in metres?")
+    elif extents.max() > _GAP * extents.min() > 0:
+        small, large = (str(observations[int(place)].sight) for place in (extents.argmin(), extents.argmax()))
+        spans = f"the points of {large} span {extents.max():.3g} m, those of {small} {extents.min():.3g} m"
+        warnings.append(f"{spans}; are all in metres?")
+    return warnings
+
+
+def _points(observation: Observation) -> Array:
+    return np.concatenate([view.points for view in observation.views])
+
+
+def _is_mixed(observation: Observation) -> bool:
+    """Tell whether the distances of neighbouring points fall into two groups that are far apart."""
+    from scipy.spatial import cKDTree
+
+    points = _points(observation)
+    if len(points) < 2 * _FEW:
+        return False
+    nearest = np.sort(np.ravel(cKDTree(points).query(points, k=[2])[0]))
+    apart = nearest[_FEW - 1 : len(points) - _FEW + 1]
+    return bool((apart[1:] > _GAP * apart[:-1]).any())
+
+
+def of_noise(
+    estimates: Sequence[PoseEstimate], observations: Sequence[Observation], calibrated_px: float | None
+) -> list[str]:
+    """Return a warning of a noise that was estimated from little, or of a given one that the residuals exceed.
+
+    calibrated_px: what the camera file says of it.
+    """
+    estimate = estimates[0]
+    if estimate.freedom is None:
+        return _of_given_noise(estimates, observations)
+    if estimate.freedom >= _LITTLE:
+        return []
+    known = f"; the camera was calibrated with {calibrated_px:.2g} px" if calibrated_px else ""
+    little = (
+        f"the noise is estimated from {estimate.freedom} degrees of freedom only, and the standard deviations with it"
+    )
+    return [f"{little}; give --noise if it is known{known}"]
+
+
+def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+    from scipy.stats import chi2
+
+    pairs = list(zip(estimates, observations, strict=True))
+    squares = sum(float(squared(each.residuals, observation)[each.inliers].sum()) for each, observation in pairs)
+    freedom = sum(2 * each.used - 6 for each in estimates)
+    times = np.sqrt(squares / max(freedom, 1)) / estimates[0].noise_scale
+    if times < _TOO_LARGE or chi2.sf(freedom * times**2, max(freedom, 1)) > _UNLIKELY:
+        return []
+    return [f"the residuals are {times:.2g} times as large as the noise that is given: less is certain than they say"]
+
+
+def of_outliers(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+    """Return a warning where a pose follows from fewer than half of the points: the others may not be by chance."""
+    pairs = zip(estimates, observations, strict=True)
+    few = [(each, observation) for each, observation in pairs if 2 * each.used < len(each.inliers)]
+    if not few:
+        return []
+    (first, observation), more = few[0], f" and so {len(few) - 1} more poses" if len(few) > 1 else ""
+    finding = f"{first.used} of {len(first.inliers)} points agree with the pose of {observation.sight}{more}"
+    return [f"{finding}: are u and v exchanged, or the points numbered otherwise? Look at --draw"]
+
+
+def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+    """Return a warning where nothing that one camera of a rig saw agrees with what the others saw."""
+    odd: list[str] = []
+    for estimate, observation in zip(estimates, observations, strict=True):
+        ends = np.cumsum([len(view.points) for view in observation.views])[:-1]
+        masks = np.split(estimate.inliers, ends)
+        pairs = zip(observation.views, masks, strict=True)
+        odd += [f"{observation.sight} of camera {view.camera}" for view, mask in pairs if not mask.any()]
+    if not odd:
+        return []
+    more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
+    finding = f"nothing in {odd[0]}{more} agrees with the other cameras"
+    return [f"{finding}: has the rig moved, or is the board numbered from another corner there?"]
+
+
+def of_lens(
+    camera: Camera, views: Sequence[Correspondences], estimates: Sequence[PoseEstimate], options: PoseOptions
+) -> list[str]:
+    """Return a hint where the pixels fit a camera of the same focal lengths without distortion much better.
+
+    They are then of images that are undistorted already. Outliers, which fit neither, are kept in on both sides.
+    """
+    plain = _without_distortion(camera)
+    suspicious = any(each.rms_px > _SUSPICIOUS_PX or each.used < 0.8 * len(each.inliers) for each in estimates)
+    if plain is None or not suspicious:
+        return []
+    all_in = replace(options, outliers="none")
+    lens, pinhole = (_rms(each, views[:_MOST_TRIED], all_in) for each in (camera, plain))
+    if lens is None or pinhole is None or not (lens > _SUSPICIOUS_PX and pinhole < _BETTER * lens):
+        return []
+    finding = f"the pixels fit a lens without distortion better ({pinhole:.2g} px RMS) than this one ({lens:.2g} px)"
+    return [f"{finding}; if the images are undistorted already, use the camera file that 'camcal undistort' wrote"]
+
+
+def _without_distortion(camera: Camera) -> Camera | None:
+    """Return the pinhole camera of the same focal lengths and principal point, None where there is no distortion."""
+    if camera.model.is_pinhole(camera.parameters):
+        return None
+    return Camera(model_named("pinhole"), camera.image_size, camera.parameters[:4])
+
+
+def _rms(camera: Camera, views: Sequence[Correspondences], options: PoseOptions) -> float | None:
+    found = [outcome.value for outcome in estimate_poses(camera, views, options) if outcome.value is not None]
+    return float(np.sqrt(np.mean([estimate.rms_px**2 for estimate in found]))) if found else None

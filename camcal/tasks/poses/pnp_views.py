@@ -22,9 +22,8 @@ from camcal.targets.board import Board, Detection
 from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.photographs import read_photograph
-from camcal.tasks.poses.board_frames import board_frames
 from camcal.tasks.poses.options import Looking
-from camcal.tasks.poses.tag_views import tag_views
+from camcal.tasks.poses.tag_views import board_frames, tag_views
 
 ADVICE = "; if the images were resized, not cropped, give --scale-intrinsics"
 

@@ -1,19 +1,30 @@
-"""`camcal smooth`: poses or numbers over time, smoothed, with what is known of them and of their noise."""
+"""`camcal smooth`: poses or numbers of a table over time, smoothed, with what is known of them and of their noise."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.estimate.smoothing.poses import PosesOptions, SmoothedPoses, poses_at, smooth_poses
+from camcal.estimate.smoothing.series import Series, SeriesOptions, SmoothedSeries, series_at, smooth_series
+from camcal.estimate.trajectory_error import TrajectoryError, trajectory_error
+from camcal.formats import series as tables
 from camcal.formats import trajectories
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Trajectory
 from camcal.progress import SILENT, Progress
 from camcal.report import figures
+from camcal.report.over_time import Panel, over_time
 from camcal.run.paths import refuse_overwriting
 from camcal.tasks.poses.smooth_options import SmoothOptions
-from camcal.tasks.poses.smooth_table import smooth_table
-from camcal.tasks.poses.smooth_trajectory import evaluation, smooth_trajectory
-from camcal.tasks.poses.smoothing import Smoothing
+from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
 _TABLE_SUFFIX = ".csv"
+_PARTS = ("translation", "rotation")
+_AXES = ("tx, m", "ty, m", "tz, m", "rx, rad", "ry, rad", "rz, rad")
 
 
 def smooth(options: SmoothOptions, progress: Progress = SILENT) -> Smoothing:
@@ -62,3 +73,207 @@ def _is_table(options: SmoothOptions) -> bool:
             raise InvalidInput("--columns and --input go with a CSV of numbers over time", where=str(options.source))
         return True
     return options.source.suffix.lower() == _TABLE_SUFFIX and not trajectories.is_trajectory_csv(options.source)
+
+
+def smooth_table(options: SmoothOptions) -> Smoothing:
+    """Return what came of smoothing the columns of a table, everything asked for written."""
+    if options.reference is not None or options.kind is not None or options.frames is not None:
+        raise InvalidInput("--evaluate, --format and --frames go with poses, not with a table of other numbers")
+    if options.output is not None:
+        tables.require_suffix(options.output)
+    series = _read(options)
+    grid = wanted_stamps(options, series.stamps)
+    q = None if options.q is None else _single("--q", options.q)
+    smoothed = smooth_series(series, SeriesOptions(options.motion, q, options.method, options.robust != "none"))
+    shown = smoothed if grid is None else series_at(smoothed, grid)
+    if options.output is not None:
+        tables.write(options.output, shown)
+    if options.plot is not None:
+        files.write_bytes(options.plot, over_time(_table_panels(smoothed, shown), options.plot.suffix))
+    return _of_table(options, smoothed, shown)
+
+
+def _read(options: SmoothOptions) -> Series:
+    series = tables.read(options.source, options.columns)
+    if options.sigma is not None:
+        sigma = np.array(options.sigma)
+        if len(sigma) not in (1, len(series.names)):
+            raise InvalidInput(f"--sigma has {len(sigma)} numbers; one, or one for each of {', '.join(series.names)}")
+        series = replace(series, sigma=np.broadcast_to(sigma, series.values.shape))
+    if options.controls is not None:
+        series = replace(series, controls=tables.read_controls(options.controls, series))
+    return series
+
+
+def _of_table(options: SmoothOptions, smoothed: SmoothedSeries, shown: SmoothedSeries) -> Smoothing:
+    series = smoothed.series
+    off = series.values - smoothed.states[:, :, 0]
+    outliers = [
+        Outlier(int(row), float(series.stamps[row]), series.names[axis]) for row, axis in np.argwhere(smoothed.outliers)
+    ]
+    return Smoothing(
+        options,
+        "series",
+        measured=int(np.isfinite(series.values).sum()),
+        missing=int(np.isnan(series.values).sum()),
+        stamps=shown.series.stamps,
+        q={"all": smoothed.q},
+        sigma=_sigma(options, smoothed),
+        residual={name: _rms(off[:, axis]) for axis, name in enumerate(series.names)},
+        log_likelihood=smoothed.log_likelihood,
+        consistency=smoothed.consistency,
+        nis=dict(zip(series.names, smoothed.nis.T, strict=True)),
+        outliers=tuple(outliers),
+        written=tuple(path for path in (options.output, options.plot) if path is not None),
+    )
+
+
+def _sigma(options: SmoothOptions, smoothed: SmoothedSeries) -> dict[str, float]:
+    """Return the standard deviation of measurements by column, empty if the table has one for each."""
+    if smoothed.sigma is not None:
+        return {"all": smoothed.sigma}
+    if options.sigma is None:
+        return {}
+    return dict(zip(smoothed.series.names, np.resize(options.sigma, len(smoothed.series.names)).tolist(), strict=True))
+
+
+def _table_panels(measured: SmoothedSeries, shown: SmoothedSeries) -> list[Panel]:
+    return [
+        Panel(
+            name,
+            (shown.series.stamps, shown.states[:, axis, 0], np.sqrt(shown.covariances[:, axis, 0, 0])),
+            (measured.series.stamps, measured.series.values[:, axis]),
+            measured.outliers[:, axis],
+        )
+        for axis, name in enumerate(measured.series.names)
+    ]
+
+
+def _single(option: str, numbers: tuple[float, ...]) -> float:
+    if len(numbers) != 1:
+        raise InvalidInput(f"{option} has {len(numbers)} numbers; a table has one")
+    return numbers[0]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def smooth_trajectory(options: SmoothOptions, progress: Progress) -> Smoothing:
+    """Return what came of smoothing poses, everything asked for written."""
+    if options.output is not None:
+        trajectories.kind_of(options.output, options.kind)
+    measured = trajectories.read(options.source, options.frames)
+    grid = wanted_stamps(options, measured.stamps)
+    reference = None
+    if options.reference is not None:
+        reference, repeated = trajectories.read_reference(options.reference)
+        if repeated:
+            progress.warn(f"{options.reference}: left out because their time is repeated: {repeated} of the poses")
+    how = PosesOptions(
+        options.motion,
+        _pair("--q", options.q),
+        _pair("--sigma", options.sigma),
+        options.method,
+        options.robust != "none",
+    )
+    smoothed = smooth_poses(measured, how)
+    shown = smoothed.trajectory if grid is None else poses_at(measured, smoothed, how, grid)
+    errors = [
+        None if reference is None else trajectory_error(each, reference, options.comparison)
+        for each in (measured, shown)
+    ]
+    if options.output is not None:
+        trajectories.write(options.output, shown, options.kind)
+    if options.plot is not None:
+        files.write_bytes(options.plot, over_time(_pose_panels(measured, smoothed, shown), options.plot.suffix))
+    return _of_poses(options, measured, smoothed, shown, (errors[0], errors[1]))
+
+
+def evaluation(found: Smoothing) -> dict[str, Any] | None:
+    """Return errors against a reference before and after smoothing as plain data, None without one."""
+    if found.before is None or found.after is None:
+        return None
+    comparison = found.options.comparison
+    return {
+        "alignment": comparison.alignment,
+        "delta": comparison.delta,
+        "delta_unit": comparison.unit,
+        "measured": _figures(found.before),
+        "smoothed": _figures(found.after),
+    }
+
+
+def _figures(error: TrajectoryError) -> dict[str, Any]:
+    parts = {
+        "ate_m": error.translation,
+        "ate_rad": error.rotation,
+        "rpe_m": error.relative_translation,
+        "rpe_rad": error.relative_rotation,
+    }
+    plain = {name: None if figures is None else asdict(figures) for name, figures in parts.items()}
+    return {"poses": error.poses, "scale": error.alignment.scale, "pairs": error.pairs, **plain}
+
+
+def broken_at_half_turns(vectors: Array) -> Array:
+    """Return rotation vectors (K, 3) to draw a line through: NaN where they jump to the other way round."""
+    jumps = np.linalg.norm(np.diff(vectors, axis=0), axis=1) > np.pi
+    return np.where(np.append(False, jumps)[:, None], np.nan, vectors)
+
+
+def _of_poses(
+    options: SmoothOptions,
+    measured: Trajectory,
+    smoothed: SmoothedPoses,
+    shown: Trajectory,
+    errors: tuple[TrajectoryError | None, TrajectoryError | None],
+) -> Smoothing:
+    found = smoothed.trajectory
+    shift = np.linalg.norm(measured.translations - found.translations, axis=1)
+    turn = so3.angle_between(found.rotations, measured.rotations)
+    outliers = [Outlier(int(row), float(measured.stamps[row]), None) for row in np.flatnonzero(smoothed.outliers)]
+    return Smoothing(
+        options,
+        "poses",
+        len(measured),
+        0,
+        shown.stamps,
+        dict(zip(_PARTS, smoothed.q, strict=True)),
+        {} if smoothed.sigma is None else dict(zip(_PARTS, smoothed.sigma, strict=True)),
+        dict(zip(_PARTS, (_rms_of(shift), _rms_of(turn)), strict=True)),
+        smoothed.log_likelihood,
+        smoothed.consistency,
+        {"pose": smoothed.nis},
+        tuple(outliers),
+        *errors,
+        tuple(path for path in (options.output, options.plot) if path is not None),
+    )
+
+
+def _pose_panels(measured: Trajectory, smoothed: SmoothedPoses, shown: Trajectory) -> list[Panel]:
+    """Return translations, and rotations as vectors from the first one; without what covariances cannot say."""
+    first = smoothed.trajectory.rotations[0].T
+    lines, points = (_six(poses, first) for poses in (shown, measured))
+    lines[:, 3:] = broken_at_half_turns(lines[:, 3:])
+    covariances = shown.covariances if shown.covariances is not None else np.zeros((len(shown), 6, 6))
+    std = np.sqrt(np.einsum("kii->ki", covariances))
+    return [
+        Panel(name, (shown.stamps, lines[:, k], std[:, k]), (measured.stamps, points[:, k]), smoothed.outliers)
+        for k, name in enumerate(_AXES)
+    ]
+
+
+def _six(poses: Trajectory, first: Array) -> Array:
+    return np.hstack([poses.translations, so3.log(poses.rotations @ first)])
+
+
+def _pair(option: str, numbers: tuple[float, ...] | None) -> tuple[float, float] | None:
+    if numbers is None:
+        return None
+    if len(numbers) != 2:
+        raise InvalidInput(f"{option} has {len(numbers)} numbers; poses have two: of translation and of rotation")
+    return numbers[0], numbers[1]
+
+
+def _rms_of(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

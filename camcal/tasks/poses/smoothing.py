@@ -1,17 +1,23 @@
-"""What comes of `camcal smooth`."""
+"""What `camcal smooth` found, as a record and in words."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import degrees
 from pathlib import Path
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.estimate.smoothing.batch import OUTLIER_CONFIDENCE
 from camcal.estimate.smoothing.kalman import Consistency
-from camcal.estimate.trajectory_error import TrajectoryError
+from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError
 from camcal.tasks.poses.smooth_options import SmoothOptions
 
 _MOST_STAMPS = 1_000_000
+_LISTED = 10
+_UNITS = {"rw": ("m²/s", "rad²/s"), "cv": ("m²/s³", "rad²/s³"), "ca": ("m²/s⁵", "rad²/s⁵")}
+Rows = list[list[object]]
 
 
 def wanted_stamps(options: SmoothOptions, stamps: Array) -> Array | None:
@@ -57,3 +63,80 @@ class Smoothing:
     before: TrajectoryError | None = None
     after: TrajectoryError | None = None
     written: tuple[Path, ...] = ()
+
+
+def lines(found: Smoothing) -> Iterator[str]:
+    """Yield what was smoothed, with which noise, and whether the result can be believed."""
+    span = found.stamps[-1] - found.stamps[0]
+    missing = f", {found.missing} missing" if found.missing else ""
+    yield f"{found.options.source}: {found.measured} measurements{missing} over {span:.6g} s"
+    yield f"smoothed by {_model(found)}"
+    yield f"process noise q {_noise(found.q, found, squared=True)}{_estimated(found.options.q is None)}"
+    if found.sigma:
+        yield f"measurement noise sigma {_noise(found.sigma, found)}{_estimated(found.options.sigma is None)}"
+    yield f"measured minus smoothed, root mean square: {_noise(found.residual, found)}"
+    yield from _consistency(found.consistency)
+    if found.options.q is None and found.consistency.innovations:
+        yield "  (q is the one that makes this so, as far as it can; a second recording is the better judge)"
+
+
+def outlier_line(found: Smoothing, everything: bool) -> str:
+    """Return which measurements disagree with all others; the first few, or every one."""
+    named = [f"{outlier.t:.3f} s{f' ({outlier.column})' if outlier.column else ''}" for outlier in found.outliers]
+    shown = named if everything else named[:_LISTED]
+    rest = f" and {len(named) - len(shown)} more" if len(shown) < len(named) else ""
+    what = "they lost weight" if found.options.robust != "none" else "--robust huber lets them lose weight"
+    chance = (1 - OUTLIER_CONFIDENCE) * found.measured
+    return f"{len(named)} outliers ({chance:.2g} would be chance; {what}): {', '.join(shown)}{rest}"
+
+
+def evaluation_rows(
+    options: ErrorOptions, before: TrajectoryError, after: TrajectoryError
+) -> tuple[str, Sequence[str], Rows]:
+    """Return title, columns and rows of the table of errors against a reference, mm and degrees."""
+    motions = f"motions over {options.delta:g} {options.unit}"
+    title = f"{after.poses} poses beside the reference, aligned by {options.alignment}; {motions}"
+    rows: Rows = []
+    for name, pick, scale in (
+        ("absolute, mm", "translation", 1e3),
+        ("absolute, deg", "rotation", degrees(1)),
+        ("relative, mm", "relative_translation", 1e3),
+        ("relative, deg", "relative_rotation", degrees(1)),
+    ):
+        for state, error in (("measured", before), ("smoothed", after)):
+            figures: ErrorFigures | None = getattr(error, pick)
+            if figures is not None:
+                rows.append([name, state, *(scale * value for value in (figures.rmse, figures.median, figures.max))])
+    return title, ("error", "", "rms", "median", "largest"), rows
+
+
+def _consistency(report: Consistency) -> Iterator[str]:
+    low, high = report.interval
+    yield f"{report.verdict}: {report.advice}"
+    if not report.innovations:
+        return
+    yield (
+        f"  mean NIS {report.mean_nis:.3f} of 1 ({low:.3f} to {high:.3f} by chance), "
+        f"{100 * report.beyond_95:.1f} % beyond their 95 % bound, correlation of successive "
+        f"innovations {report.autocorrelation:+.2f} (±{report.autocorrelation_limit:.2f} by chance)"
+    )
+
+
+def _model(found: Smoothing) -> str:
+    names = {"rw": "random walk", "cv": "constant velocity", "ca": "constant acceleration"}
+    robust = ", Huber's loss" if found.options.robust != "none" else ""
+    return f"{names[found.options.model]} ({found.options.form} noise{robust}), {found.options.method}"
+
+
+def _noise(values: dict[str, float], found: Smoothing, squared: bool = False) -> str:
+    """Return numbers with their names and, where poses give them, units."""
+    if found.kind != "poses":
+        return ", ".join(f"{value:.4g}" if name == "all" else f"{name} {value:.4g}" for name, value in values.items())
+    units = ("m", "rad")
+    if squared:
+        units = _UNITS[found.options.model] if found.options.form == "continuous" else ("per step", "per step")
+    return ", ".join(f"{name} {value:.4g} {unit}" for (name, value), unit in zip(values.items(), units, strict=True))
+
+
+def _estimated(estimated: bool) -> str:
+    return " (the most likely)" if estimated else ""

@@ -220,7 +220,7 @@ def _written(options: FollowOptions, images: Sequence[str], objects: Mapping[str
             trajectories.write(options.output, _trajectory(options.output, objects), form)
         outputs.append(options.output)
     if options.plot is not None:
-        from camcal.report.track_figure import track_figure
+        from camcal.report.over_time import track_figure
 
         for path, (name, item) in zip(_plots(options.plot, list(objects)), objects.items(), strict=True):
             single = [None if each is None else each.transform for each in item.single]

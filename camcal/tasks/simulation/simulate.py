@@ -1,17 +1,22 @@
-"""`camcal simulate`: photographs of a board by a known camera, with the truth beside them."""
+"""`camcal simulate`: photographs of a board by a known camera, with the truth beside them.
 
+With --raw there are mosaics in place of images, flat and dark frames, and the sensor in the truth. The folder is known
+by its truth, so that another run may replace it and nothing else is touched.
+"""
+
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import radians
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from camcal import files
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
+from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.formats.emit import number_text
@@ -24,14 +29,14 @@ from camcal.run.fanout import fan_out
 from camcal.run.paths import split_address
 from camcal.run.pose_sources import read_camera_file
 from camcal.simulate import mosaics
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder, lenses
 from camcal.simulate.render import render
 from camcal.simulate.scene import Truth, make_camera, observe, view_name, views
 from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
 from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface
-from camcal.tasks.simulation import simulate_raw, simulation_folder
-from camcal.tasks.simulation.options import SimulateOptions
+from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 
 DEFAULT_SIZE = (1280, 960)
 DEFAULT_FOV = radians(70)
@@ -45,6 +50,12 @@ MAX_VIEWS = 10_000  # view names have four digits
 STRONGEST_BEND = 0.05  # peak to peak, as a share of the board's larger side
 
 _POSE_COLUMNS = ("image", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz")
+FLATS, DARKS = "flats", "darks"
+FRAMES_A_LEVEL = 2
+_DARK_EXPOSURES = (0.01, 0.1)  # without flat frames to be subtracted from
+_FEW_DARKS = 4  # that few are taken at one exposure: two frames are needed to tell noise from pattern
+_FLAT_STREAM, _DARK_STREAM, _PATTERN_STREAM = 1, 2, 3
+MARK = "x_simulation"  # the key under which the truth says how the images were made
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +118,12 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
 
 def _clear(folder: Path, count: int) -> None:
     """Remove the images of an earlier run that this one does not replace; refuse a folder of something else."""
-    simulation_folder.require_own(folder, TRUTH)
+    require_own(folder, TRUTH)
     kept = {view_name(index) for index in range(count)}
     for path in (folder / IMAGES).glob("view[0-9][0-9][0-9][0-9].png"):
         if path.name not in kept:
             path.unlink()
-    simulate_raw.clear_frames(folder)
+    clear_frames(folder)
 
 
 def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
@@ -131,7 +142,7 @@ def _photograph(truth: Truth, options: SimulateOptions, item: tuple[Path, int, P
     if raw is None:
         save(path, render(camera, board, pose, rng=rng, exposure=exposure, shape=shape))
         return
-    fixed = simulate_raw.fixed_pattern(raw, camera.image_size, options.seed)
+    fixed = fixed_pattern(raw, camera.image_size, options.seed)
     save(path, mosaics.photograph(raw, camera, board, pose, exposure=exposure, shape=shape, fixed=fixed, rng=rng))
 
 
@@ -139,7 +150,7 @@ def _take_frames(folder: Path, camera: Camera, options: SimulateOptions, progres
     raw = options.raw.camera
     if raw is None:
         return ()
-    return simulate_raw.take_frames(
+    return take_frames(
         folder,
         raw,
         options.raw,
@@ -165,13 +176,13 @@ def truth_file(truth: Truth, options: SimulateOptions) -> CameraFile:
     how = {**settings, "exposure": asdict(options.exposure), f"shape_{truth.board.unit}": asdict(truth.shape)}
     entry = CameraEntry(truth.camera, valid=ValidRegion.of(truth.camera))
     if (raw := options.raw.camera) is not None:
-        entry = simulate_raw.truth_entry(truth.camera, raw)
-        how["raw"] = simulate_raw.how_made(options.raw)
+        entry = truth_entry(truth.camera, raw)
+        how["raw"] = how_made(options.raw)
     return CameraFile(
         {"camera": entry},
         board_shape=surface_of(truth.shape, truth.board) if truth.shape != FLAT else None,
         provenance=provenance.build(command_line("simulate", options), truth.board),
-        extra={simulation_folder.MARK: how},
+        extra={MARK: how},
     )
 
 
@@ -219,3 +230,110 @@ def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]
         "corners": sum(len(view.ids) for view in report.corners.views),
         **frames,
     }
+
+
+class Frame(NamedTuple):
+    """A flat or dark frame to be made, and the seed of its noise."""
+
+    path: Path
+    shot: Shot
+    stream: tuple[int, int]
+
+
+def fixed_pattern(raw: RawCamera, size: tuple[int, int], seed: int) -> FixedPattern:
+    """Return the pattern that all frames of one simulation have in common."""
+    return FixedPattern.of(raw.sensor, size, np.random.default_rng([seed, 0, _PATTERN_STREAM]))
+
+
+def clear_frames(folder: Path) -> None:
+    """Remove the flat and dark frames of an earlier run, and the folders of exposures that they leave empty."""
+    for kind in (FLATS, DARKS):
+        for path in (folder / kind).glob("*s/[fd]*[0-9][0-9][0-9][0-9].png"):
+            path.unlink()
+        for path in [*(folder / kind).glob("*s"), folder / kind]:
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
+
+
+def take_frames(
+    folder: Path,
+    raw: RawCamera,
+    options: RawOptions,
+    size: tuple[int, int],
+    *,
+    vignetting: float,
+    seed: int,
+    jobs: int | None,
+    progress: Progress,
+) -> tuple[Path, ...]:
+    """Return the flat and dark frames written, a folder for each exposure, such as flats/12.5ms."""
+    items = [*_flats(folder, raw, options.flats, vignetting), *_darks(folder, raw, options, vignetting)]
+    work = partial(_take, raw, size, vignetting, seed)
+    require_all(fan_out(work, items, jobs=jobs, processes=True, what="flats and darks", progress=progress), "frames")
+    return tuple(item.path for item in items)
+
+
+def _take(raw: RawCamera, size: tuple[int, int], vignetting: float, seed: int, frame: Frame) -> None:
+    rng = np.random.default_rng([seed, *frame.stream])
+    save(frame.path, even_frame(raw, frame.shot, vignetting, fixed=fixed_pattern(raw, size, seed), rng=rng))
+
+
+def _flats(folder: Path, raw: RawCamera, levels: int, vignetting: float) -> Iterator[Frame]:
+    shots = [shot for shot in ladder(raw, levels, vignetting) for _ in range(FRAMES_A_LEVEL)]
+    for number, shot in enumerate(shots):
+        yield Frame(folder / FLATS / _name(shot) / f"flat{number:04d}.png", shot, (number, _FLAT_STREAM))
+
+
+def _darks(folder: Path, raw: RawCamera, options: RawOptions, vignetting: float) -> Iterator[Frame]:
+    """Yield half of the frames at the shortest and half at the longest exposure of the flat frames."""
+    taken = [shot.exposure_s for shot in ladder(raw, options.flats, vignetting)] or _DARK_EXPOSURES
+    first = options.darks if options.darks < _FEW_DARKS else (options.darks + 1) // 2
+    for number in range(options.darks):
+        shot = Shot(taken[0] if number < first else taken[-1], 0.0)
+        yield Frame(folder / DARKS / _name(shot) / f"dark{number:04d}.png", shot, (number, _DARK_STREAM))
+
+
+def _name(shot: Shot) -> str:
+    return f"{1e3 * shot.exposure_s:.6g}ms"
+
+
+def truth_entry(camera: Camera, raw: RawCamera) -> CameraEntry:
+    """Return the truth about a raw camera: its lens is that of green, red and blue have theirs under `channels`."""
+    sensor = raw.sensor
+    figures = {
+        "gain_e_per_dn": 1 / sensor.gain_dn_per_e,
+        "read_noise_e": sensor.read_noise_e,
+        "full_well_e": sensor.saturation_e,
+        "black_level_dn": sensor.black_dn,
+        "bits": sensor.bits,
+    }
+    views = lenses(camera, raw.aberration_px)
+    channels = {"red": views["R"], "blue": views["B"]} if raw.aberration_px else {}
+    return CameraEntry(camera, valid=ValidRegion.of(camera), sensor=figures, channels=channels)
+
+
+def how_made(options: RawOptions) -> dict[str, Any]:
+    """Return the rest of what raw frames were made from, as plain data for the truth."""
+    return {
+        "pattern": options.pattern,
+        "sensor": asdict(options.sensor),
+        "light_rgb": list(options.light),
+        "aberration_px": options.aberration_px,
+        "flat_levels": options.flats,
+        "dark_frames": options.darks,
+    }
+
+
+def require_own(folder: Path, truth: str) -> None:
+    """Raise InvalidInput unless a folder is empty, new, or holds an earlier simulation; truth: its camera file."""
+    if folder.exists() and not folder.is_dir():
+        raise InvalidInput("is a file; images go into a folder", where=str(folder))
+    if folder.is_dir() and any(folder.iterdir()) and not _is_ours(folder / truth):
+        raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))
+
+
+def _is_ours(truth: Path) -> bool:
+    try:
+        return MARK in native.read(truth).extra
+    except CamcalError:
+        return False

@@ -20,7 +20,7 @@ from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.simulate.stereo_scene import PairOptions, StereoTruth, render_pair
 from camcal.stereo.geometry import StereoGeometry, of_pair
-from camcal.tasks.simulation import simulation_folder
+from camcal.tasks.simulation import simulate
 from camcal.tasks.simulation.options import PairsOptions, SimulateOptions
 
 DEFAULT_FOV = radians(60)
@@ -109,7 +109,7 @@ def simulate_pairs(options: SimulateOptions, progress: Progress = SILENT) -> Ste
     pair, count, folder = pair_options(options), options.pairs.count, options.output
     if not 1 <= count <= MAX_PAIRS:
         raise InvalidInput(f"{count} pairs: use 1 to {MAX_PAIRS}")
-    simulation_folder.require_own(folder, RIG)
+    simulate.require_own(folder, RIG)
     for path in _left_over(folder, count):
         path.unlink()
     native.write(folder / RIG, rig_file(options, pair))
@@ -175,7 +175,7 @@ def rig_file(options: SimulateOptions, pair: PairOptions) -> CameraFile:
         {name: CameraEntry(camera, valid=ValidRegion.of(camera)) for name, camera in ((LEFT, left), (RIGHT, right))},
         transforms={"right_T_left": Transform(right_T_left)},
         provenance=provenance.build(command_line("simulate", options), None),
-        extra={simulation_folder.MARK: how},
+        extra={simulate.MARK: how},
     )
 
 

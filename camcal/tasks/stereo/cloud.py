@@ -1,22 +1,23 @@
-"""`camcal stereo cloud`: a disparity map and what is known of its pair to a point cloud."""
+"""`camcal stereo cloud`: a disparity map, or every map in a folder, and what is known of its pair to a point cloud."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
 from camcal.parsing import parse_number
-from camcal.progress import SILENT, Progress, values_of
+from camcal.progress import SILENT, Outcome, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.paths import refuse_overwriting, require_there, split_address
+from camcal.run.paths import place, refuse_overwriting, require_there, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
@@ -25,12 +26,12 @@ from camcal.stereo.points.frames import UNITS, Frame, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
 from camcal.tasks.stereo import rectified_pair
 from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
-from camcal.tasks.stereo.map_sources import named_file, stereo_image
-from camcal.tasks.stereo.rectified_pair import RectifiedPair
+from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
 _FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates are worth a warning
+_SUFFIX = ".ply"
 
 
 @dataclass(frozen=True)
@@ -247,4 +248,42 @@ def document(report: CloudReport) -> dict[str, Any]:
         "frame": report.frame,
         "unit": report.unit,
         "fields": list(report.fields),
+    }
+
+
+def cloud_folder(options: CloudOptions, progress: Progress = SILENT) -> list[Outcome[Path, CloudReport]]:
+    """Return what became of every map in the folder options.disparity; one that fails costs only itself.
+
+    options.output is a folder, an image of options.files a folder of images with the names of the maps.
+    Raises InvalidInput if clouds would overwrite maps or each other, FileError if the folder holds no map.
+    """
+    maps = disparity.maps_in(options.disparity)
+    suffix = GRIDS[0] if options.vertices.organised else _SUFFIX
+    outputs = place(maps, options.output, suffix, pointclouds.SUFFIXES)
+    work = partial(_one, options=options, outputs=outputs, progress=progress)
+    return list(fan_out(work, maps, jobs=options.jobs, what="cloud", progress=progress))
+
+
+def _one(path: Path, options: CloudOptions, outputs: Mapping[Path, Path], progress: Progress) -> CloudReport:
+    named = [_image_of(path, Path(text)) if Path(text).is_dir() else text for text in options.files]
+    image, camera_file, *_ = (*named, None, None)
+    each = replace(options, disparity=path, output=outputs[path], image=image, camera_file=camera_file, jobs=1)
+    return stereo_cloud(each, progress)
+
+
+def _image_of(path: Path, folder: Path) -> str:
+    """Return the image of a folder that has the name of a map."""
+    found = sorted(image for image in folder.iterdir() if image.stem == path.stem and image.is_file())
+    if len(found) != 1:
+        raise FileError(f"holds {len(found)} images named {path.stem}, need one", where=str(folder))
+    return str(found[0])
+
+
+def folder_document(outcomes: list[Outcome[Path, CloudReport]]) -> dict[str, Any]:
+    """Return what became of the maps as plain data for --json."""
+    return {
+        "clouds": [document(outcome.value) for outcome in outcomes if outcome.value is not None],
+        "failed": [
+            {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
+        ],
     }

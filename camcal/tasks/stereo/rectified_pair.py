@@ -1,4 +1,7 @@
-"""The geometry of a rectified pair, from wherever it is known: options, a camera file, the sidecar of a map."""
+"""The geometry of a rectified pair, from wherever it is known: options, a camera file, the sidecar of a map.
+
+The other files that a sidecar names become the image that points are made of.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -7,14 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
-from camcal.formats import native, pair_calibration
+from camcal.errors import FileError, InvalidInput
+from camcal.formats import disparity, disparity_sidecar, native, pair_calibration
 from camcal.formats.camera_file import CameraFile, Transform
+from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
+from camcal.images.load import load
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.run.pose_sources import read_camera_file
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+from camcal.stereo.points.depth import StereoImage
 from camcal.tasks.stereo.options import GeometryOptions
 
 SUFFIXES = (".yaml", ".yml", pair_calibration.SUFFIX)  # of files that know cameras
@@ -168,3 +174,45 @@ def _sigma(left: Camera, right_T_left: Transform | None = None) -> dict[str, flo
     if right_T_left is not None and right_T_left.covariance is not None:
         found["baseline"] = float(np.sqrt(right_T_left.covariance[0, 0]) / abs(right_T_left.pose.translation[0]))
     return found
+
+
+def named_file(
+    path: Path | None, disparity_path: Path, progress: Progress, needed_by: str | None = None
+) -> Path | None:
+    """Return a file that the sidecar of a map names; None with a warning if it is not there.
+
+    needed_by: the option that asks for it.
+    Raises FileError if it is not there and an option asks for it.
+    """
+    if path is None or path.is_file():
+        return path
+    sidecar = disparity_sidecar.path_beside(disparity_path)
+    told = f"it names {path.name}, which is not there"
+    if needed_by is not None:
+        raise FileError(f"{told}, and {needed_by} needs it", where=str(sidecar))
+    progress.warn(f"{sidecar}: {told}; done without")
+    return None
+
+
+def stereo_image(
+    found: DisparityMap,
+    pair: RectifiedPair,
+    image: Path | None,
+    sigma: Path | float | None,
+    confidence: Path | None = None,
+) -> StereoImage:
+    """Return a map whose geometry is known, with what is to be used of the files beside it.
+
+    image: the left one. sigma: an image of it, or one for all pixels, pixels.
+    Raises InvalidInput if their sizes differ, FileError.
+    """
+    assert pair.geometry is not None
+    return StereoImage(
+        found.values,
+        pair.geometry,
+        signed=found.signed,
+        pixels=load(image).pixels if image else None,
+        sigma=disparity.read(sigma).values if isinstance(sigma, Path) else sigma,
+        confidence=load(confidence).pixels if confidence else None,
+        calibration_sigma=pair.sigma_of_product,
+    )

@@ -34,9 +34,8 @@ from camcal.stereo.truth.evaluate import (
     seen_by_both,
     unhidden,
 )
-from camcal.tasks.stereo.map_sources import named_file
 from camcal.tasks.stereo.options import EvalOptions, TruthPair
-from camcal.tasks.stereo.rectified_pair import geometry_of, warn_of_file
+from camcal.tasks.stereo.rectified_pair import geometry_of, named_file, warn_of_file
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
 

@@ -24,23 +24,22 @@ from camcal.geometry.axes import rotation_of
 from camcal.images.npy import names_in
 from camcal.images.save import save
 from camcal.progress import SILENT, Progress
-from camcal.report import cloud_recording, cloud_view
-from camcal.report.cloud_paint import Paint, paint_of
+from camcal.report import cloud_view
 from camcal.report.cloud_scene import CloudScene, gather
 from camcal.report.cloud_view import Start
 from camcal.report.cloud_views import turn, view_of
+from camcal.report.colour_scale import Paint, paint_of
 from camcal.run.fanout import over_threads
 from camcal.run.paths import refuse_overwriting, require_there
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import WORDS, Frame, VertexStream
 from camcal.stereo.points.selection import Selection, select
-from camcal.tasks.stereo.map_sources import named_file, stereo_image
 from camcal.tasks.stereo.options import GeometryOptions, ViewOptions
-from camcal.tasks.stereo.rectified_pair import pair_of
+from camcal.tasks.stereo.rectified_pair import named_file, pair_of, stereo_image
 
 PAGE, PICTURE, FILM, RECORDING, WINDOW = "page", "picture", "film", "recording", "window"
 KINDS: Mapping[str, str] = MappingProxyType(
-    {".html": PAGE, ".png": PICTURE, ".gif": FILM, ".mp4": FILM, cloud_recording.SUFFIX: RECORDING}
+    {".html": PAGE, ".png": PICTURE, ".gif": FILM, ".mp4": FILM, cloud_view.SUFFIX: RECORDING}
 )
 # A page is to open at once; pictures gain nothing from more points than there are pixels in a few.
 MOST_POINTS: Mapping[str, int] = MappingProxyType(
@@ -49,6 +48,11 @@ MOST_POINTS: Mapping[str, int] = MappingProxyType(
 
 _WIDTH = {PICTURE: 1280, FILM: 640}
 _SWING = 50.0  # degrees; farther aside, what a camera has not seen is most of the picture
+_POINTS = "points"  # what the archive of a cloud holds
+_CAMERA = "x right, y down, z forward"
+_UPRIGHT = "x east, y north, z up"
+_EXAMPLE = "x forward, y left, z up"
+_AXES = {name: words.partition(": ")[2] for name, words in WORDS.items()}  # whose they are, the name does not say
 
 
 def kind_of(options: ViewOptions) -> str:
@@ -59,7 +63,7 @@ def kind_of(options: ViewOptions) -> str:
         raise InvalidInput(f"say where to write: -o with a name that ends in {', '.join(KINDS)}")
     kind = KINDS.get(options.output.suffix.lower())
     if kind is None or (options.rerun and kind != RECORDING):
-        fitting = cloud_recording.SUFFIX if options.rerun else ", ".join(KINDS)
+        fitting = cloud_view.SUFFIX if options.rerun else ", ".join(KINDS)
         raise InvalidInput(
             f"{options.output.suffix or 'no suffix'} is not written; use {fitting}", where=str(options.output)
         )
@@ -93,7 +97,7 @@ def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
     kind = kind_of(options)
     _refuse_what_has_no_effect(options)
     if kind in (RECORDING, WINDOW):
-        cloud_recording.require_rerun()
+        cloud_view.require_rerun()
     _refuse_overwriting(options)
     source = _source(options, progress)
     if isinstance(source, DisparityMap):
@@ -186,22 +190,22 @@ def _size(options: ViewOptions, scene: CloudScene) -> tuple[int, int]:
 
 
 def _write_film(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
-    from camcal.report import turntable
+    from camcal.report.cloud_pictures import film_frames, write_film
 
     assert options.output is not None
     angle = radians(options.turn) if options.turn else radians(_SWING) if scene.from_camera else 2 * pi
     views = turn(view_of(options.view, scene), angle, options.frames)
-    pictures = turntable.frames(scene, paint, views, _size(options, scene), options.point_size)
-    turntable.write(options.output, pictures)
+    pictures = film_frames(scene, paint, views, _size(options, scene), options.point_size)
+    write_film(options.output, pictures)
 
 
 def _write_recording(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
     assert options.output is not None
-    cloud_recording.save(options.output, scene, paint)
+    cloud_view.save_recording(options.output, scene, paint)
 
 
 def _open_window(_options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
-    cloud_recording.open_viewer(scene, paint)
+    cloud_view.open_viewer(scene, paint)
 
 
 _MAKERS = {
@@ -225,13 +229,6 @@ def document(report: ViewReport) -> dict[str, Any]:
         "unit": report.unit,
         "frame": report.frame,
     }
-
-
-_POINTS = "points"  # what the archive of a cloud holds
-_CAMERA = "x right, y down, z forward"
-_UPRIGHT = "x east, y north, z up"
-_EXAMPLE = "x forward, y left, z up"
-_AXES = {name: words.partition(": ")[2] for name, words in WORDS.items()}  # whose they are, the name does not say
 
 
 def is_cloud(path: Path) -> bool:
