@@ -10,7 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.model import CameraModel
-from camcal.geometry import rotation as so3
+from camcal.cameras.planar_poses import planar_poses
 from camcal.targets.board import Board
 
 _CORNERS = 24  # a pose to start from needs no more corners of a view
@@ -40,29 +40,12 @@ def thinned(observations: Observations, corners: int = _CORNERS) -> Observations
 
 
 def poses_from_rays(rays: Array, board: Board, observations: Observations) -> tuple[Array, Array]:
-    """Return camera_T_board of every view, rotations (V, 3, 3) and translations (V, 3), from unit rays (3, V, P).
-
-    A plane's points p and their rays d obey d × (H p) = 0; the 3 × 3 matrix H of least algebraic error holds the
-    first two columns of the rotation and the translation. Works for rays behind the image plane as well.
-    Source: Hartley & Zisserman, Multiple View Geometry, 2nd ed., section 4.1, with rays in place of pixels.
-    """
+    """Return camera_T_board of every view, rotations (V, 3, 3) and translations (V, 3), from unit rays (3, V, P)."""
     width, height = board.extent
     scale, centre = max(width, height) / 2, np.array([width / 2, height / 2, 0.0])
-    points = ((board.points() - centre) / scale)[observations.ids].transpose(2, 0, 1).copy()
-    points[2] = 1.0
-    root = np.sqrt(observations.weights)
-    # ‖d × v‖² = v · (I - d dᵀ) v for unit d, so the normal matrix needs only these two Gram matrices
-    plain = np.einsum("avp,bvp->vab", points * root, points * root)
-    mixed = (rays[:, None] * points[None] * root).reshape(9, *root.shape).transpose(1, 0, 2)
-    normal = np.einsum("ij,vab->viajb", np.eye(3), plain).reshape(-1, 9, 9) - mixed @ mixed.transpose(0, 2, 1)
-    homographies = np.linalg.eigh(normal)[1][:, :, 0].reshape(-1, 3, 3)
-    facing = np.einsum("ivp,vij,jvp,vp->v", rays, homographies, points, observations.weights)
-    homographies = homographies * np.where(facing < 0, -1.0, 1.0)[:, None, None]
-    size = np.linalg.norm(homographies[:, :, :2], axis=1).mean(axis=1)
-    columns = homographies / np.maximum(size, np.finfo(float).tiny)[:, None, None]
-    third = np.cross(columns[:, :, 0], columns[:, :, 1])
-    rotations = so3.nearest(np.stack([columns[:, :, 0], columns[:, :, 1], third], axis=2))
-    return rotations, columns[:, :, 2] * scale - rotations @ centre
+    points = ((board.points() - centre) / scale)[observations.ids].transpose(2, 0, 1)
+    rotations, translations = planar_poses(rays, points, observations.weights > 0)
+    return rotations, translations * scale - rotations @ centre
 
 
 def poses_from_pixels(

@@ -21,6 +21,7 @@ from camcal.targets.board import Board, Detection
 from camcal.targets.surface import basis
 
 POSE = 6  # parameters of a view: tx ty tz rx ry rz
+_FITS = 3.0  # times the noise: the distance within which a point fits
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,16 +214,26 @@ class BoardProblem:
         return np.asarray(projection.pixels.T.reshape(2, *rotated.shape[1:]) - self.observations.pixels)
 
     def blocks(self, state: State) -> list[Block] | None:
-        """Return the observations and the priors, or None where a point has no image at all."""
-        derivatives = self.derivatives(state)
-        if np.any(self.observations.weights.ravel()[~derivatives.valid] > 0):
-            return None
+        """Return the observations and the priors, or None where a point has no image at all, or has left the lens's
+        domain and fits: what the formula makes of it there would hold the lens in a minimum of its own.
+        """
+        derivatives, counts = self.derivatives(state, within_domain=True), self.observations.weights.ravel() > 0
+        outside = counts & ~derivatives.valid
+        if outside.any():
+            derivatives = self.derivatives(state)
+            fits = self.distances(derivatives.residuals.reshape(self.observations.pixels.shape)) < _FITS * self.sigma
+            if np.any(counts & ~derivatives.valid) or np.any(outside & fits.ravel()):
+                return None
         return [self.data(state, derivatives), *self.priors(state)]
 
-    def derivatives(self, state: State) -> "Derivatives":
-        """Return the residuals and their derivatives at a state, by the lens's formula beyond its domain as well."""
+    def derivatives(self, state: State, *, within_domain: bool = False) -> "Derivatives":
+        """Return the residuals and their derivatives at a state, by the lens's formula beyond its domain as well unless
+        only points within it are to have an image.
+        """
         rotated, points = self._points(state)
-        projected = self.model.project_with_jacobians(state.parameters, points.reshape(3, -1).T, within_domain=False)
+        projected = self.model.project_with_jacobians(
+            state.parameters, points.reshape(3, -1).T, within_domain=within_domain
+        )
         residuals = projected.pixels.T - self.observations.pixels.reshape(2, -1)
         by_point, by_lens = projected.d_point.transpose(1, 2, 0), projected.d_parameters.transpose(1, 2, 0)
         if len(self.free) < by_lens.shape[1]:

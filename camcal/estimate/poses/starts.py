@@ -18,6 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.planar_poses import planar_poses
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.sightings import Sightings
 from camcal.estimate.poses.states import IN_PLANE, NEAR_PLANE, Extents
@@ -80,20 +81,6 @@ class SpaceErrors:
         """Return the mask (S,) of states that put the points on the side the rays point to."""
         return np.asarray(np.einsum("si,si->s", self.facing[which], states.reshape(-1, 12)) > 0)
 
-    def of_planes(self) -> Array:
-        """Return states (W, 3, 4) of points that lie in or near z = 0: the homography of least error made a pose."""
-        columns = np.array([0, 1, 3, 4, 6, 7])
-        flat = self.form[:, columns[:, None], columns]
-        first = np.linalg.eigh(flat)[1][:, :, 0].reshape(-1, 3, 2)
-        third = (so3.hat(first[:, :, 0]) @ first[:, :, 1, None])[..., 0]
-        size = np.linalg.norm(first, axis=1).mean(axis=1)[:, None, None]
-        third /= np.maximum(np.linalg.norm(third, axis=1, keepdims=True), np.finfo(float).tiny)
-        which = np.arange(len(first))
-        turns = so3.nearest(np.concatenate([first / size, third[..., None]], axis=2))
-        # the sign of the homography is open, and with it that of the first two columns
-        one, other = (self.states(turns * signs, which) for signs in ([1, 1, 1], [-1, -1, 1]))
-        return np.where(self.in_front(one, which)[:, None, None], one, other)
-
     def minima(self) -> tuple[Array, Array]:
         """Return states (S, 3, 4) at minima of the errors, and the views (S,) they belong to; several a view."""
         count = len(self.form)
@@ -146,18 +133,17 @@ def starts(sight: Sightings, extents: Extents) -> tuple[Array, Array]:
 
 
 def _of_planes(sight: Sightings, extents: Extents, views: Array) -> tuple[Array, Array]:
-    states = _space_errors(sight, extents, views).of_planes()
-    return se3.compose(states, extents.plane_T_object[views]), views
+    here, mask = extents.take(views), sight.present[views]
+    scale = (here.spread[:, 0] / np.sqrt(mask.sum(axis=1)))[:, None]
+    rotations, shifts = planar_poses(sight.rays[:, views], here.in_plane(sight.points[:, views]) / scale, mask)
+    return se3.compose(se3.stacked(rotations, shifts * scale), here.plane_T_object), views
 
 
 def _of_solids(sight: Sightings, extents: Extents, views: Array) -> tuple[Array, Array]:
-    states, which = _space_errors(sight, extents, views).minima()
-    return se3.compose(states, extents.plane_T_object[views[which]]), views[which]
-
-
-def _space_errors(sight: Sightings, extents: Extents, views: Array) -> SpaceErrors:
-    points = extents.take(views).in_plane(sight.points[:, views])
-    return SpaceErrors.of(sight.rays[:, views], points, sight.present[views])
+    here = extents.take(views)
+    errors = SpaceErrors.of(sight.rays[:, views], here.in_plane(sight.points[:, views]), sight.present[views])
+    states, which = errors.minima()
+    return se3.compose(states, here.plane_T_object[which]), views[which]
 
 
 def _of_triplets(sight: Sightings, views: Array) -> tuple[Array, Array]:
