@@ -129,7 +129,13 @@ def estimates(
     agreement = agreement_of(options, noise.sigma) if options.outliers == "many" else None
     for fit in fits:
         judgement = Judgement(
-            fit.problems, fit.minima, fit.group.centres, noise, fit.extents, options.intrinsics, agreement
+            fit.problems,
+            fit.minima,
+            centres=fit.group.centres,
+            noise=noise,
+            extents=fit.extents,
+            intrinsics=options.intrinsics,
+            agreement=agreement,
         )
         for item, estimate in zip(fit.group.items, judgement.estimates(frames, fit.group.counts()), strict=True):
             found[int(item)] = estimate

@@ -77,11 +77,11 @@ def average_poses(
     return PoseAverage(
         solution.state,
         _scatter(steps, weights) if covariances is None else solution.factors().shared_covariance(),
-        weights,
-        np.linalg.norm(steps[:, :3], axis=1),
-        np.linalg.norm(steps[:, 3:], axis=1),
-        None if covariances is None else float(squared.sum()),
-        6 * (len(poses) - 1),
+        weights=weights,
+        offsets=np.linalg.norm(steps[:, :3], axis=1),
+        angles=np.linalg.norm(steps[:, 3:], axis=1),
+        chi_square=None if covariances is None else float(squared.sum()),
+        freedom=6 * (len(poses) - 1),
     )
 
 

@@ -125,11 +125,11 @@ def trajectory_error(
     return TrajectoryError(
         len(compared),
         alignment,
-        ErrorFigures.of(np.linalg.norm(compared.translations - truth.translations, axis=1)),
-        ErrorFigures.of(so3.angle_between(truth.rotations, compared.rotations)),
-        ErrorFigures.of(shift) if len(first) else None,
-        ErrorFigures.of(turn) if len(first) else None,
-        len(first),
+        translation=ErrorFigures.of(np.linalg.norm(compared.translations - truth.translations, axis=1)),
+        rotation=ErrorFigures.of(so3.angle_between(truth.rotations, compared.rotations)),
+        relative_translation=ErrorFigures.of(shift) if len(first) else None,
+        relative_rotation=ErrorFigures.of(turn) if len(first) else None,
+        pairs=len(first),
     )
 
 

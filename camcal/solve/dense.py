@@ -157,23 +157,13 @@ def assemble_dense(blocks: Sequence[Block], count: int) -> DenseEquations:
     for block in blocks:
         if block.group is not None:
             raise ValueError("a dense step has no eliminated groups")
-        part, root = _weigh(block)
+        part, row_weights = block.weighed()
         cost += part
-        root = np.repeat(root, block.residuals.shape[1])
+        root = np.repeat(np.sqrt(row_weights), block.residuals.shape[1])
         weights.append(root)
         residuals.append(root * block.residuals.ravel())
         jacobians.append(root[:, None] * _widened(block, count))
     return DenseEquations(cost, np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(weights))
-
-
-def _weigh(block: Block) -> tuple[float, Array]:
-    """Return the cost of a block, and the root (M,) of each row's weight with the loss's."""
-    squared = np.einsum("md,md->m", block.residuals, block.residuals)
-    weights = np.ones(len(squared)) if block.weights is None else block.weights
-    squared = squared * weights
-    if block.loss is None:
-        return 0.5 * float(squared.sum()), np.sqrt(weights)
-    return 0.5 * float(block.loss.cost(squared).sum()), np.sqrt(weights * block.loss.weight(squared))
 
 
 def _widened(block: Block, count: int) -> Array:

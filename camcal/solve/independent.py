@@ -166,7 +166,7 @@ def minimise_each(
     come down to that end early. enough: after which steps (A,) no further one is worth its while, by default those that
     were taken and promised little.
     """
-    search = _Search.of(problems, states, which, stopping, exact, worth, enough)
+    search = _Search.of(problems, states, which, stopping=stopping, exact=exact, worth=worth, enough=enough)
     for _ in range(stopping.iterations):
         alive = np.flatnonzero(search.reason == RUNNING)
         if not alive.size:
@@ -217,10 +217,22 @@ class _Search:
         models, count = problems.linearise(states, which), len(which)
         limits, factors = (np.broadcast_to(np.asarray(each, dtype=float), (count,)) for each in (exact, worth))
         reason = np.where(np.isfinite(models.cost), np.where(models.cost <= limits, EXACT, RUNNING), OUTSIDE)
-        counters = np.zeros(count, np.intp), np.zeros(count, np.intp)
-        damping, steps = (np.full(count, stopping.damping), np.ones(count)), np.zeros_like(models.gradient)
-        given = problems, which, stopping, limits, factors, enough
-        return cls(*given, states.copy(), models, *damping, *counters, reason, steps)
+        return cls(
+            problems,
+            which,
+            stopping=stopping,
+            exact=limits,
+            worth=factors,
+            enough=enough,
+            states=states.copy(),
+            models=models,
+            damping=np.full(count, stopping.damping),
+            growth=np.ones(count),
+            blocked=np.zeros(count, np.intp),
+            iterations=np.zeros(count, np.intp),
+            reason=reason,
+            steps=np.zeros_like(models.gradient),
+        )
 
     def advance(self, alive: Array) -> None:
         """Take one step of the searches `alive` (A,), or find that it leads nowhere and damp the next one more."""

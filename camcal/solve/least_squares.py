@@ -6,7 +6,7 @@ The equations are summed up in arrow form: group by group, and what all of them 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -122,6 +122,16 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
     )
 
 
+class _Common(NamedTuple):
+    """What all rows of a block depend on, weighted: the derivatives by their group's `size` parameters, those by the
+    shared parameters `columns`, and the residuals, side by side as (D, size + columns + 1, M).
+    """
+
+    rows: Array
+    size: int
+    columns: Array
+
+
 @dataclass
 class _Sums:
     """The running sums of `assemble`."""
@@ -137,7 +147,8 @@ class _Sums:
 
     def add(self, block: Block, where: slice | Array) -> None:
         """Add a block whose runs of rows belong to the groups `where`."""
-        weights = self._weigh(block)
+        cost, weights = block.weighed()
+        self.cost += cost
         dense = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 1]
         sparse = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 2]
         columns = np.concatenate([jacobian.columns for jacobian in dense] or [np.zeros(0, np.intp)])
@@ -145,28 +156,18 @@ class _Sums:
         if block.group is not None:
             parts.insert(0, block.group)
         rows = _rows([*parts, block.residuals[..., None]], np.sqrt(weights))
-        size = 0 if block.group is None else block.group.shape[-1]
+        common = _Common(rows, 0 if block.group is None else block.group.shape[-1], columns)
         if block.rows_per_group:
-            self._add_grouped(block, where, rows, size, columns)
+            self._add_grouped(block, where, common)
         else:
-            self._add_ungrouped(rows, columns)
+            self._add_ungrouped(common)
         for jacobian in sparse:
-            self._add_sparse(block, where, jacobian, rows, size, columns, weights)
+            self._add_sparse(block, where, jacobian, common, weights)
         for first, second in combinations(sparse, 2):
             self._add_cross(first, second, weights)
 
-    def _weigh(self, block: Block) -> Array:
-        """Return the total weight of each row and add the block's cost."""
-        squared = np.einsum("md,md->m", block.residuals, block.residuals)
-        weights = np.ones(len(squared)) if block.weights is None else block.weights
-        squared = squared * weights
-        if block.loss is None:
-            self.cost += 0.5 * float(squared.sum())
-            return np.asarray(weights)
-        self.cost += 0.5 * float(block.loss.cost(squared).sum())
-        return np.asarray(weights * block.loss.weight(squared))
-
-    def _add_grouped(self, block: Block, where: slice | Array, rows: Array, size: int, columns: Array) -> None:
+    def _add_grouped(self, block: Block, where: slice | Array, common: "_Common") -> None:
+        rows, size, columns = common
         dimension, count, length = rows.shape
         runs = rows.reshape(dimension, count, length // block.rows_per_group, block.rows_per_group)
         stacked = runs.transpose(0, 2, 1, 3)
@@ -190,33 +191,25 @@ class _Sums:
         products[:, columns[:, None], columns] = gram[:, shared, shared]
         _add_at(self.group_products, where, products)
 
-    def _add_ungrouped(self, rows: Array, columns: Array) -> None:
-        gram = np.einsum("dim,djm->ij", rows, rows)
+    def _add_ungrouped(self, common: "_Common") -> None:
+        gram, columns = np.einsum("dim,djm->ij", common.rows, common.rows), common.columns
         self.shared_gradient[columns] += gram[:-1, -1]
         self.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
 
     def _add_sparse(
-        self,
-        block: Block,
-        where: slice | Array,
-        jacobian: Jacobian,
-        rows: Array,
-        size: int,
-        columns: Array,
-        weights: Array,
+        self, block: Block, where: slice | Array, jacobian: Jacobian, common: "_Common", weights: Array
     ) -> None:
         """Add a Jacobian whose columns differ from row to row."""
         own = _rows([jacobian.values], np.sqrt(weights))
         places = _repeated(block, jacobian) if isinstance(where, slice) else None
         if places is None or not isinstance(where, slice):
-            self._add_scattered(block, where, jacobian, own, rows, size, columns)
+            self._add_scattered(block, where, jacobian, own, common)
         else:
-            self._add_repeated(where, places, own, rows, size, columns)
+            self._add_repeated(where, places, own, common)
 
-    def _add_repeated(
-        self, where: slice, places: Sequence[slice], own: Array, rows: Array, size: int, columns: Array
-    ) -> None:
+    def _add_repeated(self, where: slice, places: Sequence[slice], own: Array, common: "_Common") -> None:
         """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
+        rows, size, columns = common
         shape = where.stop - where.start, -1
         own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
         for axis, place in enumerate(places):
@@ -231,16 +224,10 @@ class _Sums:
                 np.einsum("ii->i", self.shared_shared[place, across])[:] += other
 
     def _add_scattered(
-        self,
-        block: Block,
-        where: slice | Array,
-        jacobian: Jacobian,
-        own: Array,
-        rows: Array,
-        size: int,
-        columns: Array,
+        self, block: Block, where: slice | Array, jacobian: Jacobian, own: Array, common: "_Common"
     ) -> None:
         """Add a Jacobian with any columns, by scattered sums."""
+        rows, size, columns = common
         at, shared = jacobian.columns.T, len(self.shared_gradient)
         products = np.einsum("dlm,djm->ljm", own, rows)
         _scatter(self.shared_gradient, at, products[:, -1])

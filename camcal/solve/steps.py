@@ -46,6 +46,15 @@ class Block:
     weights: Array | None = None
     loss: Loss | None = None
 
+    def weighed(self) -> tuple[float, Array]:
+        """Return the cost ½ Σ ρ of the rows, and their weights (M,), those of the loss included."""
+        squared = np.einsum("md,md->m", self.residuals, self.residuals)
+        weights = np.ones(len(squared)) if self.weights is None else self.weights
+        squared = squared * weights
+        if self.loss is None:
+            return 0.5 * float(squared.sum()), weights
+        return 0.5 * float(self.loss.cost(squared).sum()), np.asarray(weights * self.loss.weight(squared))
+
 
 @dataclass(frozen=True, eq=False)
 class Step:

@@ -81,21 +81,21 @@ class _Assessment:
         return CurveFit(
             self.problem.curve,
             self.problem.data,
-            self._parameters(covariance),
-            self._derived(moving, covariance),
-            tuple(moving),
-            covariance,
-            self._goodness(),
-            self.factors.condition,
-            tuple(self.factors.null_space(moving)),
-            found.iterations,
-            self.search.runs,
-            found.converged,
-            found.reason,
-            self.residuals,
-            self.weights,
-            self.factors.leverage().reshape(self.residuals.shape).sum(axis=1),
-            (self.problem.low, self.problem.high),
+            parameters=self._parameters(covariance),
+            derived=self._derived(moving, covariance),
+            free=tuple(moving),
+            covariance=covariance,
+            goodness=self._goodness(),
+            condition=self.factors.condition,
+            combinations=tuple(self.factors.null_space(moving)),
+            iterations=found.iterations,
+            runs=self.search.runs,
+            converged=found.converged,
+            reason=found.reason,
+            residuals=self.residuals,
+            weights=self.weights,
+            leverage=self.factors.leverage().reshape(self.residuals.shape).sum(axis=1),
+            bounds=(self.problem.low, self.problem.high),
         )
 
     def _moving(self) -> Array:
@@ -172,7 +172,16 @@ class _Assessment:
         chi_square = total if known else None
         p_value = float(chdtrc(self.freedom, total)) if known and self.freedom > 0 else None
         rms = float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
-        return Goodness(len(self.residuals), self.freedom, total, rms, noise, chi_square, p_value, self._r_squared())
+        return Goodness(
+            len(self.residuals),
+            self.freedom,
+            sum_of_squares=total,
+            rms=rms,
+            sigma=noise,
+            chi_square=chi_square,
+            p_value=p_value,
+            r_squared=self._r_squared(),
+        )
 
     def _r_squared(self) -> float | None:
         """Return the share of the target's variance about its weighted mean that the curve explains."""

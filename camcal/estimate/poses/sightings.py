@@ -60,7 +60,7 @@ class Sightings:
         present = rays.valid.reshape(count, most) & (np.arange(most) < counts[:, None])
         directions = np.nan_to_num(np.ascontiguousarray(rays.directions.T)).reshape(3, count, most)
         whitening = None if covariance is None else _whitening(covariance)
-        return cls(camera, frame, points, pixels, directions, whitening, present)
+        return cls(camera, frame, points, pixels, rays=directions, whitening=whitening, present=present)
 
     def take(self, chosen: Array) -> "Sightings":
         """Return some of the views."""

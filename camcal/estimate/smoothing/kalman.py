@@ -166,7 +166,16 @@ def consistency(nis: Array, freedom: Array, pairs: tuple[Array, Array]) -> Consi
     """
     if len(nis) == 0:
         unknown = float("nan")
-        return Consistency(0, unknown, (unknown, unknown), unknown, 0.0, 1.0, NOT_JUDGED, _NOTHING)
+        return Consistency(
+            0,
+            unknown,
+            interval=(unknown, unknown),
+            beyond_95=unknown,
+            autocorrelation=0.0,
+            autocorrelation_limit=1.0,
+            verdict=NOT_JUDGED,
+            advice=_NOTHING,
+        )
     total = float(np.sum(freedom))
     mean = float(np.sum(nis)) / total
     tail = (1 - _CONFIDENCE) / 2
@@ -177,7 +186,16 @@ def consistency(nis: Array, freedom: Array, pairs: tuple[Array, Array]) -> Consi
     verdict = _verdict(mean, low, high)
     least = max(limit, _NEAR_ONE)
     advice = _advice(verdict, correlation > least, correlation < -least, beyond > _MANY)
-    return Consistency(len(nis), mean, (low, high), beyond, correlation, limit, verdict, advice)
+    return Consistency(
+        len(nis),
+        mean,
+        interval=(low, high),
+        beyond_95=beyond,
+        autocorrelation=correlation,
+        autocorrelation_limit=limit,
+        verdict=verdict,
+        advice=advice,
+    )
 
 
 def successive(whitened: Array, chains: Array) -> tuple[Array, Array]:

@@ -88,11 +88,11 @@ class LinearSystem:
         return LinearSystem(
             self.transitions[square],
             self.controls[:, states],
-            self.process[square],
-            self.linked,
-            self.observation[numbers[:, None], states],
-            self.measurements[:, numbers],
-            self.noise[:, numbers[:, None], numbers],
+            process=self.process[square],
+            linked=self.linked,
+            observation=self.observation[numbers[:, None], states],
+            measurements=self.measurements[:, numbers],
+            noise=self.noise[:, numbers[:, None], numbers],
         )
 
     def unobserved(self) -> dict[int, list[int]]:

@@ -76,11 +76,11 @@ class PoseProblem:
         return cls(
             everything,
             _interpolated(poses, everything, before),
-            poses.translations[before],
-            measured_covariances(poses, sigma)[before],
-            measured,
-            np.diff(segments[before]) == 0,
-            motion,
+            translations=poses.translations[before],
+            covariances=measured_covariances(poses, sigma)[before],
+            measured=measured,
+            linked=np.diff(segments[before]) == 0,
+            motion=motion,
         )
 
     def with_noise(self, q: tuple[float, float], sigma: tuple[float, float]) -> "PoseProblem":
@@ -109,7 +109,15 @@ class PoseProblem:
         turn = np.tile(np.eye(6), (len(off), 1, 1))
         turn[:, 3:, 3:] = so3.exp_jacobian(-off)
         noise = turn @ self.covariances @ np.swapaxes(turn, 1, 2)
-        return LinearSystem(transitions, controls, process, self.linked, np.eye(6, 6 * order), measurements, noise)
+        return LinearSystem(
+            transitions,
+            controls,
+            process=process,
+            linked=self.linked,
+            observation=np.eye(6, 6 * order),
+            measurements=measurements,
+            noise=noise,
+        )
 
     def _turning(self, guess: PoseGuess, between: Array) -> tuple[list[Array], Array]:
         """Return how a rotation's next error follows from its error and rates, blocks (K - 1, 3, 3), and an offset.
@@ -197,12 +205,12 @@ def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -
     return SmoothedPoses(
         _trajectory(measured, problem, guess, found.states),
         noises[0],
-        options.sigma if known else noises[1],
-        found.weights,
-        found.outliers,
-        found.nis,
-        found.log_likelihood,
-        found.consistency,
+        sigma=options.sigma if known else noises[1],
+        weights=found.weights,
+        outliers=found.outliers,
+        nis=found.nis,
+        log_likelihood=found.log_likelihood,
+        consistency=found.consistency,
     )
 
 
@@ -299,9 +307,9 @@ def _trajectory(measured: Trajectory, problem: PoseProblem, guess: PoseGuess, st
     return Trajectory(
         measured.frames,
         problem.stamps,
-        so3.exp(means[:, 3:6]) @ guess.rotations,
-        means[:, :3],
-        states.covariances[:, :6, :6],
-        means[:, 6:12] if means.shape[1] > 6 else None,
-        None if measured.segments is None else np.concatenate([[0], np.cumsum(~problem.linked)]),
+        rotations=so3.exp(means[:, 3:6]) @ guess.rotations,
+        translations=means[:, :3],
+        covariances=states.covariances[:, :6, :6],
+        velocities=means[:, 6:12] if means.shape[1] > 6 else None,
+        segments=None if measured.segments is None else np.concatenate([[0], np.cumsum(~problem.linked)]),
     )

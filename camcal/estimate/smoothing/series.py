@@ -90,15 +90,15 @@ def smooth_series(series: Series, options: SeriesOptions = SeriesOptions()) -> S
     return SmoothedSeries(
         series,
         options.motion,
-        _by_axis(found.states.means, shape),
-        _by_axis(found.states.covariances, shape),
-        noise.q,
-        noise.sigma if series.sigma is None else None,
-        _by_axis(found.weights, shape),
-        _by_axis(found.outliers, shape),
-        _by_axis(found.nis, shape),
-        found.log_likelihood,
-        found.consistency,
+        states=_by_axis(found.states.means, shape),
+        covariances=_by_axis(found.states.covariances, shape),
+        q=noise.q,
+        sigma=noise.sigma if series.sigma is None else None,
+        weights=_by_axis(found.weights, shape),
+        outliers=_by_axis(found.outliers, shape),
+        nis=_by_axis(found.nis, shape),
+        log_likelihood=found.log_likelihood,
+        consistency=found.consistency,
     )
 
 
@@ -119,7 +119,15 @@ def system_of(series: Series, motion: MotionModel) -> LinearSystem:
     sigma = np.ones_like(series.values) if series.sigma is None else series.sigma
     noise = sigma.T.reshape(-1, 1, 1) ** 2
     observation = np.eye(1, len(motion.states))
-    return LinearSystem(transitions, controls, process, linked, observation, series.values.T.reshape(-1, 1), noise)
+    return LinearSystem(
+        transitions,
+        controls,
+        process=process,
+        linked=linked,
+        observation=observation,
+        measurements=series.values.T.reshape(-1, 1),
+        noise=noise,
+    )
 
 
 def series_at(smoothed: SmoothedSeries, stamps: Array) -> SmoothedSeries:

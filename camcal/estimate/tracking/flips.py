@@ -226,13 +226,13 @@ def _stacked(found: Explained, windows: Array, rows: Array) -> Chains:
     return Chains(
         chains.frames.at(rows),
         chains.used[rows],
-        np.where(cut, 1.0, chains.steps[within]),
-        fresh,
-        chains.begun[within] & ~cut,
-        chains.unknown,
-        anchors.reshape(-1, size),
-        None if chains.shaking is None else chains.shaking[rows],
-        numbers,
+        steps=np.where(cut, 1.0, chains.steps[within]),
+        chains=fresh,
+        begun=chains.begun[within] & ~cut,
+        unknown=chains.unknown,
+        anchors=anchors.reshape(-1, size),
+        shaking=None if chains.shaking is None else chains.shaking[rows],
+        groups=numbers,
     )
 
 

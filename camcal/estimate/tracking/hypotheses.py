@@ -124,7 +124,15 @@ def followed(
                 now = with_mirrored(now, flat)
             if there:
                 allowed = _allowed(candidates, index)
-                now = _seen(now, frames.at(index), allowed, motion, shaking[index], distance, float(limits[index]))
+                now = _seen(
+                    now,
+                    frames.at(index),
+                    allowed=allowed,
+                    motion=motion,
+                    shaking=shaking[index],
+                    distance=distance,
+                    limit=float(limits[index]),
+                )
         if there:
             seen_at = stamps[index]
         result.append(now)
@@ -160,7 +168,17 @@ def _expected(states: MotionState, spread: Array, costs: Array, parents: Array, 
     """Return hypotheses of which the frame has still to be seen."""
     unseen = np.full((len(costs), 6), np.nan)
     growth = np.zeros_like(spread)
-    return Hypotheses(states, spread, costs, states, spread, growth, parents, kinds, unseen)
+    return Hypotheses(
+        states,
+        spread,
+        costs=costs,
+        forecasts=states,
+        forecast_covariances=spread,
+        transitions=growth,
+        parents=parents,
+        kinds=kinds,
+        surprises=unseen,
+    )
 
 
 def _forecast(now: Hypotheses, motion: FreeMotion, dt: Array) -> Hypotheses:

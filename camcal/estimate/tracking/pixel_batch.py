@@ -285,12 +285,12 @@ def _judged(
     return BatchTrack(
         chains,
         motion,
-        states,
-        pulls,
-        terms.costs,
-        terms.costs + chains.sums(volume),
-        factor,
-        terms.pixel_curvature,
+        states=states,
+        pulls=pulls,
+        costs=terms.costs,
+        evidence=terms.costs + chains.sums(volume),
+        factor=factor,
+        curvatures=terms.pixel_curvature,
     )
 
 

@@ -141,11 +141,11 @@ class _Run:
             self.frames,
             self.candidates,
             self.stamps,
-            motion,
-            process_noise.covariance_for(shaking, self._places()),
-            self.distance,
-            self.max_gap,
-            self.flat,
+            motion=motion,
+            shaking=process_noise.covariance_for(shaking, self._places()),
+            distance=self.distance,
+            max_gap=self.max_gap,
+            flat=self.flat,
         )
         chains, states = self._chains(forward, motion)
         return process_noise.explained(chains, motion, states, shaking, tune=tune), forward
@@ -168,12 +168,12 @@ class _Run:
         chains = Chains(
             self.frames.at(np.arange(first, len(self.stamps))),
             (path.kinds == MEASURED) | (path.kinds == BEGUN),
-            np.diff(stamps),
-            np.cumsum(starts),
-            (path.kinds[1:] == BEGUN) & (starts[1:] == 0),
-            unknown,
-            anchors,
-            None,
+            steps=np.diff(stamps),
+            chains=np.cumsum(starts),
+            begun=(path.kinds[1:] == BEGUN) & (starts[1:] == 0),
+            unknown=unknown,
+            anchors=anchors,
+            shaking=None,
         )
         return chains, path.states
 
@@ -219,17 +219,17 @@ class _Run:
         return PixelTrack(
             _padded(used, first),
             _padded(np.concatenate([[False], chains.linked]), first),
-            _padded(np.concatenate([[False], chains.begun]), first),
-            _padded(states.rotations, first),
-            _padded(states.translations, first),
-            _padded(states.rates[:, 0], first),
-            _padded(covariances, first),
-            _padded(p_wrong, first),
-            _padded(contradicted, first),
-            _padded(surprises, first),
-            found.shaking,
-            noise or ProcessNoise(translation, rotation, fading=motion.fading),
-            sigma,
+            jerked=_padded(np.concatenate([[False], chains.begun]), first),
+            rotations=_padded(states.rotations, first),
+            translations=_padded(states.translations, first),
+            velocities=_padded(states.rates[:, 0], first),
+            covariances=_padded(covariances, first),
+            p_wrong=_padded(p_wrong, first),
+            contradicted=_padded(contradicted, first),
+            surprises=_padded(surprises, first),
+            shaking=found.shaking,
+            noise=noise or ProcessNoise(translation, rotation, fading=motion.fading),
+            sigma=sigma,
         )
 
 

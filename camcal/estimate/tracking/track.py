@@ -222,22 +222,22 @@ def _assembled(
     return Track(
         frames,
         stamps,
-        tuple(states),
-        pieces,
-        rotations,
-        translations,
-        velocities,
-        covariances[:, :6, :6] + common,
-        known.nis,
-        known.candidates,
-        noise,
-        tuple(jerk for segment in segments for jerk in segment.jerks),
-        _judged(segments),
-        jitter(
+        states=tuple(states),
+        segments=pieces,
+        rotations=rotations,
+        translations=translations,
+        velocities=velocities,
+        covariances=covariances[:, :6, :6] + common,
+        nis=known.nis,
+        candidates=known.candidates,
+        noise=noise,
+        jerks=tuple(jerk for segment in segments for jerk in segment.jerks),
+        consistency=_judged(segments),
+        before=jitter(
             *(part[used] for part in (stamps, measurements.rotations[:, 0], measurements.translations[:, 0], pieces))
         ),
-        jitter(*(part[used] for part in (stamps, rotations, translations, pieces))),
-        np.full(len(stamps), np.nan),
+        after=jitter(*(part[used] for part in (stamps, rotations, translations, pieces))),
+        p_wrong=np.full(len(stamps), np.nan),
     )
 
 

@@ -33,7 +33,7 @@ def smooth(options: SmoothOptions, progress: Progress = SILENT) -> Smoothing:
     Raises InvalidInput and FileError for what cannot be read, InsufficientData naming what is not observed.
     """
     inputs = [path for path in (options.source, options.controls, options.reference) if path is not None]
-    refuse_overwriting([path for path in (options.output, options.plot) if path is not None], inputs)
+    refuse_overwriting(options.outputs(), inputs)
     if options.plot is not None:
         figures.require_suffix(options.plot)
     return smooth_table(options) if _is_table(options) else smooth_trajectory(options, progress)
@@ -124,7 +124,7 @@ def _of_table(options: SmoothOptions, smoothed: SmoothedSeries, shown: SmoothedS
         consistency=smoothed.consistency,
         nis=dict(zip(series.names, smoothed.nis.T, strict=True)),
         outliers=tuple(outliers),
-        written=tuple(path for path in (options.output, options.plot) if path is not None),
+        written=options.outputs(),
     )
 
 
@@ -235,18 +235,19 @@ def _of_poses(
     return Smoothing(
         options,
         "poses",
-        len(measured),
-        0,
-        shown.stamps,
-        dict(zip(_PARTS, smoothed.q, strict=True)),
-        {} if smoothed.sigma is None else dict(zip(_PARTS, smoothed.sigma, strict=True)),
-        dict(zip(_PARTS, (_rms_of(shift), _rms_of(turn)), strict=True)),
-        smoothed.log_likelihood,
-        smoothed.consistency,
-        {"pose": smoothed.nis},
-        tuple(outliers),
-        *errors,
-        tuple(path for path in (options.output, options.plot) if path is not None),
+        measured=len(measured),
+        missing=0,
+        stamps=shown.stamps,
+        q=dict(zip(_PARTS, smoothed.q, strict=True)),
+        sigma={} if smoothed.sigma is None else dict(zip(_PARTS, smoothed.sigma, strict=True)),
+        residual=dict(zip(_PARTS, (_rms(shift), _rms(turn)), strict=True)),
+        log_likelihood=smoothed.log_likelihood,
+        consistency=smoothed.consistency,
+        nis={"pose": smoothed.nis},
+        outliers=tuple(outliers),
+        before=errors[0],
+        after=errors[1],
+        written=options.outputs(),
     )
 
 
@@ -273,7 +274,3 @@ def _pair(option: str, numbers: tuple[float, ...] | None) -> tuple[float, float]
     if len(numbers) != 2:
         raise InvalidInput(f"{option} has {len(numbers)} numbers; poses have two: of translation and of rotation")
     return numbers[0], numbers[1]
-
-
-def _rms_of(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

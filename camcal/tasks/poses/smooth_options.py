@@ -177,6 +177,10 @@ class SmoothOptions(OptionsRecord):
             raise InvalidInput("--method batch needs continuous process noise: the discrete form has rank 1; use rts")
         _ = self.comparison  # which refuses what is none
 
+    def outputs(self) -> tuple[Path, ...]:
+        """Return the files to be written."""
+        return tuple(path for path in (self.output, self.plot) if path is not None)
+
     @property
     def motion(self) -> "MotionModel":
         """How things move."""
