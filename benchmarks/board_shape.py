@@ -33,7 +33,7 @@ from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
-from camcal.simulate import shapes
+from camcal.simulate import render
 from camcal.simulate.scene import observe, views
 from camcal.solve.least_squares import minimise
 from camcal.targets.board import Board, Detections
@@ -49,19 +49,19 @@ PEERS = Path(__file__).parent / "peers"
 class Case:
     """A board, the share of outliers, the shape terms that hold its truth, and the limit of camcal / oracle."""
 
-    shape: shapes.Shape
+    shape: render.Shape
     terms: tuple[str, ...]
     limit: float = 1.10
     outliers: float = 0.0
 
 
 CASES = {
-    "flat": Case(shapes.FLAT, (), 1.08),
-    "bow 0.2/0.1 mm": Case(shapes.bow(2e-4, 1e-4), ("P2(x)", "P2(y)")),
-    "bow 1/0.5 mm, 1 % outliers": Case(shapes.bow(1e-3, 5e-4), ("P2(x)", "P2(y)"), outliers=0.01),
-    "twist 0.5 mm": Case(shapes.twist(5e-4), ("xy",)),
-    "cubic 0.5 mm": Case(shapes.cubic(5e-4), ("P3(x)",), 1.25),
-    "stretch 0.3 %": Case(shapes.stretch(0.003), ("x/y scale",), 1.25),
+    "flat": Case(render.FLAT, (), 1.08),
+    "bow 0.2/0.1 mm": Case(render.bow(2e-4, 1e-4), ("P2(x)", "P2(y)")),
+    "bow 1/0.5 mm, 1 % outliers": Case(render.bow(1e-3, 5e-4), ("P2(x)", "P2(y)"), outliers=0.01),
+    "twist 0.5 mm": Case(render.twist(5e-4), ("xy",)),
+    "cubic 0.5 mm": Case(render.cubic(5e-4), ("P3(x)",), 1.25),
+    "stretch 0.3 %": Case(render.stretch(0.003), ("x/y scale",), 1.25),
 }
 
 

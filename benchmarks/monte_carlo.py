@@ -34,7 +34,7 @@ from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.run.fanout import fan_out
-from camcal.simulate import shapes
+from camcal.simulate import render
 from camcal.simulate.scene import observe, views
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import NormalEquations, Step
@@ -44,7 +44,7 @@ SIZE, NOISE, VIEWS = (1600, 1200), 0.1, 20
 BOARD = Board("chessboard", 9, 6, 0.025)
 MODEL = model_named("opencv5")
 TRUTH = Camera(MODEL, SIZE, np.array([1200.0, 1205.0, 805.0, 590.0, -0.12, 0.06, 0.0005, -0.0003, 0.01]))
-SHAPES = {"flat": shapes.FLAT, "bent 1/0.5 mm": shapes.bow(1e-3, 5e-4)}
+SHAPES = {"flat": render.FLAT, "bent 1/0.5 mm": render.bow(1e-3, 5e-4)}
 TWO_SIDED_95, HALF_WIDTH = float(norm.ppf(0.975)), float(norm.ppf(0.995))
 
 
@@ -135,7 +135,7 @@ def lens_errors(result: Calibration) -> Errors:
     return Errors(errors, np.sqrt(np.diag(covariance)), nees, len(errors), result.freedom)
 
 
-def pose_errors(result: Calibration, shape: shapes.Shape) -> np.ndarray:
+def pose_errors(result: Calibration, shape: render.Shape) -> np.ndarray:
     """Return the errors (V, 6) of the poses in the order tx ty tz rx ry rz.
 
     The truth's bow 1 - x² is the estimate's -2/3 P2(x) on a board that lies 2/3 of the bow deeper.
@@ -156,7 +156,7 @@ def poses_alone(result: Calibration, errors: np.ndarray) -> Errors:
     return Errors(errors.ravel(), stds.ravel(), nees, errors.size, result.freedom)
 
 
-def all_errors(result: Calibration, detections: Detections, steps: np.ndarray, shape: shapes.Shape) -> Errors:
+def all_errors(result: Calibration, detections: Detections, steps: np.ndarray, shape: render.Shape) -> Errors:
     """Return lens and poses with the NEES of everything that was estimated, correlations and board shape included.
 
     Without a NEES where the points of the board were freed one by one: their prior says nothing true of them.

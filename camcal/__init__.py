@@ -34,7 +34,7 @@ _HOMES = {
     "MODELS": "cameras.catalogue:MODELS",
     "MatchOptions": "stereo.options:MatchOptions",
     "Mosaic": "raw.mosaic:Mosaic",
-    "NamedTransform": "geometry.named:NamedTransform",
+    "NamedTransform": "geometry.pose:NamedTransform",
     "NotConverged": "errors:NotConverged",
     "Pose": "geometry.pose:Pose",
     "PoseEstimate": "estimate.pnp:PoseEstimate",

@@ -47,7 +47,7 @@ OPENCV_EDGES = {
     "raw/vng.py",
     "report/cloud_pictures.py",
     "report/colour_scale.py",
-    "report/disparity_pictures.py",
+    "report/stereo_pictures.py",
     "report/overlays.py",
     "run/fanout.py",
     "stereo/matching/census.py",

@@ -15,8 +15,7 @@ from scipy.special import gammaincc, ndtri
 
 from camcal.arrays import Array
 from camcal.calibrate.variances import scaled
-from camcal.solve.steps import NormalEquations
-from camcal.solve.triangles import cholesky_solve
+from camcal.solve.steps import NormalEquations, cholesky_solve
 
 _UNORDERED = np.concatenate([[0.0], np.geomspace(1e-5, 0.03, 25)])  # τ, a share of the parameter
 # Of the log likelihood, what a τ above zero must gain: few cameras change their focal length from view to view.

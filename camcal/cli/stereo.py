@@ -36,7 +36,7 @@ def check(options: StereoCheckOptions, call: ImageCall) -> None:
 
 
 def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool) -> None:
-    from camcal.report.pair_check import lines
+    from camcal.report.stereo_words import lines
 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
     if len(outcomes) == 1 or verbose:
@@ -52,7 +52,7 @@ def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool
 
 
 def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]") -> None:
-    from camcal.report.pair_check import spanned, verdict
+    from camcal.report.stereo_words import spanned, verdict
     from camcal.tasks.stereo.stereo_check import overall
 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
@@ -180,7 +180,7 @@ def evaluate(options: EvalOptions, call: ImageCall) -> None:
 
 
 def _show_errors(report: "EvalReport", verbose: bool) -> None:
-    from camcal.report.pair_check import CLASS_COLUMNS, class_rows, figure_rows
+    from camcal.report.stereo_words import CLASS_COLUMNS, class_rows, figure_rows
 
     in_full = verbose or len(report.outcomes) == 1
     show.lines(["\n".join(_compared(pair, in_full=in_full)) for pair in report.pairs], verbose)

@@ -10,8 +10,7 @@ from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
-from camcal.geometry.named import JOINT, NamedTransform, frames_of
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import JOINT, NamedTransform, Pose, frames_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.targets.surface import Surface
 

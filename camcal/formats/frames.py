@@ -28,8 +28,7 @@ from camcal.formats.poses import plain as plain_poses
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.formats.strict_yaml import Check, Document, Fault, child
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import NamedTransform, frames_of
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import NamedTransform, Pose, frames_of
 
 FORMAT = "camcal-frames"
 VERSION = 1

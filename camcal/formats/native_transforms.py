@@ -22,8 +22,7 @@ from camcal.formats.camera_file import Transform
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.schema import items, mapping, matrix, number
 from camcal.formats.strict_yaml import Fault, child, nearest
-from camcal.geometry.named import JOINT
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine
 
 STEP = ("tx", "ty", "tz", "rx", "ry", "rz")

@@ -29,10 +29,16 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import emit
 from camcal.geometry import rotation as so3
-from camcal.geometry.euler import EulerOrder, from_euler, to_euler
-from camcal.geometry.named import NamedTransform, frames_of
-from camcal.geometry.pose import Pose
-from camcal.geometry.rotation import dual_quaternion_error, examine, from_dual_quaternion, to_dual_quaternion
+from camcal.geometry.pose import NamedTransform, Pose, frames_of
+from camcal.geometry.rotation import (
+    EulerOrder,
+    dual_quaternion_error,
+    examine,
+    from_dual_quaternion,
+    from_euler,
+    to_dual_quaternion,
+    to_euler,
+)
 from camcal.parsing import is_number, parse_numbers
 
 ROUNDED = 1e-3  # how far a rotation may be from one: texts have few digits

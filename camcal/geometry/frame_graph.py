@@ -15,8 +15,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import JOINT, Derived, NamedTransform, frames_of
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
 
 EXACT = 1e-9  # m and rad: the standard deviation of what is said to have none
 ALIKE = 0.6  # how alike two names must be, up to 1, for one to be offered in the place of the other

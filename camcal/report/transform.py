@@ -11,7 +11,7 @@ from camcal.formats import pose_text
 from camcal.formats.pose_text import Form
 from camcal.geometry import rotation as so3
 from camcal.geometry.frame_graph import Loop
-from camcal.geometry.named import NamedTransform
+from camcal.geometry.pose import NamedTransform
 
 _QUATERNION = ("qw", "qx", "qy", "qz")
 

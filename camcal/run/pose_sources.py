@@ -24,7 +24,7 @@ from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
 from camcal.formats.schema import did_you_mean
 from camcal.geometry.frame_graph import FrameGraph
-from camcal.geometry.named import JOINT, NamedTransform, frames_of
+from camcal.geometry.pose import JOINT, NamedTransform, frames_of
 from camcal.progress import Progress
 from camcal.run.paths import split_address
 

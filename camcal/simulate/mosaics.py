@@ -17,8 +17,7 @@ from camcal.geometry.pose import Pose
 from camcal.raw.mosaic import require_pattern, sites
 from camcal.raw.options import MONO
 from camcal.simulate.options import Sensor
-from camcal.simulate.render import Exposure, evenly_lit, light
-from camcal.simulate.shapes import Shape
+from camcal.simulate.render import Exposure, Shape, evenly_lit, light
 from camcal.targets.board import Board
 
 _COUNTED_PHOTONS = 1e9  # above that the noise is far below a count, and numpy's Poisson draws end at 9e18

@@ -13,7 +13,7 @@ from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.shapes import FLAT, Shape
+from camcal.simulate.render import FLAT, Shape
 from camcal.targets.board import Board, Detection, Detections
 from camcal.targets.pattern import QUIET, ink_reach
 

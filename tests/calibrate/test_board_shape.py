@@ -6,7 +6,7 @@ from observed import make_scene, turned
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.simulate import shapes
+from camcal.simulate import render
 from camcal.simulate.scene import project_all
 from camcal.targets.board import Board, Detection
 from camcal.targets.surface import CLASSES, basis
@@ -19,7 +19,7 @@ def large_scene():
     return make_scene(board=BOARD, count=30)
 
 
-def calibrated(scene, seed=1, shape=shapes.FLAT, noise=0.15, options=None, **how):
+def calibrated(scene, seed=1, shape=render.FLAT, noise=0.15, options=None, **how):
     seen = scene.observe(seed, noise_px=noise, shape=shape, **how)
     return calibrate(seen, scene.board, options or Options(scene.camera.model))
 
@@ -31,10 +31,10 @@ def focal_error(calibration, scene):
 @pytest.mark.parametrize(
     ("shape", "tier", "deflection"),
     [
-        (shapes.bow(1e-3, 5e-4), "bow", 1.5e-3),
-        (shapes.twist(5e-4), "twist", 1e-3),
-        (shapes.cubic(5e-4), "cubic", None),
-        (shapes.stretch(0.003), "stretch", None),
+        (render.bow(1e-3, 5e-4), "bow", 1.5e-3),
+        (render.twist(5e-4), "twist", 1e-3),
+        (render.cubic(5e-4), "cubic", None),
+        (render.stretch(0.003), "stretch", None),
     ],
     ids=["bow", "twist", "cubic", "stretch"],
 )
@@ -55,7 +55,7 @@ def test_a_deformed_board_does_not_bend_the_camera(large_scene, shape, tier, def
 
 
 def test_stretch_is_reported_with_its_correlation_to_the_focal_lengths(large_scene):
-    calibration = calibrated(large_scene, shape=shapes.stretch(0.003))
+    calibration = calibrated(large_scene, shape=render.stretch(0.003))
     index = calibration.surface.terms.index("x/y scale")
     found, std = calibration.surface.coefficients[index], calibration.surface.coefficients_std()[index]
     assert abs(found - 0.003) < 4 * std
@@ -77,9 +77,9 @@ def test_a_flat_board_stays_flat(large_scene):
 
 
 def test_outliers_are_listed_and_do_no_harm(large_scene):
-    calibration = calibrated(large_scene, shape=shapes.bow(1e-3, 5e-4), outliers=0.01)
+    calibration = calibrated(large_scene, shape=render.bow(1e-3, 5e-4), outliers=0.01)
     assert focal_error(calibration, large_scene) < 4
-    clean = large_scene.observe(1, noise_px=0.15, shape=shapes.bow(1e-3, 5e-4))
+    clean = large_scene.observe(1, noise_px=0.15, shape=render.bow(1e-3, 5e-4))
     exact = {(view.image, int(i)): pixel for view in clean for i, pixel in zip(view.ids, view.pixels, strict=True)}
     moved = [np.linalg.norm(corner.pixel - exact[corner.image, corner.id]) > 1 for corner in calibration.rejected]
     share = len(calibration.rejected) / sum(len(view.ids) for view in clean)
@@ -113,7 +113,7 @@ def observe_with(scene, offsets):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_views_numbered_from_either_end_give_the_same_camera(even_scene, seed):
-    shape = shapes.bow(5e-4, 3e-4) + shapes.cubic(6e-4)
+    shape = render.bow(5e-4, 3e-4) + render.cubic(6e-4)
     seen = even_scene.observe(seed, noise_px=0.1, shape=shape)
     straight = calibrate(seen, even_scene.board, Options(even_scene.camera.model))
     flips = np.random.default_rng(seed).integers(0, 2, len(seen))
@@ -129,7 +129,7 @@ def test_views_numbered_from_either_end_give_the_same_camera(even_scene, seed):
 
 def test_square_boards_are_sorted_out_by_quarter_turns():
     scene = make_scene(board=Board("chessboard", 9, 9, 0.030), count=20)
-    shape = shapes.bow(1e-3, 2e-4) + shapes.cubic(5e-4)
+    shape = render.bow(1e-3, 2e-4) + render.cubic(5e-4)
     seen = scene.observe(3, noise_px=0.1, shape=shape)
     straight = calibrate(seen, scene.board, Options(scene.camera.model))
     mixed = [turned(view, scene.board, index % 4 if index in (3, 6, 13) else 0) for index, view in enumerate(seen)]

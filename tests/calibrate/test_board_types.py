@@ -9,7 +9,7 @@ from observed import make_scene, turned
 
 from camcal.calibrate.degeneracy import reason_unusable
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.simulate import shapes
+from camcal.simulate import render
 from camcal.targets.board import Detection, parse_board
 from camcal.targets.surface import TIERS, basis
 
@@ -39,7 +39,7 @@ def test_the_terms_of_a_shape_are_those_of_the_formulas(form):
 @pytest.mark.parametrize("form", BOARDS.values(), ids=BOARDS)
 def test_a_bent_board_of_any_type_does_not_bend_the_camera(form):
     scene = make_scene(board=parse_board(form), count=20)
-    shape = shapes.bow(1e-3, 5e-4) + shapes.cubic(5e-4)
+    shape = render.bow(1e-3, 5e-4) + render.cubic(5e-4)
     rng = np.random.default_rng(3)
     ends = len(scene.board.symmetries())  # a detector takes any of them for the first
     exact = scene.observe(1, noise_px=0.1, shape=shape)

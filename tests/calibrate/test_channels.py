@@ -15,8 +15,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.simulate.mosaics import lenses
+from camcal.simulate.render import bow
 from camcal.simulate.scene import observe, views
-from camcal.simulate.shapes import bow
 from camcal.targets.board import Board, Detection
 
 SIZE = (1600, 1200)

@@ -14,8 +14,8 @@ from camcal.formats import boards, detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.simulate.render import bow
 from camcal.simulate.scene import observe, views
-from camcal.simulate.shapes import bow
 from camcal.targets.board import Board, Detections
 
 BOARD = Board("chessboard", 9, 6, 0.040)

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import frames
 from camcal.formats.pose_text import form_named
-from camcal.geometry.named import NamedTransform
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import NamedTransform, Pose
 
 POSE = Pose.from_vector(np.array([0.3, -0.2, 1.0]), np.array([1.0, -2.0, 3.5]))
 NUMBERS = st.floats(-2, 2)

@@ -9,8 +9,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import pose_text
 from camcal.formats.pose_text import form_named
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import NamedTransform
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import NamedTransform, Pose
 
 POSE = Pose.from_vector(np.array([0.3, -0.2, 1.0]), np.array([1.0, -2.0, 3.5]))
 

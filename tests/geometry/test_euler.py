@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
-from camcal.geometry.euler import EulerOrder, from_euler, to_euler
+from camcal.geometry.rotation import EulerOrder, from_euler, to_euler
 
 AXES = [a + b + c for a, b, c in product("xyz", repeat=3) if b not in (a, c)]
 ORDERS = [*AXES, *(axes.upper() for axes in AXES)]

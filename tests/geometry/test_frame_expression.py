@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import evaluate
-from camcal.geometry.named import NamedTransform
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import NamedTransform, Pose
 
 VECTORS = np.random.default_rng(6).normal(size=(3, 2, 3))
 KNOWN = {

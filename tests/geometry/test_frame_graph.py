@@ -7,8 +7,7 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
-from camcal.geometry.named import NamedTransform
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import NamedTransform, Pose
 
 VECTORS = np.random.default_rng(4).normal(size=(5, 2, 3))
 WORLD = {

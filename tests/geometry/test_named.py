@@ -5,8 +5,7 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import Derived, NamedTransform, frames_of
-from camcal.geometry.pose import Pose, retract
+from camcal.geometry.pose import Derived, NamedTransform, Pose, frames_of, retract
 
 FIRST = Pose.from_vector(np.array([0.3, -0.2, 0.9]), np.array([1.0, -2.0, 0.5]))
 SECOND = Pose.from_vector(np.array([-0.6, 0.4, 0.1]), np.array([0.2, 0.7, 2.0]))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from camcal.report.pair_check import figure_rows
+from camcal.report.stereo_words import figure_rows
 from camcal.stereo.truth.evaluate import evaluate
 
 

@@ -7,8 +7,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
+from camcal.simulate.render import bow
 from camcal.simulate.scene import observe
-from camcal.simulate.shapes import bow
 from camcal.targets.board import Board
 
 BOARD = Board("chessboard", 9, 6, 0.03)

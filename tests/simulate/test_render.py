@@ -17,9 +17,8 @@ from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.simulate.render import Exposure, develop, evenly_lit, light, render
+from camcal.simulate.render import FLAT, Exposure, Shape, develop, evenly_lit, light, render
 from camcal.simulate.scene import make_camera, views
-from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import parse_board
 from camcal.targets.pattern import pattern_of
 

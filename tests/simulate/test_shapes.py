@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.simulate.shapes import FLAT, bow, cubic, stretch, twist
+from camcal.simulate.render import FLAT, bow, cubic, stretch, twist
 from camcal.targets.board import Board
 from camcal.targets.surface import basis
 

@@ -19,9 +19,8 @@ from camcal.simulate.mosaics import (
     photograph,
 )
 from camcal.simulate.options import Sensor
-from camcal.simulate.render import Exposure, evenly_lit
+from camcal.simulate.render import FLAT, Exposure, evenly_lit
 from camcal.simulate.scene import make_camera
-from camcal.simulate.shapes import FLAT
 from camcal.targets.board import parse_board
 
 SIZE = (320, 240)

@@ -16,7 +16,7 @@ from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.estimate.smoothing.kalman import Consistency, consistency, gate, successive
 from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, Smoothed, kalman_filter, rts
 from camcal.solve.losses import Huber
-from camcal.solve.triangles import banded, blocks_of
+from camcal.solve.steps import banded, blocks_of
 
 _LOST = 1e-14  # a pivot this much smaller than its diagonal is rounding
 _SMALL_STATE = 3  # up to this size all covariances come from one banded triangle, above it from a loop

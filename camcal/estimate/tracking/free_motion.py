@@ -102,24 +102,19 @@ class FreeMotion:
 
     def covariance(self, dt: Array) -> Array:
         """Return the covariance (..., S, S) of what noise does to a state over dt (...) seconds."""
-        axis = self.axis_covariance(dt)
-        result = np.zeros((*dt.shape, self.size, self.size))
-        density = np.array(self.densities)[_PER_AXIS]
-        every = np.arange(6)
-        for row in range(self.order + 1):
-            for column in range(self.order + 1):
-                result[..., 6 * row + every, 6 * column + every] = axis[..., row, column, None] * density
-        return result
+        return self._of_axes(self.axis_covariance(dt), np.array(self.densities))
 
     def information(self, dt: Array) -> Array:
         """Return the inverses (..., S, S) of the covariances."""
-        axis = np.linalg.inv(self.axis_covariance(dt))
-        result = np.zeros((*dt.shape, self.size, self.size))
-        density = np.array(self.densities)[_PER_AXIS]
+        return self._of_axes(np.linalg.inv(self.axis_covariance(dt)), 1 / np.array(self.densities))
+
+    def _of_axes(self, axis: Array, factors: Array) -> Array:
+        """Return the matrices (..., S, S) of six coordinates with the same (..., 1 + m, 1 + m), times their factors."""
+        result = np.zeros((*axis.shape[:-2], self.size, self.size))
         every = np.arange(6)
         for row in range(self.order + 1):
             for column in range(self.order + 1):
-                result[..., 6 * row + every, 6 * column + every] = axis[..., row, column, None] / density
+                result[..., 6 * row + every, 6 * column + every] = axis[..., row, column, None] * factors[_PER_AXIS]
         return result
 
     def forecast(self, state: MotionState, dt: Array) -> tuple[MotionState, Array]:

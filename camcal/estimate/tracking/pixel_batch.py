@@ -17,7 +17,7 @@ from camcal.errors import InsufficientData
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, difference
 from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised
 from camcal.geometry import rotation as so3
-from camcal.solve.triangles import TridiagonalFactor, factorise
+from camcal.solve.steps import TridiagonalFactor, factorise_tridiagonal
 
 _ITERATIONS = 20
 _SETTLED = 1e-3  # decrease of a chain's cost that is no longer worth a step
@@ -253,7 +253,7 @@ def _factor(terms: _Terms, damping: Array) -> TridiagonalFactor:
         blocks = terms.blocks.copy()
         blocks[:, every, every] *= 1 + np.maximum(damping, least)[:, None]
         try:
-            return factorise(blocks, terms.beside)
+            return factorise_tridiagonal(blocks, terms.beside)
         except LinAlgError:
             continue
     raise InsufficientData("rounding hides what the frames say of the motion; are units and time stamps right?")

@@ -135,17 +135,33 @@ def track_poses(
     object in the camera, where they are measured, rather than of the camera in the object.
     Raises InvalidInput for stamps that do not increase, InsufficientData if the pose can nowhere be followed.
     """
-    found = sum(pose is not None for pose in poses)
-    if found < LEAST:
-        raise InsufficientData(f"found in {found} of {len(stamps)} frames; following takes {LEAST} or more")
+    require_found(poses)
     measurements = PoseMeasurements.of(stamps, poses)
     noise = options.noise or tuned(measurements, options.following)
     segments = follow(measurements, noise.densities, options.following)
     if not segments:
-        raise InsufficientData(
-            f"no {LEAST} of {found} detections follow one another; are the time stamps right, --max-gap too short?"
-        )
+        raise none_follow(poses)
     return _assembled(frames, measurements, common_part(poses), noise, segments, options)
+
+
+def require_found(poses: Sequence[FramePose | None]) -> None:
+    """Raise InsufficientData where too few frames show the object for any track."""
+    found = sum(pose is not None for pose in poses)
+    if found < LEAST:
+        raise InsufficientData(f"found in {found} of {len(poses)} frames; following takes {LEAST} or more")
+
+
+def none_follow(poses: Sequence[FramePose | None]) -> InsufficientData:
+    """Return the error of detections of which no few make a piece."""
+    found = sum(pose is not None for pose in poses)
+    return InsufficientData(
+        f"no {LEAST} of {found} detections follow one another; are the time stamps right, --max-gap too short?"
+    )
+
+
+def where_posed(posed: Array, values: Array) -> Array:
+    """Return values (N, …) of frames, NaN where there is no pose."""
+    return np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
 
 
 def common_part(poses: Sequence[FramePose | None]) -> Array:
@@ -215,9 +231,7 @@ def _assembled(
     posed = known.settled & (options.fill | (states == MEASURED))
     if not posed.any():
         raise InsufficientData(f"no start is settled within {options.lag} frames of look-ahead; allow more, or all")
-    rotations, translations, velocities, covariances = (
-        np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan) for values in known.belief
-    )
+    rotations, translations, velocities, covariances = (where_posed(posed, values) for values in known.belief)
     used, pieces = states == MEASURED, known.segments
     return Track(
         frames,

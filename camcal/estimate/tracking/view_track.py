@@ -7,14 +7,24 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
-from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
 from camcal.estimate.tracking.flips import FAR
 from camcal.estimate.tracking.jitter import jitter
 from camcal.estimate.tracking.pixel_track import PixelTrack, track_pixels
 from camcal.estimate.tracking.segments import LEAST, FramePose, PoseMeasurements
-from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, Track, TrackOptions, common_part
+from camcal.estimate.tracking.track import (
+    GAP,
+    MEASURED,
+    PREDICTED,
+    REJECTED,
+    Track,
+    TrackOptions,
+    common_part,
+    none_follow,
+    require_found,
+    where_posed,
+)
 from camcal.geometry import rotation as so3
 
 _JUMP = 0.1, 0.35  # of the distance, and rad: what begins anew with such a step is another piece
@@ -35,9 +45,7 @@ def track_views(
     None where they gave none. noise_px: standard deviation of a pixel coordinate, None to find it out.
     Raises as `track_poses` does.
     """
-    found = sum(pose is not None for pose in poses)
-    if found < LEAST:
-        raise InsufficientData(f"found in {found} of {len(stamps)} frames; following takes {LEAST} or more")
+    require_found(poses)
     followed = track_pixels(
         camera,
         stamps,
@@ -50,9 +58,7 @@ def track_views(
     )
     segments = _pieces(followed, np.asarray(stamps), options.following.max_gap)
     if (segments < 0).all():
-        raise InsufficientData(
-            f"no {LEAST} of {found} detections follow one another; are the time stamps right, --max-gap too short?"
-        )
+        raise none_follow(poses)
     measurements = PoseMeasurements.of(stamps, poses)
     present, inside = measurements.present, segments >= 0
     used = followed.used & inside
@@ -63,7 +69,7 @@ def track_views(
         states[inside & ~present] = PREDICTED
     posed = inside & (options.fill | used)
     rotations, translations, velocities, covariances = (
-        np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
+        where_posed(posed, values)
         for values in (followed.rotations, followed.translations, followed.velocities, followed.covariances)
     )
     turns = so3.angle_between(measurements.rotations, np.nan_to_num(rotations)[:, None])

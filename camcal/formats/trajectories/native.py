@@ -22,8 +22,7 @@ from camcal.formats.strict_yaml import MAX_VALUES, Document, child
 from camcal.formats.trajectories import tracked
 from camcal.formats.trajectories.rows import ORDER, QUATERNION, named, trajectory
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import frames_of
-from camcal.geometry.pose import Trajectory
+from camcal.geometry.pose import Trajectory, frames_of
 
 FORMAT = "camcal-trajectory"
 VERSION = 1

@@ -8,8 +8,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats.tables import LONGEST_QUOTE, Lines
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import frames_of
-from camcal.geometry.pose import Trajectory
+from camcal.geometry.pose import Trajectory, frames_of
 from camcal.parsing import parse_number, parse_numbers
 
 DEFAULT_FRAMES = "world_T_camera"

@@ -14,7 +14,7 @@ from camcal.formats import frames, pose_text
 from camcal.formats.pose_text import Form, form_of
 from camcal.geometry.frame_graph import FrameGraph, Loop
 from camcal.geometry.frame_graph import evaluate as evaluate_product
-from camcal.geometry.named import Derived, Key, NamedTransform
+from camcal.geometry.pose import Derived, Key, NamedTransform
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop
 from camcal.run.paths import refuse_overwriting

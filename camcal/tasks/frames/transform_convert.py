@@ -13,8 +13,7 @@ from camcal.formats import native, strict_yaml, trajectories
 from camcal.formats.pose_text import form_of
 from camcal.formats.schema import did_you_mean
 from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
-from camcal.geometry.named import NamedTransform, carried, frames_of
-from camcal.geometry.pose import Trajectory, inverse_jacobian
+from camcal.geometry.pose import NamedTransform, Trajectory, carried, frames_of, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.paths import refuse_overwriting

@@ -13,8 +13,7 @@ from camcal.formats.point_table import PointTable
 from camcal.formats.pointclouds import PointCloudFile
 from camcal.formats.pointclouds.record import MILLIMETRES, cloud_of
 from camcal.formats.pose_text import form_of
-from camcal.geometry.named import NamedTransform
-from camcal.geometry.pose import point_jacobian
+from camcal.geometry.pose import NamedTransform, point_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.paths import refuse_overwriting

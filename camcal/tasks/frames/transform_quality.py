@@ -14,8 +14,7 @@ from camcal.estimate.pose_average import PoseAverage, average_poses
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import LoosePose, form_of
 from camcal.geometry import rotation as so3
-from camcal.geometry.named import NamedTransform, frames_of
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import NamedTransform, Pose, frames_of
 from camcal.geometry.rotation import HOPELESS, Orthogonality, examine
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain

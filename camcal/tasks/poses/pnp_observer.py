@@ -92,8 +92,6 @@ class Observer:
         self, observation: Observation, estimate: PoseEstimate, words: str
     ) -> dict[tuple[str, str | None], Posed]:
         """Return an object as each of the cameras saw it, by image and camera; words: what a picture says of it."""
-        ends = np.cumsum([len(view.points) for view in observation.views])[:-1]
-        masks = np.split(estimate.inliers, ends)
         return {
             (view.image, view.camera): Posed(
                 self.cameras[view.camera],
@@ -104,7 +102,7 @@ class Observer:
                 words=words,
                 name=observation.sight.object,
             )
-            for view, mask in zip(observation.views, masks, strict=True)
+            for view, mask in observation.by_view(estimate.inliers)
         }
 
     def with_model_errors(self, observations: Sequence[Observation]) -> tuple[Observation, ...]:

@@ -86,9 +86,8 @@ def _error_ratio(estimate: PoseEstimate, observation: Observation) -> float | No
 
 def squared(residuals: Array, observation: Observation) -> Array:
     """Return the squared lengths (N,) of residuals (N, 2), whitened where the pixels have covariances."""
-    ends = np.cumsum([len(view.points) for view in observation.views])[:-1]
     parts = []
-    for view, part in zip(observation.views, np.split(residuals, ends), strict=True):
+    for view, part in observation.by_view(residuals):
         weights = np.tile(np.eye(2), (len(part), 1, 1)) if view.covariance is None else np.linalg.inv(view.covariance)
         parts.append(np.einsum("ni,nij,nj->n", part, weights, part))
     return np.concatenate(parts)
@@ -96,9 +95,8 @@ def squared(residuals: Array, observation: Observation) -> Array:
 
 def _image_share(inliers: Array, observation: Observation, cameras: Mapping[str | None, Camera]) -> float:
     """Return the share of the image that the box around the inliers takes, the largest of a rig's cameras."""
-    ends = np.cumsum([len(view.points) for view in observation.views])[:-1]
     shares = []
-    for view, mask in zip(observation.views, np.split(inliers, ends), strict=True):
+    for view, mask in observation.by_view(inliers):
         extent = np.ptp(view.pixels[mask], axis=0) if mask.any() else np.zeros(2)
         shares.append(float(np.prod(extent / cameras[view.camera].image_size)))
     return max(shares)
@@ -184,9 +182,7 @@ def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation
     """Return a warning where nothing that one camera of a rig saw agrees with what the others saw."""
     odd: list[str] = []
     for estimate, observation in zip(estimates, observations, strict=True):
-        ends = np.cumsum([len(view.points) for view in observation.views])[:-1]
-        masks = np.split(estimate.inliers, ends)
-        pairs = zip(observation.views, masks, strict=True)
+        pairs = observation.by_view(estimate.inliers)
         odd += [f"{observation.sight} of camera {view.camera}" for view, mask in pairs if not mask.any()]
     if not odd:
         return []

@@ -39,6 +39,11 @@ class Observation:
     views: tuple[Correspondences, ...]
     ids: tuple[Array, ...]
 
+    def by_view(self, values: Array) -> list[tuple[Correspondences, Array]]:
+        """Return every view with its part of values (N, …) of all points."""
+        ends = np.cumsum([len(view.points) for view in self.views])[:-1]
+        return list(zip(self.views, np.split(values, ends), strict=True))
+
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -204,14 +209,10 @@ def _fitting(camera: Camera, size: tuple[int, int] | None, where: str, scale: bo
     except InvalidInput as error:
         raise InvalidInput(error.message, where=where) from error
     if not scale:
-        raise _with_place(_other_size(size, camera), where)
+        raise InvalidInput(_other_size(size, camera).message, where=where)
     return fitted
 
 
 def _other_size(size: tuple[int, int], camera: Camera) -> InvalidInput:
     found, known = (f"{width} x {height}" for width, height in (size, camera.image_size))
     return InvalidInput(f"the image has {found} pixels, the camera file is for {known}{ADVICE}")
-
-
-def _with_place(error: InvalidInput, where: str) -> InvalidInput:
-    return InvalidInput(error.message, where=where)

@@ -48,12 +48,11 @@ class TagViews:
     images: tuple[str, ...] = ()
 
 
-class _Look(NamedTuple):
-    """An image to look at: of a file, or the pixels of a frame, or the error that ended a video."""
+class _Frame(NamedTuple):
+    """An image to search under its name: None of a file, the gray frame of a video, or the error that ended one."""
 
     name: str
-    gray: Array | None = None
-    error: CamcalError | None = None
+    image: Image | CamcalError | None = None
 
 
 class _Seen(NamedTuple):
@@ -82,9 +81,9 @@ def tag_views(
     """
     media = find_media(inputs, recursive)
     search = partial(_search, tags=tags, keep_repeated=keep_repeated, jobs=jobs, progress=progress)
-    outcomes = search([_Look(path.as_posix()) for path in media.images], "images")
+    outcomes = search([_Frame(path.as_posix()) for path in media.images], "images")
     for video in media.videos:
-        outcomes += search(_frames(video), video.name)
+        outcomes += search(_frames([video]), video.name)
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     seen = {outcome.item.name: outcome.value for outcome in outcomes if outcome.value is not None}
     if not seen:
@@ -100,33 +99,34 @@ def tag_views(
     return TagViews(tuple(views), nothing, tuple(map(str, errors)), notes, tuple(seen))
 
 
-def _frames(video: Path) -> Iterator[_Look]:
-    try:
-        for number, image in enumerate(frames(video)):
-            yield _Look(frame_name(video, number), gray_8bit(image.pixels))
-    except CamcalError as error:
-        yield _Look(video.as_posix(), error=error)
+def _frames(videos: Iterable[Path]) -> Iterator[_Frame]:
+    for video in videos:
+        try:
+            for number, image in enumerate(frames(video)):
+                yield _Frame(frame_name(video, number), Image(gray_8bit(image.pixels), image.orientation))
+        except CamcalError as error:
+            yield _Frame(video.as_posix(), error)
 
 
 def _search(
-    looks: Sequence[_Look] | Iterator[_Look],
+    looks: Iterable[_Frame],
     what: str,
     tags: TagObjects,
     keep_repeated: bool,
     jobs: int | None,
     progress: Progress,
-) -> list[Outcome[_Look, _Seen]]:
+) -> list[Outcome[_Frame, _Seen]]:
     """Return what became of every image, its pixels dropped."""
     timeout = None if jobs == 1 else _TIMEOUT_S
     work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
     found = fan_out(work, looks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout)
-    return [Outcome(_Look(outcome.item.name), outcome.value, outcome.error) for outcome in found]
+    return [Outcome(_Frame(outcome.item.name), outcome.value, outcome.error) for outcome in found]
 
 
-def _look_at(look: _Look, family: str, keep_repeated: bool) -> _Seen:
-    if look.error is not None:
-        raise look.error
-    gray = read_photograph(Path(look.name)).gray if look.gray is None else look.gray
+def _look_at(look: _Frame, family: str, keep_repeated: bool) -> _Seen:
+    if isinstance(look.image, CamcalError):
+        raise look.image
+    gray = read_photograph(Path(look.name)).gray if look.image is None else look.image.pixels
     return _Seen(detect_markers(gray, family, keep_repeated=keep_repeated), (gray.shape[1], gray.shape[0]))
 
 
@@ -166,13 +166,6 @@ def _why_not(
     return seen.markers.notes[0] if seen.markers.notes else f"no tag of {tags.family} found"
 
 
-class _Frame(NamedTuple):
-    """A gray frame of a video under its name, or what ended the video."""
-
-    name: str
-    image: Image | CamcalError
-
-
 def board_frames(
     videos: Sequence[Path], board: Board, jobs: int | None = None, progress: Progress = SILENT
 ) -> BoardViews:
@@ -186,7 +179,7 @@ def board_frames(
     work = partial(_detect, board=known)
     views: list[Detection] = []
     errors: list[CamcalError] = []
-    for outcome in fan_out(work, _frames_of(videos), jobs=jobs, processes=True, what="detecting", progress=progress):
+    for outcome in fan_out(work, _frames(videos), jobs=jobs, processes=True, what="detecting", progress=progress):
         # one outcome after another: each holds its frame
         views += [outcome.value] if outcome.value else []
         errors += [outcome.error] if outcome.error else []
@@ -195,18 +188,10 @@ def board_frames(
     return BoardViews(known, Detections(known, tuple(views)), remarks(views, known, board), tuple(map(str, errors)))
 
 
-def _frames_of(videos: Iterable[Path]) -> Iterator[_Frame]:
-    for video in videos:
-        try:
-            for number, image in enumerate(frames(video)):
-                yield _Frame(frame_name(video, number), Image(gray_8bit(image.pixels), image.orientation))
-        except CamcalError as error:
-            yield _Frame(str(video), error)
-
-
 def _detect(frame: _Frame, board: Board) -> Detection:
     if isinstance(frame.image, CamcalError):
         raise frame.image
+    assert frame.image is not None
     return detect(frame.image.pixels, board).in_image(frame.name, frame.image.size, frame.image.orientation)
 
 

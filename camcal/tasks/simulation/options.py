@@ -27,8 +27,7 @@ from camcal.tasks.options import BOARD_OPTION, CameraName, Jobs, Output, lens_mo
 
 if TYPE_CHECKING:
     from camcal.simulate.mosaics import RawCamera
-    from camcal.simulate.render import Exposure
-    from camcal.simulate.shapes import Shape
+    from camcal.simulate.render import Exposure, Shape
 
 SCENE, IMAGE, PAIRS = "Scene", "Image", "Pairs"
 MAX_LEVELS, MAX_DARKS = 200, 1000
@@ -97,7 +96,7 @@ class BoardShape(OptionsRecord):
     @property
     def formula(self) -> "Shape":
         """The shape that is simulated."""
-        from camcal.simulate.shapes import Shape
+        from camcal.simulate.render import Shape
 
         return Shape(*self.bow, self.twist, self.cubic, self.stretch)
 

@@ -30,9 +30,8 @@ from camcal.run.paths import split_address
 from camcal.run.pose_sources import read_camera_file
 from camcal.simulate import mosaics
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder, lenses
-from camcal.simulate.render import render
+from camcal.simulate.render import FLAT, Shape, render
 from camcal.simulate.scene import Truth, make_camera, observe, view_name, views
-from camcal.simulate.shapes import FLAT, Shape
 from camcal.targets.board import Board, Detections
 from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface

@@ -14,8 +14,8 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, GateFailed
 from camcal.images.load import gray_8bit, load
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.report import pair_check as words
-from camcal.report.pair_pictures import SUFFIXES, picture_of
+from camcal.report import stereo_words as words
+from camcal.report.stereo_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
 from camcal.stereo.pair.pair_check import FINDINGS, PairCheck, check_pair

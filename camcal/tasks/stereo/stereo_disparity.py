@@ -19,7 +19,7 @@ from camcal.images.load import load
 from camcal.images.save import save
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.raw.planes import one_by_one
-from camcal.report.disparity_pictures import disparity_picture, robust_range
+from camcal.report.stereo_pictures import disparity_picture, robust_range
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
 from camcal.stereo.acceptance import too_few

@@ -20,7 +20,7 @@ from camcal.formats.schema import did_you_mean
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.report.disparity_pictures import error_picture
+from camcal.report.stereo_pictures import error_picture
 from camcal.run.fanout import fan_out
 from camcal.run.paths import paired, place, refuse_overwriting, require_there
 from camcal.stereo.geometry import StereoGeometry

@@ -158,7 +158,7 @@ def _as_map(options: ViewOptions, found: DisparityMap) -> ViewReport:
     matched = found.matched()
     if not np.isfinite(matched).any():
         raise InsufficientData("the map has no match to look at", where=str(options.source))
-    from camcal.report.disparity_pictures import disparity_picture
+    from camcal.report.stereo_pictures import disparity_picture
 
     save(options.output, disparity_picture(matched))
     return ViewReport(options.output, PICTURE, "disparity")
