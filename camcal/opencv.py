@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.parsing import nearest
 
 _SEED_LIMIT = 1 << 31
 _REMAP_LIMIT = 1 << 15  # cv2.remap refuses maps with longer sides
@@ -67,7 +67,7 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
     """
     names = sorted(constant for constant in dir(cv2.aruco) if constant.startswith("DICT_"))
     if name not in names:
-        near = get_close_matches(name.upper(), names, n=1, cutoff=0.3)
-        advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}"
+        near = nearest(name.upper(), names, likeness=0.3)
+        advice = f"did you mean {near}?" if near else f"known are {', '.join(names)}"
         raise InvalidInput(f"marker dictionary {name!r} is unknown; {advice}")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))

@@ -10,14 +10,13 @@ import dataclasses
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
-from difflib import get_close_matches
 from importlib import import_module
 from math import isfinite, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from camcal.errors import InvalidInput
-from camcal.parsing import parse_integer, parse_number, parse_numbers
+from camcal.parsing import did_you_mean, parse_integer, parse_number, parse_numbers
 
 INPUT, BOARD, LENS, RAW_FRAMES = "Input", "Board", "Lens", "Raw frames"
 METHOD, CHECKS, OUTPUT, GENERAL = "Method", "Checks", "Output", "General"
@@ -230,9 +229,8 @@ class Declared:
         option = self.option
         for item in value if isinstance(value, tuple) else (value,):
             if option.choices and item not in (None, *option.choices):
-                raise self.invalid(
-                    f"{item!r} is not one of {', '.join(option.choices)}{_nearest(item, option.choices)}"
-                )
+                near = did_you_mean(item, option.choices, otherwise="")
+                raise self.invalid(f"{item!r} is not one of {', '.join(option.choices)}{near}")
             if item is None or isinstance(item, (str, bool)) or (option.least is None and option.most is None):
                 continue
             if isnan(item):
@@ -274,12 +272,6 @@ class Declared:
         for name in self.path:
             options = getattr(options, name)
         return options
-
-
-def _nearest(text: str, choices: Sequence[str]) -> str:
-    """Return the choice that a text was probably meant to be, as a question."""
-    found = get_close_matches(text, choices, n=1)
-    return f". Did you mean {found[0]!r}?" if found else ""
 
 
 _KNOWN: dict[type, tuple[Declared, ...]] = {}

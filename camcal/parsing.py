@@ -1,8 +1,13 @@
-"""Numbers in texts, as every other program writes them: Python alone also takes 1_000 and the digits of all scripts."""
+"""What people write: numbers, and names that may be misspelt.
+
+Numbers are taken as every other program writes them: Python alone also takes 1_000 and the digits of all scripts.
+"""
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 _LONGEST = 400  # characters: no number that means anything has more
+_FEW = 24  # names that a message lists
 
 
 def parse_number(text: str) -> float:
@@ -29,6 +34,24 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
+    """Return the known name that a misspelt one most likely stands for; likeness: how alike they must be, up to 1."""
+    return next(iter(get_close_matches(name, list(known), n=1, cutoff=likeness)), None)
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
+    """Return the end of a message about an unknown name: the nearest known one, or all of them if they are few.
+
+    otherwise: what to say in place of all names.
+    """
+    known = list(known)
+    if (match := nearest(name, known)) is not None:
+        return f". Did you mean {match!r}?"
+    if otherwise is None and 0 < len(known) <= _FEW:
+        return f"; possible here: {', '.join(known)}"
+    return otherwise or ""
 
 
 def _require_plain(text: str) -> None:

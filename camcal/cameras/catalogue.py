@@ -1,12 +1,12 @@
 """The lens models by name. A new model adds a file, whose MODELS it lists, and the line with the name of that file."""
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from importlib import import_module
 from types import MappingProxyType
 
 from camcal.cameras.model import CameraModel
 from camcal.errors import InvalidInput
+from camcal.parsing import nearest
 
 _FILES = (
     "brown",
@@ -29,8 +29,8 @@ def model_named(name: str) -> CameraModel:
     aliases = {alias: model for model in MODELS.values() for alias in model.aliases}
     if name in aliases:
         return aliases[name]
-    near = get_close_matches(name, [*MODELS, *aliases], n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"use one of {', '.join(MODELS)}"
+    near = nearest(name, [*MODELS, *aliases])
+    hint = f"did you mean {near!r}?" if near else f"use one of {', '.join(MODELS)}"
     raise InvalidInput(f"lens model {name!r} is unknown; {hint}")
 
 

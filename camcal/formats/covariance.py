@@ -21,9 +21,10 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.formats.schema import did_you_mean, items, mapping, matrix, number, text
+from camcal.formats.schema import items, mapping, matrix, number, text
 from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.images.npy import arrays_of
+from camcal.parsing import did_you_mean
 
 MAX_INLINE = 100
 STD_AGREEMENT = 0.01  # std and the matrix are two views of one number; a hand-edited one shows

@@ -24,8 +24,9 @@ from camcal.formats.camera_file import (
     JointCovariance,
 )
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
-from camcal.formats.schema import VENDOR, did_you_mean, flag, integer, mapping, number, plain, text
+from camcal.formats.schema import VENDOR, flag, integer, mapping, number, plain, text
 from camcal.formats.strict_yaml import Fault, child
+from camcal.parsing import did_you_mean
 
 FORMAT = "camcal-calibration"
 VERSION = 1

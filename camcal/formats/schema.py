@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from camcal.formats.emit import number_text
-from camcal.formats.strict_yaml import Check, Fault, child, nearest
-from camcal.parsing import parse_number
+from camcal.formats.strict_yaml import Check, Fault, child
+from camcal.parsing import did_you_mean, nearest, parse_number
 
 VENDOR = "x_"
 
@@ -94,13 +94,6 @@ def one_of(names: Sequence[str], what: str) -> Check:
             yield Fault(path, f"unknown {what} {_shown(value)}{did_you_mean(str(value), names)}")
 
     return check
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return the end of a message about an unknown name: the nearest known one, or all of them if they are few."""
-    if (match := nearest(name, known)) is not None:
-        return f". Did you mean {match!r}?"
-    return f"; possible here: {', '.join(known)}" if 0 < len(known) <= 24 else ""
 
 
 def items(check: Check, *lengths: int) -> Check:

@@ -5,7 +5,6 @@ way (yes, 012, 0x1F, 1_000, 12:30), more than 100 000 values, 64 MB or 32 levels
 does not take for a number, stays text; the checks in `schema` say so where a number is needed.
 """
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -126,12 +125,6 @@ def child(path: str, key: str | int) -> str:
     if isinstance(key, int):
         return f"{path}[{key}]"
     return f"{path}.{key}" if path else key
-
-
-def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
-    """Return the known name that a misspelt one most likely stands for; likeness: how alike they must be, up to 1."""
-    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=likeness)
-    return matches[0] if matches else None
 
 
 class _Builder:

@@ -11,8 +11,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.formats.schema import did_you_mean
-from camcal.parsing import is_number, parse_integer, parse_number
+from camcal.parsing import did_you_mean, is_number, parse_integer, parse_number
 
 MAX_LINES = 3_000_000  # of a table; a line takes some 200 bytes of memory
 LONGEST_QUOTE = 60  # characters of a cell that a message repeats

@@ -4,7 +4,6 @@ A product such as "a_T_b * inv(c_T_b)" is read without running it, and its frame
 """
 
 import ast
-import difflib
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
+from camcal.parsing import did_you_mean, nearest
 
 EXACT = 1e-9  # m and rad: the standard deviation of what is said to have none
 ALIKE = 0.6  # how alike two names must be, up to 1, for one to be offered in the place of the other
@@ -146,7 +146,7 @@ class FrameGraph:
 
     def _require(self, frame: str) -> None:
         if frame not in self._links:
-            near = _nearest(frame, self.frames)
+            near = nearest(frame, self.frames, ALIKE)
             advice = f". Did you mean {near!r}?" if near else f"; there are {', '.join(self.frames) or 'none'}"
             raise InvalidInput(f"no frame {frame!r}{advice}")
 
@@ -154,7 +154,7 @@ class FrameGraph:
         here, there = list(self._tree(target)), list(self._tree(source))
         sides = f"one is with {', '.join(here)}, the other with {', '.join(there)}"
         text = f"no transforms join {target!r} and {source!r}: {sides}"
-        alike = next(((name, near) for name in here if (near := _nearest(name, there))), None)
+        alike = next(((name, near) for name in here if (near := nearest(name, there, ALIKE))), None)
         return f"{text}. Are {alike[0]!r} and {alike[1]!r} one frame?" if alike else text
 
 
@@ -165,12 +165,6 @@ def _way(tree: _Tree, frame: str) -> tuple[Link, ...]:
         link, frame = step
         links.append(link)
     return tuple(reversed(links))
-
-
-def _nearest(name: str, known: Sequence[str]) -> str | None:
-    """Return the known name that a misspelt one most likely stands for."""
-    matches = difflib.get_close_matches(name, known, n=1, cutoff=ALIKE)
-    return matches[0] if matches else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,8 +227,7 @@ def _advice(name: str, transforms: Mapping[str, NamedTransform]) -> str:
         target, source = frames_of(name)
         if (reverse := f"{source}{JOINT}{target}") in transforms:
             return f"; write inv({reverse})"
-    near = difflib.get_close_matches(name, known, n=1)
-    return f". Did you mean {near[0]!r}?" if near else f"; there are {', '.join(known) or 'none'}"
+    return did_you_mean(name, known, f"; there are {', '.join(known) or 'none'}")
 
 
 def _product(left: FrameProduct, right: FrameProduct) -> FrameProduct:

@@ -3,11 +3,11 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import hypot
 from types import MappingProxyType
 
 from camcal.errors import InvalidInput
+from camcal.parsing import nearest
 
 _INCH_SMALL_MM, _INCH_LARGE_MM = 18.0, 16.0  # of diagonal, for sensors up to half an inch and above
 _HALF_INCH = 0.5
@@ -78,8 +78,8 @@ def sensor_format(text: str) -> SensorFormat:
         diagonal = size * (_INCH_SMALL_MM if size <= _HALF_INCH else _INCH_LARGE_MM)
         height = diagonal / hypot(_ASPECT, 1)
         return SensorFormat(_fraction(inches), _ASPECT * height, height)
-    near = get_close_matches(plain, names, n=1)
-    advice = f". Did you mean '{names[near[0]]}'?" if near else f"; known: {', '.join(FORMATS)}"
+    near = nearest(plain, names)
+    advice = f". Did you mean '{names[near]}'?" if near else f"; known: {', '.join(FORMATS)}"
     raise InvalidInput(f"sensor format {text!r} is unknown{advice}")
 
 

@@ -7,13 +7,13 @@ Source: EMVA, Pixel Format Naming Convention 2.4; MIPI CSI-2; Linux kernel, Docu
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.parsing import nearest
 from camcal.raw.options import ALIGNS, ENDIANS, MONO
 from camcal.raw.packing import BLOCK_PIXELS, Packing, gige_vision, lsb_first, mipi, msb_first, unpack_rows
 
@@ -136,8 +136,8 @@ def pixel_format_named(name: str) -> PixelFormat:
 
 def _nearest(name: str) -> str:
     known = {other.casefold(): other for each in FORMATS for other in each.names}
-    near = get_close_matches(name.casefold(), known, n=1)
-    hint = f"did you mean {known[near[0]]}? " if near else ""
+    near = nearest(name.casefold(), known)
+    hint = f"did you mean {known[near]}? " if near else ""
     suffixes = "|".join(each.suffix for each in _FAMILIES if not each.suffix.startswith("RAW"))
     return f"{hint}there are Mono and BayerRG|GR|GB|BG with {suffixes}, and SRGGB10_CSI2P (12, 14) for MIPI"
 

@@ -8,7 +8,6 @@ Left and right images belong together by their names. Results go to a file or a 
 over an input or over what others wrote.
 """
 
-import difflib
 import glob
 import os
 import re
@@ -22,6 +21,7 @@ from pathlib import Path
 from camcal import files
 from camcal.errors import FileError, InvalidInput, in_one_line, reason
 from camcal.images.image import RAW_SUFFIXES
+from camcal.parsing import nearest
 
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".npy"
@@ -204,10 +204,10 @@ def _missing(path: Path) -> str:
     while not path.parent.is_dir() and path.parent != path:
         path = path.parent
     try:
-        near = difflib.get_close_matches(path.name, [other.name for other in path.parent.iterdir()], n=1)
+        near = nearest(path.name, (other.name for other in path.parent.iterdir()))
     except OSError:
-        near = []
-    return f"no such file. Did you mean '{path.parent / near[0]}'?" if near else "no such file"
+        near = None
+    return f"no such file. Did you mean '{path.parent / near}'?" if near else "no such file"
 
 
 def _natural_path(path: Path) -> tuple[object, ...]:

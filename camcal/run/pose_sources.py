@@ -22,9 +22,9 @@ from camcal.formats import frames, native, pose_text, trajectories
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
-from camcal.formats.schema import did_you_mean
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, NamedTransform, frames_of
+from camcal.parsing import did_you_mean
 from camcal.progress import Progress
 from camcal.run.paths import split_address
 

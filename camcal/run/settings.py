@@ -16,6 +16,7 @@ from camcal.errors import CamcalError, in_one_line
 from camcal.formats import strict_yaml
 from camcal.formats.strict_yaml import Fault
 from camcal.options import Declared, by_group
+from camcal.parsing import nearest
 
 Value = str | bool | list[str]
 
@@ -62,7 +63,7 @@ def _faults(data: Any, options: Mapping[str, bool]) -> Iterator[Fault]:
             continue
         name = key.replace("-", "_")
         if name not in options:
-            near = strict_yaml.nearest(name, options)
+            near = nearest(name, options)
             yield Fault(key, "unknown key." + (f" Did you mean {near.replace('_', '-')!r}?" if near else ""))
         elif name in seen:
             yield Fault(key, "given twice, once with - and once with _")

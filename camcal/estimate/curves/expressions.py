@@ -10,12 +10,12 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.parsing import did_you_mean
 
 CONSTANTS = {"pi": math.pi}
 _LONGEST = 2000
@@ -158,9 +158,8 @@ class Expression:
         """Raise InvalidInput about the first name that is not among those known; `what` says what those are."""
         for name, position in _named(self.tree):
             if name not in known:
-                likely = get_close_matches(name, known, n=1)
-                hint = f" Did you mean {likely[0]!r}?" if likely else ""
-                raise InvalidInput(f"{_place(self.text, position)}: unknown name {name!r}; {what}.{hint}")
+                hint = did_you_mean(name, known, otherwise=".")
+                raise InvalidInput(f"{_place(self.text, position)}: unknown name {name!r}; {what}{hint}")
 
 
 def parse(text: str) -> Expression:
@@ -212,9 +211,8 @@ def _parts(node: ast.expr, text: str) -> Sequence[ast.expr]:
 def _arguments(node: ast.Call, text: str) -> Sequence[ast.expr]:
     name = node.func.id if isinstance(node.func, ast.Name) else ""
     if name not in FUNCTIONS:
-        likely = get_close_matches(name, FUNCTIONS, n=1)
-        known = f"Did you mean {likely[0]!r}?" if likely else f"Known are {', '.join(sorted(FUNCTIONS))}."
-        what = f"unknown function {name!r}. {known}" if name else "only functions by name can be called"
+        known = did_you_mean(name, FUNCTIONS, f". Known are {', '.join(sorted(FUNCTIONS))}.")
+        what = f"unknown function {name!r}{known}" if name else "only functions by name can be called"
         raise InvalidInput(f"{_place(text, node.col_offset)}: {what}")
     if node.keywords or len(node.args) != 1 or isinstance(node.args[0], ast.Starred):
         raise InvalidInput(f"{_place(text, node.col_offset)}: {name} takes one value")

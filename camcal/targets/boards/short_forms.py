@@ -3,10 +3,10 @@
 import math
 import re
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from typing import Any
 
 from camcal.errors import InvalidInput
+from camcal.parsing import nearest
 from camcal.targets.boards.types import (
     APRILGRID,
     ASYMMETRIC_CIRCLES,
@@ -37,8 +37,8 @@ def fields_of(text: str) -> Fields:
     """Return the fields of the Board a short form stands for. Raises InvalidInput that names the part at fault."""
     kind, *parts = text.split(":")
     if kind not in FORMS:
-        if near := get_close_matches(kind, FORMS, n=1, cutoff=_LIKENESS):
-            raise _unlike(text, "did you mean", near[0])
+        if near := nearest(kind, FORMS, _LIKENESS):
+            raise _unlike(text, "did you mean", near)
         raise InvalidInput(f"board {text!r}: expected {'; '.join(FORMS.values())}; or a YAML file")
     if not parts:
         raise _unlike(text, "expected", kind)

@@ -6,13 +6,13 @@ to the images of the AprilTag project. Which corner is the top-left follows from
 
 import re
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.opencv import marker_dictionary
+from camcal.parsing import nearest
 from camcal.targets.markers.drawing import MarkerDrawing
 
 APRILTAGS = ("tag16h5", "tag25h9", "tag36h10", "tag36h11")
@@ -83,8 +83,8 @@ def family_named(name: str) -> Family:
     known = {family.lower(): family for family in FAMILIES}
     full = known.get(f"tag{name}".lower() if _SHORT.fullmatch(name) else name.lower())
     if full is None:
-        near = get_close_matches(name.lower(), list(known), n=1, cutoff=0.3)
-        advice = f"did you mean {known[near[0]]}?" if near else f"known are {', '.join(FAMILIES)}"
+        near = nearest(name.lower(), known, likeness=0.3)
+        advice = f"did you mean {known[near]}?" if near else f"known are {', '.join(FAMILIES)}"
         raise InvalidInput(f"marker family {name!r} is unknown; {advice}")
     turned = full in APRILTAGS
     dictionary = f"DICT_APRILTAG_{full.removeprefix('tag')}" if turned else full

@@ -12,7 +12,7 @@ from camcal.cameras.validity import field_of_view
 from camcal.errors import InvalidInput
 from camcal.formats import native, strict_yaml
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
-from camcal.formats.schema import did_you_mean
+from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
 from camcal.targets.surface import CLASSES, RATIOS, Surface
 from camcal.tasks.calibration.image_circle_of_views import circle_notes

@@ -17,9 +17,8 @@ from camcal.estimate.curves.families import FAMILIES, Family, family_named
 from camcal.estimate.curves.fit import compare, fit_curve, likelihood_intervals
 from camcal.estimate.curves.search import LARGEST, SearchOptions
 from camcal.formats import emit
-from camcal.formats.schema import did_you_mean
 from camcal.formats.tables import Table, read_measurements
-from camcal.parsing import parse_number
+from camcal.parsing import did_you_mean, parse_number
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import refuse_overwriting
 from camcal.solve.descent import Iteration

@@ -11,9 +11,9 @@ from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import native, strict_yaml, trajectories
 from camcal.formats.pose_text import form_of
-from camcal.formats.schema import did_you_mean
 from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
 from camcal.geometry.pose import NamedTransform, Trajectory, carried, frames_of, inverse_jacobian
+from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.paths import refuse_overwriting

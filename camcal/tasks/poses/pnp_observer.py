@@ -17,11 +17,11 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses, estimate_rig_poses
 from camcal.formats.camera_file import CameraFile, Noise
 from camcal.formats.poses.record import Sight
-from camcal.formats.schema import did_you_mean
 from camcal.geometry.pose import Pose
 from camcal.images.load import gray_8bit
 from camcal.images.save import save
 from camcal.images.video import frame_name, frames
+from camcal.parsing import did_you_mean
 from camcal.progress import Progress, values_of
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out

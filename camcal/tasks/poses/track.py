@@ -16,9 +16,9 @@ from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.estimate.tracking.view_track import track_views
 from camcal.formats import poses, trajectories
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
-from camcal.formats.schema import did_you_mean
 from camcal.formats.trajectories.tracked import SUFFIXES, TrackedObject, write_tracks
 from camcal.geometry.pose import Trajectory
+from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report import track_words
 from camcal.run.paths import Media, find_media, refuse_collisions, refuse_overwriting, require_there

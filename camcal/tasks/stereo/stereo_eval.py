@@ -16,9 +16,9 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity
 from camcal.formats.disparity import DisparityMap, maps_in
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.formats.schema import did_you_mean
 from camcal.images.load import load
 from camcal.images.save import save
+from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report.stereo_pictures import error_picture
 from camcal.run.fanout import fan_out
