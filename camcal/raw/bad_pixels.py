@@ -12,7 +12,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.load import load
 from camcal.images.npy import read_npy, write_npy
 from camcal.images.save import save
-from camcal.raw.dark_frame import stack
+from camcal.raw.calibration_frames import stack
 from camcal.raw.mosaic import cell_side, is_x_trans, phases
 from camcal.raw.options import MONO
 

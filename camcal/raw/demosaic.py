@@ -1,20 +1,25 @@
 """From one colour sample per pixel to three: every way there is, by its name.
 
 Colour comes back as (H, W, 3) in the order blue, green, red, as everywhere in this package.
+
+LibRaw's own filters are for whoever wants to compare or is used to their look. A mosaic reaches them as a digital
+negative in memory, so they work for bare mosaics and for camera files alike.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from math import inf, isfinite
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.raw import libraw, simple_filters
-from camcal.raw.malvar import malvar
-from camcal.raw.mosaic import cell_side, full_scale, is_x_trans
+from camcal.raw.dng import dng_bytes
+from camcal.raw.linear_filters import bilinear, edge_aware, green, half, malvar
+from camcal.raw.mosaic import Mosaic, cell_side, full_scale, is_x_trans
 from camcal.raw.options import AUTO, MONO
 from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
@@ -25,6 +30,10 @@ LIBRAW = "libraw:"
 NONE = "none"
 HALF = "half"
 GRAY = "gray"
+X_TRANS_NAME = "AHD"  # under this name LibRaw runs Markesteijn's filter on X-Trans
+
+_SATURATION = 65535
+_SMALLEST = {2: 22, 6: 512}  # by the side of the cell: LibRaw opens no smaller image, or cannot fill a tile of X-Trans
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def demosaic(
         return _by_libraw(job, algorithm.removeprefix(LIBRAW))
     if is_x_trans(pattern) and algorithm != NONE:
         raise InvalidInput(
-            f"{algorithm} is for Bayer sensors, this is X-Trans; use auto, {LIBRAW}{libraw.X_TRANS_NAME}, or none"
+            f"{algorithm} is for Bayer sensors, this is X-Trans; use auto, {LIBRAW}{X_TRANS_NAME}, or none"
         )
     return ALGORITHMS[algorithm].run(job)
 
@@ -86,7 +95,7 @@ def demosaic(
 def require_algorithm(algorithm: str) -> str:
     """Return the algorithm; raises InvalidInput, with what there is, unless it exists."""
     if algorithm.startswith(LIBRAW):
-        libraw.require_name(algorithm.removeprefix(LIBRAW))
+        require_libraw_filter(algorithm.removeprefix(LIBRAW))
     elif algorithm not in ALGORITHMS:
         names = ", ".join([*ALGORITHMS, f"{LIBRAW}NAME"])
         raise InvalidInput(f"algorithm {algorithm!r} does not exist; use one of {names}")
@@ -108,13 +117,13 @@ def resolved(algorithm: str, pattern: str) -> str:
         return algorithm
     if pattern == MONO:
         return NONE
-    return f"{LIBRAW}{libraw.X_TRANS_NAME}" if is_x_trans(pattern) else RI
+    return f"{LIBRAW}{X_TRANS_NAME}" if is_x_trans(pattern) else RI
 
 
 def _by_libraw(job: Job, name: str) -> Array:
     """Return the colour that LibRaw makes; it works on 16 bits, so that others are scaled there and back."""
     counts, scale = _sixteen_bits(job)
-    colour = libraw.demosaic_with_libraw(counts, job.pattern, name) / scale
+    colour = demosaic_with_libraw(counts, job.pattern, name) / scale
     return np.asarray((colour if job.values.dtype == np.float32 else np.rint(colour)).astype(job.values.dtype))
 
 
@@ -140,8 +149,8 @@ def _edge_aware(job: Job) -> Array:
     """Return OpenCV's edge-aware colour, which knows integers only."""
     if job.values.dtype == np.float32:
         counts, scale = _sixteen_bits(job)
-        return np.asarray(simple_filters.edge_aware(counts, job.pattern) / scale)
-    return _capped(simple_filters.edge_aware)(job)
+        return np.asarray(edge_aware(counts, job.pattern) / scale)
+    return _capped(edge_aware)(job)
 
 
 def _capped(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
@@ -163,15 +172,13 @@ ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
         "malvar": Algorithm(
             "linear 5 x 5 filters: fast", lambda job: malvar(job.values, job.pattern, job.white, each=job.each)
         ),
-        "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(simple_filters.bilinear)),
+        "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(bilinear)),
         "ea": Algorithm("OpenCV's edge-aware filter", _edge_aware),
         "vng": Algorithm(
             "variable number of gradients", lambda job: vng(job.values, job.pattern, job.white, each=job.each)
         ),
-        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(simple_filters.half)),
-        "green": Algorithm(
-            "one channel: green, its gaps filled; for calibration, whatever the lens", _capped(simple_filters.green)
-        ),
+        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(half)),
+        "green": Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _capped(green)),
         GRAY: Algorithm(
             "one channel: the balanced mosaic; for calibration, if the lens has no lateral colour",
             lambda job: job.values,
@@ -179,3 +186,74 @@ ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
         NONE: Algorithm("the mosaic itself", lambda job: job.values),
     }
 )
+
+
+def libraw_filters() -> list[str]:
+    """Return the names of the filters that the installed LibRaw has."""
+    import rawpy
+
+    return [algorithm.name for algorithm in rawpy.DemosaicAlgorithm if algorithm.isSupported]
+
+
+def require_libraw_filter(name: str) -> str:
+    """Return the name of a filter in capitals; raises InvalidInput unless the installed LibRaw has it."""
+    known = libraw_filters()
+    if name.upper() not in known:
+        raise InvalidInput(
+            f"LibRaw as installed has no filter {name!r} and would silently take AHD instead; use one of "
+            + ", ".join(known)
+        )
+    return name.upper()
+
+
+def demosaic_with_libraw(values: Array, pattern: str, name: str) -> Array:
+    """Return colour (H, W, 3) blue, green, red, uint16, made by a filter of LibRaw without any scaling.
+
+    values: (H, W) uint16 light, 0 at black and 65535 at saturation, white balance applied. They come back unchanged
+    where they were. The border is as LibRaw leaves it: in a corner without one of the colours that colour may be 0.
+    Raises InvalidInput for a filter that the installed LibRaw has not, for X-Trans with another than AHD, for MONO.
+    """
+    import rawpy
+
+    name = require_libraw_filter(name)
+    if pattern == MONO:
+        raise InvalidInput("a mosaic without colour filter needs no demosaicing")
+    if is_x_trans(pattern) and name != X_TRANS_NAME:
+        raise InvalidInput(f"LibRaw has one filter for X-Trans: use {X_TRANS_NAME}, it runs Markesteijn's there")
+    height, width = values.shape
+    side = cell_side(pattern)
+    frame = Mosaic(_enlarged(values, side), pattern, np.zeros((side, side)), _SATURATION)
+    with rawpy.imread(BytesIO(dng_bytes(frame))) as raw:
+        colour = raw.postprocess(_neutral(rawpy.DemosaicAlgorithm[name]))
+    return np.ascontiguousarray(colour[:height, :width, ::-1])
+
+
+def _enlarged(values: Array, side: int) -> Array:
+    """Return the mosaic, its last cell repeated beyond the right and lower edge as far as LibRaw's smallest image."""
+    smallest = _SMALLEST[side]
+    if min(values.shape) >= smallest:
+        return values
+    return values[np.ix_(*(_repeating(length, smallest, side) for length in values.shape))]
+
+
+def _repeating(length: int, smallest: int, side: int) -> Array:
+    places = np.arange(max(length, smallest))
+    return np.where(places < length, places, length - side + (places - length) % side)
+
+
+def _neutral(algorithm: Any) -> Any:
+    """Return LibRaw's settings under which it does nothing but demosaic."""
+    import rawpy
+
+    return rawpy.Params(
+        demosaic_algorithm=algorithm,
+        gamma=(1, 1),
+        no_auto_bright=True,
+        no_auto_scale=True,
+        output_color=rawpy.ColorSpace.raw,
+        user_wb=[1, 1, 1, 1],
+        output_bps=16,
+        user_flip=0,
+        user_black=0,
+        user_sat=_SATURATION,
+    )

@@ -16,7 +16,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
 from camcal.raw import bad_pixels
-from camcal.raw.balance import balance_in_place, found_gains
+from camcal.raw.colour import DTYPES, balance_in_place, encode, found_gains, quantise
 from camcal.raw.demosaic import GRAY, NONE, demosaic
 from camcal.raw.mosaic import Mosaic, full_scale, phases
 from camcal.raw.options import (
@@ -31,7 +31,6 @@ from camcal.raw.options import (
     Gains,
 )
 from camcal.raw.planes import Each, one_by_one
-from camcal.raw.tone import DTYPES, encode, quantise
 
 
 @dataclass(frozen=True, eq=False)

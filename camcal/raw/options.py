@@ -228,8 +228,8 @@ class Development(OptionsRecord):
     ] = None
 
     def __post_init__(self) -> None:
+        from camcal.raw.colour import require_tone
         from camcal.raw.demosaic import require_algorithm
-        from camcal.raw.tone import require_tone
 
         super().__post_init__()
         require_algorithm(self.algorithm)

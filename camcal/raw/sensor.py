@@ -12,9 +12,8 @@ from math import hypot, log10
 import numpy as np
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.emva import Figures, figures_of, together
+from camcal.raw.emva import Curve, Figure, Figures, figures_of, together, transfer_curve
 from camcal.raw.level import Level
-from camcal.raw.photon_transfer import Curve, Figure, transfer_curve
 
 __all__ = ["Characterisation", "Figure", "Figures", "characterise"]
 

@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.raw.linear_filters import by_opencv
 from camcal.raw.planes import HERE, Each, Plane, Tile, difference, one_by_one, plus_scaled, weighted
-from camcal.raw.scales import Counts
-from camcal.raw.simple_filters import by_opencv
-from camcal.raw.tiling import PLACES, Bayer, Missing, TiledMosaic
+from camcal.raw.tiling import PLACES, Bayer, Counts, Missing, TiledMosaic
 
 # OpenCV's two-letter names count from the second row and column.
 _EIGHT_BITS = {

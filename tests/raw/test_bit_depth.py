@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.raw.bit_depth import Widened, likely_white, used_counts, widened
+from camcal.raw.frame_facts import Widened, likely_white, used_counts, widened
 from camcal.raw.mosaic import Mosaic
 
 

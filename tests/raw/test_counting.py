@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InsufficientData
-from camcal.raw.counting import Counted, before_counting, counted
+from camcal.raw.level import Counted, before_counting, counted
 
 
 def measured(mean, std, spread, degrees=500_000):

@@ -6,11 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.balance import found_gains
+from camcal.raw.colour import encode, found_gains, quantise
 from camcal.raw.develop import Corrections, develop, linearise, negative
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.raw.options import MONO, PATTERNS, Balance, Development
-from camcal.raw.tone import encode, quantise
 
 
 def frame(light, pattern="RGGB", black=(64.0, 64.0, 64.0, 64.0), white=1023.0, camera_gains=None):

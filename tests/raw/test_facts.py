@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.raw.facts import BINS, channel_facts
+from camcal.raw.frame_facts import BINS, channel_facts
 from camcal.raw.mosaic import Mosaic
 
 X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.raw.flat_field import flat_gain
+from camcal.raw.calibration_frames import flat_gain
 from camcal.raw.mosaic import phases
 from camcal.raw.options import MONO
 

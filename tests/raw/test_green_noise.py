@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from bayer import random_mosaic, sampled, scene
 
-from camcal.raw.green_noise import noise_of_green
-from camcal.raw.residual import residual_interpolation
+from camcal.raw.residual import noise_of_green, residual_interpolation
 
 
 def greens(mosaic):

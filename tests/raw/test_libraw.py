@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.raw.demosaic import demosaic
-from camcal.raw.libraw import demosaic_with_libraw, names, require_name
+from camcal.raw.demosaic import demosaic, demosaic_with_libraw, libraw_filters, require_libraw_filter
 from camcal.raw.mosaic import sites
 from camcal.raw.options import PATTERNS
 
@@ -35,12 +34,12 @@ def assert_samples_unchanged(image, values, pattern):
 
 
 def test_the_names_are_those_that_work_and_no_others():
-    assert set(ALWAYS) <= set(names())
-    assert require_name("ahd") == "AHD"
+    assert set(ALWAYS) <= set(libraw_filters())
+    assert require_libraw_filter("ahd") == "AHD"
 
 
 def test_a_filter_that_libraw_would_replace_in_silence_is_refused():
-    missing = next(name for name in ("AMAZE", "LMMSE", "AFD") if name not in names())
+    missing = next(name for name in ("AMAZE", "LMMSE", "AFD") if name not in libraw_filters())
     with pytest.raises(InvalidInput, match=rf"'{missing}' and would silently take AHD.*LINEAR, VNG"):
         demosaic_with_libraw(noise((40, 40)), "RGGB", missing)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
+from camcal.raw.frame_facts import check_phase, green_diagonal
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import MONO, PATTERNS
-from camcal.raw.phase import check_phase, green_diagonal
 
 DARK = np.zeros((2, 2))
 HEIGHT, WIDTH = 240, 360

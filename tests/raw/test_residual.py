@@ -9,11 +9,10 @@ from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
 from camcal.raw import ri_green, ri_red_blue
 from camcal.raw.demosaic import demosaic
-from camcal.raw.green_noise import noise_of_green
 from camcal.raw.options import PATTERNS
 from camcal.raw.planes import one_by_one
-from camcal.raw.residual import residual_interpolation
-from camcal.raw.scales import scale_of
+from camcal.raw.residual import noise_of_green, residual_interpolation
+from camcal.raw.tiling import scale_of
 
 MARGIN = 64  # pixels; more than the filter reaches, and whole windows
 DIAGONALS = [[(1, 1), (-1, -1)], [(1, -1), (-1, 1)]]

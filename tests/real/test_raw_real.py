@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError
+from camcal.raw.demosaic import demosaic_with_libraw
 from camcal.raw.dng import write_dng
-from camcal.raw.facts import channel_facts
-from camcal.raw.libraw import demosaic_with_libraw
+from camcal.raw.frame_facts import channel_facts
 from camcal.raw.mosaic import sites
 from camcal.raw.reading import read_camera_raw
 

@@ -14,12 +14,12 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.images.image import RAW_SUFFIXES, Image
 from camcal.images.load import gray_8bit, gray_levels, load
-from camcal.raw.balance import balance_in_place
+from camcal.raw.colour import balance_in_place
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
+from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
 from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, PATTERNS, Gains
-from camcal.raw.phase import check_phase
 from camcal.raw.reading import read_mosaic
 from camcal.targets.board import Board, Detection
 from camcal.targets.corners.measure import measure

@@ -22,10 +22,11 @@ from camcal.images.image import Image
 from camcal.images.save import KINDS, save
 from camcal.options import NUMBERS, declared
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.raw.bit_depth import likely_white
+from camcal.raw.colour import DTYPES
 from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
+from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import (
     BARE_SUFFIXES,
@@ -36,10 +37,8 @@ from camcal.raw.options import (
     Balance,
     Development,
 )
-from camcal.raw.phase import check_phase, green_diagonal
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
-from camcal.raw.tone import DTYPES
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.paths import find_images, place, record_outputs, recorded, refuse_overwriting
 from camcal.tasks.raw.options import DemosaicOptions

@@ -9,7 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.images.image import RAW_SUFFIXES
-from camcal.raw.facts import BINS, ChannelFacts, channel_facts
+from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import Fit, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES

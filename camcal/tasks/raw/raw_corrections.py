@@ -13,7 +13,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.progress import SILENT, Progress
-from camcal.raw import bad_pixels, dark_frame, flat_field
+from camcal.raw import bad_pixels
+from camcal.raw.calibration_frames import dark_average, flat_gain, stack
 from camcal.raw.develop import NO_CORRECTIONS, Corrections, linearise
 from camcal.raw.mosaic import Mosaic, channel_names
 from camcal.raw.options import HEADERLESS_SUFFIXES, MONO
@@ -55,13 +56,13 @@ def load_corrections(given: CorrectionFiles, reading: RawInput, first: Path) -> 
     if given == NO_FILES:
         return NO_CORRECTIONS
     like = read_frame(first, reading)
-    dark = dark_frame.average(frames(given.dark, reading), like.white) if given.dark else None
+    dark = dark_average(frames(given.dark, reading), like.white) if given.dark else None
     corrections = Corrections(dark=dark, bad=bad_pixels.read_map(given.bad, like.size) if given.bad else None)
     if given.flat:
-        flat = dark_frame.stack(frames(given.flat, reading)).mean
+        flat = stack(frames(given.flat, reading)).mean
         corrections.require_size(like)
         light = linearise(replace(like, values=flat), dark)
-        corrections = replace(corrections, flat=flat_field.flat_gain(light, like.pattern))
+        corrections = replace(corrections, flat=flat_gain(light, like.pattern))
     corrections.require_size(like)
     return corrections
 

@@ -16,12 +16,10 @@ from camcal.formats import emit, provenance
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, values_of
-from camcal.raw import bit_depth
-from camcal.raw.bit_depth import Widened
-from camcal.raw.emva import Figures
+from camcal.raw.emva import Curve, Figure, Figures
+from camcal.raw.frame_facts import Widened, likely_white, used_counts, widened
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.photon_transfer import Curve, Figure
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report import figures
 from camcal.run.fanout import fan_out
@@ -130,13 +128,11 @@ def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progres
     """Return how the counts of the frames became 16 bits, by one frame of each level; None if they did not."""
     work = partial(_used_counts, reading=options.reading)
     paths = [one.paths[0] for one in sets]
-    return bit_depth.widened(
-        values_of(fan_out(work, paths, jobs=options.jobs, what="looking at counts", progress=progress))
-    )
+    return widened(values_of(fan_out(work, paths, jobs=options.jobs, what="looking at counts", progress=progress)))
 
 
 def _used_counts(path: Path, reading: RawInput) -> Array:
-    return bit_depth.used_counts(read_frame(path, reading))
+    return used_counts(read_frame(path, reading))
 
 
 def _levels(
@@ -172,7 +168,7 @@ def _counts_warnings(found: Characterisation, spread: Widened | None, options: S
             f"the counts are those of {spread.bits} bits times {spread.step:g}; all figures are in the sensor's own "
             f"counts, 0 to {spread.white:g}"
         )
-    likely = None if options.white is not None else bit_depth.likely_white(found.peak, found.white)
+    likely = None if options.white is not None else likely_white(found.peak, found.white)
     # Pixels that are full before the counts end need no white level.
     if likely is not None and (found.saturation != FULL_WELL or found.peak == likely):
         yield f"no count above {found.peak:g} of {found.white:g}; is it --white {likely:g}?"

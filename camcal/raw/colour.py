@@ -1,14 +1,29 @@
-"""White balance: the gains that make gray things gray, found on the mosaic before any colour is made."""
+"""White balance, tone curve and depth: what stands before and after the making of colour.
+
+The gains that make gray things gray are found on the mosaic, before any colour is made.
+"""
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.mosaic import by_place, cell_side, sites
-from camcal.raw.options import CAMERA, GRAY_WORLD, NO_BALANCE, PATCH, Balance, Gains
+from camcal.raw.mosaic import by_place, cell_side, full_scale, sites
+from camcal.raw.options import CAMERA, DEPTHS, GRAY_WORLD, LINEAR, NO_BALANCE, PATCH, Balance, Gains
+from camcal.raw.planes import rounded
+
+TONES = (LINEAR, "srgb", "bt709")
+DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
+    dict(zip(DEPTHS, map(np.dtype, (np.uint8, np.uint16, np.float32)), strict=True))
+)
 
 _CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour of the light
 _ENOUGH = 1 << 20  # samples that a mean is taken from
+_POWER = re.compile(r"power:([0-9]+(?:\.[0-9]*)?|\.[0-9]+)$")
 
 
 def found_gains(balance: Balance, light: Array, pattern: str, camera_gains: Array | None) -> Gains | None:
@@ -69,3 +84,39 @@ def balance_in_place(light: Array, pattern: str, gains: Gains) -> None:
     for colour, gain in zip("RGB", gains, strict=True):
         for site in sites(pattern, colour):
             light[site] *= np.float32(gain)
+
+
+def require_tone(tone: str) -> str:
+    """Return the tone; raises InvalidInput unless it is one of TONES or power:GAMMA."""
+    if tone not in TONES:
+        _gamma(tone)
+    return tone
+
+
+def encode(light: Array, tone: str) -> Array:
+    """Return the light, clipped to 0 … 1, behind a tone curve; linear light stays as it is.
+
+    Source: IEC 61966-2-1 (srgb), Rec. ITU-R BT.709-6 item 1.2 (bt709); power:γ is v^(1/γ).
+    """
+    if tone == LINEAR:
+        return light
+    light = np.clip(light, 0, 1)
+    if tone == "srgb":
+        return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - 0.055)
+    if tone == "bt709":
+        return np.where(light < 0.018, 4.5 * light, 1.099 * light ** np.float32(0.45) - 0.099)
+    return np.asarray(light ** np.float32(1 / _gamma(tone)))
+
+
+def quantise(values: Array, depth: np.dtype[Any]) -> Array:
+    """Return values in another type: floating point as they are, 0 … 1 rounded on the full scale of integers."""
+    if np.issubdtype(depth, np.floating):
+        return values
+    return rounded(values, full_scale(depth), depth)
+
+
+def _gamma(tone: str) -> float:
+    match = _POWER.match(tone)
+    if match is None or not float(match[1]) > 0:
+        raise InvalidInput(f"tone {tone!r} is unknown; use {', '.join(TONES)} or power:GAMMA")
+    return float(match[1])

@@ -1,21 +1,35 @@
-"""Where the green samples stand, told by the frame itself.
+"""What a raw frame says of itself: its exposure channel by channel, the bits of its counts, where its greens stand.
 
-Both greens of a Bayer cell see the same light, so on the right diagonal of the cell the two samples agree, and on the
-other one red meets blue. Red and blue cannot be told apart this way.
+Counts give away the bits they have where a file or an option says more. Both greens of a Bayer cell see the same light,
+so on the right diagonal of the cell the two samples agree, and on the other one red meets blue. Red and blue cannot be
+told apart this way.
 
 The samples are averaged over blocks, and what counts is how the differences of neighbouring blocks agree: colour
 reaches over neighbours, noise does not. Their mean product therefore estimates the square of the difference without
 the bias that noise gives to its magnitude.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.raw.mosaic import Mosaic
+from camcal.raw.mosaic import Mosaic, channel_names, phases
 from camcal.raw.options import PATTERNS
+
+BINS = 64
+
+_ORDER = ("R", "G", "Gr", "Gb", "B", "gray")
+_CONTAINERS = frozenset({1023.0, 4095.0, 16383.0, 65535.0})  # white levels that say the type and nothing of the sensor
+_SPARE = 4  # times the largest count: two bits that are never used
+_FEWEST_BITS = 8
+_WIDE = 65535
+_NARROWER = (10, 12, 14)
+_FEWEST_COUNTS = 8  # different ones, on a grid that chance does not make
+_COARSE = 16  # a step whose multiples may be off by one: some writers fill the low bits
 
 _BLOCK = 12  # pixels
 _MOST_BLOCKS = 1 << 14  # 2.4 megapixels: more of them change nothing
@@ -25,6 +39,107 @@ _DISTINCT = 2.0  # photographs have 7 and more
 _SIGNIFICANT = 8.0  # standard errors
 _NEGLIGIBLE = 1e-3  # of the sum: what rounding and gradients leave between samples that agree
 _DARK = 0.1  # of the mean light: below it a relative difference is mostly noise
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelFacts:
+    """The samples of one channel: R, Gr (in the rows of red), Gb, B; R, G, B of X-Trans; or gray.
+
+    mean, least, most: counts, black level included. at_black, at_white: shares of the samples at or below the black
+    level, and at or above the white level. histogram: (64,) samples in bins of equal width from 0 to the white level;
+    those outside count in the first and the last.
+    """
+
+    name: str
+    samples: int
+    mean: float
+    least: float
+    most: float
+    at_black: float
+    at_white: float
+    histogram: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "histogram", readonly(self.histogram, (BINS,), "histogram", np.int64))
+
+
+def channel_facts(frame: Mosaic) -> tuple[ChannelFacts, ...]:
+    """Return the facts of every channel, in the order R, Gr, Gb, B (or R, G, B, or gray)."""
+    places = phases(frame.pattern)
+    names = channel_names(frame.pattern)
+    by_name = {name: [place for place, own in zip(places, names, strict=True) if own == name] for name in names}
+    return tuple(_facts(frame, name, by_name[name]) for name in sorted(by_name, key=_ORDER.index))
+
+
+def _facts(frame: Mosaic, name: str, places: Sequence[tuple[slice, slice]]) -> ChannelFacts:
+    parts = [frame.values[place] for place in places]
+    samples = sum(part.size for part in parts)
+    dark = sum(np.count_nonzero(frame.values[row, column] <= _black(frame, row, column)) for row, column in places)
+    bright = sum(np.count_nonzero(part >= frame.white) for part in parts)
+    return ChannelFacts(
+        name=name,
+        samples=samples,
+        mean=float(sum(part.sum(dtype=float) for part in parts)) / samples,
+        least=float(min(part.min() for part in parts)),
+        most=float(max(part.max() for part in parts)),
+        at_black=float(dark) / samples,
+        at_white=float(bright) / samples,
+        histogram=np.sum([_histogram(part, frame.white) for part in parts], axis=0),
+    )
+
+
+def _black(frame: Mosaic, row: slice, column: slice) -> float:
+    return float(frame.black[row.start, column.start])
+
+
+def _histogram(samples: Array, white: float) -> Array:
+    bins = np.multiply(samples, np.float32(BINS / white), dtype=np.float32)
+    return np.bincount(np.clip(bins, 0, BINS - 1).astype(np.uint8).ravel(), minlength=BINS)
+
+
+class Widened(NamedTuple):
+    """Counts of fewer bits that were spread over 16: the bits, and the distance of two of them in the file."""
+
+    bits: int
+    step: float
+
+    @property
+    def white(self) -> float:
+        """The largest count of so many bits."""
+        return 2.0**self.bits - 1
+
+
+def likely_white(peak: float, white: float) -> float | None:
+    """Return the white level of so many bits as the largest count takes, None if the stated one may well be right.
+
+    white: counts at saturation as a container of 10 to 16 bits has them; two bits of it are not used.
+    """
+    if white not in _CONTAINERS or not 0 < peak < (white + 1) / _SPARE:
+        return None
+    return 2.0 ** max(_FEWEST_BITS, int(peak).bit_length()) - 1
+
+
+def used_counts(frame: Mosaic) -> Array:
+    """Return which of 65536 counts a frame holds, bool; none of them unless its counts are said to have 16 bits."""
+    if frame.values.dtype != np.uint16 or frame.white != _WIDE:
+        return np.zeros(_WIDE + 1, bool)
+    return np.bincount(frame.values.ravel(), minlength=_WIDE + 1) > 0
+
+
+def widened(used: Iterable[Array]) -> Widened | None:
+    """Return how counts of fewer bits became 16, by the counts that frames use; None if they did not.
+
+    They were shifted (12 bits times 16) or scaled to the full range (times 65535 / 4095).
+    """
+    counts = np.flatnonzero(np.any(list(used), axis=0))
+    if len(counts) < _FEWEST_COUNTS:
+        return None
+    for bits in _NARROWER:
+        for step in (2.0 ** (16 - bits), _WIDE / (2.0**bits - 1)):
+            off = np.abs(counts - np.rint(np.rint(counts / step) * step))
+            if off.max() <= (1 if step >= _COARSE else 0):
+                return Widened(bits, step)
+    return None
 
 
 @dataclass(frozen=True)
