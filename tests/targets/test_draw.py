@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.printing.draw import Sheet, page_of
-from camcal.targets.printing.footer import Footer
+from camcal.targets.printing.draw import Footer, Sheet, page_of
 from camcal.targets.printing.ink import ink_of
-from camcal.targets.printing.paper import PAPERS, paper_named
+from camcal.targets.printing.page import PAPERS, paper_named
 
 FOOTER = Footer("A title", "and small print that is a little longer", ruler=True)
 BOARDS = (

@@ -9,8 +9,8 @@ import pytest
 from printed import BOARDS, DPI, FOOTER, decoded, page_with, rasterised
 
 from camcal.targets.printing.page import Page, rectangle
-from camcal.targets.printing.pdf import pdf
 from camcal.targets.printing.png import png
+from camcal.targets.printing.vector import pdf
 
 PAGE = page_with("chessboard:9x6:25mm")
 

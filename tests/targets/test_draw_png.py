@@ -13,8 +13,7 @@ from camcal.errors import InvalidInput
 from camcal.targets.board import parse_board
 from camcal.targets.printing.draw import require_fine
 from camcal.targets.printing.ink import ink_of
-from camcal.targets.printing.page import Page, Text, rectangle
-from camcal.targets.printing.paper import paper_named
+from camcal.targets.printing.page import Page, Text, paper_named, rectangle
 from camcal.targets.printing.png import dots_per_mm, png, size_in_pixels
 
 NO_DISCS = np.zeros((0, 4))

@@ -8,7 +8,7 @@ import pytest
 from printed import BOARDS, FOOTER, page_with
 
 from camcal.targets.printing.page import Page, rectangle
-from camcal.targets.printing.svg import svg
+from camcal.targets.printing.vector import svg
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
 

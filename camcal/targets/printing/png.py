@@ -10,8 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.targets.printing.page import Page, Text
-from camcal.targets.printing.paper import MM_PER_INCH
+from camcal.targets.printing.page import MM_PER_INCH, Page, Text
 
 MAX_PIXELS = 400_000_000
 

@@ -11,11 +11,9 @@ from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import refuse_overwriting
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
-from camcal.targets.printing.draw import Sheet, encoded, page_of, require_fine
-from camcal.targets.printing.footer import RULER_MM, Footer
+from camcal.targets.printing.draw import RULER_MM, Footer, Sheet, encoded, page_of, require_fine
 from camcal.targets.printing.ink import MM, Ink, ink_of
-from camcal.targets.printing.page import Page
-from camcal.targets.printing.paper import Paper, paper_named
+from camcal.targets.printing.page import Page, Paper, paper_named
 from camcal.targets.printing.png import size_in_pixels
 from camcal.tasks.calibration.options import SheetOptions
 

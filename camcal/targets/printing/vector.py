@@ -1,15 +1,16 @@
-"""A page as a PDF file: one page, filled paths and Helvetica, nothing else; the same page gives the same bytes."""
+"""A page as a PDF or an SVG file: filled paths and Helvetica, nothing else; the same page gives the same bytes."""
 
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from xml.sax.saxutils import escape
 
 from camcal.arrays import Array
-from camcal.targets.printing.page import Page, Text
-from camcal.targets.printing.paper import POINTS_PER_MM
+from camcal.targets.printing.page import POINTS_PER_MM, Page, Text
 
 _EIGHTH = math.pi / 8  # half of an arc
 _REACH = 4 / 3 * math.tan(_EIGHTH / 2)  # of a Bézier curve's handles; eight arcs are round to 5e-6 of the radius
+_SVG_INKS = {0.0: "#000", 1.0: "#fff"}
 
 
 def pdf(page: Page, created: str | None = None) -> bytes:
@@ -99,3 +100,44 @@ def _number(value: float) -> str:
 def _text(words: str) -> str:
     escaped = words.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
     return f"({escaped})"
+
+
+def svg(page: Page) -> str:
+    """Return the text of an SVG 1.1 file whose user unit is the millimetre."""
+    return "".join(f"{line}\n" for line in _svg_lines(page))
+
+
+def _svg_lines(page: Page) -> Iterator[str]:
+    width, height = (_millimetres(side) for side in page.size)
+    yield (
+        f'<svg xmlns="http://www.w3.org/2000/svg" version="1.1" width="{width}mm" height="{height}mm" '
+        f'viewBox="0 0 {width} {height}">'
+    )
+    yield f"<title>{escape(page.title)}</title>"
+    yield f'<rect width="{width}" height="{height}" fill="#fff"/>'
+    if page.outlines:
+        yield f'<path fill="#000" d="{" ".join(map(_svg_path, page.outlines))}"/>'
+    for x, y, radius, ink in page.discs:
+        yield f'<circle cx="{_millimetres(x)}" cy="{_millimetres(y)}" r="{_millimetres(radius)}" fill="{_SVG_INKS[ink]}"/>'
+    yield from map(_svg_text, page.texts)
+    yield "</svg>"
+
+
+def _svg_path(outline: Array) -> str:
+    places = " ".join(f"{_millimetres(x)},{_millimetres(y)}" for x, y in outline)
+    return f"M{places}Z"
+
+
+def _svg_text(text: Text) -> str:
+    """Return a line of text; whatever font stands in for Helvetica is set in Helvetica's width."""
+    x, y, size, width = map(_millimetres, (text.x, text.y, text.size, text.width))
+    return (
+        f'<text x="{x}" y="{y}" font-family="Helvetica, Arial, sans-serif" '
+        f'font-size="{size}" textLength="{width}" lengthAdjust="spacingAndGlyphs">'
+        f"{escape(text.words)}</text>"
+    )
+
+
+def _millimetres(value: float) -> str:
+    """Return a number of millimetres to 10 nm."""
+    return f"{value + 0.0:.5f}".rstrip("0").rstrip(".")
