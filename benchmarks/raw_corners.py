@@ -24,7 +24,7 @@ import numpy as np
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.images.load import gray_8bit
-from camcal.raw.balance import balance_in_place
+from camcal.raw.colour import balance_in_place
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import Mosaic

@@ -10,7 +10,7 @@ from camcal.targets.printing.page import POINTS_PER_MM, Page, Text
 
 _EIGHTH = math.pi / 8  # half of an arc
 _REACH = 4 / 3 * math.tan(_EIGHTH / 2)  # of a Bézier curve's handles; eight arcs are round to 5e-6 of the radius
-_SVG_INKS = {0.0: "#000", 1.0: "#fff"}
+_INKS = {0.0: "#000", 1.0: "#fff"}
 
 
 def pdf(page: Page, created: str | None = None) -> bytes:
@@ -118,7 +118,7 @@ def _svg_lines(page: Page) -> Iterator[str]:
     if page.outlines:
         yield f'<path fill="#000" d="{" ".join(map(_svg_path, page.outlines))}"/>'
     for x, y, radius, ink in page.discs:
-        yield f'<circle cx="{_millimetres(x)}" cy="{_millimetres(y)}" r="{_millimetres(radius)}" fill="{_SVG_INKS[ink]}"/>'
+        yield f'<circle cx="{_millimetres(x)}" cy="{_millimetres(y)}" r="{_millimetres(radius)}" fill="{_INKS[ink]}"/>'
     yield from map(_svg_text, page.texts)
     yield "</svg>"
 
