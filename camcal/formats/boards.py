@@ -21,9 +21,9 @@ import numpy as np
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats import emit, kalibr_target, strict_yaml
+from camcal.formats import documents, emit, kalibr_target
+from camcal.formats.documents import Check, Fault
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text
-from camcal.formats.strict_yaml import Check, Fault
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board, parse_board
 from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
 from camcal.targets.boards.types import BOARD_TYPES, METRES, TAG_FAMILY
@@ -39,7 +39,7 @@ def read(path: Path) -> Board:
 
     Raises InvalidInput with a line for every fault, FileError if the file cannot be read.
     """
-    data = strict_yaml.load(path, _check_file).data
+    data = documents.load(path, _check_file).data
     return kalibr_target.board_of(data) if kalibr_target.KEY in data else from_block(data)
 
 

@@ -14,7 +14,7 @@ same names, a mapping for each point:
       - {image: a.png, id: 0, X: 0.0, Y: 0.0, Z: 0.0, u: 101.25, v: 88.5}
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,8 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
-from camcal.formats import strict_json, strict_yaml
+from camcal.formats.documents import Document, Fault, child, load_either
 from camcal.formats.schema import mapping
-from camcal.formats.strict_yaml import Document, Fault, child
 from camcal.formats.tables import Table, numbered_lines
 
 COLUMNS = ("X", "Y", "Z", "u", "v")
@@ -85,11 +84,8 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
 
 def _table(path: Path) -> Table:
     suffix = path.suffix.lower()
-    if suffix in JSON:
-        return _of_document(strict_json.load(path, _check), "points[{}]".format)
-    if suffix in YAML:
-        document = strict_yaml.load(path, _check, _MAX_VALUES)
-        return _of_document(document, lambda index: document.line(f"points[{index}]"))
+    if suffix in (*JSON, *YAML):
+        return _of_document(load_either(path, _check, _MAX_VALUES))
     return Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)
 
 
@@ -117,11 +113,12 @@ def _scalar(value: Any, path: str) -> Iterator[Fault]:
         yield Fault(path, "is neither a number nor a text")
 
 
-def _of_document(document: Document, line: Callable[[int], int | str]) -> Table:
+def _of_document(document: Document) -> Table:
     points = document["points"]
     names = list(points[0]) if points else list(COLUMNS)
     rows = [[str(point[name]) for name in names] for point in points]
-    return Table.of_rows(document.where, names, rows, [line(index) for index in range(len(points))])
+    places = (f"points[{index}]" for index in range(len(points)))
+    return Table.of_rows(document.where, names, rows, [document.line(at) if document.lines else at for at in places])
 
 
 def _weighty(table: Table) -> Table:

@@ -7,12 +7,13 @@
       - [0.1602, 0.16]
 
 A matrix of more than 100 names stands in an .npz beside the file instead, under covariance_file, whose name carries
-the hash of the numbers.
+the hash of the numbers. How the numbers of a pose and of its covariance are called and ordered in files is here too.
 """
 
 import hashlib
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
+from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import items, mapping, matrix, number, text
-from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.images.npy import arrays_of
 from camcal.parsing import did_you_mean
 
@@ -31,6 +32,11 @@ STD_AGREEMENT = 0.01  # std and the matrix are two views of one number; a hand-e
 LARGEST_VARIANCE = 1e100  # and the inverse of the smallest; squares of what lies beyond are no numbers
 NEGATIVE = -1e-9  # smallest eigenvalue of the correlations: rounding to 12 digits moves it by 1e-12 · size
 
+POSITION = ("tx", "ty", "tz")
+QUATERNION = ("qw", "qx", "qy", "qz")  # a bare y is a truth value to YAML 1.1
+ORDER = (*POSITION, "rx", "ry", "rz")  # of the covariance of a pose
+STEPS = "R <- Exp(dr) R, t <- t + dt"
+PAIRS = tuple(combinations_with_replacement(range(len(ORDER)), 2))  # of its upper triangle, row by row
 KEYS: Mapping[str, Check] = {
     "std": mapping({}, others=number(0)),
     "covariance_order": items(text),
@@ -159,3 +165,16 @@ def _write_beside(beside: Path, covariance: Array) -> str:
 
 def _digest(covariance: Array) -> str:
     return hashlib.sha256(covariance.astype("<f8").tobytes()).hexdigest()[:16]
+
+
+def names_of_pairs(start: str) -> tuple[str, ...]:
+    """Return the names of the upper triangle of a pose's covariance in tables, such as cov_tx_ty."""
+    return tuple(f"{start}_{ORDER[i]}_{ORDER[j]}" for i, j in PAIRS)
+
+
+def from_upper(upper: Array) -> Array:
+    """Return symmetric matrices (N, 6, 6) of their upper triangles (N, 21), row by row."""
+    result = np.empty((len(upper), len(ORDER), len(ORDER)))
+    for column, (i, j) in enumerate(PAIRS):
+        result[:, i, j] = result[:, j, i] = upper[:, column]
+    return result

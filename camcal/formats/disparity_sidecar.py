@@ -13,10 +13,9 @@ from typing import Any
 from camcal import files
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.formats import strict_json
+from camcal.formats.documents import Fault, parse_json
 from camcal.formats.emit import rounded
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
-from camcal.formats.strict_yaml import Fault
 from camcal.stereo.geometry import StereoGeometry
 
 SCHEMA = "camcal/disparity/1"
@@ -96,7 +95,7 @@ def read(disparity: Path) -> Sidecar | None:
     path = path_beside(disparity)
     if not path.exists():
         return None
-    data = strict_json.parse(files.read_text(path, _LIMIT), str(path))
+    data = parse_json(files.read_text(path, _LIMIT), str(path))
     faults = list(_CHECK(data, "")) if isinstance(data, dict) else [Fault("", "holds no JSON object")]
     if faults:
         lines = [f"{fault.path}: {fault.text}" if fault.path else fault.text for fault in faults]

@@ -4,8 +4,10 @@ OpenCV reads less than YAML: no empty values, no quoted keys, no comment after a
 more, nested lists only indented. Numbers have 12 significant digits and a dot, since YAML 1.1 takes 1e-05 for text.
 """
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from camcal.errors import InvalidInput
@@ -28,6 +30,16 @@ def document(data: Mapping[str, Any], comment: str = "") -> str:
     """
     remarks = "".join(f"# {line}\n" for line in comment.splitlines())
     return HEADER + remarks + "".join(f"{line}\n" for line in _block(data, ""))
+
+
+def text_for(path: Path, data: Mapping[str, Any], comment: str = "") -> str:
+    """Return the text of a file that holds `data`: JSON where the suffix says so, otherwise YAML below a comment."""
+    return json_text(data) if path.suffix.lower() == ".json" else document(data, comment)
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """Return the text of a JSON file that holds `data`, numbers at 12 significant digits."""
+    return json.dumps(rounded(data), indent=1, ensure_ascii=False) + "\n"
 
 
 def number_text(value: float) -> str:

@@ -9,7 +9,6 @@ The rotation is one of R, quaternion, rotation_vector (rad), rotation_vector_deg
 translation too. Unlike in a camera file, transforms may form loops.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +19,13 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import emit, native, poses, strict_json, strict_yaml
-from camcal.formats.covariance import why_no_covariance
+from camcal.formats import emit, native, poses
+from camcal.formats.covariance import QUATERNION, why_no_covariance
+from camcal.formats.documents import Check, Document, Fault, child, load_either
 from camcal.formats.native_transforms import check_name
 from camcal.formats.pose_text import LARGEST, Form, LoosePose, form_named
 from camcal.formats.poses import plain as plain_poses
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
-from camcal.formats.strict_yaml import Check, Document, Fault, child
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import NamedTransform, Pose, frames_of
 
@@ -36,7 +35,7 @@ SUFFIXES = (".yaml", ".yml", ".json")
 LARGEST_STD = 1e50  # m, rad; its square is still a number
 COMMENT = "camcal frames. Lengths: metres; angles: radians. a_T_b takes points in b to points in a."
 
-_QUATERNIONS = (("qw", "qx", "qy", "qz"), ("w", "x", "y", "z"))  # a bare y is a truth value to YAML 1.1
+_QUATERNIONS = (QUATERNION, ("w", "x", "y", "z"))
 _EULER = mapping({"axes": text}, {"deg": items(number(), 3), "rad": items(number(), 3)})
 _ROTATIONS: Mapping[str, Check] = {
     "R": matrix(3, 3),
@@ -83,7 +82,7 @@ def read(path: Path) -> tuple[NamedTransform, ...]:
     """
     if path.suffix.lower() == ".csv":
         return _of_poses(path)
-    document = _load(path)
+    document = load_either(path)
     match document.get("format"):
         case native.FORMAT:
             block = native.read(path).transforms
@@ -101,7 +100,7 @@ def read_loose(path: Path) -> tuple[LooseTransform, ...]:
 
     Raises as `read` does, but for rotations; those of a pose file are rotations or it is refused.
     """
-    document = None if path.suffix.lower() == ".csv" else _load(path)
+    document = None if path.suffix.lower() == ".csv" else load_either(path)
     if document is None or document.get("format") == plain_poses.FORMAT:
         return tuple(map(LooseTransform.of, _of_poses(path)))
     return _own(document)
@@ -116,10 +115,6 @@ def _of_poses(path: Path) -> tuple[NamedTransform, ...]:
         NamedTransform(target, source, record.transform, record.covariance, f"{path}#{sight}")
         for sight, record in found.estimates.items()
     )
-
-
-def _load(path: Path) -> Document:
-    return strict_json.load(path) if path.suffix.lower() == ".json" else strict_yaml.load(path)
 
 
 def _own(document: Document) -> tuple[LooseTransform, ...]:
@@ -231,10 +226,7 @@ def write(path: Path, transforms: Sequence[NamedTransform], form: Form | None = 
     if len(set(names)) < len(names):
         raise InvalidInput(f"two transforms are named {max(names, key=names.count)!r}", where=str(path))
     data = {"format": FORMAT, "version": VERSION, "transforms": {item.name: block(item, form) for item in transforms}}
-    if path.suffix.lower() == ".json":
-        files.write_text(path, json.dumps(emit.rounded(data), indent=1) + "\n")
-    else:
-        files.write_text(path, emit.document(data, COMMENT))
+    files.write_text(path, emit.text_for(path, data, COMMENT))
 
 
 def block(transform: NamedTransform, form: Form | None = None) -> dict[str, Any]:

@@ -17,15 +17,15 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InvalidInput
-from camcal.formats import covariance, emit, native_entry, native_transforms, provenance, strict_yaml
+from camcal.formats import covariance, documents, emit, native_entry, native_transforms, provenance
 from camcal.formats.camera_file import (
     CameraEntry,
     CameraFile,
     JointCovariance,
 )
+from camcal.formats.documents import Fault, child
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
 from camcal.formats.schema import VENDOR, flag, integer, mapping, number, plain, text
-from camcal.formats.strict_yaml import Fault, child
 from camcal.parsing import did_you_mean
 
 FORMAT = "camcal-calibration"
@@ -60,10 +60,10 @@ def read(path: Path) -> CameraFile:
 
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is no YAML.
     """
-    return from_document(strict_yaml.load(path, check), path.parent)
+    return from_document(documents.load(path, check), path.parent)
 
 
-def from_document(document: strict_yaml.Document, folder: Path) -> CameraFile:
+def from_document(document: documents.Document, folder: Path) -> CameraFile:
     """Return the camera file of a document that has passed `check`; folder: where the file lies."""
     cameras: dict[str, CameraEntry] = {}
     findings: list[Fault] = []
@@ -110,7 +110,7 @@ def write(path: Path, file: CameraFile) -> None:
     data = _plain(_block(file, path))
     comment = COMMENT + TRANSFORMS if file.transforms else COMMENT
     content = emit.document(data, comment)
-    strict_yaml.parse(content, str(path), check)
+    documents.parse(content, str(path), check)
     files.write_text(path, content)
 
 
@@ -150,7 +150,7 @@ def _joint_names(cameras: Mapping[str, Any], transforms: Mapping[str, Any]) -> I
         model = data.get("model") if isinstance(data, dict) else None
         parameters = MODELS[model].parameter_names if isinstance(model, str) and model in MODELS else ()
         yield from (f"{name}.{parameter}" for parameter in parameters)
-    yield from (f"{name}.{step}" for name in transforms for step in native_transforms.STEP)
+    yield from (f"{name}.{step}" for name in transforms for step in covariance.ORDER)
 
 
 def _read_joint(data: Mapping[str, Any] | None, folder: Path) -> JointCovariance | None:

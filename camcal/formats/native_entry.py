@@ -35,8 +35,8 @@ from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
+from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text
-from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.parsing import did_you_mean, nearest
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 

@@ -20,13 +20,12 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.formats.camera_file import Transform
 from camcal.formats.covariance import why_no_covariance
+from camcal.formats.documents import Fault, child
 from camcal.formats.schema import items, mapping, matrix, number
-from camcal.formats.strict_yaml import Fault, child
 from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine, nearest
 from camcal.parsing import nearest
 
-STEP = ("tx", "ty", "tz", "rx", "ry", "rz")
 FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*\Z")
 ORTHONORMAL = 1e-6

@@ -1,6 +1,6 @@
 """Tables of points: a CSV with columns x, y, z, optionally nx, ny, nz and sxx … szz, in any case, and any others."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,15 +88,13 @@ def _columns(table: Table, names: Sequence[str]) -> Array | None:
         )
     columns = [table.numbers_or_empty(name) for name in known]
     for name, column in zip(known, columns, strict=True):
-        table.refuse(np.isinf(column), _words(table, name, "is not finite"))
         if name.lower() in _VARIANCES:
-            table.refuse(column < 0, _words(table, name, "is no variance"))
+            _refuse_negative(table, name, column)
     return np.column_stack(columns)
 
 
-def _words(table: Table, name: str, fault: str) -> Callable[[int], str]:
-    """Return a function that says what is wrong with a column's cell in a row."""
-    return lambda row: f"{name}: {table.columns[name][row]} {fault}"
+def _refuse_negative(table: Table, name: str, column: Array) -> None:
+    table.refuse(column < 0, lambda row: f"{name}: {table.columns[name][row]} is no variance")
 
 
 def _full(upper: Array) -> Array:

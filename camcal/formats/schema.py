@@ -8,8 +8,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from camcal.formats.documents import Check, Fault, child
 from camcal.formats.emit import number_text
-from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.parsing import did_you_mean, nearest, parse_number
 
 VENDOR = "x_"

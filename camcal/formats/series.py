@@ -44,7 +44,7 @@ def read(path: Path, columns: Sequence[str] = ()) -> Series:
         raise InvalidInput("a column of times and at least one of measurements are needed", where=str(path))
     stamps = table.numbers(time)
     require_increasing(str(path), table.lines, stamps)
-    values = np.column_stack([_measured(table, name) for name in names])
+    values = np.column_stack([table.numbers_or_empty(name) for name in names])
     return Series(tuple(names), stamps, values, _deviations(table, names))
 
 
@@ -91,14 +91,6 @@ def write(path: Path, smoothed: SmoothedSeries) -> None:
     columns: dict[str, Any] = dict(zip(names, known.T.tolist(), strict=True))
     document = {"format": FORMAT, "version": VERSION, "columns": columns}
     files.write_text(path, json.dumps(emit.rounded(document)) + "\n")
-
-
-def _measured(table: Table, name: str) -> Array:
-    """Return a column (N,), NaN where its cell is empty."""
-    empty = np.array([not cell.strip() for cell in table.columns[name]])
-    result = np.full(len(table), np.nan)
-    result[~empty] = table.rows(np.flatnonzero(~empty)).numbers(name)
-    return result
 
 
 def _deviations(table: Table, names: Sequence[str]) -> Array | None:

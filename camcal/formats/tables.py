@@ -97,15 +97,11 @@ class Table:
         return values
 
     def numbers_or_empty(self, name: str) -> Array:
-        """Return a column (N,) of numbers, NaN where a cell is empty."""
+        """Return a column (N,) of finite numbers, NaN where a cell is empty or nan."""
+        known = [row for row, text in enumerate(self.columns[name]) if text.strip().lower() not in ("", "nan")]
         values = np.full(len(self), np.nan)
-        for row, text in enumerate(self.columns[name]):
-            try:
-                values[row] = parse_number(text) if text.strip() else np.nan
-            except ValueError:
-                raise InvalidInput(
-                    f"{name}: {text!r} is not a number", where=f"{self.path}:{self.lines[row]}"
-                ) from None
+        column = {name: [self.columns[name][row] for row in known]}
+        values[known] = Table(self.path, column, [self.lines[row] for row in known]).numbers(name)
         return values
 
     def _converted(self, name: str, convert: Callable[[str], float], what: str) -> list[Any]:

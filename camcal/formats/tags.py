@@ -25,9 +25,9 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import emit, strict_yaml
+from camcal.formats import documents, emit
+from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import integer, items, mapping, number, one_of, text
-from camcal.formats.strict_yaml import Check, Fault, child
 from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_integer, parse_number
@@ -59,7 +59,7 @@ def read(path: Path) -> TagObjects:
 
     Raises InvalidInput with a line for every fault, FileError if the file cannot be read.
     """
-    return from_block(strict_yaml.load(path, check).data)
+    return from_block(documents.load(path, check).data)
 
 
 def write(path: Path, tags: TagObjects) -> None:

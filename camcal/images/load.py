@@ -16,14 +16,15 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, translated
 from camcal.files import read_bytes
-from camcal.images import containers, exif, limits
+from camcal.images import exif, limits
+from camcal.images.exif import JPEG, PNG, read_jpeg, read_png_exif
 from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image, Scratch
 from camcal.images.npy import read_npy
 
 _FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
 _STARTS = {
-    containers.JPEG: "JPEG",
-    containers.PNG: "PNG",
+    JPEG: "JPEG",
+    PNG: "PNG",
     b"II*\0": "TIFF",
     b"MM\0*": "TIFF",
     b"BM": "BMP",
@@ -63,10 +64,10 @@ def load(path: Path, scratch: Scratch | None = None) -> Image:
         return _load_npy(path)
     content = read_bytes(path)
     require_allowed(path, content)
-    if content.startswith(containers.JPEG):
+    if content.startswith(JPEG):
         return _load_jpeg(path, content, scratch)
-    if content.startswith(containers.PNG):
-        return _with_exif(_decode(path, content), containers.read_png_exif(content))
+    if content.startswith(PNG):
+        return _with_exif(_decode(path, content), read_png_exif(content))
     turned = exif.orientation(content)
     # OpenCV turns TIFF images whatever it is asked.
     upright = exif.with_orientation(content, exif.UPRIGHT) if turned != exif.UPRIGHT else content
@@ -126,7 +127,7 @@ def _load_npy(path: Path) -> Image:
 
 
 def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:
-    header = containers.read_jpeg(content)
+    header = read_jpeg(content)
     if not header.complete:
         raise FileError("is cut off: the end of the JPEG data is missing", where=str(path))
     if scratch is None:
@@ -190,7 +191,7 @@ def stated_size(content: bytes) -> Size | None:
 def _png(content: bytes) -> Size:
     """Return the size of a PNG file all of whose chunks lie within it: OpenCV makes room for what a chunk says."""
     width, height, depth, colour = struct.unpack_from(">IIBB", content, 16)
-    position = len(containers.PNG)
+    position = len(PNG)
     while position < len(content):
         length, kind = struct.unpack_from(">I4s", content, position)
         if position + length + _CHUNK > len(content):
@@ -205,7 +206,7 @@ def _png(content: bytes) -> Size:
 
 
 def _jpeg(content: bytes) -> Size:
-    size = containers.read_jpeg(content).size
+    size = read_jpeg(content).size
     if size == (0, 0):
         raise ValueError("it has no frame")
     return size
@@ -256,8 +257,8 @@ def _jpeg_2000(content: bytes) -> Size:
 
 
 _READERS: tuple[tuple[bytes | tuple[bytes, ...], Callable[[bytes], Size]], ...] = (
-    (containers.PNG, _png),
-    (containers.JPEG, _jpeg),
+    (PNG, _png),
+    (JPEG, _jpeg),
     ((b"II*\0", b"MM\0*"), _tiff),
     (b"BM", _bmp),
     (b"P7", _pam),

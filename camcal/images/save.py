@@ -11,7 +11,8 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.images import containers, exif
+from camcal.images import exif
+from camcal.images.exif import JPEG, LONGEST_EXIF, PNG, insert_exif
 from camcal.images.image import Image
 from camcal.images.npy import write_npy
 from camcal.images.options import JPEG_QUALITY
@@ -94,11 +95,11 @@ def _with_metadata(content: bytes, image: Image) -> bytes:
     """Return an encoded image with its EXIF block, and the orientation in it once."""
     if content[:4] in (b"II*\0", b"MM\0*"):
         return exif.with_orientation(content, image.orientation) if image.orientation != exif.UPRIGHT else content
-    if not content.startswith((containers.JPEG, containers.PNG)):
+    if not content.startswith((JPEG, PNG)):
         return content
     if not image.exif and image.orientation == exif.UPRIGHT:
         return content
     block = exif.of_image(image.exif, image.size) if exif.is_readable(image.exif) else b""
-    if content.startswith(containers.JPEG) and len(block) > containers.LONGEST_EXIF:
+    if content.startswith(JPEG) and len(block) > LONGEST_EXIF:
         block = b""
-    return containers.insert_exif(content, exif.with_orientation(block, image.orientation))
+    return insert_exif(content, exif.with_orientation(block, image.orientation))

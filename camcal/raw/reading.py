@@ -16,7 +16,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
-from camcal.images import containers, exif, limits
+from camcal.images import exif, limits
+from camcal.images.exif import JPEG, read_jpeg
 from camcal.images.load import load
 from camcal.raw.headerless import read_headerless
 from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
@@ -251,7 +252,7 @@ def _preview_exif(content: bytes) -> bytes:
     except struct.error:
         return b""
     preview = content[offset : offset + length]
-    return containers.read_jpeg(preview).exif if preview.startswith(containers.JPEG) else b""
+    return read_jpeg(preview).exif if preview.startswith(JPEG) else b""
 
 
 def _box(content: bytes, name: bytes) -> bytes:

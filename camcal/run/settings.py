@@ -13,8 +13,8 @@ from typing import Any
 
 from camcal import files
 from camcal.errors import CamcalError, in_one_line
-from camcal.formats import strict_yaml
-from camcal.formats.strict_yaml import Fault
+from camcal.formats import documents
+from camcal.formats.documents import Fault
 from camcal.options import Declared, by_group
 from camcal.parsing import nearest
 
@@ -47,7 +47,7 @@ def read_settings(path: Path, options: Mapping[str, bool]) -> Settings:
     text = files.read_text(path)
     if not any(line.strip() and not line.lstrip().startswith("#") for line in text.splitlines()):
         return Settings(str(path), {}, {})
-    document = strict_yaml.parse(text, str(path), lambda data, _: _faults(data, options))
+    document = documents.parse(text, str(path), lambda data, _: _faults(data, options))
     named = {key.replace("-", "_"): key for key in document if not key.startswith(_NOTE)}
     return Settings(
         where=document.where,
@@ -138,7 +138,7 @@ def _scalar(text: str) -> str:
 def _is_plain(text: str) -> bool:
     """Return whether YAML gives a text back as it stands, in a list and with a comment behind it too."""
     try:
-        value = strict_yaml.parse(f"value: [{text}] # note\n", text).data["value"]
+        value = documents.parse(f"value: [{text}] # note\n", text).data["value"]
     except CamcalError:
         return False
     return len(value) == 1 and isinstance(value[0], (str, int, float)) and str(value[0]) == text

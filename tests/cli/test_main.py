@@ -15,9 +15,8 @@ import typer
 
 from camcal import __version__
 from camcal.cli import show
-from camcal.cli.catalogue import COMMANDS, CommandGroup
 from camcal.cli.command import Call, command
-from camcal.cli.main import Boundary
+from camcal.cli.main import COMMANDS, Boundary, CommandGroup
 from camcal.cli.main import app as camcal_app
 from camcal.errors import (
     FileError,
@@ -333,7 +332,7 @@ def test_help_imports_nothing_heavy():
 def test_no_command_imports_the_core_before_it_is_run():
     program = (
         "import sys\n"
-        "from camcal.cli.catalogue import COMMANDS, Commands\n"
+        "from camcal.cli.main import COMMANDS, Commands\n"
         "for group in ('', 'stereo', 'transform'):\n"
         "    for each in Commands(group).values():\n"
         "        each.get_params\n"

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from camcal.formats import strict_yaml
+from camcal.formats import documents
 from camcal.formats.native_entry import SENSOR
 from camcal.formats.schema import mapping
 from camcal.images.load import load
@@ -72,7 +72,7 @@ def test_a_sensor_file_is_written_and_its_block_fits_a_camera_file(run, scene, t
     assert (code, err) == (0, "")
     assert "8 levels of light, 2 of darkness, 160x120" in out
     assert "the counts end at the full well" in out
-    data = strict_yaml.load(output, lambda _data, _path: ()).data
+    data = documents.load(output, lambda _data, _path: ()).data
     assert list(mapping({}, SENSOR)(data["sensor"], "sensor")) == []
     assert data["sensor"]["gain_e_per_dn"] == pytest.approx(2.0, rel=0.03)  # 4 800 samples a phase: 0.5 %
     assert data["sensor"]["pixel_pitch_um"] == pytest.approx(6389 / 200, rel=1e-3)
@@ -132,7 +132,7 @@ def test_exposures_can_be_given_for_each_input(run, scene, tmp_path):
     )  # fmt: skip
     assert code == 0
     assert json.loads(out)["levels"] == {"flat": 3, "dark": 2}
-    exposures = strict_yaml.load(tmp_path / "sensor.yaml", lambda _data, _path: ()).data["curves"]["R"]["exposure_s"]
+    exposures = documents.load(tmp_path / "sensor.yaml", lambda _data, _path: ()).data["curves"]["R"]["exposure_s"]
     assert ",".join(f"{value:g}" for value in exposures) == ",".join(f"{float(value):g}" for value in told.split(","))
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import boards, emit, strict_yaml
+from camcal.formats import boards, documents, emit
 from camcal.formats.boards import short_form
 from camcal.targets.board import Board, parse_board
 from camcal.targets.boards.types import METRES
@@ -107,7 +107,7 @@ ANY_FORM = st.one_of(
 @given(ANY_FORM)
 def test_the_file_of_any_board_holds_that_board(form):
     board = parse_board(form)
-    document = strict_yaml.parse(emit.document(boards.block(board)), "board.yaml", boards.check)
+    document = documents.parse(emit.document(boards.block(board)), "board.yaml", boards.check)
     assert boards.from_block(document.data) == board
     assert parse_board(short_form(board)) == board
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.formats import emit
-from camcal.formats.strict_yaml import parse
+from camcal.formats.documents import parse
 
 keys = st.from_regex(r"[A-Za-z_][A-Za-z0-9_.()/+-]{0,10}", fullmatch=True).filter(
     lambda key: key.lower() not in emit.WORDS

@@ -3,7 +3,7 @@
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import strict_json
+from camcal.formats.documents import load_json
 from camcal.formats.schema import items, mapping, number
 
 CHECK = mapping({"values": items(number())})
@@ -12,7 +12,7 @@ CHECK = mapping({"values": items(number())})
 def load(tmp_path, text, check=None):
     path = tmp_path / "a.json"
     path.write_text(text, "utf-8")
-    return strict_json.load(path, check)
+    return load_json(path, check)
 
 
 def test_a_document_holds_plain_data(tmp_path):

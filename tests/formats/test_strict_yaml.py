@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import strict_yaml
+from camcal.formats import documents
+from camcal.formats.documents import Fault, load, parse
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text
-from camcal.formats.strict_yaml import Fault, load, parse
 
 SCHEMA = mapping(
     {"size": items(integer(1), 2), "lens": mapping({"fx": number(above=0)}, {"k1": number(-1, 1)})},
@@ -19,7 +19,7 @@ SCHEMA = mapping(
 GOOD = "size: [640, 480]\nlens: {fx: 500.5}\n"
 
 
-def fails(content: str, check: strict_yaml.Check | None = SCHEMA) -> list[str]:
+def fails(content: str, check: documents.Check | None = SCHEMA) -> list[str]:
     with pytest.raises(InvalidInput) as caught:
         parse(content, "a.yaml", check)
     return str(caught.value).splitlines()

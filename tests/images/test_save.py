@@ -8,7 +8,7 @@ import pytest
 from PIL import Image as Pillow
 
 from camcal.errors import FileError, InvalidInput
-from camcal.images import containers
+from camcal.images.exif import read_jpeg
 from camcal.images.image import Image
 from camcal.images.load import load
 from camcal.images.save import KINDS, save
@@ -66,7 +66,7 @@ def test_an_exif_block_too_long_for_jpeg_leaves_the_orientation(tmp_path):
     tags[0x010F] = "x" * 70000
     save(tmp_path / "image.jpg", Image(picture("uint8", 3), 6, tags.tobytes()[6:]))
     assert load(tmp_path / "image.jpg").orientation == 6
-    assert len(containers.read_jpeg((tmp_path / "image.jpg").read_bytes()).exif) < 100
+    assert len(read_jpeg((tmp_path / "image.jpg").read_bytes()).exif) < 100
 
 
 def test_jpeg_is_written_with_the_quality_of_opencv_unless_told(tmp_path):

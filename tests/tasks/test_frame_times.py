@@ -8,7 +8,7 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.images import video
-from camcal.images.containers import insert_exif
+from camcal.images.exif import insert_exif
 from camcal.images.video import frame_name
 from camcal.progress import Silent
 from camcal.tasks.poses.frame_times import Timing, frame_times

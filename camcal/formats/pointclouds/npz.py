@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError
-from camcal.formats import strict_json
+from camcal.formats.documents import parse_json
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, cloud_of
 from camcal.images.npy import arrays_of
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
@@ -85,7 +85,7 @@ def _columns(name: str, array: Array, shape: tuple[int, ...]) -> dict[str, Array
 
 def _notes(arrays: Mapping[str, Any]) -> dict[str, str]:
     try:
-        found = strict_json.parse(str(arrays.get("notes", "{}")))
+        found = parse_json(str(arrays.get("notes", "{}")))
     except CamcalError:
         return {}
     return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}

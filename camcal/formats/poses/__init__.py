@@ -4,12 +4,12 @@ YAML and JSON hold the same: `frames` names the transform, such as camera_T_obje
 to the camera; `poses` has one item for each object in an image. A CSV has one row for each of them.
 """
 
-import json
 from pathlib import Path
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats import emit, strict_json, strict_yaml
+from camcal.formats import emit
+from camcal.formats.documents import load_either
 from camcal.formats.poses import plain, table
 from camcal.formats.poses.plain import document
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
@@ -32,24 +32,18 @@ def read(path: Path) -> Poses:
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is of another kind.
     """
     require_suffix(path)
-    suffix = path.suffix.lower()
-    if suffix == ".csv":
+    if path.suffix.lower() == ".csv":
         return table.read(path)
-    if suffix == ".json":
-        return plain.from_document(strict_json.load(path, plain.check))
-    return plain.from_document(strict_yaml.load(path, plain.check, _MAX_VALUES))
+    return plain.from_document(load_either(path, plain.check, _MAX_VALUES))
 
 
 def write(path: Path, poses: Poses) -> None:
     """Write poses in the form the file's suffix says."""
     require_suffix(path)
-    suffix = path.suffix.lower()
-    if suffix == ".csv":
+    if path.suffix.lower() == ".csv":
         text = "".join(f"{line}\n" for line in table.lines(poses))
-    elif suffix == ".json":
-        text = json.dumps(emit.rounded(document(poses)), indent=1, ensure_ascii=False) + "\n"
     else:
-        text = emit.document(document(poses), _comment(poses))
+        text = emit.text_for(path, document(poses), _comment(poses))
     files.write_text(path, text)
 
 

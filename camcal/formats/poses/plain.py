@@ -7,20 +7,17 @@ from typing import Any
 import numpy as np
 
 from camcal.estimate.poses.records import Alternative
-from camcal.formats.covariance import why_no_covariance
+from camcal.formats.covariance import ORDER, QUATERNION, STEPS, why_no_covariance
+from camcal.formats.documents import Check, Document, Fault, child
 from camcal.formats.native_transforms import NAME
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
-from camcal.formats.strict_yaml import Check, Document, Fault, child
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
 FORMAT = "camcal-poses"
 VERSION = 1
 FARTHEST = 1e12  # m; squares of squares of more are no numbers any longer
-QUATERNION = ("qw", "qx", "qy", "qz")  # a bare y is a truth value to YAML 1.1
-ORDER = ("tx", "ty", "tz", "rx", "ry", "rz")
-STEPS = "R <- Exp(dr) R, t <- t + dt"
 UNITS = ("m", "squares")
 UNIT_LENGTH = 1e-6  # how far the length of a quaternion may be from 1
 

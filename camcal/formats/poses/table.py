@@ -7,7 +7,6 @@ other poses that fit nearly as well, the most probable one is there, in the colu
 import math
 import re
 from collections.abc import Iterator, Sequence
-from itertools import combinations_with_replacement
 from pathlib import Path
 
 import numpy as np
@@ -15,26 +14,24 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.estimate.poses.records import Alternative
-from camcal.formats.covariance import why_no_covariance
-from camcal.formats.poses.plain import FORMAT, ORDER, QUATERNION, UNIT_LENGTH, UNITS, VERSION, check_frames
+from camcal.formats.covariance import ORDER, PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs, why_no_covariance
+from camcal.formats.poses.plain import FORMAT, UNIT_LENGTH, UNITS, VERSION, check_frames
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_integer, parse_number
 
-_PAIRS = tuple(combinations_with_replacement(range(6), 2))
-_POSE = ("tx", "ty", "tz", *QUATERNION)
-_VECTOR = ("rx", "ry", "rz")
-_POSITION = ("x", "y", "z")
+_POSE = (*POSITION, *QUATERNION)
+_VECTOR = ORDER[3:]
+_CENTRE = ("x", "y", "z")
 _FIT = ("rms_px", "max_px", "p_wrong")
 _COUNTS = ("n_points", "n_inliers")
 _OTHER = (*(f"alt_{name}" for name in _POSE), "dchi2", "alt_probability")
 _FIGURES = ("error_ratio", "planarity", "least_depth", "view_angle_deg", "image_share", "condition")
-_TOTAL = tuple(f"cov_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
-_NOISE = tuple(f"noise_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
+_TOTAL, _NOISE = names_of_pairs("cov"), names_of_pairs("noise")
 COLUMNS = (
-    *("image", "object", "status", *_POSE, *_VECTOR, *_POSITION, *_FIT, *_COUNTS, "outliers"),
+    *("image", "object", "status", *_POSE, *_VECTOR, *_CENTRE, *_FIT, *_COUNTS, "outliers"),
     *(*_OTHER, *_FIGURES, *_TOTAL, *_NOISE),
 )
 
@@ -65,7 +62,7 @@ def _cells(poses: Poses, sight: Sight, record: PoseRecord) -> list[str]:
     counts = [str(record.n_points), str(record.n_inliers), " ".join(map(str, record.outliers))]
     angle = None if record.tilt_rad is None else math.degrees(record.tilt_rad)
     figures = [record.error_ratio, record.planarity, record.least_depth, angle, record.image_share, record.condition]
-    covariances = [matrix[pair] for matrix in (record.covariance, record.noise_covariance) for pair in _PAIRS]
+    covariances = [matrix[pair] for matrix in (record.covariance, record.noise_covariance) for pair in PAIRS]
     return [*named, *_texts([*numbers, *fit]), *counts, *_texts([*_alternative(record), *figures, *covariances])]
 
 
@@ -88,7 +85,7 @@ def read(path: Path) -> Poses:
     """Return the poses in a file; raises InvalidInput with file and line for the first row that breaks a rule."""
     where, content = str(path), numbered_lines(path)
     frames, unit, noise = _head(where, content)
-    table = Table.from_csv(where, content, [name for name in COLUMNS if name not in _VECTOR + _POSITION], COLUMNS)
+    table = Table.from_csv(where, content, [name for name in COLUMNS if name not in _VECTOR + _CENTRE], COLUMNS)
     estimates: dict[Sight, PoseRecord] = {}
     for row, record in enumerate(_records(table)):
         sight = Sight(table.columns["image"][row], table.columns["object"][row])
@@ -136,7 +133,7 @@ def _records(table: Table) -> Iterator[PoseRecord]:
     total, noise = _covariances(table, _TOTAL), _covariances(table, _NOISE)
     fit = np.column_stack([table.numbers(name) for name in _FIT]).tolist()
     counts = np.column_stack([table.integers(name, 0, _MAX_COUNT) for name in _COUNTS]).tolist()
-    figures = np.column_stack([_optional(table, name) for name in _FIGURES]).tolist()
+    figures = np.column_stack([table.numbers_or_empty(name) for name in _FIGURES]).tolist()
     for row, (status, outliers) in enumerate(zip(table.columns["status"], table.columns["outliers"], strict=True)):
         ratio, planarity, depth, angle, share, condition = (
             None if math.isnan(value) else value for value in figures[row]
@@ -183,19 +180,9 @@ def _alternatives(table: Table) -> list[tuple[Alternative, ...]]:
 
 def _covariances(table: Table, names: Sequence[str]) -> Array:
     """Return matrices (N, 6, 6) from the columns of their upper triangles."""
-    result = np.zeros((len(table), 6, 6))
-    for (i, j), name in zip(_PAIRS, names, strict=True):
-        result[:, i, j] = result[:, j, i] = table.numbers(name)
+    result = from_upper(np.column_stack([table.numbers(name) for name in names]))
     reasons = [why_no_covariance(matrix) for matrix in result]
     table.refuse(np.array([reason is not None for reason in reasons]), lambda row: str(reasons[row]))
-    return result
-
-
-def _optional(table: Table, name: str) -> Array:
-    """Return a column (N,) of numbers, NaN where it is empty."""
-    there = np.flatnonzero([bool(text) for text in table.columns[name]])
-    result = np.full(len(table), np.nan)
-    result[there] = table.rows(there).numbers(name)
     return result
 
 

@@ -4,7 +4,6 @@ ROS transforms are those of a tf2_msgs/TFMessage. A transform's frame_id is the 
 coordinates in b to coordinates in a, as a_T_b.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,14 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import emit, strict_json, strict_yaml
+from camcal.formats import emit
+from camcal.formats.covariance import ORDER, QUATERNION, STEPS
+from camcal.formats.documents import MAX_VALUES, Document, child, load_either
 from camcal.formats.emit import number_text
 from camcal.formats.pose_text import static_transform_publisher
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
-from camcal.formats.strict_yaml import MAX_VALUES, Document, child
 from camcal.formats.trajectories import tracked
-from camcal.formats.trajectories.rows import ORDER, QUATERNION, named, trajectory
+from camcal.formats.trajectories.rows import named, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory, frames_of
 
@@ -28,7 +28,6 @@ FORMAT = "camcal-trajectory"
 VERSION = 1
 TRANSFORMS = "transforms"
 
-_STEPS = "R <- Exp(dr) R, t <- t + dt"
 _OPTIONAL = {"covariance": matrix(6, 6), "velocity": items(number(), 6), "segment": integer(0)}
 _POSE = mapping(
     {
@@ -63,7 +62,7 @@ _TF_CHECK = mapping({TRANSFORMS: items(_STAMPED)})
 
 def read(path: Path) -> Trajectory:
     """Return the trajectory of a YAML or JSON file of camcal, or of ROS transforms as YAML."""
-    document = strict_json.load(path) if path.suffix.lower() == ".json" else strict_yaml.load(path)
+    document = load_either(path)
     if TRANSFORMS in document:
         return from_transforms(document)
     is_track = document.get("format") == tracked.FORMAT
@@ -74,7 +73,7 @@ def read(path: Path) -> Trajectory:
 
 def write_json(path: Path, poses: Trajectory) -> None:
     """Write all that is known of the poses as JSON."""
-    files.write_text(path, json.dumps(emit.rounded(document(poses)), indent=1) + "\n")
+    files.write_text(path, emit.json_text(document(poses)))
 
 
 def write_yaml(path: Path, poses: Trajectory) -> None:
@@ -108,7 +107,7 @@ def document(poses: Trajectory) -> dict[str, Any]:
         "frames": poses.frames,
         "epoch": epoch,
         "covariance_order": list(ORDER),
-        "covariance_steps": _STEPS,
+        "covariance_steps": STEPS,
         "poses": blocks,
     }
 

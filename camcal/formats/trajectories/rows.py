@@ -12,9 +12,6 @@ from camcal.geometry.pose import Trajectory, frames_of
 from camcal.parsing import parse_number, parse_numbers
 
 DEFAULT_FRAMES = "world_T_camera"
-POSITION = ("tx", "ty", "tz")
-QUATERNION = ("qw", "qx", "qy", "qz")
-ORDER = (*POSITION, "rx", "ry", "rz")
 
 _ROUNDED = 1e-3  # how far a quaternion's length may be from 1: files have few digits
 

@@ -4,7 +4,7 @@ Bare lines of numbers are those of TUM, KITTI, and EuRoC's tables.
 """
 
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +13,16 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
-from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, named, numbers, trajectory
+from camcal.formats.covariance import PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs
+from camcal.formats.trajectories.rows import named, numbers, trajectory
 from camcal.formats.trajectories.tracked import VELOCITY, holds_track, read_table
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 
 FORMAT = "camcal-trajectory"
 
-_PAIRS = tuple(combinations_with_replacement(range(6), 2))
 _POSE = ("t", *POSITION, *QUATERNION)
-_COVARIANCE = tuple(f"cov_{ORDER[i]}_{ORDER[j]}" for i, j in _PAIRS)
+_COVARIANCE = names_of_pairs("cov")
 _SEGMENT = "segment"
 _FRAMES = "frames:"
 _TUM, _KITTI, _EUROC = 8, 12, (8, 17)
@@ -53,12 +53,9 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
     pose, where = table[:, [names.index(name) for name in _POSE]], [number for number, _ in rows[1:]]
     poses = trajectory(str(path), where, frames or _named(lines), pose[:, 0], pose[:, 1:4], pose[:, 4:])
     upper = columns(_COVARIANCE)
-    return Trajectory(
-        poses.frames,
-        poses.stamps,
-        rotations=poses.rotations,
-        translations=poses.translations,
-        covariances=None if upper is None else _matrices(upper),
+    return replace(
+        poses,
+        covariances=None if upper is None else from_upper(upper),
         velocities=columns(VELOCITY),
         segments=table[:, names.index(_SEGMENT)] if _SEGMENT in names else None,
     )
@@ -78,7 +75,7 @@ def write(path: Path, poses: Trajectory) -> None:
         columns.append(poses.velocities)
     if poses.covariances is not None:
         names += _COVARIANCE
-        columns.append(np.stack([poses.covariances[:, i, j] for i, j in _PAIRS], axis=1))
+        columns.append(np.stack([poses.covariances[:, i, j] for i, j in PAIRS], axis=1))
     if poses.segments is not None:
         names.append(_SEGMENT)
         columns.append(poses.segments[:, None])
@@ -104,14 +101,6 @@ def _has(path: Path, names: Sequence[str], wanted: Sequence[str]) -> bool:
             f"missing column {missing[0]!r}; {wanted[0]} to {wanted[-1]} stand together", where=str(path)
         )
     return not missing
-
-
-def _matrices(upper: Array) -> Array:
-    """Return symmetric matrices (N, 6, 6) of their upper triangles (N, 21), row by row."""
-    result = np.zeros((len(upper), 6, 6))
-    for column, (i, j) in enumerate(_PAIRS):
-        result[:, i, j] = result[:, j, i] = upper[:, column]
-    return result
 
 
 def read_lines(path: Path, frames: str | None = None) -> Trajectory:

@@ -4,8 +4,8 @@ A frame without a pose has empty cells in a table, and no such keys in YAML and 
 one object of a file, the frames that have a pose; trajectories for other programs are in `trajectories`.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,11 +16,12 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.estimate.tracking.track import Track
 from camcal.formats import emit
+from camcal.formats.covariance import ORDER, POSITION, QUATERNION, STEPS
+from camcal.formats.documents import Document, child
 from camcal.formats.poses.record import PoseRecord
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
-from camcal.formats.strict_yaml import Document, child
 from camcal.formats.tables import Lines, Table, cell
-from camcal.formats.trajectories.rows import ORDER, POSITION, QUATERNION, named, trajectory
+from camcal.formats.trajectories.rows import named, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 
@@ -86,11 +87,8 @@ def read_table(path: Path, lines: Lines, frames: str | None) -> Trajectory:
 
     pose = columns(_POSE)
     poses = trajectory(str(path), table.lines, frames, table.numbers("t"), pose[:, :3], pose[:, 3:])
-    return Trajectory(
-        poses.frames,
-        poses.stamps,
-        rotations=poses.rotations,
-        translations=poses.translations,
+    return replace(
+        poses,
         covariances=columns(_STD)[:, :, None] ** 2 * np.eye(len(ORDER)),
         velocities=columns(VELOCITY),
         segments=table.numbers(_SEGMENT),
@@ -120,11 +118,8 @@ def from_document(document: Document) -> Trajectory:
     )
     quaternions = np.array([[block["quaternion"][name] for name in QUATERNION] for block in blocks], float)
     poses = trajectory(where, lines, named(document["frames"], where), stamps, positions, quaternions)
-    return Trajectory(
-        poses.frames,
-        poses.stamps,
-        rotations=poses.rotations,
-        translations=poses.translations,
+    return replace(
+        poses,
         covariances=covariances,
         velocities=velocities,
         segments=segments,
@@ -155,12 +150,9 @@ def write_tracks(path: Path, images: Sequence[str], objects: Mapping[str, Tracke
     suffix = path.suffix.lower()
     if suffix == ".csv":
         text = "".join(f"{line}\n" for line in _csv_lines(images, objects))
-    elif suffix == ".json":
-        text = json.dumps(emit.rounded(tracks_document(images, objects)), indent=1, ensure_ascii=False) + "\n"
     elif suffix in SUFFIXES:
-        text = emit.document(
-            tracks_document(images, objects), "camcal tracks of objects. Lengths: m; times: s; angles: rad."
-        )
+        comment = "camcal tracks of objects. Lengths: m; times: s; angles: rad."
+        text = emit.text_for(path, tracks_document(images, objects), comment)
     else:
         raise InvalidInput(f"tracks are written as {', '.join(SUFFIXES)}", where=str(path))
     files.write_text(path, text)
@@ -173,7 +165,7 @@ def tracks_document(images: Sequence[str], objects: Mapping[str, TrackedObject])
         "version": VERSION,
         "frames": next(iter(objects.values())).track.frames,
         "covariance_order": list(ORDER),
-        "covariance_steps": "R <- Exp(dr) R, t <- t + dt",
+        "covariance_steps": STEPS,
         "velocities": "v of the translation, w with R' = hat(w) R",
         "tracks": [
             {

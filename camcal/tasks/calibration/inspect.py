@@ -10,7 +10,7 @@ import numpy as np
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view
 from camcal.errors import InvalidInput
-from camcal.formats import native, strict_yaml
+from camcal.formats import documents, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
@@ -26,7 +26,7 @@ class Inspection:
     fields: horizontal, vertical and diagonal field of view of each camera, degrees.
     """
 
-    document: strict_yaml.Document
+    document: documents.Document
     file: CameraFile
     fields: Mapping[str, tuple[float, float, float]]
 
@@ -34,7 +34,7 @@ class Inspection:
 def inspect(options: InspectOptions) -> Inspection:
     """Return what a camera file holds; raises InvalidInput or FileError as `native.read` does."""
     path, camera = options.address
-    document = strict_yaml.load(path, native.check)
+    document = documents.load(path, native.check)
     file = native.from_document(document, path.parent)
     if camera is not None:
         native.select(file, camera, str(path))

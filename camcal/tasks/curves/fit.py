@@ -1,6 +1,5 @@
 """`camcal fit`: from a table and the words of the options to a curve, its data and its start, and to the fit."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -242,11 +241,9 @@ def _write(report: FitReport, options: FitOptions, table: Table) -> None:
     if options.output is None:
         return
     content = {"format": "camcal-fit", "version": 1, "data": Path(table.path).name, **document(report)}
-    if options.output.suffix.lower() == ".json":
-        text = json.dumps(emit.rounded(content), indent=1, ensure_ascii=False) + "\n"
-    else:
-        text = emit.document(written(content))
-    files.write_text(options.output, text)
+    if options.output.suffix.lower() != ".json":
+        content = written(content)
+    files.write_text(options.output, emit.text_for(options.output, content))
 
 
 def starts_of(text: str | None, option: str = "--start") -> dict[str, float]:

@@ -1,16 +1,20 @@
-"""YAML as plain data with the line of every key; whatever two readers could take differently is refused.
+"""YAML and JSON as plain data; whatever two readers could take differently is refused.
 
-Refused: duplicate keys, aliases, anchors, tags, a second document, dates and numbers that YAML 1.1 reads in its own
-way (yes, 012, 0x1F, 1_000, 12:30), more than 100 000 values, 64 MB or 32 levels. A text such as 1e-05, which YAML 1.1
-does not take for a number, stays text; the checks in `schema` say so where a number is needed.
+Of YAML the line of every key is kept. Refused: duplicate keys, aliases, anchors, tags, a second document, dates and
+numbers that YAML 1.1 reads in its own way (yes, 012, 0x1F, 1_000, 12:30), more than 100 000 values, 64 MB or 32 levels.
+A text such as 1e-05, which YAML 1.1 does not take for a number, stays text; the checks in `schema` say so where a
+number is needed.
+
+JSON is taken as strictly: no duplicate keys, no NaN, every fault named by its key path.
 """
 
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
@@ -19,7 +23,8 @@ from camcal.errors import FileError, InvalidInput
 
 MAX_VALUES = 100_000
 MAX_DEPTH = 32
-MAX_LISTED = 50
+_MAX_LISTED = 50
+_LONGEST = 19  # characters of a whole number in JSON, as 64 bits have them
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml where the wheel has it: 25 times faster
 _TAG = "tag:yaml.org,2002:"
@@ -50,9 +55,10 @@ Check = Callable[[Any, str], Iterable[Fault]]
 
 @dataclass(frozen=True, eq=False)
 class Document(Mapping[str, Any]):
-    """The mapping a YAML file holds, as dicts, lists, strings, numbers, truth values and None.
+    """The mapping a file holds, as dicts, lists, strings, numbers, truth values and None.
 
-    where: the file's name for messages. lines: the line of every key path, such as 'cameras.left.fixed[0]'.
+    where: the file's name for messages. lines: the line of every key path, such as 'cameras.left.fixed[0]', of YAML;
+    faults of JSON are named by key path alone.
     """
 
     where: str
@@ -76,17 +82,25 @@ class Document(Mapping[str, Any]):
 
     def message(self, fault: Fault) -> str:
         """Return a fault as one line: file:line: path: text."""
-        place = f"{self.where}:{fault.line or self.line(fault.path)}"
+        place = self._place(fault)
         return f"{place}: {fault.path}: {fault.text}" if fault.path else f"{place}: {fault.text}"
+
+    def _place(self, fault: Fault) -> str:
+        return f"{self.where}:{fault.line or self.line(fault.path)}" if self.lines else self.where
 
     def error(self, faults: Iterable[Fault]) -> InvalidInput:
         """Return one error that lists all faults, a line each, in the order of the file."""
         found = sorted(faults, key=lambda fault: fault.line or self.line(fault.path))
-        lines = [self.message(fault) for fault in found[:MAX_LISTED]]
-        if len(found) > MAX_LISTED:
-            lines.append(f"{self.where}: and {len(found) - MAX_LISTED} more")
-        where = f"{self.where}:{found[0].line or self.line(found[0].path)}"
+        lines = [self.message(fault) for fault in found[:_MAX_LISTED]]
+        if len(found) > _MAX_LISTED:
+            lines.append(f"{self.where}: and {len(found) - _MAX_LISTED} more")
+        where = self._place(found[0])
         return InvalidInput("\n".join(lines).removeprefix(f"{where}: "), where=where)
+
+
+def load_either(path: Path, check: Check | None = None, max_values: int = MAX_VALUES) -> Document:
+    """Return the document in a file, JSON where its suffix says so, otherwise YAML; see `load` and `load_json`."""
+    return load_json(path, check) if path.suffix.lower() == ".json" else load(path, check, max_values)
 
 
 def load(path: Path, check: Check | None = None, max_values: int = MAX_VALUES) -> Document:
@@ -214,3 +228,52 @@ class _Builder:
 
 def _line(event: Any) -> int:
     return int(event.start_mark.line) + 1
+
+
+def load_json(path: Path, check: Check | None = None) -> Document:
+    """Return the document in a JSON file, having passed `check` over its data.
+
+    Raises FileError if it cannot be read or is no JSON mapping, InvalidInput with one line for every fault found.
+    """
+    where = str(path)
+    data = parse_json(files.read_text(path), where)
+    if not isinstance(data, dict):
+        raise FileError("holds no JSON mapping {…}; is this the right file?", where=where)
+    document = Document(where, data, {})
+    if faults := list(check(data, "") if check else ()):
+        raise document.error(faults)
+    return document
+
+
+def parse_json(text: str, where: str | None = None) -> Any:
+    """Return the data in a JSON text as dicts, lists, strings, numbers, truth values and None.
+
+    Raises FileError if it is no JSON or nested too deeply, InvalidInput for a duplicate key or what is no number.
+    """
+    try:
+        return json.loads(text, object_pairs_hook=_json_mapping, parse_constant=_json_refuse, parse_int=_json_integer)
+    except json.JSONDecodeError as error:
+        line = where and f"{where}:{error.lineno}"
+        raise FileError(f"is not JSON, or cut off: {error.msg}", where=line) from error
+    except RecursionError as error:
+        raise FileError("is nested too deeply", where=where) from error
+    except InvalidInput as error:
+        raise InvalidInput(error.message, where=where) from error
+
+
+def _json_integer(text: str) -> int:
+    if len(text) > _LONGEST:
+        raise InvalidInput(f"a whole number of {len(text)} digits; numbers here have at most {_LONGEST}")
+    return int(text)
+
+
+def _json_mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise InvalidInput(f"duplicate key {max(names, key=names.count)!r}")
+    return result
+
+
+def _json_refuse(text: str) -> NoReturn:
+    raise InvalidInput(f"{text} is no number of JSON; leave the item out")
