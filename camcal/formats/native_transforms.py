@@ -23,7 +23,7 @@ from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import Fault, child
 from camcal.formats.schema import items, mapping, matrix, number
 from camcal.geometry.pose import JOINT, Pose
-from camcal.geometry.rotation import examine, nearest
+from camcal.geometry.rotation import examine
 from camcal.parsing import nearest
 
 FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
