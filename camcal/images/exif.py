@@ -150,7 +150,8 @@ def of_image(block: bytes, size: tuple[int, int]) -> bytes:
     entries = _capture_directory(block, order, first.entries)
     for tag, value in ((_WIDTH, size[0]), (_HEIGHT, size[1])):
         if tag in entries:
-            struct.pack_into(order + "HHII", result, entries[tag], tag, _LONG, 1, value)
+            entry = struct.pack(order + "HHII", tag, _LONG, 1, value)
+            result[entries[tag] : entries[tag] + _ENTRY_BYTES] = entry
     return bytes(result)
 
 

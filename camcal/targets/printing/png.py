@@ -51,7 +51,7 @@ def png(page: Page, dpi: float) -> bytes:
     Edges are where they are to 1/255 of a pixel: a pixel is as gray as ink covers it, without gamma.
     """
     size, scale = size_in_pixels(page, dpi), dots_per_mm(dpi)
-    header = struct.pack(">IIBBBBB", *size, 8, 0, 0, 0, 0)
+    header = struct.pack(">II", *size) + bytes([8, 0, 0, 0, 0])  # 8 bits gray, not interlaced
     metre = struct.pack(">IIB", round(scale * 1000), round(scale * 1000), 1)
     title = b"Title\0" + page.title.encode("ascii")
     chunks = (
