@@ -199,7 +199,7 @@ def fitted_curve(fit: CurveFit, suffix: str) -> bytes:
         FigureCanvasAgg(figure)
         upper, lower = figure.subplots(2, 1, height_ratios=(3, 1))
         figure.subplots_adjust(left=0.12, right=0.97, top=0.94, bottom=0.09, hspace=0.32)
-        across, label = _draw(upper, fit)
+        across, label = _draw_fitted(upper, fit)
         upper.set_title(fit.curve.name)
         _draw_residuals(lower, fit, across, label)
         if fit.data.target is not None:
@@ -209,16 +209,16 @@ def fitted_curve(fit: CurveFit, suffix: str) -> bytes:
         return encoded(figure, suffix)
 
 
-def _draw(axes: Axes, fit: CurveFit) -> tuple[Array, str]:
+def _draw_fitted(axes: Axes, fit: CurveFit) -> tuple[Array, str]:
     """Draw the data with their curve; return what the residuals are to be drawn over, and its name."""
     columns, target = fit.data.columns, fit.data.target
     if target is not None and len(columns) == 1:
         (name, x), *_ = columns.items()
-        _draw_over(axes, fit, name, x, target)
+        _draw_curve(axes, fit, name, x, target)
         return x, name
     if target is not None:
         predicted = target + fit.residuals[:, 0]
-        _scatter(axes, fit, predicted, target)
+        _draw_points(axes, fit, predicted, target)
         axes.axline((float(target[0]), float(target[0])), slope=1, color=_CURVE, lw=1)
         axes.set_ylabel("measured")
         return predicted, "predicted"
@@ -226,14 +226,14 @@ def _draw(axes: Axes, fit: CurveFit) -> tuple[Array, str]:
     if len(columns) == 2:
         _draw_shape(axes, fit)
     else:
-        _scatter(axes, fit, rows, np.linalg.norm(fit.residuals, axis=1))
+        _draw_points(axes, fit, rows, np.linalg.norm(fit.residuals, axis=1))
         axes.set_ylabel("distance")
     return rows, "row"
 
 
-def _draw_over(axes: Axes, fit: CurveFit, name: str, x: Array, target: Array) -> None:
+def _draw_curve(axes: Axes, fit: CurveFit, name: str, x: Array, target: Array) -> None:
     sigma = fit.data.sigma
-    _scatter(axes, fit, x, target)
+    _draw_points(axes, fit, x, target)
     if sigma is not None:
         axes.errorbar(x, target, sigma, fmt="none", ecolor=_POINTS, elinewidth=0.7)
     fine = _spanned(x)
@@ -245,7 +245,7 @@ def _draw_over(axes: Axes, fit: CurveFit, name: str, x: Array, target: Array) ->
 def _draw_shape(axes: Axes, fit: CurveFit) -> None:
     """Draw points in a plane, and the shape as the line on which the distance is zero."""
     (first, x), (second, y) = fit.data.columns.items()
-    _scatter(axes, fit, x, y)
+    _draw_points(axes, fit, x, y)
     grid = np.meshgrid(_spanned(x), _spanned(y))
     columns = {first: grid[0].ravel(), second: grid[1].ravel()}
     distance = predictions(fit.curve, columns, fit.values, grid[0].size)[:, 0].reshape(grid[0].shape)
@@ -258,13 +258,13 @@ def _draw_shape(axes: Axes, fit: CurveFit) -> None:
 def _draw_residuals(axes: Axes, fit: CurveFit, across: Array, label: str) -> None:
     residuals = -fit.residuals if fit.data.target is not None else fit.residuals
     for component in residuals.T:
-        _scatter(axes, fit, across, component)
+        _draw_points(axes, fit, across, component)
     axes.axhline(0, color=_CURVE, lw=1)
     axes.set_xlabel(label)
     axes.set_ylabel("measured - fitted" if fit.data.target is not None else "distance")
 
 
-def _scatter(axes: Axes, fit: CurveFit, x: Array, y: Array) -> None:
+def _draw_points(axes: Axes, fit: CurveFit, x: Array, y: Array) -> None:
     """Draw points; those that a robust loss leaves less than half of their weight are open."""
     ignored = fit.outliers
     axes.plot(x[~ignored], y[~ignored], "o", ms=3.5, color=_POINTS, label="measured")

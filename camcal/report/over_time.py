@@ -80,9 +80,9 @@ def track_figure(track: Track, single: Sequence[Pose | None], title: str, gate: 
         smooth_turns = np.full_like(track.translations, np.nan)
         smooth_turns[track.posed] = np.degrees(so3.log(track.rotations[track.posed] @ middle.T))
         for axis in range(3):
-            _draw(axes[axis], track, seen, places[:, axis] * 1e3, track.translations[:, axis] * 1e3)
+            _draw_coordinate(axes[axis], track, seen, places[:, axis] * 1e3, track.translations[:, axis] * 1e3)
             axes[axis].set_ylabel(f"{_AXES[axis]}, mm")
-            _draw(axes[axis + 3], track, seen, turns[:, axis], smooth_turns[:, axis])
+            _draw_coordinate(axes[axis + 3], track, seen, turns[:, axis], smooth_turns[:, axis])
             axes[axis + 3].set_ylabel(f"turn about {_AXES[axis]}, deg")
         _draw_nis(axes[-1], track, gate)
         axes[0].set_title(title)
@@ -97,7 +97,7 @@ def _middle(track: Track) -> Array:
     return so3.nearest(track.rotations[track.posed].mean(axis=0))
 
 
-def _draw(axes: Axes, track: Track, seen: Array, raw: Array, smooth: Array) -> None:
+def _draw_coordinate(axes: Axes, track: Track, seen: Array, raw: Array, smooth: Array) -> None:
     """Draw one coordinate: of the single poses at the frames `seen`, and of the track."""
     states = np.array(track.states)[seen]
     used, refused = states == MEASURED, states == REJECTED
@@ -111,10 +111,10 @@ def _draw(axes: Axes, track: Track, seen: Array, raw: Array, smooth: Array) -> N
         axes.plot(track.stamps[inside], smooth[inside], color=_LINE, lw=1, label=label)
     predicted = np.array(track.states) == PREDICTED
     axes.plot(track.stamps[predicted], smooth[predicted], "o", color=_LINE, mfc="white", ms=3)
-    _limit(axes, np.concatenate([smooth[np.isfinite(smooth)], raw[used]]))
+    _limit_axis(axes, np.concatenate([smooth[np.isfinite(smooth)], raw[used]]))
 
 
-def _limit(axes: Axes, values: Array) -> None:
+def _limit_axis(axes: Axes, values: Array) -> None:
     """Show what belongs to the track; an outlier far off shall not flatten it."""
     low, high = np.min(values), np.max(values)
     margin = 0.15 * (high - low) or 1e-3

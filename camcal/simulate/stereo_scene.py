@@ -73,48 +73,6 @@ class Eye:
         return np.asarray(self.row_shift + self.row_tilt * (columns / (self.size[0] - 1) - 0.5))
 
 
-def disparity(surfaces: Sequence[Surface], eye: Eye, other: Eye) -> tuple[Array, Array]:
-    """Return the disparity (H, W), float32 pixels, at the pixels of an eye, and which of them (H, W) the other sees.
-
-    The disparity is the column of the left eye less that of the right one; NaN where nothing is seen.
-    """
-    width, height = eye.size
-    result = np.full((height, width), np.nan, np.float32)
-    visible = np.zeros((height, width), bool)
-    sign = 1 if eye.place[0] < other.place[0] else -1
-    for first, last in strips(height, width):
-        rows, columns = (grid.ravel() for grid in np.mgrid[first:last, 0:width].astype(float))
-        surface, points = seen(surfaces, eye, columns, rows)
-        with np.errstate(invalid="ignore"):
-            matches, levels = other.pixels(points)
-            result[first:last] = (sign * (columns - matches)).reshape(-1, width)
-            found = (surface != NOTHING) & other.contains(matches, levels)
-        found[found] = ~_hidden(surfaces, other, points[found])
-        visible[first:last] = found.reshape(-1, width)
-    return result, visible
-
-
-def _hidden(surfaces: Sequence[Surface], eye: Eye, points: Array) -> Array:
-    """Return which points (N, 3) another surface hides from an eye."""
-    x, y, z = (points - eye.place).T
-    return np.asarray(first_hits(surfaces, eye.place, x / z, y / z)[1] < z * (1 - SAME))
-
-
-def seen(surfaces: Sequence[Surface], eye: Eye, columns: Array, rows: Array) -> tuple[Array, Array]:
-    """Return which surface an eye sees at pixels (N,), and which point (N, 3) of it, NaN if none."""
-    x, y = eye.rays(columns, rows)
-    surface, depths = first_hits(surfaces, eye.place, x, y)
-    depths[surface == NOTHING] = np.nan
-    return surface, eye.place + depths[:, None] * np.stack([x, y, np.ones_like(x)], axis=1)
-
-
-def strips(height: int, rays_of_a_row: int) -> Iterator[tuple[int, int]]:
-    """Yield the first and the last but one row of parts of an image that are worked on at once."""
-    rows = max(1, _STRIP // rays_of_a_row)
-    for first in range(0, height, rows):
-        yield first, min(height, first + rows)
-
-
 @dataclass(frozen=True)
 class PairOptions:
     """Cameras, world, light and errors of a pair.
@@ -360,3 +318,45 @@ def _edge_weights(row: int, column: int, margin: int, blur: float) -> Array:
 def _product(rows: Array, columns: Array) -> Array:
     """Return the products (..., R, R) of what counts along rows (..., R) and along columns (..., R)."""
     return np.asarray(rows[..., :, None] * columns[..., None, :])
+
+
+def disparity(surfaces: Sequence[Surface], eye: Eye, other: Eye) -> tuple[Array, Array]:
+    """Return the disparity (H, W), float32 pixels, at the pixels of an eye, and which of them (H, W) the other sees.
+
+    The disparity is the column of the left eye less that of the right one; NaN where nothing is seen.
+    """
+    width, height = eye.size
+    result = np.full((height, width), np.nan, np.float32)
+    visible = np.zeros((height, width), bool)
+    sign = 1 if eye.place[0] < other.place[0] else -1
+    for first, last in strips(height, width):
+        rows, columns = (grid.ravel() for grid in np.mgrid[first:last, 0:width].astype(float))
+        surface, points = seen(surfaces, eye, columns, rows)
+        with np.errstate(invalid="ignore"):
+            matches, levels = other.pixels(points)
+            result[first:last] = (sign * (columns - matches)).reshape(-1, width)
+            found = (surface != NOTHING) & other.contains(matches, levels)
+        found[found] = ~_hidden(surfaces, other, points[found])
+        visible[first:last] = found.reshape(-1, width)
+    return result, visible
+
+
+def _hidden(surfaces: Sequence[Surface], eye: Eye, points: Array) -> Array:
+    """Return which points (N, 3) another surface hides from an eye."""
+    x, y, z = (points - eye.place).T
+    return np.asarray(first_hits(surfaces, eye.place, x / z, y / z)[1] < z * (1 - SAME))
+
+
+def seen(surfaces: Sequence[Surface], eye: Eye, columns: Array, rows: Array) -> tuple[Array, Array]:
+    """Return which surface an eye sees at pixels (N,), and which point (N, 3) of it, NaN if none."""
+    x, y = eye.rays(columns, rows)
+    surface, depths = first_hits(surfaces, eye.place, x, y)
+    depths[surface == NOTHING] = np.nan
+    return surface, eye.place + depths[:, None] * np.stack([x, y, np.ones_like(x)], axis=1)
+
+
+def strips(height: int, rays_of_a_row: int) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last but one row of parts of an image that are worked on at once."""
+    rows = max(1, _STRIP // rays_of_a_row)
+    for first in range(0, height, rows):
+        yield first, min(height, first + rows)

@@ -96,30 +96,19 @@ def assemble(blocks: Sequence[Block], shared: int, groups: int, group_size: int)
     """Return the normal equations of residual blocks over `shared` parameters and `groups` groups of `group_size`."""
     grouped = [part.columns for block in blocks if block.group is not None for part in block.shared]
     dense = max((int(columns.max(initial=-1)) + 1 for columns in grouped if columns.ndim == 1), default=0)
-    total = _Sums(
+    total = NormalEquations(
         0.0,
-        np.zeros(shared),
-        group_gradient=np.zeros((groups, group_size)),
+        Step(np.zeros(shared), np.zeros((groups, group_size))),
         group_group=np.zeros((groups, group_size, group_size)),
         group_shared=np.zeros((groups, group_size, shared)),
         shared_shared=np.zeros((shared, shared)),
         group_gradients=np.zeros((groups, shared)),
         group_products=np.zeros((groups, dense, dense)),
     )
-    for block in blocks:
-        for part, where in _parts(block):
-            total.add(part, where)
+    cost = sum((_add(total, part, where) for block in blocks for part, where in _parts(block)), 0.0)
     # a group that no residual depends on stays where it is
     total.group_group[~total.group_group.any(axis=(1, 2))] = np.eye(group_size)
-    return NormalEquations(
-        total.cost,
-        Step(total.shared_gradient, total.group_gradient),
-        group_group=total.group_group,
-        group_shared=total.group_shared,
-        shared_shared=total.shared_shared,
-        group_gradients=total.group_gradients,
-        group_products=total.group_products,
-    )
+    return replace(total, cost=cost)
 
 
 class _Common(NamedTuple):
@@ -132,124 +121,115 @@ class _Common(NamedTuple):
     columns: Array
 
 
-@dataclass
-class _Sums:
-    """The running sums of `assemble`."""
+def _add(total: NormalEquations, block: Block, where: slice | Array) -> float:
+    """Return the cost of a block whose runs of rows belong to the groups `where`, the rest of it added to a total."""
+    cost, weights = block.weighed()
+    dense = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 1]
+    sparse = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 2]
+    columns = np.concatenate([jacobian.columns for jacobian in dense] or [np.zeros(0, np.intp)])
+    parts = [jacobian.values for jacobian in dense]
+    if block.group is not None:
+        parts.insert(0, block.group)
+    rows = _rows([*parts, block.residuals[..., None]], np.sqrt(weights))
+    common = _Common(rows, 0 if block.group is None else block.group.shape[-1], columns)
+    if block.rows_per_group:
+        _add_grouped(total, block, where, common)
+    else:
+        _add_ungrouped(total, common)
+    for jacobian in sparse:
+        _add_sparse(total, block, where, jacobian, common, weights)
+    for first, second in combinations(sparse, 2):
+        _add_cross(total, first, second, weights)
+    return cost
 
-    cost: float
-    shared_gradient: Array
-    group_gradient: Array
-    group_group: Array
-    group_shared: Array
-    shared_shared: Array
-    group_gradients: Array
-    group_products: Array
 
-    def add(self, block: Block, where: slice | Array) -> None:
-        """Add a block whose runs of rows belong to the groups `where`."""
-        cost, weights = block.weighed()
-        self.cost += cost
-        dense = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 1]
-        sparse = [jacobian for jacobian in block.shared if jacobian.columns.ndim == 2]
-        columns = np.concatenate([jacobian.columns for jacobian in dense] or [np.zeros(0, np.intp)])
-        parts = [jacobian.values for jacobian in dense]
-        if block.group is not None:
-            parts.insert(0, block.group)
-        rows = _rows([*parts, block.residuals[..., None]], np.sqrt(weights))
-        common = _Common(rows, 0 if block.group is None else block.group.shape[-1], columns)
-        if block.rows_per_group:
-            self._add_grouped(block, where, common)
-        else:
-            self._add_ungrouped(common)
-        for jacobian in sparse:
-            self._add_sparse(block, where, jacobian, common, weights)
-        for first, second in combinations(sparse, 2):
-            self._add_cross(first, second, weights)
+def _add_grouped(total: NormalEquations, block: Block, where: slice | Array, common: _Common) -> None:
+    rows, size, columns = common
+    dimension, count, length = rows.shape
+    runs = rows.reshape(dimension, count, length // block.rows_per_group, block.rows_per_group)
+    stacked = runs.transpose(0, 2, 1, 3)
+    gram = np.asarray(sum(run @ run.transpose(0, 2, 1) for run in stacked))
+    group, shared, residual = slice(0, size), slice(size, count - 1), count - 1
+    gradients = gram[:, shared, residual]
+    _add_at(total.group_group, where, gram[:, group, group])
+    _add_at(total.gradient.groups, where, gram[:, group, residual])
+    if isinstance(where, slice):
+        span = _span(columns)
+        total.group_shared[where, :, span] += gram[:, group, shared]
+        total.group_gradients[where, span] += gradients
+    else:
+        np.add.at(total.group_shared, (where[:, None, None], np.arange(size)[:, None], columns), gram[:, group, shared])
+        np.add.at(total.group_gradients, (where[:, None], columns), gradients)
+    total.gradient.shared[columns] += gradients.sum(axis=0)
+    total.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
+    products = np.zeros((len(gram), *total.group_products.shape[1:]))
+    products[:, columns[:, None], columns] = gram[:, shared, shared]
+    _add_at(total.group_products, where, products)
 
-    def _add_grouped(self, block: Block, where: slice | Array, common: "_Common") -> None:
-        rows, size, columns = common
-        dimension, count, length = rows.shape
-        runs = rows.reshape(dimension, count, length // block.rows_per_group, block.rows_per_group)
-        stacked = runs.transpose(0, 2, 1, 3)
-        gram = np.asarray(sum(run @ run.transpose(0, 2, 1) for run in stacked))
-        group, shared, residual = slice(0, size), slice(size, count - 1), count - 1
-        gradients = gram[:, shared, residual]
-        _add_at(self.group_group, where, gram[:, group, group])
-        _add_at(self.group_gradient, where, gram[:, group, residual])
-        if isinstance(where, slice):
-            span = _span(columns)
-            self.group_shared[where, :, span] += gram[:, group, shared]
-            self.group_gradients[where, span] += gradients
-        else:
-            np.add.at(
-                self.group_shared, (where[:, None, None], np.arange(size)[:, None], columns), gram[:, group, shared]
-            )
-            np.add.at(self.group_gradients, (where[:, None], columns), gradients)
-        self.shared_gradient[columns] += gradients.sum(axis=0)
-        self.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
-        products = np.zeros((len(gram), *self.group_products.shape[1:]))
-        products[:, columns[:, None], columns] = gram[:, shared, shared]
-        _add_at(self.group_products, where, products)
 
-    def _add_ungrouped(self, common: "_Common") -> None:
-        gram, columns = np.einsum("dim,djm->ij", common.rows, common.rows), common.columns
-        self.shared_gradient[columns] += gram[:-1, -1]
-        self.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
+def _add_ungrouped(total: NormalEquations, common: _Common) -> None:
+    gram, columns = np.einsum("dim,djm->ij", common.rows, common.rows), common.columns
+    total.gradient.shared[columns] += gram[:-1, -1]
+    total.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
 
-    def _add_sparse(
-        self, block: Block, where: slice | Array, jacobian: Jacobian, common: "_Common", weights: Array
-    ) -> None:
-        """Add a Jacobian whose columns differ from row to row."""
-        own = _rows([jacobian.values], np.sqrt(weights))
-        places = _repeated(block, jacobian) if isinstance(where, slice) else None
-        if places is None or not isinstance(where, slice):
-            self._add_scattered(block, where, jacobian, own, common)
-        else:
-            self._add_repeated(where, places, own, common)
 
-    def _add_repeated(self, where: slice, places: Sequence[slice], own: Array, common: "_Common") -> None:
-        """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
-        rows, size, columns = common
-        shape = where.stop - where.start, -1
-        own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
-        for axis, place in enumerate(places):
-            products = sum(first * second for first, second in zip(own[:, axis], rows, strict=True))
-            total = products.sum(axis=1)
-            self.shared_gradient[place] += total[-1]
-            self.shared_shared[place, columns] += total[size:-1].T
-            self.shared_shared[columns, place] += total[size:-1]
-            self.group_gradients[where, place] += products[-1]
-            self.group_shared[where, :, place] += products[:size].swapaxes(0, 1)
-            for other, across in zip(np.einsum("dgp,dlgp->lp", own[:, axis], own), places, strict=True):
-                np.einsum("ii->i", self.shared_shared[place, across])[:] += other
+def _add_sparse(
+    total: NormalEquations, block: Block, where: slice | Array, jacobian: Jacobian, common: _Common, weights: Array
+) -> None:
+    """Add a Jacobian whose columns differ from row to row."""
+    own = _rows([jacobian.values], np.sqrt(weights))
+    places = _repeated(block, jacobian) if isinstance(where, slice) else None
+    if places is None or not isinstance(where, slice):
+        _add_scattered(total, block, where, jacobian, own, common)
+    else:
+        _add_repeated(total, where, places, own, common)
 
-    def _add_scattered(
-        self, block: Block, where: slice | Array, jacobian: Jacobian, own: Array, common: "_Common"
-    ) -> None:
-        """Add a Jacobian with any columns, by scattered sums."""
-        rows, size, columns = common
-        at, shared = jacobian.columns.T, len(self.shared_gradient)
-        products = np.einsum("dlm,djm->ljm", own, rows)
-        _scatter(self.shared_gradient, at, products[:, -1])
-        _scatter(self.shared_shared, at[:, None] * shared + at[None, :], np.einsum("dlm,dkm->lkm", own, own))
-        cross = np.zeros((shared, shared))
-        index = at[:, None] * shared + columns[None, :, None]
-        _scatter(cross, index, products[:, size:-1])
-        self.shared_shared += cross + cross.T
-        if block.rows_per_group:
-            runs = np.arange(own.shape[-1]) // block.rows_per_group
-            group = runs + where.start if isinstance(where, slice) else where[runs]
-            _scatter(self.group_gradients, group * shared + at, products[:, -1])
-            index = (group * size + np.arange(size)[:, None])[None] * shared + at[:, None]
-            _scatter(self.group_shared, index, products[:, :size])
 
-    def _add_cross(self, first: Jacobian, second: Jacobian, weights: Array) -> None:
-        """Add the products of two Jacobians whose columns differ from row to row."""
-        root, shared = np.sqrt(weights), len(self.shared_gradient)
-        products = np.einsum("dlm,dkm->lkm", _rows([first.values], root), _rows([second.values], root))
-        cross = np.zeros((shared, shared))
-        _scatter(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
-        self.shared_shared += cross + cross.T
+def _add_repeated(total: NormalEquations, where: slice, places: Sequence[slice], own: Array, common: _Common) -> None:
+    """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
+    rows, size, columns = common
+    shape = where.stop - where.start, -1
+    own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
+    for axis, place in enumerate(places):
+        products = sum(first * second for first, second in zip(own[:, axis], rows, strict=True))
+        summed = products.sum(axis=1)
+        total.gradient.shared[place] += summed[-1]
+        total.shared_shared[place, columns] += summed[size:-1].T
+        total.shared_shared[columns, place] += summed[size:-1]
+        total.group_gradients[where, place] += products[-1]
+        total.group_shared[where, :, place] += products[:size].swapaxes(0, 1)
+        for other, across in zip(np.einsum("dgp,dlgp->lp", own[:, axis], own), places, strict=True):
+            np.einsum("ii->i", total.shared_shared[place, across])[:] += other
+
+
+def _add_scattered(
+    total: NormalEquations, block: Block, where: slice | Array, jacobian: Jacobian, own: Array, common: _Common
+) -> None:
+    """Add a Jacobian with any columns, by scattered sums."""
+    rows, size, columns = common
+    at, shared = jacobian.columns.T, len(total.gradient.shared)
+    products = np.einsum("dlm,djm->ljm", own, rows)
+    _scatter(total.gradient.shared, at, products[:, -1])
+    _scatter(total.shared_shared, at[:, None] * shared + at[None, :], np.einsum("dlm,dkm->lkm", own, own))
+    cross = np.zeros((shared, shared))
+    index = at[:, None] * shared + columns[None, :, None]
+    _scatter(cross, index, products[:, size:-1])
+    total.shared_shared[:] += cross + cross.T
+    if block.rows_per_group:
+        runs = np.arange(own.shape[-1]) // block.rows_per_group
+        group = runs + where.start if isinstance(where, slice) else where[runs]
+        _scatter(total.group_gradients, group * shared + at, products[:, -1])
+        index = (group * size + np.arange(size)[:, None])[None] * shared + at[:, None]
+        _scatter(total.group_shared, index, products[:, :size])
+
+
+def _add_cross(total: NormalEquations, first: Jacobian, second: Jacobian, weights: Array) -> None:
+    """Add the products of two Jacobians whose columns differ from row to row."""
+    root, shared = np.sqrt(weights), len(total.gradient.shared)
+    products = np.einsum("dlm,dkm->lkm", _rows([first.values], root), _rows([second.values], root))
+    cross = np.zeros((shared, shared))
+    _scatter(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
+    total.shared_shared[:] += cross + cross.T
 
 
 def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:

@@ -106,61 +106,6 @@ class Model:
     start: Mapping[str, float]
 
 
-def model_of(text: str, measured: Measured, start: Mapping[str, float]) -> Model:
-    """Return the model that a text names: a family, or a formula whose parameters all have a start.
-
-    Raises InvalidInput for a word that is neither, an unknown name, a column that is missing.
-    """
-    family = family_named(text)
-    if family is not None:
-        return _of_family(family, measured, start)
-    formula = parse(text)
-    if formula.text.isidentifier() and formula.text not in {*measured.table.columns, *start}:
-        known = ", ".join(["poly:N", *FAMILIES])
-        raise InvalidInput(f"no curve is named {text!r}{did_you_mean(text, list(FAMILIES))}; known are {known}")
-    return _of_formula(formula, measured, start)
-
-
-def _of_formula(formula: Expression, measured: Measured, start: Mapping[str, float]) -> Model:
-    for name in measured.x:
-        measured.column(name, "--x")
-    if measured.x and "x" not in formula.names:
-        raise InvalidInput("--x names what x stands for, but there is no x in the model; columns go by their names")
-    measured.refuse_shadowed(formula)
-    columns = measured.named(formula.names)
-    both = next((name for name in start if name in columns or name in CONSTANTS), None)
-    if both is not None:
-        raise InvalidInput(f"--start {both}: it is a column or a constant; give the parameter another name")
-    if measured.target_name() in columns:
-        raise InvalidInput(f"the model uses {measured.target_name()!r}, which it is to predict; see --y")
-    listed = f"columns are {', '.join(measured.table.columns)}, parameters those with a --start"
-    formula.require_known([*columns, *start], f"{listed} ({', '.join(start) or 'none'})")
-    parameters = [name for name in start if name in formula.names]
-    if not parameters:
-        raise InvalidInput(f"{formula.text!r} has no parameter to fit; give it one with --start NAME=VALUE")
-    curve = Curve(formula.text, (formula,), tuple(parameters))
-    data = Data(columns, measured.target(), measured.deviations())
-    return Model(curve, data, {name: start[name] for name in parameters})
-
-
-def _of_family(family: Family, measured: Measured, start: Mapping[str, float]) -> Model:
-    columns = _roles(family, measured)
-    target = measured.target() if family.explicit else None
-    data = Data({role: columns[role] for role in family.roles}, target, measured.deviations())
-    curve, own = family.build(columns if target is None else columns | {"y": target})
-    return Model(curve, data, {name: start.get(name, own[name]) for name in curve.parameters})
-
-
-def _roles(family: Family, measured: Measured) -> dict[str, Array]:
-    """Return the columns a family reads: those of --x in order, else those of the same names, else the first ones."""
-    spent = {measured.sigma, measured.target_name() if family.explicit else None}
-    left = [name for name in measured.table.columns if name not in spent]
-    names = measured.x or (family.roles if set(family.roles) <= set(left) else tuple(left[: len(family.roles)]))
-    if len(names) != len(family.roles):
-        raise InvalidInput(f"{len(family.roles)} columns are needed for {', '.join(family.roles)}, found {len(names)}")
-    return {role: measured.column(name, "--x") for role, name in zip(family.roles, names, strict=True)}
-
-
 def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     """Return the fit of a model to a table, after writing what the options ask for.
 
@@ -244,6 +189,61 @@ def _write(report: FitReport, options: FitOptions, table: Table) -> None:
     if options.output.suffix.lower() != ".json":
         content = written(content)
     files.write_text(options.output, emit.text_for(options.output, content))
+
+
+def model_of(text: str, measured: Measured, start: Mapping[str, float]) -> Model:
+    """Return the model that a text names: a family, or a formula whose parameters all have a start.
+
+    Raises InvalidInput for a word that is neither, an unknown name, a column that is missing.
+    """
+    family = family_named(text)
+    if family is not None:
+        return _of_family(family, measured, start)
+    formula = parse(text)
+    if formula.text.isidentifier() and formula.text not in {*measured.table.columns, *start}:
+        known = ", ".join(["poly:N", *FAMILIES])
+        raise InvalidInput(f"no curve is named {text!r}{did_you_mean(text, list(FAMILIES))}; known are {known}")
+    return _of_formula(formula, measured, start)
+
+
+def _of_formula(formula: Expression, measured: Measured, start: Mapping[str, float]) -> Model:
+    for name in measured.x:
+        measured.column(name, "--x")
+    if measured.x and "x" not in formula.names:
+        raise InvalidInput("--x names what x stands for, but there is no x in the model; columns go by their names")
+    measured.refuse_shadowed(formula)
+    columns = measured.named(formula.names)
+    both = next((name for name in start if name in columns or name in CONSTANTS), None)
+    if both is not None:
+        raise InvalidInput(f"--start {both}: it is a column or a constant; give the parameter another name")
+    if measured.target_name() in columns:
+        raise InvalidInput(f"the model uses {measured.target_name()!r}, which it is to predict; see --y")
+    listed = f"columns are {', '.join(measured.table.columns)}, parameters those with a --start"
+    formula.require_known([*columns, *start], f"{listed} ({', '.join(start) or 'none'})")
+    parameters = [name for name in start if name in formula.names]
+    if not parameters:
+        raise InvalidInput(f"{formula.text!r} has no parameter to fit; give it one with --start NAME=VALUE")
+    curve = Curve(formula.text, (formula,), tuple(parameters))
+    data = Data(columns, measured.target(), measured.deviations())
+    return Model(curve, data, {name: start[name] for name in parameters})
+
+
+def _of_family(family: Family, measured: Measured, start: Mapping[str, float]) -> Model:
+    columns = _roles(family, measured)
+    target = measured.target() if family.explicit else None
+    data = Data({role: columns[role] for role in family.roles}, target, measured.deviations())
+    curve, own = family.build(columns if target is None else columns | {"y": target})
+    return Model(curve, data, {name: start.get(name, own[name]) for name in curve.parameters})
+
+
+def _roles(family: Family, measured: Measured) -> dict[str, Array]:
+    """Return the columns a family reads: those of --x in order, else those of the same names, else the first ones."""
+    spent = {measured.sigma, measured.target_name() if family.explicit else None}
+    left = [name for name in measured.table.columns if name not in spent]
+    names = measured.x or (family.roles if set(family.roles) <= set(left) else tuple(left[: len(family.roles)]))
+    if len(names) != len(family.roles):
+        raise InvalidInput(f"{len(family.roles)} columns are needed for {', '.join(family.roles)}, found {len(names)}")
+    return {role: measured.column(name, "--x") for role, name in zip(family.roles, names, strict=True)}
 
 
 def starts_of(text: str | None, option: str = "--start") -> dict[str, float]:

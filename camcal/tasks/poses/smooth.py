@@ -81,7 +81,7 @@ def smooth_table(options: SmoothOptions) -> Smoothing:
         raise InvalidInput("--evaluate, --format and --frames go with poses, not with a table of other numbers")
     if options.output is not None:
         tables.require_suffix(options.output)
-    series = _read(options)
+    series = _read_series(options)
     grid = wanted_stamps(options, series.stamps)
     q = None if options.q is None else _single("--q", options.q)
     smoothed = smooth_series(series, SeriesOptions(options.motion, q, options.method, options.robust != "none"))
@@ -93,7 +93,7 @@ def smooth_table(options: SmoothOptions) -> Smoothing:
     return _of_table(options, smoothed, shown)
 
 
-def _read(options: SmoothOptions) -> Series:
+def _read_series(options: SmoothOptions) -> Series:
     series = tables.read(options.source, options.columns)
     if options.sigma is not None:
         sigma = np.array(options.sigma)

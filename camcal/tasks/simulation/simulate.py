@@ -280,7 +280,7 @@ def _take(raw: RawCamera, size: tuple[int, int], vignetting: float, seed: int, f
 def _flats(folder: Path, raw: RawCamera, levels: int, vignetting: float) -> Iterator[Frame]:
     shots = [shot for shot in ladder(raw, levels, vignetting) for _ in range(FRAMES_A_LEVEL)]
     for number, shot in enumerate(shots):
-        yield Frame(folder / FLATS / _name(shot) / f"flat{number:04d}.png", shot, (number, _FLAT_STREAM))
+        yield Frame(folder / FLATS / _exposure_name(shot) / f"flat{number:04d}.png", shot, (number, _FLAT_STREAM))
 
 
 def _darks(folder: Path, raw: RawCamera, options: RawOptions, vignetting: float) -> Iterator[Frame]:
@@ -289,10 +289,10 @@ def _darks(folder: Path, raw: RawCamera, options: RawOptions, vignetting: float)
     first = options.darks if options.darks < _FEW_DARKS else (options.darks + 1) // 2
     for number in range(options.darks):
         shot = Shot(taken[0] if number < first else taken[-1], 0.0)
-        yield Frame(folder / DARKS / _name(shot) / f"dark{number:04d}.png", shot, (number, _DARK_STREAM))
+        yield Frame(folder / DARKS / _exposure_name(shot) / f"dark{number:04d}.png", shot, (number, _DARK_STREAM))
 
 
-def _name(shot: Shot) -> str:
+def _exposure_name(shot: Shot) -> str:
     return f"{1e3 * shot.exposure_s:.6g}ms"
 
 

@@ -88,11 +88,6 @@ class Figures:
         )
 
 
-def _median(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None
-
-
 @dataclass(frozen=True)
 class MatchedPair:
     """A pair and its map.
@@ -113,44 +108,6 @@ class MatchedPair:
     geometry_known: bool
     remarks: tuple[str, ...]
     failures: tuple[str, ...]
-
-
-def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
-    """Return what became of the pairs as plain data for --json."""
-    matched = [outcome.value for outcome in outcomes if outcome.value is not None]
-    return {
-        "pairs": [_plain(pair) for pair in matched],
-        "failed": [
-            {"left": left.as_posix(), "right": right.as_posix(), "message": str(outcome.error)}
-            for outcome in outcomes
-            if outcome.error is not None
-            for left, right in (outcome.item,)
-        ],
-    }
-
-
-def _plain(pair: MatchedPair) -> dict[str, Any]:
-    figures = pair.figures
-    return {
-        "left": pair.left.as_posix(),
-        "right": pair.right.as_posix(),
-        "output": pair.output.as_posix(),
-        "sidecar": disparity_sidecar.path_beside(pair.output).as_posix(),
-        "picture": None if pair.picture is None else pair.picture.as_posix(),
-        "image_size": list(figures.size),
-        "searched": list(figures.searched),
-        "at_ends": list(figures.at_ends),
-        "matched": figures.matched,
-        "filled": figures.filled,
-        "classes": dict(figures.classes),
-        "median_px": figures.median,
-        "sigma_px": figures.sigma,
-        "rows_px": pair.rows,
-        "scale": pair.scale,
-        "geometry": pair.geometry_known,
-        "remarks": list(pair.remarks),
-        "failures": list(pair.failures),
-    }
 
 
 def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> list[Outcome[Pair, MatchedPair]]:
@@ -345,3 +302,46 @@ def _warned(matched: MatchedPair, progress: Progress) -> MatchedPair:
     for remark in matched.remarks:
         progress.warn(f"{matched.left}: {remark}")
     return matched
+
+
+def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
+    """Return what became of the pairs as plain data for --json."""
+    matched = [outcome.value for outcome in outcomes if outcome.value is not None]
+    return {
+        "pairs": [_plain(pair) for pair in matched],
+        "failed": [
+            {"left": left.as_posix(), "right": right.as_posix(), "message": str(outcome.error)}
+            for outcome in outcomes
+            if outcome.error is not None
+            for left, right in (outcome.item,)
+        ],
+    }
+
+
+def _plain(pair: MatchedPair) -> dict[str, Any]:
+    figures = pair.figures
+    return {
+        "left": pair.left.as_posix(),
+        "right": pair.right.as_posix(),
+        "output": pair.output.as_posix(),
+        "sidecar": disparity_sidecar.path_beside(pair.output).as_posix(),
+        "picture": None if pair.picture is None else pair.picture.as_posix(),
+        "image_size": list(figures.size),
+        "searched": list(figures.searched),
+        "at_ends": list(figures.at_ends),
+        "matched": figures.matched,
+        "filled": figures.filled,
+        "classes": dict(figures.classes),
+        "median_px": figures.median,
+        "sigma_px": figures.sigma,
+        "rows_px": pair.rows,
+        "scale": pair.scale,
+        "geometry": pair.geometry_known,
+        "remarks": list(pair.remarks),
+        "failures": list(pair.failures),
+    }
+
+
+def _median(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else None
