@@ -87,6 +87,8 @@ def load_everything() -> None:
         "scipy.optimize",
     ):
         import_module(name)
+    with suppress(ImportError):
+        import_module("typer._adapters")  # brings pydantic where that is installed, which takes half of most cases
     _whole_command()
     with_fonts = import_module("matplotlib.figure").Figure()
     with_fonts.text(0, 0, "x")
