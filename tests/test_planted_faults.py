@@ -1,0 +1,31 @@
+"""The list of planted faults, which benchmarks/planted_faults.py runs, is of the package as it is."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).parents[1]
+LISTS = sorted((PROJECT / "tests" / "faults").glob("*.toml"))
+PACKAGE = [path.read_text(encoding="utf-8") for path in (PROJECT / "camcal").rglob("*.py")]
+
+
+@pytest.mark.parametrize("path", LISTS, ids=lambda path: path.stem)
+def test_the_text_of_every_fault_stands_once_in_the_package_and_is_changed(path: Path) -> None:
+    for name, fault in tomllib.loads(path.read_text(encoding="utf-8")).items():
+        assert [text.count(fault["find"]) for text in PACKAGE if fault["find"] in text] == [1], name
+        assert fault["put"] != fault["find"], name
+        assert all((PROJECT / "tests" / each).exists() for each in fault["tests"]), name
+
+
+def test_every_critical_package_has_faults() -> None:
+    assert [path.stem for path in LISTS] == [
+        "calibrate",
+        "cameras",
+        "estimate_poses",
+        "quality",
+        "solve",
+        "stereo_matching",
+        "targets_corners",
+    ]
+    assert all(len(tomllib.loads(path.read_text(encoding="utf-8"))) >= 12 for path in LISTS)
