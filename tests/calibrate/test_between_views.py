@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from observed import make_scene
+from scipy.stats import norm
 
 from camcal.calibrate import between_views
 from camcal.calibrate.between_views import BetweenViews
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.view_offsets import ViewOffsets
 from camcal.targets.surface import normalised
 
 COUNT = 16
@@ -184,3 +186,23 @@ def test_a_step_is_found_under_a_lens_that_is_held(scene, seen):
 
 def test_of_few_views_nothing_is_said(scene, seen):
     assert compared(scene, seen[:4]) == BetweenViews(images(seen, range(4)))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_noise_adds_nothing_to_the_distance_of_two_boards(noise):
+    rng = np.random.default_rng(7)
+    second = np.arange(20) >= 8
+    apart = rng.normal(0, 0.2, (50, 3))
+    px = rng.normal(0, noise, (20, 50, 3)) + np.where(second, 0.5, -0.5)[:, None, None] * apart
+    found = between_views._distance(px.reshape(20, -1), second)
+    assert found == pytest.approx(np.sqrt(np.mean(np.sum(apart**2, axis=1))), rel=0.05)
+
+
+@pytest.mark.parametrize("count", [12, 50])
+def test_a_step_is_as_clear_as_it_is_rare_among_views_that_differ_by_noise(count):
+    """One in ten sets has a change that clear by chance, wherever it is; τ above zero takes some of them."""
+    rng = np.random.default_rng(8)
+    images = tuple(map(str, range(count)))
+    sets = [ViewOffsets(rng.normal(size=count), np.eye(count)[:, :, None], np.ones(count)) for _ in range(400)]
+    clear = sum(between_views._step(own, images).clear > norm.isf(0.05) for own in sets)
+    assert 0.05 * 400 < clear < 0.15 * 400

@@ -8,6 +8,7 @@ import pytest
 from observed import PARAMETERS, make_scene
 from scipy.stats import chi2
 
+from camcal.calibrate.degeneracy import require_tilts
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, Observations, State
@@ -269,3 +270,15 @@ def test_a_view_of_another_numbering_is_listed_and_does_no_harm(scene):
     assert calibration.views[6].kept < 0.2 * calibration.views[6].points
     assert sum(view.used for view in calibration.views) >= len(seen) - 1
     assert np.abs(sigmas(calibration, scene.camera)).max() < 4
+
+
+@pytest.mark.parametrize(("tilt_deg", "refused"), [(4.5, True), (5.5, False)])
+def test_boards_within_five_degrees_of_one_direction_are_refused(tilt_deg, refused):
+    tilts = np.radians(tilt_deg) * np.array([0, 1, -1, 0.5])
+    rotations = np.stack([so3.about_x(tilt) for tilt in tilts])
+    rotations[0] = so3.about_x(-0.5 * np.radians(tilt_deg))  # the mean direction stays the axis
+    if refused:
+        with pytest.raises(InsufficientData, match=r"nearly the same tilt in every view \(within 4\.5°\)"):
+            require_tilts(rotations)
+    else:
+        require_tilts(rotations)

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from camcal.calibrate.noise import REJECTED, ViewNoise, corner_weights, lost, median_limit, view_noise
+from camcal.calibrate.outliers import CUT, truncation
 
 RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 CORNERS = 40
@@ -55,3 +57,9 @@ def test_a_view_without_corners_does_no_harm():
     found = corner_weights(np.ones((2, 4)), present, noise_of(1.0, 1.0), np.full(2, 6.0))
     assert (found[0] > 0).all()
     assert (found[1] == 0).all()
+
+
+@pytest.mark.parametrize("cut", [1.0, 2.0, CUT])
+def test_what_a_cut_leaves_of_the_variance_is_that_of_normal_coordinates(cut):
+    """The mean of s = d² with s below the cut, over 2: of the density s e^(-s/2) / 4 that of χ² with four degrees."""
+    assert truncation(cut) == pytest.approx(chi2.cdf(cut**2, 4) / chi2.cdf(cut**2, 2), rel=1e-12)

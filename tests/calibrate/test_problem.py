@@ -82,3 +82,16 @@ def test_lens_priors_leave_the_focal_length_and_centre_free(model):
     spread = model.prior_std((1600, 1200), 1200.0)
     assert np.isinf(spread[:4]).all()
     assert np.isfinite(spread[4:]).all()
+
+
+def test_whitened_distances_are_those_of_mahalanobis_over_the_typical_covariance():
+    rng = np.random.default_rng(7)
+    scene = make_scene(count=3)
+    shapes = rng.normal(size=(3, scene.board.count, 2, 2))
+    covariances = 0.1 * np.eye(2) + shapes @ shapes.swapaxes(2, 3)
+    observations = Observations.of(scene.observe(1)).weighted(covariances)
+    problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(9))
+    residuals = rng.normal(size=(2, 3, scene.board.count))
+    squared = np.einsum("ivp,vpij,jvp->vp", residuals, np.linalg.inv(covariances), residuals)
+    typical = np.exp(np.mean(np.log(np.linalg.det(covariances))) / 2)  # px²: the geometric mean of both axes of all
+    np.testing.assert_allclose(problem.distances(residuals), np.sqrt(squared * typical), rtol=1e-9)

@@ -50,3 +50,15 @@ def test_a_view_that_does_not_fit_says_by_how_much():
 )
 def test_distances_have_no_exponents(distance, words):
     assert px_words(distance) == words
+
+
+def test_errors_of_views_are_per_corner_and_add_up_to_that_of_all():
+    scene = make_scene(count=12)
+    seen = scene.observe(3, noise_px=0.1, outliers=0.02)
+    calibration = calibrate(seen, scene.board, Options(model_named("opencv5"), shape=FLAT))
+    squares = sum(view.kept * view.rms_px**2 for view in calibration.views)
+    assert np.sqrt(squares / len(calibration.residuals)) == pytest.approx(calibration.rms_px, rel=1e-9)
+    lengths = np.linalg.norm(calibration.residuals, axis=1)
+    assert calibration.rms_px == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-9)
+    parameters = 9 + 6 * len(seen)  # of lens and poses; weak priors hold less than one of them
+    assert 2 * len(lengths) - parameters <= calibration.freedom <= 2 * len(lengths) - parameters + 1

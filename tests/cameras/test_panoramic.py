@@ -63,3 +63,11 @@ def test_small_circles_stay_circles_in_a_stereographic_view():
     pixels = project("stereographic", *circle).pixels
     radii = np.linalg.norm(pixels - pixels[:-1].mean(axis=0), axis=1)
     np.testing.assert_allclose(radii, radii.mean(), rtol=2e-4)  # circles of 1e-4 rad are round to first order
+
+
+@pytest.mark.parametrize("name", ["cylinder", "equirectangular", "stereographic"])
+@pytest.mark.parametrize("fov_deg", [60, 200, 340])
+def test_the_half_width_is_where_the_edge_of_the_field_of_view_stands(name, fov_deg):
+    edge = np.radians(fov_deg / 2)
+    found = project(name, [np.sin(edge), 0.0, np.cos(edge)]).pixels[0, 0]
+    assert found == pytest.approx(300 + FOCAL * model_named(name).half_width(2 * edge), rel=1e-12)

@@ -37,3 +37,10 @@ def test_the_same_size_is_the_same_camera_and_another_shape_is_refused():
     assert resized(camera, (1067, 800)).image_size == (1067, 800)  # rounding of 1066.67
     with pytest.raises(InvalidInput, match="images of 640 x 360 pixels are no resized images of 640 x 480"):
         resized(camera, (640, 360))
+
+
+def test_sides_may_be_rounded_to_whole_pixels_and_no_further():
+    camera = Camera(MODELS["pinhole"], (1600, 1200), [1500.0, 1500.0, 800.0, 600.0])
+    assert resized(camera, (801, 600)).image_size == (801, 600)
+    with pytest.raises(InvalidInput, match="802 x 600 pixels are no resized images"):
+        resized(camera, (802, 600))

@@ -46,11 +46,11 @@ def test_poses_scatter_as_forecast():
 def test_the_share_of_wrong_poses_of_a_far_tag_is_as_forecast():
     transform = Pose(so3.about_y(np.radians(25)), np.array([0.0, 0.0, 2.5]))
     forecast = forecast_pose(pinhole(), TAG, transform, 0.3)
-    found = posed(TAG, transform, 0.3, 300, seed=2)
+    found = posed(TAG, transform, 0.3, 600, seed=2)
     away = [np.linalg.norm(so3.log(estimate.transform.rotation @ transform.rotation.T)) for estimate in found]
     wrong = np.mean(np.array(away) > np.radians(25))  # nearer to the mirrored pose, which is 50° away
     assert 0.05 < wrong < 0.4
-    assert forecast.p_wrong == pytest.approx(wrong, abs=0.08)  # 300 draws: ± 2 %; far minima bend the bound
+    assert forecast.p_wrong == pytest.approx(wrong, rel=0.35)  # 600 draws: ± 1.5 %; far minima bend the bound
 
 
 def test_what_is_not_known_of_the_lens_is_not_known_of_the_pose():

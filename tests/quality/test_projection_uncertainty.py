@@ -1,5 +1,7 @@
 """The map of projection uncertainty against displacements of drawn lenses, and what must hold of any lens."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
+from camcal.quality.advise import coverage
 from camcal.quality.projection_uncertainty import projection_uncertainty
 
 SIZE = (1280, 960)
@@ -145,3 +148,10 @@ def test_there_is_none_outside_of_the_image_circle():
 def test_a_camera_without_a_covariance_is_refused():
     with pytest.raises(InvalidInput, match="covariance"):
         projection_uncertainty(Camera(model_named("opencv5"), SIZE, PARAMETERS))
+
+
+@pytest.mark.parametrize(("x", "cells"), [(127.4, 1), (127.6, 2)])
+def test_a_cell_of_the_grid_ends_where_its_last_pixel_does(x, cells):
+    """Pixel 0 reaches from -0.5 to 0.5: a tenth of 1280 pixels ends at 127.5."""
+    pixels = np.array([[100.0, 50.0], [x, 50.0]])
+    assert coverage(SimpleNamespace(camera=opencv5(), pixels=pixels)).cells == cells / 80

@@ -10,7 +10,7 @@ from camcal.targets.corners.crossing import crossing, edge
 
 PLACES = np.linspace(-3, 3, 9)
 FIRST, SECOND = (part.astype(np.float32) for part in np.meshgrid(PLACES, PLACES))
-WORST = {0.0: 1e-6, 0.3: 5e-4, 0.5: 4e-3, 0.7: 2e-2}  # the terms left out, of order ρ⁴ / 24
+WORST = {0.0: 1e-6, 0.1: 1e-5, 0.3: 5e-4, 0.5: 4e-3, 0.7: 2e-2}  # the terms left out, of order ρ⁴ / 24
 
 
 def quadrants(first, second, correlation):

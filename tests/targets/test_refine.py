@@ -12,9 +12,10 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
 from camcal.targets.checker import grid as grids
+from camcal.targets.corners.cell_window import LONGEST_PX
 from camcal.targets.corners.cells import Cells
-from camcal.targets.corners.measure import measure
-from camcal.targets.corners.refine import refine
+from camcal.targets.corners.measure import _cells, clear, measure
+from camcal.targets.corners.refine import RefinedCorners, refine
 from camcal.targets.samples import Samples
 from camcal.targets.sighting import Sighting
 
@@ -152,3 +153,60 @@ def test_a_blank_wall_has_no_corners():
     wall = Samples(np.full((400, 480), 100, np.uint8))
     seen = measure(wall, BOARD, Sighting(np.arange(BOARD.count), start.reshape(-1, 2)))
     assert seen.reason == "only 0 clear corners"
+
+
+def refined(image, truth, start, blur_px=0.75):
+    """Return what is fitted at the corners of a picture by straight edges."""
+    steps, whole = grids.steps(truth).reshape(-1, 2, 2), np.ones((BOARD.count, 2, 2))
+    return refine(image, start.reshape(-1, 2), Cells(steps, np.zeros((BOARD.count, 2)), whole, whole), blur_px)
+
+
+def test_the_noise_is_that_of_the_pixels_also_where_cells_are_small():
+    """Of cells of 13 px some 150 pixels count, of which the fit takes eleven."""
+    variances = []
+    for seed in range(4):
+        image, truth, start = photograph(Exposure(blur_px=0.7, noise_dn=4), seed=seed, where=pose(5, distance=1.0))
+        variances.append(refined(image, truth, start).noise ** 2)
+    assert np.mean(variances) == pytest.approx(4**2 + 1 / 12, rel=0.04)  # rounding; 192 corners: ± 1 %
+
+
+@pytest.mark.parametrize("blur", [0.5, 1.0])
+def test_the_blur_is_that_of_the_lens_without_that_of_the_pixels(blur):
+    image, truth, start = photograph(Exposure(blur_px=blur, noise_dn=1))
+    assert np.median(refined(image, truth, start, np.hypot(blur, 0.29)).blur) == pytest.approx(blur, rel=0.05)
+
+
+def test_errors_of_slanted_corners_are_correlated_as_their_covariances_say():
+    rng = np.random.default_rng(5)
+    image, truth, _ = photograph(Exposure(blur_px=0.8, noise_dn=0, depth=16), where=pose(50, roll=0.5))
+    exact = refined(image, truth, truth)
+    level = 0.02 * np.median(np.abs(exact.contrast))
+    found = [refined(image + level * rng.normal(size=image.shape), truth, truth) for _ in range(30)]
+    off = np.stack([own.pixels for own in found]) - exact.pixels
+    claimed = np.mean([own.covariance[:, 0, 1] for own in found], axis=0)
+    products = (off[:, :, 0] * off[:, :, 1]).mean(axis=0)
+    spread = np.sqrt(np.mean([own.covariance[:, 0, 0] * own.covariance[:, 1, 1] for own in found]))
+    assert np.abs(claimed).mean() > 0.15 * spread
+    assert products @ claimed / (claimed @ claimed) == pytest.approx(1, abs=0.3)  # 1440 products: ± 0.1
+
+
+@pytest.mark.parametrize(("stated", "longest"), [(1.0, True), (0.1, False)])
+def test_noise_of_the_corners_does_not_shorten_the_edges_but_a_map_that_does_not_hold_them_does(stated, longest):
+    """Corners off by 0.1 px from the map of all: by the noise that they have, or by ten times as much as that."""
+    image, truth, _ = photograph(Exposure(blur_px=0.8, noise_dn=0), where=pose(distance=0.3))
+    pixels = truth.reshape(-1, 2) + 0.1 * np.random.default_rng(2).normal(size=(BOARD.count, 2))
+    covariance = np.tile((0.1 * stated) ** 2 * np.eye(2), (BOARD.count, 1, 1))
+    _, reach = _cells(BOARD, np.arange(BOARD.count), pixels, image, 0.8, covariance=covariance)
+    assert (reach == LONGEST_PX) == longest
+
+
+@pytest.mark.parametrize(
+    ("noise", "deviation", "kept"), [(0.39, 0.1, True), (0.41, 0.1, False), (0.1, 0.49, True), (0.1, 0.51, False)]
+)
+def test_corners_are_clear_whose_noise_is_small_against_their_contrast_and_whose_place_is_known(noise, deviation, kept):
+    covariance = np.tile(0.01 * np.eye(2), (9, 1, 1))
+    covariance[4] = deviation**2 * np.eye(2)
+    noises = np.full(9, 2.0)
+    noises[4] = 50 * noise
+    found = RefinedCorners(np.zeros((9, 2)), covariance, np.ones((9, 2)), np.full(9, -50.0), noises, np.ones(9, bool))
+    assert clear(found).tolist() == [True] * 4 + [kept] + [True] * 4

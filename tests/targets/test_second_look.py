@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
@@ -73,3 +74,21 @@ def test_points_outside_the_image_are_not_looked_for():
     again = look_again(Samples(photograph()[:, :260]), ids, known.pixels[ids], cut)
     assert inside[again.ids].all()
     assert again.recovered > 0
+
+
+@pytest.mark.parametrize(("off", "kept"), [(0.3, True), (1.5, False)])
+def test_a_corner_that_is_drawn_far_from_where_it_was_found_is_left_out(off, kept):
+    known, ids = expected(), np.arange(BOARD.count)
+    start = known.pixels.copy()
+    start[20] += [off, 0.0]
+    assert (20 in look_again(Samples(photograph()), ids, start, known).ids) == kept
+
+
+@pytest.mark.parametrize(("contrast", "recovered"), [(0.2, False), (0.5, True)])
+def test_faint_corners_are_not_recovered(contrast, recovered):
+    known, ids = expected(), np.arange(0, BOARD.count, 2)
+    image = photograph().astype(float)
+    x, y = np.rint(known.pixels[19]).astype(int)
+    around = slice(y - 25, y + 26), slice(x - 25, x + 26)
+    image[around] = image[around].mean() + contrast * (image[around] - image[around].mean())
+    assert (19 in look_again(Samples(np.rint(image).astype(np.uint8)), ids, known.pixels[ids], known).ids) == recovered

@@ -17,6 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import (
     AMBIGUOUS,
+    Alternative,
     Correspondences,
     PoseOptions,
     PosePrior,
@@ -476,3 +477,41 @@ def test_any_pixels_give_a_pose_or_one_clear_error(pixels, flat):
         assert np.isfinite(outcome.value.residuals).all()
     else:
         assert isinstance(outcome.error, InsufficientData)
+
+
+def test_squared_residuals_are_those_of_mahalanobis():
+    camera = LENSES["pinhole"]
+    rng = np.random.default_rng(31)
+    points = rng.uniform(-0.2, 0.2, (20, 3))
+    view, truth = observed(camera, some_pose(rng), points, rng, noise_px=1.0), some_pose(rng)
+    shapes = rng.normal(size=(20, 2, 2))
+    covariance = 0.1 * np.eye(2) + shapes @ shapes.swapaxes(1, 2)
+    sight = Sightings.of(camera, [replace(view, covariance=covariance)], Pose.identity())
+    found = sight.squared(se3.of_poses([truth]), np.zeros(1, int))[0]
+    residuals = camera.project(truth.apply(points)).pixels - view.pixels
+    expected = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(sight.variances()[0], np.trace(covariance, axis1=1, axis2=2) / 2, rtol=1e-9)
+
+
+def test_the_least_depth_is_that_of_the_nearest_inlier_in_front_of_the_camera():
+    camera = Camera(model_named("pinhole"), (1280, 960), [800.0, 800.0, 640.0, 480.0])
+    rng = np.random.default_rng(32)
+    middle = np.array([5.0, -3.0, 7.0])  # far from the object's origin
+    points = middle + rng.uniform(-0.2, 0.2, (12, 3))
+    truth = Pose.from_vector(np.array([0.2, -0.4, 0.1]), np.zeros(3))
+    truth = Pose(truth.rotation, np.array([0.05, 0.02, 1.5]) - truth.rotation @ middle)
+    found = estimate(camera, observed(camera, truth, points, rng), noise_px=0.1)
+    assert found.least_depth == pytest.approx(truth.apply(points)[:, 2].min(), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("probability", "misfit", "status"),
+    [(0.009, 1.0, "ok"), (0.011, 1.0, "ambiguous"), (0.0, 2.9, "ok"), (0.0, 3.1, "weak")],
+)
+def test_a_pose_is_trusted_up_to_a_hundredth_for_another_one_and_three_times_the_noise(probability, misfit, status):
+    camera = Camera(model_named("pinhole"), (1280, 960), [800.0, 800.0, 640.0, 480.0])
+    rng = np.random.default_rng(33)
+    found = estimate(camera, observed(camera, some_pose(rng), rng.uniform(-0.1, 0.1, (30, 3)), rng), noise_px=0.1)
+    other = Alternative(found.transform, 0.0, probability)
+    assert replace(found, alternatives=(other,), misfit=misfit).status.split(":")[0] == status

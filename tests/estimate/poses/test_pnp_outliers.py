@@ -4,14 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses, region_quantile
+from camcal.estimate.poses import fits, inliers
+from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import likeliest_threshold
 from camcal.estimate.poses.problem import PoseProblems
-from camcal.estimate.poses.sightings import Sightings
+from camcal.estimate.poses.sightings import Group, Sightings
 from camcal.geometry.pose import Pose
 
 PINHOLE = Camera(model_named("pinhole"), (1280, 960), [800.0, 805.0, 640.0, 480.0])
@@ -198,3 +201,41 @@ def test_covariances_scale_the_threshold():
     np.testing.assert_array_equal(found.inliers, estimate(PINHOLE, view, noise_px=1.0, outliers="many").inliers)
     assert np.linalg.norm(error_of(found.transform, truth)) < 0.05
     assert np.mean(found.inliers == right) > 0.95
+
+
+def test_the_variance_that_a_cut_leaves_is_that_of_normal_coordinates():
+    """Of the density s e^(-s/2) / 4 of χ² with four degrees of freedom: see the mean of s = d² below a cut."""
+    assert chi2.cdf(inliers.WIDTH**2, 2) == pytest.approx(0.9973, abs=1e-5)
+    assert pytest.approx(chi2.cdf(WIDTH**2, 4) / chi2.cdf(WIDTH**2, 2), abs=2e-5) == inliers.KEPT_VARIANCE
+    assert chi2.median(2) == pytest.approx(inliers.MEDIAN, abs=1e-5)
+
+
+def test_triplets_have_three_different_points_and_all_are_as_likely():
+    found = inliers._triplets(np.arange(10, 15), 30_000, np.random.default_rng(3))
+    triplets, counts = np.unique(found, axis=0, return_counts=True)
+    assert len(triplets) == 5 * 4 * 3
+    assert all(len(set(triplet)) == 3 for triplet in triplets.tolist())
+    assert counts == pytest.approx(500, abs=5 * np.sqrt(500))
+
+
+@pytest.mark.parametrize("points", [6, 10])
+def test_the_noise_by_the_median_is_the_true_one_for_few_points_too(points):
+    """Six parameters follow the residuals of each view: of six points, half of the variance is left."""
+    rng = np.random.default_rng(34)
+    views = [spoilt(PINHOLE, rng, rng.uniform(-0.4, 0.4, (points, 3)), 0.0, noise_px=0.5)[0] for _ in range(300)]
+    group = Group.of([PINHOLE], [Pose.identity()], [[view] for view in views], np.arange(300))
+    fit = fits._plain(group, PoseOptions())
+    assert fits._robust_noise([fit]) == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize(("moved", "rival"), [(4, True), (6, False)])
+def test_a_mirrored_pose_is_followed_that_half_of_the_points_are_near_to(moved, rival):
+    rng = np.random.default_rng(35)
+    view, _, truth = spoilt(PINHOLE, rng, BOARD[:10], 0.0, noise_px=0.0)
+    pixels = view.pixels.copy()
+    pixels[:moved] += 10.0
+    view = replace(view, pixels=pixels)
+    problems = PoseProblems.of((Sightings.of(PINHOLE, [view], Pose.identity()),))
+    state, which = se3.of_poses([truth]), np.zeros(1, int)
+    best = inliers.Settled(state, which, (np.ones((1, 10), bool),), np.zeros(1))
+    assert inliers._supported(problems, state, best, inliers.Agreement(WIDTH, 4)).tolist() == [rival]

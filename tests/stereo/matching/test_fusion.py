@@ -19,6 +19,7 @@ def found(least, believed, difference=NOT, *, rival=False):
     ("census", "gray_levels", "disparity", "confidence"),
     [
         (found(9, 9), found(9.25, 9.25), 9.125, Confidence.AGREED),
+        (found(9, 9), found(9.375, 9.375), 9.1875, Confidence.NEAR),
         (found(-9, -9), found(-9.75, -9.75), -9.375, Confidence.NEAR),
         (found(9, 9), found(10, 10), 9.5, Confidence.NEAR),
         (found(9, 9), found(10.5, 10.5), 9, Confidence.APART),

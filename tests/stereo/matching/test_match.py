@@ -15,6 +15,7 @@ from camcal.errors import InvalidInput
 from camcal.run.fanout import over_threads
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
+from camcal.stereo.matching import pyramid
 from camcal.stereo.matching.match import match
 from camcal.stereo.matching.preparation import prepare
 from camcal.stereo.options import ALL, BACKGROUND, BALANCED, BEST, FAST, FILLS, NOTHING, QUALITIES, MatchOptions
@@ -345,6 +346,17 @@ def test_sigma_holds_two_thirds_of_the_errors_of_drawn_scenes(scenes, quality):
         assert 0.6 < share < 0.78  # 68 % over many scenes, and no two of them are alike
 
 
+@pytest.mark.parametrize("quality", [BALANCED, BEST])
+def test_sigma_holds_two_thirds_of_the_errors_of_pairs_matched_from_coarse_to_fine(scenes, monkeypatch, quality):
+    monkeypatch.setattr(pyramid, "LARGEST", 13_000)
+    maps = [match(scene.left, scene.right, MatchOptions(quality, fill=ALL)) for scene in scenes]
+    shares = [
+        np.mean(np.abs(found.values - scene.disparity_left) <= found.sigma)
+        for found, scene in zip(maps, scenes, strict=True)
+    ]
+    assert 0.63 < np.mean(shares) < 0.73
+
+
 def test_the_surer_a_pixel_is_the_smaller_is_its_error(scenes):
     maps = [match(scene.left, scene.right, MatchOptions(BEST, fill=ALL)) for scene in scenes]
     errors = np.array([np.abs(found.values - scene.disparity_left) for found, scene in zip(maps, scenes, strict=True)])
@@ -356,3 +368,15 @@ def test_the_surer_a_pixel_is_the_smaller_is_its_error(scenes):
     sigma = np.array([found.sigma for found in maps])
     surest, least_sure = sigma < np.quantile(sigma, 0.25), sigma > np.quantile(sigma, 0.75)
     assert np.median(errors[least_sure]) > 4 * np.median(errors[surest])
+
+
+@pytest.mark.parametrize(("search", "low", "high"), [((12, 20), 1, 0), ((4, 12), 0, 1), ((4, 20), 0, 0)])
+def test_the_share_of_matches_at_either_end_of_the_range_is_told(search, low, high):
+    left, right = textured_pair(np.full((50, 120), 12.0))
+    assert match(left, right, MatchOptions(BALANCED, search)).at_ends == pytest.approx((low, high), abs=0.1)
+
+
+def test_no_sigma_is_below_what_photographs_have_beyond_drawings():
+    left, right = textured_pair(np.full((50, 120), 12.0))
+    sigma = match(left, right, MatchOptions(BALANCED, (4, 20))).sigma
+    assert 0.055 <= np.nanmin(sigma) < 0.07

@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter
 
 from camcal.stereo.disparity import Confidence
@@ -135,3 +136,18 @@ def test_matching_fills_a_board_without_texture():
     values, again = (match(left, right, options).values for _ in range(2))
     assert np.median(np.abs(values - disparity)[gap]) < 0.5
     assert np.array_equal(values, again)
+
+
+@pytest.mark.parametrize(("truth", "planes"), [(14.0, True), (8.0, False)])
+def test_a_plane_under_which_shading_fits_worse_than_as_it_is_filled_is_not_taken(truth, planes):
+    """What is matched around the gap lies at 14 px, the filling at 8; a slope of gray levels says which is right."""
+    image, _, gap = framed_board(190)
+    image[gap] = (150 + 0.8 * (np.indices(gap.shape)[1] - 125))[gap]
+    left = np.rint(image).astype(np.uint8)
+    right = right_of(left, np.where(gap, truth, 14.0))
+    known = np.where(gap, np.nan, 14.0).astype(np.float32)
+    confidence = np.where(gap, Confidence.FILLED, Confidence.AGREED).astype(np.uint8)
+    found = Fused(known, confidence, np.full(gap.shape, np.nan, np.float32), np.zeros(gap.shape, np.int8))
+    filled = from_the_background(known)._replace(disparity=np.where(gap, 8.0, 14.0).astype(np.float32))
+    after = on_planes(found, filled, GrayPair(left, right, left, right, 0.5)).disparity
+    assert np.abs(after[40:110, 80:170] - (14 if planes else 8)).max() < 0.1

@@ -6,6 +6,7 @@ from layered import layered_pair
 
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching import pyramid
+from camcal.stereo.matching.gray import gray_pair, noise_of
 from camcal.stereo.matching.match import match
 from camcal.stereo.matching.semi_global import aggregate
 from camcal.stereo.options import ALL, BALANCED, BEST, FILLS, MatchOptions
@@ -58,3 +59,10 @@ def test_images_of_any_size_have_a_half(monkeypatch, size, quality):
     found = match(image, image, MatchOptions(quality, (-5, 6), ALL))
     assert found.values.shape == image.shape
     assert np.mean(np.abs(found.values) < 0.5) > 0.9  # both images are the same
+
+
+def test_the_noise_of_a_pair_at_half_its_size_is_what_is_measured_there():
+    rng = np.random.default_rng(3)
+    images = [np.clip(128 + 8 * rng.normal(size=(200, 300)), 0, 255).astype(np.uint8) for _ in range(2)]
+    half = pyramid._halved(gray_pair(*images))
+    assert half.noise == pytest.approx(noise_of(half.left), rel=0.2)  # medians of whole gray levels

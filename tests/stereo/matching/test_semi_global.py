@@ -11,6 +11,7 @@ from camcal.stereo.matching.semi_global import (
     STEP,
     aggregate,
     fraction,
+    has_rival,
     jump_penalties,
     least,
     meeting,
@@ -145,3 +146,11 @@ def test_a_least_cost_at_an_end_of_the_range_has_no_fraction():
 def test_a_fraction_is_at_most_half_a_pixel(three):
     found = meeting(np.array(three, np.float32).reshape(3, 1, 1), np.ones((1, 1), bool))
     assert -0.5 <= found[0, 0] <= 0.5
+
+
+@pytest.mark.parametrize(("place", "more", "rival"), [(9, 20, True), (9, 21, False), (6, 20, True), (5, 0, False)])
+def test_a_rival_is_three_places_away_at_least_and_hardly_dearer(place, more, rival):
+    total = np.full((12, 1, 1), 200, np.uint8)
+    total[3] = 50
+    total[place] = 50 + more
+    assert has_rival(total, np.full((1, 1), 3)).tolist() == [[rival]]
