@@ -143,7 +143,7 @@ def _sigma_codes(sigma: Array) -> tuple[Array, tuple[float, float]]:
 
 @dataclass(frozen=True)
 class Start:
-    """How a page looks at first: see `cloud_paint.COLOURS` and `cloud_views.view_of`; point_size: a factor."""
+    """How a page looks at first: see `colour_scale.COLOURS` and `cloud_views.view_of`; point_size: a factor."""
 
     colour: str
     view: str = "camera"

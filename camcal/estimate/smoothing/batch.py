@@ -257,20 +257,26 @@ def require_size(values: Array, what: str) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothedSystem:
-    """The states of a system given all measurements, and how these fit.
+class MeasurementFit:
+    """How measurements fit what was smoothed; arrays are (K,), or (K, d) of d axes.
 
-    weights: (K,) of the measurements, 1 unless smoothed robustly. outliers: (K,) bool. log_likelihood: of all
-    measurements that earlier ones predict. nis: (K,) of the filter's innovations, NaN where there is none. Smoothed
-    robustly, likelihood, nis and consistency are those without the outliers.
+    weights: 1 unless smoothed robustly. outliers: bool. nis: normalised innovations squared of the filter, NaN where no
+    measurement was predicted. log_likelihood: of the measurements, each given those before it. consistency: of the
+    filter's innovations. Smoothed robustly, the last three are those without the outliers.
     """
 
-    states: Smoothed
     weights: Array
     outliers: Array
-    log_likelihood: float
     nis: Array
+    log_likelihood: float
     consistency: Consistency
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedSystem(MeasurementFit):
+    """The states of a system given all measurements, and how these fit."""
+
+    states: Smoothed
 
 
 def smooth_system(system: LinearSystem, method: str = "rts", robust: bool = False) -> SmoothedSystem:
@@ -295,7 +301,7 @@ def _smooth_system(system: LinearSystem, method: str, robust: bool) -> SmoothedS
         judged = system.without(outliers)
         filtered = kalman_filter(judged)
     report = _report(judged, filtered)
-    return SmoothedSystem(states, weights, outliers, filtered.log_likelihood, filtered.nis, report)
+    return SmoothedSystem(weights, outliers, filtered.nis, filtered.log_likelihood, report, states)
 
 
 def _report(system: LinearSystem, filtered: Filtered) -> Consistency:

@@ -17,8 +17,14 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, NotConverged
-from camcal.estimate.smoothing.batch import invertible, require_size, robust_weights, smooth_system, solve_batch
-from camcal.estimate.smoothing.kalman import Consistency
+from camcal.estimate.smoothing.batch import (
+    MeasurementFit,
+    invertible,
+    require_size,
+    robust_weights,
+    smooth_system,
+    solve_batch,
+)
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, Smoothed, kalman_filter, rts
 from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength
 from camcal.geometry import rotation as so3
@@ -168,24 +174,16 @@ class PosesOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothedPoses:
-    """Poses given all measurements, with covariances and (but for rw) velocities.
+class SmoothedPoses(MeasurementFit):
+    """Poses given all measurements, with covariances and (but for rw) velocities, and how the measured ones (K,) fit.
 
     q: strengths of the process noise of translation and rotation. sigma: of the measurements, None if they have
-    covariances. weights: (K,) of the measured poses. outliers: (K,) bool. nis: (K,) normalised innovations
-    squared of a filter about the smoothed poses, of six numbers each, NaN where no pose was predicted. log_likelihood:
-    of the measurements, each given those before it. consistency: of the filter's innovations. Smoothed robustly, the
-    last three are those without the outliers.
+    covariances. The filter is one about the smoothed poses; its innovations are of six numbers each.
     """
 
     trajectory: Trajectory
     q: tuple[float, float]
     sigma: tuple[float, float] | None
-    weights: Array
-    outliers: Array
-    nis: Array
-    log_likelihood: float
-    consistency: Consistency
 
 
 def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -> SmoothedPoses:
@@ -203,14 +201,14 @@ def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -
     guess = _settled(problem, problem.first_guess(), _robust if options.robust else _likeliest)
     found = smooth_system(problem.system(guess), options.method, options.robust)
     return SmoothedPoses(
-        _trajectory(measured, problem, guess, found.states),
-        noises[0],
-        sigma=options.sigma if known else noises[1],
-        weights=found.weights,
-        outliers=found.outliers,
+        found.weights,
+        found.outliers,
         nis=found.nis,
         log_likelihood=found.log_likelihood,
         consistency=found.consistency,
+        trajectory=_trajectory(measured, problem, guess, found.states),
+        q=noises[0],
+        sigma=options.sigma if known else noises[1],
     )
 
 

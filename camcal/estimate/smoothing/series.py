@@ -6,8 +6,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.smoothing.batch import require_size, smooth_system
-from camcal.estimate.smoothing.kalman import Consistency
+from camcal.estimate.smoothing.batch import MeasurementFit, require_size, smooth_system
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
 from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength, with_noise
 
@@ -52,14 +51,11 @@ class SeriesOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothedSeries:
-    """A series given all its measurements.
+class SmoothedSeries(MeasurementFit):
+    """A series given all its measurements (K, d), and how these fit.
 
     states: (K, d, n) position and derivatives along each axis. covariances: (K, d, n, n). q, sigma: the noise, sigma
-    as a single number if it was estimated, else None. weights: (K, d) of the measurements. outliers: (K, d) bool.
-    nis: (K, d) normalised innovations squared of the filter, NaN where no measurement was predicted. log_likelihood: of
-    the measurements, each given those before it. consistency: of the filter's innovations.
-    Smoothed robustly, the last three are those without the outliers.
+    as a single number if it was estimated, else None.
     """
 
     series: Series
@@ -68,11 +64,6 @@ class SmoothedSeries:
     covariances: Array
     q: float
     sigma: float | None
-    weights: Array
-    outliers: Array
-    nis: Array
-    log_likelihood: float
-    consistency: Consistency
 
 
 def smooth_series(series: Series, options: SeriesOptions = SeriesOptions()) -> SmoothedSeries:
@@ -88,8 +79,8 @@ def smooth_series(series: Series, options: SeriesOptions = SeriesOptions()) -> S
     found = smooth_system(system, options.method, options.robust)
     shape = (len(series.names), len(series.stamps))
     return SmoothedSeries(
-        series,
-        options.motion,
+        series=series,
+        motion=options.motion,
         states=_by_axis(found.states.means, shape),
         covariances=_by_axis(found.states.covariances, shape),
         q=noise.q,

@@ -231,7 +231,7 @@ class ViewOptions(OptionsRecord):
 
     image: the left image of a disparity map. output: its suffix says what is made; None for the window of the Rerun
     viewer. frame: where the axes of a cloud point, by name or in words; None for what its file says. colour: one of
-    `cloud_paint.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
+    `colour_scale.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
     montage: four views in its place. size: (width, height) of a picture or film. max_points: None for as many as suit
     what is made. turn: degrees of a film, None for once round, or to and fro before what a camera saw.
     """
