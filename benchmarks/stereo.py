@@ -38,7 +38,7 @@ from stereo_pairs import Pair, pairs_in
 
 from camcal.stereo.matching.match import match
 from camcal.stereo.options import MatchOptions
-from camcal.stereo.truth.evaluate import evaluate
+from camcal.stereo.truth import evaluate
 
 NOISE = 5.0
 GAMMA, GAIN, OFFSET = 1.4, 0.8, 10

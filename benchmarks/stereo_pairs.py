@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from camcal.formats import disparity
-from camcal.stereo.truth.evaluate import seen_by_both
+from camcal.stereo.truth import seen_by_both
 
 MIDDLEBURY_SCALES = {"venus": 8}  # 2001; the sets of 2003 have 4
 STEP = 16  # OpenCV searches multiples of it

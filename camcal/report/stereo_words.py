@@ -10,7 +10,7 @@ import numpy as np
 from camcal.report.uncertain import value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
 from camcal.stereo.pair.pair_check import FINDINGS, Exposure, PairCheck
-from camcal.stereo.truth.evaluate import FIGURES, ClassErrors, Evaluation
+from camcal.stereo.truth import FIGURES, ClassErrors, Evaluation
 
 _SURE = 3.0  # standard errors
 CLASS_COLUMNS = ("class", "pixels", "share", "68 % of errors", "sigma", "within 1", "within 2", "bad1", "bad2")

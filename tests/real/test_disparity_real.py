@@ -12,7 +12,7 @@ from camcal.formats import disparity
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.match import match
 from camcal.stereo.options import ALL, BALANCED, BEST, FAST, MatchOptions
-from camcal.stereo.truth.evaluate import evaluate, seen_by_both
+from camcal.stereo.truth import evaluate, seen_by_both
 
 CONES, TEDDY, VENUS, MOTORCYCLE = (
     "middlebury2003-cones", "middlebury2003-teddy", "middlebury2001-venus", "middlebury2014-motorcycleQ",

@@ -5,7 +5,7 @@ import pytest
 
 from camcal.formats import disparity
 from camcal.images.load import load_gray
-from camcal.stereo.truth.evaluate import evaluate, seen_by_both
+from camcal.stereo.truth import evaluate, seen_by_both
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 
 from camcal.report.stereo_words import figure_rows
-from camcal.stereo.truth.evaluate import evaluate
+from camcal.stereo.truth import evaluate
 
 
 def test_errors_of_a_map_without_a_match_are_infinite_and_those_of_no_pixel_are_none():

@@ -24,7 +24,7 @@ from camcal.report.stereo_pictures import error_picture
 from camcal.run.fanout import fan_out
 from camcal.run.paths import paired, place, refuse_overwriting, require_there
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.truth.evaluate import (
+from camcal.stereo.truth import (
     AT_LEAST,
     FIGURES,
     Evaluation,

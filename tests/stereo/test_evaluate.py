@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as arrays
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.truth.evaluate import AT_LEAST, FIGURES, Prediction, evaluate, mean_of
+from camcal.stereo.truth import AT_LEAST, FIGURES, Prediction, evaluate, mean_of
 
 GEOMETRY = StereoGeometry(1000, 1000, 5, 5, 0.2, 10)
 TRUTH = np.full((2, 5), 40.0, np.float32)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.stereo.truth.evaluate import seen_by_both, unhidden
+from camcal.stereo.truth import seen_by_both, unhidden
 
 WALL, SQUARE = 4.0, 10.0
 SIZE = (8, 60)

@@ -1,1 +1,0 @@
-"""Disparity against what is known to be true."""
