@@ -25,7 +25,7 @@ import numpy as np
 from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import make_camera
 from camcal.targets.board import parse_board
@@ -55,7 +55,7 @@ def main() -> None:
 def real(images: list[Path]) -> None:
     print("\n| image | ArUco | ms | camcal | ms |\n|---|---|---|---|---|")
     for path in images:
-        gray = load_gray(path)
+        gray = gray_8bit(load(path).pixels)
         (read, theirs), (sighting, ours) = timed(aruco, gray), timed(detect, gray, APRILGRID)
         print(f"| {path.name} | {read} | {theirs:.0f} | {len(np.unique(sighting.ids // 4))} | {ours:.0f} |")
 

@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from hard_scenes import SCENES, photographs
 from opencv_charuco import found_by_opencv
 
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 from camcal.run.paths import find_images
 from camcal.targets.board import CHARUCO, Board, parse_board
 from camcal.targets.checker.charuco import find_charuco
@@ -108,7 +108,7 @@ def real(options: argparse.Namespace) -> None:
     header("real sets", methods)
     for name, (pattern, text) in SETS.items():
         board = parse_board(text)
-        images = [(load_gray(path), None, board) for path in find_images([DATA / pattern])]
+        images = [(gray_8bit(load(path).pixels), None, board) for path in find_images([DATA / pattern])]
         chosen = methods if board.type != CHARUCO else {**ways(board, quick=True), "ChArUco": charuco_unknown}
         row(f"{name} ({len(images)})", images, chosen)
 

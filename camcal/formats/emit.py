@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from camcal.errors import InvalidInput
 
 HEADER = "%YAML 1.1\n---\n"
@@ -26,10 +28,11 @@ _ESCAPES = {"\\": r"\\", '"': r"\"", "\n": r"\n", "\t": r"\t", "\r": r"\r"}
 def document(data: Mapping[str, Any], comment: str = "") -> str:
     """Return the text of a YAML file that holds `data`, keys in their order, below the lines of `comment`.
 
+    Keys whose value is None are left out, arrays are lists and paths texts.
     Raises InvalidInput for a key or a text that OpenCV could not read.
     """
     remarks = "".join(f"# {line}\n" for line in comment.splitlines())
-    return HEADER + remarks + "".join(f"{line}\n" for line in _block(data, ""))
+    return HEADER + remarks + "".join(f"{line}\n" for line in _block(_plain(data), ""))
 
 
 def text_for(path: Path, data: Mapping[str, Any], comment: str = "") -> str:
@@ -55,6 +58,17 @@ def rounded(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [rounded(item) for item in value]
     return float(f"{value:.12g}") if isinstance(value, float) else value
+
+
+def _plain(value: Any) -> Any:
+    """Return data as dicts, lists and Python scalars, keys whose value is None left out."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return str(value) if isinstance(value, Path) else value
 
 
 def _block(data: Mapping[str, Any], indent: str) -> Iterator[str]:

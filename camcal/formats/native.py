@@ -107,9 +107,8 @@ def write(path: Path, file: CameraFile) -> None:
 
     Raises InvalidInput if the content breaks a rule, FileError if the file cannot be written.
     """
-    data = _plain(_block(file, path))
     comment = COMMENT + TRANSFORMS if file.transforms else COMMENT
-    content = emit.document(data, comment)
+    content = emit.document(_block(file, path), comment)
     documents.parse(content, str(path), check)
     files.write_text(path, content)
 
@@ -174,17 +173,6 @@ def _block(file: CameraFile, path: Path) -> dict[str, Any]:
         "provenance": file.provenance or None,
         **file.extra,
     }
-
-
-def _plain(value: Any) -> Any:
-    """Return data as dicts, lists and Python scalars, keys whose value is None left out."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items() if item is not None}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    return str(value) if isinstance(value, Path) else value
 
 
 def implausible(file: CameraFile) -> Iterator[Fault]:

@@ -84,11 +84,6 @@ def require_allowed(path: Path, content: bytes) -> None:
         limits.require_pixels(size, path)
 
 
-def load_gray(path: Path) -> Array:
-    """Return the image of a file as (H, W) uint8, for detectors; see `load` and `gray_8bit`."""
-    return gray_8bit(load(path).pixels)
-
-
 def gray_8bit(pixels: Array) -> Array:
     """Return an image (H, W[, 3 or 4]) as (H, W) uint8; alpha is left out.
 

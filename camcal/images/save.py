@@ -17,8 +17,6 @@ from camcal.images.image import Image
 from camcal.images.npy import write_npy
 from camcal.images.options import JPEG_QUALITY
 
-__all__ = ["KINDS", "require_kind", "save"]
-
 
 @dataclass(frozen=True)
 class Kind:

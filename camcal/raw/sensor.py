@@ -12,10 +12,8 @@ from math import hypot, log10
 import numpy as np
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.emva import Curve, Figure, Figures, figures_of, together, transfer_curve
+from camcal.raw.emva import Curve, Figures, figures_of, together, transfer_curve
 from camcal.raw.level import Level
-
-__all__ = ["Characterisation", "Figure", "Figures", "characterise"]
 
 DECIBELS_A_STOP = 20 * log10(2)
 FULL_WELL, WHITE_LEVEL, NOT_REACHED = "full well", "white level", "not reached"

@@ -28,8 +28,6 @@ from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run.process import available_cores, surroundings_of_a_worker
 
-__all__ = ["available_cores", "fan_out", "over_threads"]
-
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
 _PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
 _TASKS = 3  # of the system that a worker process takes: itself, the thread that watches its parent, one to spare

@@ -8,7 +8,7 @@ from importlib import metadata
 from typing import Any
 
 from camcal import __version__
-from camcal.run.fanout import available_cores
+from camcal.run.process import available_cores
 
 WHEEL = "opencv-contrib-python-headless"
 _WHEELS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", WHEEL)  # all of them install `cv2`

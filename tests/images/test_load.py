@@ -10,7 +10,7 @@ from PIL import Image as Pillow
 from camcal.errors import FileError, InvalidInput
 from camcal.images import exif
 from camcal.images.image import Image, Scratch
-from camcal.images.load import gray_8bit, load, load_gray
+from camcal.images.load import gray_8bit, load
 
 
 def pictures():
@@ -142,7 +142,7 @@ def test_an_array_that_is_no_image_is_refused(tmp_path):
 
 
 def test_eight_bits_of_gray_stay_as_they_are(tmp_path):
-    np.testing.assert_array_equal(load_gray(write(tmp_path / "image.png", GRAY)), GRAY)
+    np.testing.assert_array_equal(gray_8bit(load(write(tmp_path / "image.png", GRAY)).pixels), GRAY)
 
 
 @pytest.mark.parametrize("name", ["colour", "alpha"])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from camcal.formats import disparity
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 
 MAPS = {
     "middlebury2003-cones": ("im2.png", "im6.png", "disp2.png", 4),
@@ -17,7 +17,9 @@ STREET = ("slambook2-ch5-ch8", "ch5/stereo/left.png", "ch5/stereo/right.png")
 def pair_of(data, name):
     """Return the left and the right image (H, W) uint8 of a pair."""
     folder, left, right = STREET if name == STREET[0] else (name, *MAPS[name][:2])
-    return load_gray(data / "stereo_gt" / folder / left), load_gray(data / "stereo_gt" / folder / right)
+    return gray_8bit(load(data / "stereo_gt" / folder / left).pixels), gray_8bit(
+        load(data / "stereo_gt" / folder / right).pixels
+    )
 
 
 def truth_of(data, name):

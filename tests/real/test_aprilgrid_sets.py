@@ -10,7 +10,7 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import Correspondences, estimate_poses
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
 from camcal.targets.board import Detection, parse_board
 
@@ -41,7 +41,7 @@ def seen(real_data):
 
 
 def detection(path):
-    gray = load_gray(path)
+    gray = gray_8bit(load(path).pixels)
     found = find_aprilgrid(gray, BOARD)
     return Detection(path.name, gray.shape[::-1], found.ids, found.pixels, found.covariance)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InsufficientData
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 from camcal.run.paths import find_images
 from camcal.targets.board import parse_board
 from camcal.targets.checker.charuco_search import search_charuco
@@ -39,7 +39,7 @@ TRINOCULAR = "multicam/boofcv-trinocular"
 )
 def test_boards_that_single_detectors_miss_are_found_whole(real_data, image, board):
     wanted = parse_board(board)
-    sighting = find_chessboard(load_gray(real_data / image), wanted)
+    sighting = find_chessboard(gray_8bit(load(real_data / image).pixels), wanted)
     assert sighting.reason is None
     assert len(sighting.ids) == wanted.count
 
@@ -54,7 +54,7 @@ def test_boards_that_single_detectors_miss_are_found_whole(real_data, image, boa
     ],
 )
 def test_images_without_a_whole_board_say_why(real_data, image, board, reason):
-    assert (detect(load_gray(real_data / image), parse_board(board)).reason or "").startswith(reason)
+    assert (detect(gray_8bit(load(real_data / image).pixels), parse_board(board)).reason or "").startswith(reason)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_the_charuco_board_that_images_show_is_proposed(real_data, folder, asked
 def test_no_charuco_board_is_proposed_where_there_is_none(real_data, folder):
     asked = parse_board("charuco:9x7:30mm:22mm:DICT_5X5_100")
     images = [path for path in find_images([real_data / folder]) if path.suffix != ".tif"][:12]
-    assert [search_charuco(load_gray(image), asked) for image in images] == [None] * len(images)
+    assert [search_charuco(gray_8bit(load(image).pixels), asked) for image in images] == [None] * len(images)
 
 
 @pytest.mark.parametrize("asked", ["circles:9x7:25mm", "circles:10x7:25mm"])
@@ -110,7 +110,7 @@ def test_the_grid_of_circles_that_images_show_is_proposed(real_data, asked):
 
 def test_a_partly_hidden_charuco_board_is_used(real_data):
     image = real_data / "charuco" / "opencv-tutorial" / "chocclusion_original.jpg"
-    sighting = detect(load_gray(image), parse_board("charuco:5x7:40mm:20mm:DICT_6X6_250"))
+    sighting = detect(gray_8bit(load(image).pixels), parse_board("charuco:5x7:40mm:20mm:DICT_6X6_250"))
     assert 18 <= len(sighting.ids) < 24  # cv2.aruco.CharucoDetector: 16
 
 
@@ -126,7 +126,7 @@ def test_a_board_is_numbered_alike_in_all_views_of_a_set(real_data, images, boar
     """The square before corner 0 is dark in every view; id 0 is one corner of the board, as its colours say."""
     wanted = parse_board(board)
     for path in find_images([real_data / images])[:8]:
-        gray = load_gray(path)
+        gray = gray_8bit(load(path).pixels)
         grid = find_chessboard(gray, wanted).pixels.reshape(wanted.rows, wanted.columns, 2)
         before = np.rint(1.4 * grid[0, 0] - 0.4 * grid[1, 1]).astype(int)
         beside = np.rint(grid[0, 0] + 0.4 * (grid[0, 1] - grid[0, 0]) - 0.4 * (grid[1, 0] - grid[0, 0])).astype(int)
@@ -145,7 +145,7 @@ def test_rows_of_a_board_that_looks_the_same_turned_run_alike_in_all_views(real_
     """Upright in these sets, or on its side leaning both ways: one end stays the first in all views."""
     wanted = parse_board(board)
     for path in find_images([real_data / images]):
-        grid = find_chessboard(load_gray(path), wanted).pixels.reshape(wanted.rows, wanted.columns, 2)
+        grid = find_chessboard(gray_8bit(load(path).pixels), wanted).pixels.reshape(wanted.rows, wanted.columns, 2)
         along = grid[:, -1] - grid[:, 0]
         angle = np.degrees(np.arctan2(*along.sum(axis=0)[::-1]))
         assert -70 < angle < 110  # half a turn around 20°, see grid.uprightness
@@ -153,14 +153,14 @@ def test_rows_of_a_board_that_looks_the_same_turned_run_alike_in_all_views(real_
 
 def test_a_board_that_leaves_the_image_is_numbered_by_the_sides_in_sight(real_data):
     for name, first in (("left24", 1), ("left27", 13)):  # its first column, its first row is outside
-        gray = load_gray(real_data / TRINOCULAR / "left" / f"{name}.jpg")
+        gray = gray_8bit(load(real_data / TRINOCULAR / "left" / f"{name}.jpg").pixels)
         sighting = find_chessboard(gray, parse_board("chessboard:13x9"), partial=True)
         assert sighting.ids[0] == first
         assert len(sighting.ids) in (104, 108)
 
 
 def test_a_picture_of_the_board_on_a_screen_is_not_the_board(real_data):
-    gray = load_gray(real_data / "chessboard" / "opencv-left-right" / "left12.jpg")
+    gray = gray_8bit(load(real_data / "chessboard" / "opencv-left-right" / "left12.jpg").pixels)
     grid = find_chessboard(gray, parse_board("chessboard:9x6")).pixels
     assert np.ptp(grid, axis=0).min() > 200  # px; the picture on the screen is smaller than 100
 
@@ -168,7 +168,7 @@ def test_a_picture_of_the_board_on_a_screen_is_not_the_board(real_data):
 @pytest.mark.parametrize("folder", ["demosaic_gt/kodak24", "stereo_gt/middlebury2014-motorcycleQ"])
 def test_photographs_without_a_board_have_none(real_data, folder):
     for path in find_images([real_data / folder / "*.png"])[:8]:
-        gray = load_gray(path)
+        gray = gray_8bit(load(path).pixels)
         assert not detect(gray, parse_board("chessboard:3x3"), partial=True).found
         assert not detect(gray, parse_board("charuco:5x4:40mm:30mm:DICT_4X4_50")).found
 
@@ -184,7 +184,7 @@ def test_photographs_without_a_board_have_none(real_data, folder):
 )
 def test_corners_lead_to_a_smaller_reprojection_error_than_those_of_opencv(real_data, images, board, limit):
     wanted = parse_board(board)
-    grays = [load_gray(path) for path in find_images([real_data / images])]
+    grays = [gray_8bit(load(path).pixels) for path in find_images([real_data / images])]
     sightings = [detect(gray, wanted) for gray in grays]
     pixels = [sighting.pixels.astype(np.float32)[:, None] for sighting in sightings]
     points = [wanted.points().astype(np.float32)[sighting.ids] for sighting in sightings]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from camcal.images.image_circle import ImageCircleSearch, evenly_spaced
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 from camcal.images.options import ViewOptions
 from camcal.targets.board import parse_board
 from camcal.tasks.calibration.calibrate import calibrate
@@ -40,7 +40,7 @@ def test_the_circle_of_a_fisheye_is_centred_on_its_principal_point(pattern, real
         pytest.skip(f"no fisheye/{pattern}")
     search = ImageCircleSearch()
     for index in evenly_spaced(len(paths)):
-        search.add(load_gray(paths[index]))
+        search.add(gray_8bit(load(paths[index]).pixels))
     circle = search.result()
     assert circle is not None
     assert np.hypot(*np.subtract(circle.centre, FISHEYES[pattern])) < OFF_CENTRE * circle.radius
@@ -54,7 +54,7 @@ def test_photographs_of_other_lenses_have_no_circle_neither_together_nor_alone(c
     searches = defaultdict(ImageCircleSearch)
     paths = sorted(path for path in (real_data / category).rglob("*") if path.suffix in SUFFIXES)
     for index, path in enumerate(paths):
-        image = load_gray(path)
+        image = gray_8bit(load(path).pixels)
         searches[path.parent, image.shape].add(image)
         if index % 5:
             continue
@@ -85,6 +85,9 @@ def test_a_calibration_from_the_table_of_a_fisheye_knows_its_circle_and_its_view
     )
     disc = 2 * drawn.view.value("fx") * np.tan(np.radians(108) / 2)  # the model ends before the circle, at 107 to 109°
     assert drawn.valid == pytest.approx(np.pi * disc**2 / np.prod(drawn.view.image_size), rel=0.05)
-    mask, shown = load_gray(tmp_path / "view" / "valid_mask.png"), load_gray(drawn.outcomes[0].value.output)
+    mask, shown = (
+        gray_8bit(load(tmp_path / "view" / "valid_mask.png").pixels),
+        gray_8bit(load(drawn.outcomes[0].value.output).pixels),
+    )
     assert mask.mean() / 255 == pytest.approx(drawn.valid)
     assert (shown[mask == 0] == 0).all()

@@ -4,7 +4,7 @@ import cv2
 import pytest
 
 from camcal.formats import disparity
-from camcal.images.load import load_gray
+from camcal.images.load import gray_8bit, load
 from camcal.stereo.truth import evaluate, seen_by_both
 
 
@@ -35,7 +35,7 @@ def sgbm():
 )
 def test_the_textbook_matcher_has_the_errors_measured_elsewhere(real_data, tmp_path, sgbm, name, bad1, bad2, bad2_all):
     folder = real_data / "stereo_gt" / f"middlebury2003-{name}"
-    counts = sgbm(load_gray(folder / "im2.png"), load_gray(folder / "im6.png"))
+    counts = sgbm(gray_8bit(load(folder / "im2.png").pixels), gray_8bit(load(folder / "im6.png").pixels))
     cv2.imwrite(str(tmp_path / "sgbm.tiff"), counts)
     truth, right_truth = (disparity.read(folder / f"disp{view}.png", 4.0).matched() for view in (2, 6))
     found = disparity.read(tmp_path / "sgbm.tiff").matched()

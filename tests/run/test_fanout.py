@@ -17,7 +17,8 @@ import fanout_work as work
 import pytest
 
 from camcal.errors import FileError, InvalidInput, ItemsFailed
-from camcal.run.fanout import available_cores, fan_out, over_threads
+from camcal.run.fanout import fan_out, over_threads
+from camcal.run.process import available_cores
 
 WAYS = [
     pytest.param({"jobs": 1}, id="inline"),

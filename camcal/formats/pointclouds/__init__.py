@@ -16,8 +16,6 @@ from camcal.formats.pointclouds import glb, las, npz, pcd, ply, xyz
 from camcal.formats.pointclouds.record import PointCloudFile
 from camcal.stereo.points.frames import VertexStream
 
-__all__ = ["SUFFIXES", "PointCloudFile", "read", "require_suffix", "write"]
-
 
 @dataclass(frozen=True)
 class _Format:

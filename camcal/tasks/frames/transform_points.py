@@ -10,8 +10,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats import point_table, pointclouds
 from camcal.formats.point_table import PointTable
-from camcal.formats.pointclouds import PointCloudFile
-from camcal.formats.pointclouds.record import MILLIMETRES, cloud_of
+from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, cloud_of
 from camcal.formats.pose_text import form_of
 from camcal.geometry.pose import NamedTransform, point_jacobian
 from camcal.progress import SILENT, Progress

@@ -1,6 +1,6 @@
 """`camcal sensor`: what a sensor can do, from flat and dark frames."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import ceil, log2
@@ -80,7 +80,7 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size), warnings)
     if options.plot is not None:
         files.write_bytes(options.plot, figures.photon_transfer(found, options.plot.suffix))
-    files.write_text(options.output, emit.document(_without_none(_file(report, options)), COMMENT))
+    files.write_text(options.output, emit.document(_file(report, options), COMMENT))
     for warning in warnings:
         progress.warn(warning)
     return report
@@ -256,9 +256,3 @@ def _curve(curve: Curve) -> dict[str, Any]:
         "variance_dn2": curve.variance.tolist(),
         "fitted": curve.fitted.tolist(),
     }
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
-    return value
