@@ -43,6 +43,20 @@ class CamcalError(Exception):
         return f"{in_one_line(self.where)}: {self.message}" if self.where else self.message
 
 
+class Located:
+    """A block of work whose errors say where they are: those that do not say it themselves get this place."""
+
+    def __init__(self, where: object) -> None:
+        self.where = str(where)
+
+    def __enter__(self) -> None:
+        return
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if isinstance(error, CamcalError) and error.where is None:
+            error.where = self.where
+
+
 class InvalidInput(CamcalError):
     exit_code = 2
     kind = "invalid_input"

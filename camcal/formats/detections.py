@@ -23,7 +23,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.formats import vnl
 from camcal.formats.boards import short_form
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
@@ -94,12 +94,12 @@ def _numbering(board: Board) -> tuple[str, int, int]:
 
 
 def _named_board(path: str, words: dict[str, str]) -> Board:
-    try:
-        return replace(parse_board(words["board"]), first_marker=parse_integer(words.get("first_marker_id", "0")))
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=f"{path}:1") from error
-    except ValueError as error:
-        raise InvalidInput("first_marker_id is not a whole number", where=f"{path}:1") from error
+    with Located(f"{path}:1"):
+        board = parse_board(words["board"])
+        try:
+            return replace(board, first_marker=parse_integer(words.get("first_marker_id", "0")))
+        except ValueError as error:
+            raise InvalidInput("first_marker_id is not a whole number") from error
 
 
 def _nothing(path: str, number: int, line: str) -> Detection:

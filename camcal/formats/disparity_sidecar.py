@@ -12,7 +12,7 @@ from typing import Any
 
 from camcal import files
 from camcal.arrays import Array, readonly
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.formats.documents import Fault, parse_json
 from camcal.formats.emit import rounded
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
@@ -100,10 +100,8 @@ def read(disparity: Path) -> Sidecar | None:
     if faults:
         lines = [f"{fault.path}: {fault.text}" if fault.path else fault.text for fault in faults]
         raise InvalidInput(f"\n{path}: ".join(lines), where=str(path))
-    try:
+    with Located(path):
         return _record(data, path.parent)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=str(path)) from error
 
 
 def _record(data: Mapping[str, Any], folder: Path) -> Sidecar:

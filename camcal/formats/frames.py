@@ -22,7 +22,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import emit, native, poses
 from camcal.formats.covariance import QUATERNION, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child, load_either
-from camcal.formats.native_transforms import check_name
+from camcal.formats.native import check_name
 from camcal.formats.pose_text import LARGEST, Form, LoosePose, form_named
 from camcal.formats.poses import plain as plain_poses
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text

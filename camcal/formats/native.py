@@ -1,10 +1,22 @@
 """camcal's own camera file: one YAML that every command reads (docs/formats.md).
 
 Units are in the keys or are pixels, metres and radians; pixel (0, 0) is the centre of the top-left pixel.
-What breaks no rule but looks wrong is a warning.
+What breaks no rule but looks wrong is a warning. Of the transforms, right_T_left takes points in left to points in
+right:
+
+    right_T_left:
+      R:
+        - [1.0, 0.0, 0.0]
+        - [0.0, 1.0, 0.0]
+        - [0.0, 0.0, 1.0]
+      t: [-0.11, 0.0, 0.0]
+      covariance: 6 rows of 6, order tx ty tz rx ry rz (optional)
+
+A name is that of a camera or a free frame. Between any two frames there is at most one path.
 """
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,25 +25,28 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InvalidInput
-from camcal.formats import covariance, documents, emit, native_entry, native_transforms, provenance
-from camcal.formats.camera_file import (
-    CameraEntry,
-    CameraFile,
-    JointCovariance,
-)
+from camcal.formats import covariance, documents, emit, native_entry, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
+from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import Fault, child
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
-from camcal.formats.schema import VENDOR, flag, integer, mapping, number, plain, text
-from camcal.parsing import did_you_mean
+from camcal.formats.schema import VENDOR, flag, integer, items, mapping, matrix, number, plain, text
+from camcal.geometry.pose import JOINT, Pose
+from camcal.geometry.rotation import examine
+from camcal.parsing import did_you_mean, nearest
 
 FORMAT = "camcal-calibration"
 VERSION = 1
 COMMENT = "camcal camera file. Units: pixels, metres, radians. Pixel (0, 0) = centre of the top-left pixel.\n"
 TRANSFORMS = "a_T_b takes points in b to points in a."
+FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*\Z")
+ORTHONORMAL = 1e-6
 
 OFF_CENTRE = 0.25  # of the image's side: more than any lens is decentred, less than a wrong resolution
 ASPECT = (0.9, 1.1)
@@ -40,6 +55,7 @@ LARGE_RMS = 1.0
 FEW_IMAGES = 10
 FAR = 20.0  # metres between two cameras; 20 and more are probably millimetres
 
+_TRANSFORM = mapping({"R": matrix(3, 3), "t": items(number(), 3)}, {"covariance": matrix(6, 6)})
 _JOINT = mapping({}, covariance.KEYS)
 _FILE = mapping(
     {"format": text, "version": integer(1), "cameras": mapping({}, others=native_entry.check)},
@@ -72,7 +88,7 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
         findings += without_uncertainty(child("cameras", name), unknown)
     file = CameraFile(
         cameras,
-        transforms=native_transforms.read(document.get("transforms", {})),
+        transforms=read_transforms(document.get("transforms", {})),
         joint_covariance=_read_joint(document.get("joint_covariance"), folder),
         board_shape=read_board_shape(document["board_shape"], folder) if "board_shape" in document else None,
         provenance=document.get("provenance", {}),
@@ -126,8 +142,8 @@ def check(data: Any, path: str = "") -> Iterator[Fault]:
     if not cameras:
         yield Fault("cameras", "no camera; a file has at least one")
     for name in cameras:
-        yield from native_transforms.check_name(name, child("cameras", name))
-    yield from native_transforms.check(transforms, "transforms", list(cameras))
+        yield from check_name(name, child("cameras", name))
+    yield from check_transforms(transforms, "transforms", list(cameras))
     if isinstance(transforms, dict) and not any(_JOINT(joint, "")):
         yield from covariance.check(joint, "joint_covariance", list(_joint_names(cameras, transforms)))
 
@@ -166,7 +182,7 @@ def _block(file: CameraFile, path: Path) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         "cameras": {name: native_entry.block(entry, path) for name, entry in file.cameras.items()},
-        "transforms": native_transforms.block(file.transforms) or None,
+        "transforms": transforms_block(file.transforms) or None,
         "joint_covariance": covariance.block(joint.names, joint.matrix, path) if joint else None,
         "board_shape": board_shape_block(file.board_shape, path) if file.board_shape else None,
         "converted_from": file.converted_from or None,
@@ -239,3 +255,77 @@ def _verdict(entry: CameraEntry, path: str) -> Iterator[Fault]:
     if entry.verdict is not None and not entry.verdict.trustworthy:
         reasons = " ".join("; ".join(entry.verdict.reasons).split())  # a warning is one line
         yield Fault(path, f"do not trust this calibration: {reasons or 'no reason is given'}")
+
+
+def check_name(name: str, path: str) -> Iterator[Fault]:
+    """Check the name of a camera or a frame."""
+    if not NAME.match(name) or JOINT in name:
+        yield Fault(path, f"{name!r} is no name: letters and digits joined by single '_', a letter first, no '_T_'")
+
+
+def check_transforms(data: Any, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
+    """Check all transforms; cameras: the names that the file gives its cameras."""
+    yield from mapping({}, others=_check_transform)(data, path)
+    tree: dict[str, str] = {}  # frame -> the frame that stands for all that are connected with it
+    for key in data if isinstance(data, dict) else ():
+        faults = list(_check_frames(key, child(path, key), cameras)) or list(_connect(key, child(path, key), tree))
+        yield from faults
+
+
+def _check_transform(data: Any, path: str) -> Iterator[Fault]:
+    faults = list(_TRANSFORM(data, path))
+    yield from faults
+    if faults:
+        return
+    yield from _check_rotation(np.array(data["R"], dtype=float), child(path, "R"))
+    if "covariance" in data:
+        reason = why_no_covariance(np.array(data["covariance"], dtype=float))
+        yield from [Fault(child(path, "covariance"), reason)] if reason else ()
+
+
+def _check_rotation(matrix: Array, path: str) -> Iterator[Fault]:
+    found = examine(matrix)
+    if fault := found.fault(ORTHONORMAL):
+        advice = "; write R with 9 digits or more" if found.can_be_fixed else ""
+        yield Fault(path, f"{fault}{advice}")
+
+
+def _check_frames(key: str, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
+    frames = key.split(JOINT)
+    if len(frames) != 2:
+        yield Fault(path, f"{key!r} is no transform; write a_T_b, which takes points in b to points in a")
+        return
+    for name in frames:
+        yield from check_name(name, path)
+        meant = nearest(name, [*cameras, *FRAMES], likeness=0.8)
+        # cam2 beside cam1 is another frame, rigth beside right is a slip of the pen
+        if meant is not None and name.rstrip("0123456789") != meant.rstrip("0123456789"):
+            yield Fault(path, f"no camera or frame {name!r}. Did you mean {meant!r}?")
+
+
+def _connect(key: str, path: str, tree: dict[str, str]) -> Iterator[Fault]:
+    a, b = key.split(JOINT)
+    root_a, root_b = tree.setdefault(a, a), tree.setdefault(b, b)
+    if root_a == root_b:
+        yield Fault(path, f"there is already a path between {a!r} and {b!r}; leave one transform out")
+    tree.update({frame: root_a for frame, root in tree.items() if root == root_b})
+
+
+def read_transforms(data: Mapping[str, Any]) -> dict[str, Transform]:
+    """Return the transforms of data that has passed `check`, by name."""
+    return {
+        name: Transform(Pose(np.array(item["R"], dtype=float), item["t"]), item.get("covariance"))
+        for name, item in data.items()
+    }
+
+
+def transforms_block(transforms: Mapping[str, Transform]) -> dict[str, Any]:
+    """Return transforms as plain data."""
+    return {
+        name: {
+            "R": item.pose.rotation.tolist(),
+            "t": item.pose.translation.tolist(),
+            "covariance": None if item.covariance is None else item.covariance.tolist(),
+        }
+        for name, item in transforms.items()
+    }

@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, Located
 from camcal.parsing import parse_numbers
 from camcal.stereo.geometry import StereoGeometry
 
@@ -130,10 +130,8 @@ def _kitti_size(entries: Mapping[str, _Entry], name: str, path: Path) -> tuple[i
 
 def _geometry(matrix: Array, baseline: float, doffs: float, where: str) -> StereoGeometry:
     fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    try:
+    with Located(where):
         return StereoGeometry(fx, fy, cx, cy, float(baseline), float(doffs))
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=where) from error
 
 
 def _camera_matrix(entries: Mapping[str, _Entry], name: str, path: Path) -> Array:

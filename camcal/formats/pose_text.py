@@ -16,17 +16,16 @@ Metres, and radians unless the form says deg.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import emit
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import NamedTransform, Pose, frames_of
@@ -66,8 +65,6 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*_T_[A-Za-z0-9_]+\b")
 _IN_A_LINE = (7, 8, 12, 16)  # numbers
 _LIMIT = 1 << 20
 _REMARK = "#"
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,13 +282,15 @@ def read(path: Path, form: Form | None = None) -> Pose:
     form: what the numbers are, if not these and no remark says so. Lines that begin with # are passed over.
     Raises FileError if it holds something else than numbers, InvalidInput if they are no pose, or more than one.
     """
-    return _at(path, lambda: read_loose(path, form).pose())
+    with Located(path):
+        return read_loose(path, form).pose()
 
 
 def read_loose(path: Path, form: Form | None = None) -> LoosePose:
     """Return the pose of a file as `read` does, but as it is written, which may be none."""
     text = files.read_text(path, _LIMIT)
-    return _at(path, lambda: _parsed(text, form))
+    with Located(path):
+        return _parsed(text, form)
 
 
 def name_in(path: Path) -> str:
@@ -341,11 +340,3 @@ def _form_in(text: str) -> Form | None:
         except InvalidInput:
             continue
     return None
-
-
-def _at(path: Path, work: Callable[[], Result]) -> Result:
-    """Return the result of work on a file, whose errors get its name."""
-    try:
-        return work()
-    except (FileError, InvalidInput) as error:
-        raise type(error)(error.message, where=error.where or str(path)) from error

@@ -207,10 +207,6 @@ def _jpeg(content: bytes) -> Size:
     return size
 
 
-def _tiff(content: bytes) -> Size:
-    return exif.stated_size(content)
-
-
 def _bmp(content: bytes) -> Size:
     (length,) = struct.unpack_from("<I", content, 14)
     width, height = struct.unpack_from("<HH" if length == _OLD_BMP else "<ii", content, 18)
@@ -254,7 +250,7 @@ def _jpeg_2000(content: bytes) -> Size:
 _READERS: tuple[tuple[bytes | tuple[bytes, ...], Callable[[bytes], Size]], ...] = (
     (PNG, _png),
     (JPEG, _jpeg),
-    ((b"II*\0", b"MM\0*"), _tiff),
+    ((b"II*\0", b"MM\0*"), exif.stated_size),
     (b"BM", _bmp),
     (b"P7", _pam),
     ((b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"PF", b"Pf"), _pnm),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, Located
 from camcal.files import read_bytes
 from camcal.images import exif, limits
 from camcal.images.exif import JPEG, read_jpeg
@@ -35,13 +35,11 @@ def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO
     that says its own.
     """
     suffix = path.suffix.lower()
-    try:
+    with Located(path):
         if suffix in HEADERLESS_SUFFIXES:
             return _read_headerless(path, pattern, layout)
         _refuse_layout(layout)
         return _read_bare(path, pattern) if suffix in BARE_SUFFIXES else _read_camera(path, pattern)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=error.where or str(path)) from error
 
 
 def _refuse_layout(layout: GivenLayout) -> None:

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from camcal.errors import InsufficientData, InvalidInput
+from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import frames, native, pose_text, trajectories
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.frames import LooseTransform
@@ -112,13 +112,11 @@ def _is_said(text: str) -> bool:
 
 def _said(text: str, form: Form | None) -> LoosePose:
     """Return the pose that an argument says itself."""
-    try:
+    with Located(repr(_tidy(text))):
         if is_elementary(text):
             return elementary(text)
         numbers = numbers_in(text)
         return (form or guessed(len(numbers))).parse(numbers)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=repr(_tidy(text))) from error
 
 
 def split_name(text: str) -> tuple[str, str]:
@@ -181,12 +179,10 @@ def _addressed(found: Sequence[NamedTransform], address: str, where: str) -> Nam
     if JOINT not in address:
         known = [item.where.partition("#")[2] or item.name for item in found]
         raise InvalidInput(f"nothing is named {address!r}{did_you_mean(address, known)}", where=where)
-    try:
+    with Located(where):
         graph = FrameGraph(found)
         target, source = frames_of(address)
         derived = graph.along(graph.path(target, source))
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=where) from error
     covariance = derived.covariance({index: item.covariance for index, item in enumerate(found)})
     return NamedTransform(target, source, derived.pose, covariance, where)
 

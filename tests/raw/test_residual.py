@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
-from camcal.raw import ri_green, ri_red_blue
+from camcal.raw import ri_green
 from camcal.raw.demosaic import demosaic
 from camcal.raw.options import PATTERNS
 from camcal.raw.planes import one_by_one
-from camcal.raw.residual import noise_of_green, residual_interpolation
+from camcal.raw.residual import RED_BLUE_REACH, noise_of_green, residual_interpolation
 from camcal.raw.tiling import scale_of
 
 MARGIN = 64  # pixels; more than the filter reaches, and whole windows
@@ -216,7 +216,7 @@ def test_colours_far_from_a_change_stay_as_they_are():
     changed = mosaic.copy()
     changed[64:66, 70:72] ^= 255
     difference = np.argwhere((demosaic(mosaic, "RGGB") != demosaic(changed, "RGGB")).any(-1)) - (64, 70)
-    assert 2 < np.abs(difference).max() <= 2 * (ri_green.REACH + ri_green.CALMING_REACH + ri_red_blue.REACH)
+    assert 2 < np.abs(difference).max() <= 2 * (ri_green.REACH + ri_green.CALMING_REACH + RED_BLUE_REACH)
 
 
 def stripes(first, second, degrees, size=72):

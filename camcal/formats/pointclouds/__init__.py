@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.files import read_bytes, replacing
 from camcal.formats.pointclouds import glb, las, npz, pcd, ply, xyz
 from camcal.formats.pointclouds.record import PointCloudFile
@@ -55,10 +55,8 @@ def read(path: Path) -> PointCloudFile:
     """
     require_suffix(path)
     content = read_bytes(path)
-    try:
+    with Located(path):
         return _FORMATS[path.suffix.lower()].read(content)
-    except FileError as error:
-        raise FileError(error.message, where=str(path)) from error
 
 
 def require_suffix(path: Path, *, ascii_text: bool = False) -> None:

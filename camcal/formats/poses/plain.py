@@ -9,7 +9,7 @@ import numpy as np
 from camcal.estimate.poses.records import Alternative
 from camcal.formats.covariance import ORDER, QUATERNION, STEPS, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child
-from camcal.formats.native_transforms import NAME
+from camcal.formats.native import NAME
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
 from camcal.geometry import rotation as so3

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.formats.tables import LONGEST_QUOTE, Lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory, frames_of
@@ -56,10 +56,8 @@ def trajectory(
 def named(frames: str | None, where: str) -> str:
     """Return the name of the poses; raises InvalidInput unless it has the form a_T_b. None: world_T_camera."""
     name = frames or DEFAULT_FRAMES
-    try:
+    with Located(where):
         frames_of(name)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=where) from error
     return name
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import camcal
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.formats import emit
 from camcal.images.image import Image
 from camcal.images.save import KINDS, save
@@ -112,10 +112,8 @@ def _develop_file(
     outputs: Mapping[Path, Path],
     each: Each = one_by_one,
 ) -> DevelopedFrame:
-    try:
+    with Located(source):
         return _developed(source, outputs[source], options, corrections, each)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=error.where or str(source)) from error
 
 
 def _developed(

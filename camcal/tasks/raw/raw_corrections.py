@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.progress import SILENT, Progress
 from camcal.raw import bad_pixels
 from camcal.raw.calibration_frames import dark_average, flat_gain, stack
@@ -31,10 +31,8 @@ def read_frame(path: Path, reading: RawInput) -> Mosaic:
     if reading.black is None and reading.white is None:
         return frame
     black = frame.black if reading.black is None else _laid_out(reading.black, frame)
-    try:
+    with Located(path):
         return replace(frame, black=black, white=frame.white if reading.white is None else reading.white)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=str(path)) from error
 
 
 def _laid_out(black: tuple[float, ...], frame: Mosaic) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import CamcalError, InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.formats import emit, provenance
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.options import command_line
@@ -144,10 +144,8 @@ def _levels(
 
 def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
     frames = (_own_counts(read_frame(path, reading), spread) for path in one.paths)
-    try:
+    with Located(one.where):
         return measure_level(frames, one.exposure_s, _own_white(white, spread))
-    except CamcalError as error:
-        raise type(error)(error.message, where=error.where or one.where) from error
 
 
 def _own_counts(frame: Mosaic, spread: Widened | None) -> Mosaic:
