@@ -8,6 +8,10 @@ import numpy as np
 from camcal.arrays import Array
 
 _OCCLUSION, _SPARE = 2.0, 30  # times the step between its sides, and pixels, up to which a gap may be an occlusion
+_PATCH = (13, 13)  # pixels, width and height, over which disparities beside a gap are averaged
+_PATCHES = (8, 14, 20)  # pixels from the gap to the middles of three such patches
+_COVERED, _BENT, _STEEPEST = 0.5, 0.3, 0.5  # share with a match; pixels off a straight line; pixels per pixel
+_WIDER = 10  # pixels by which a gap may be wider than what is hidden, or lies outside the right image
 _MEDIAN = 5  # pixels
 _BILATERAL, _QUICK_BILATERAL = 9, 5  # pixels
 _STEP = 1.5  # pixels of disparity that smoothing keeps
@@ -29,9 +33,10 @@ class Filled(NamedTuple):
 def from_the_background(disparity: Array) -> Filled:
     """Return disparities (H, W) with every gap of a row filled from its side that is farther away.
 
-    What one camera does not see lies behind what hides it, and is as wide as the step of disparity beside it. A gap
-    that is much wider is no occlusion but a surface without texture: it goes straight from one side to the other. At
-    the ends of a row there is only one side.
+    What one camera does not see lies behind what hides it, and is as wide as the step of disparity beside it: it goes
+    on as steeply as what lies beside it, but not in front of the other side. A gap that is much wider is no occlusion
+    but a surface without texture: it goes straight from one side to the other. At the ends of a row there is only one
+    side.
     """
     gap = np.isnan(disparity)
     fenced = np.zeros((len(gap), gap.shape[1] + 2), np.bool_)
@@ -46,6 +51,13 @@ def from_the_background(disparity: Array) -> Filled:
     step = np.abs(sides[0] - sides[1])
     values = np.where(from_right, sides[1], sides[0])[number]
     away = np.where(from_right[number], lengths[number] - place, place + 1)
+    nearest = np.fmax(*np.where(np.isfinite(sides).all(axis=0), sides, np.inf))
+    slope = np.where(
+        lengths <= np.where(from_right, sides[1], sides[0]) + _WIDER,
+        _slope(disparity, row, np.where(from_right, stop, start - 1), np.where(from_right, 1, -1)),
+        np.float32(0),
+    )
+    values = np.minimum(values - slope[number] * away, nearest[number])
     straight = (lengths > _OCCLUSION * step + _SPARE)[number]  # False where a side is no number
     first, (left, right) = place[straight] + 1, sides[:, number[straight]]
     values[straight] = left + (right - left) * first / (lengths[number[straight]] + 1)
@@ -53,6 +65,22 @@ def from_the_background(disparity: Array) -> Filled:
     filled, choice, distance = disparity.astype(np.float32), *np.zeros((2, *gap.shape), np.float32)
     filled[gap], choice[gap], distance[gap] = values, np.nan_to_num(step)[number], away
     return Filled(filled, choice, distance)
+
+
+def _slope(disparity: Array, row: Array, column: Array, outward: Array) -> Array:
+    """Return how much disparities (H, W) change per pixel away from a gap (N,), 0 where they follow no straight line.
+
+    row, column: (N,) of the pixel beside the gap. outward: (N,) 1 where the gap lies to the left of it, else -1.
+    """
+    known = np.isfinite(disparity)
+    share = cv2.boxFilter(known.astype(np.float32), cv2.CV_32F, _PATCH, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(np.where(known, disparity, 0), cv2.CV_32F, _PATCH, borderType=cv2.BORDER_CONSTANT)
+    places = [np.clip(column + outward * away, 0, disparity.shape[1] - 1) for away in _PATCHES]
+    shares = np.stack([share[row, place] for place in places])
+    near, middle, far = np.stack([total[row, place] for place in places]) / np.maximum(shares, _COVERED)
+    slope = (far - near) / (_PATCHES[-1] - _PATCHES[0])
+    straight = np.abs(near + far - 2 * middle) < _BENT
+    return np.where(straight & (shares >= _COVERED).all(axis=0) & (np.abs(slope) < _STEEPEST), slope, np.float32(0))
 
 
 def everywhere(disparity: Array) -> Array:

@@ -14,7 +14,6 @@ from scipy import ndimage
 
 from camcal.arrays import Array
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.filling import Filled, everywhere
 from camcal.stereo.matching.fusion import Fused
 from camcal.stereo.matching.gray import GrayPair
 
@@ -25,12 +24,13 @@ _SMALLEST, _BORDER = 500, 6  # pixels of an area, and pixels around it that belo
 _GAP, _GAP_SHARE, _GAP_MOST = 50, 0.03, 1.5  # pixels without a match inside; share inside; of the area, with its border
 _FEWEST, _FEWEST_CELLS = 40, 3  # pixels with a match, and cells with some
 _CELLS, _PER_CELL = 12, 8  # along each side of an area's box, all of one weight; pixels taken from each
-_TRIALS, _REFITS, _FINALISTS, _SAMPLES = 400, 3, 40, 400
+_REFITS, _FINALISTS, _SAMPLES, _TRIED_ON = 3, 1000, 400, 200
 _NEAR = 1.0  # pixels between a plane and what lies on it
 _APART, _WIDE = 100, 200  # squared pixels between two points of a plane, and twice the area between three, at least
-_STEEPEST, _TYPICAL_SLOPE, _ERROR = 1.0, 0.1, 0.5  # pixels per pixel; pixels of error of a match
+_STEEPEST, _ERROR = 1.0, 0.5  # pixels per pixel; pixels of error of a match
+_TYPICAL, _FARTHEST = 0.6, 0.01  # slope of a surface over disparity per width of the image, and the least of the latter
+_STEEP, _UPRIGHT = 0.04, 3.0  # of the support: what steepness costs; how much more from top to bottom: walls stand
 _AROUND, _AROUND_SHARE, _OUTSIDE = 2.0, 0.1, 0.5  # pixels and share of its range beside the support; what it costs
-_LEVEL = 0.1  # of the support: what a plane is worth more for each point fewer that it takes
 _MARGIN, _MARGIN_SHARE, _TAIL = 2.0, 0.25, 2  # pixels and share by which a plane goes on; percent that says nothing
 _BACKDROP, _GROUND = 0.1, 0.04  # shares of the image: of a background; of gaps at its lower edge that stay as they are
 _HARDLY = 0.5  # of a background that are gaps, at least: where more is matched, that tells
@@ -41,17 +41,18 @@ _MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the f
 class _Rule(NamedTuple):
     """When a plane holds: the least share of the support on it, and the most of it behind it.
 
-    cost: of the share behind.
+    cost: of the share behind. trials: planes of each kind that are tried.
     """
 
     on: float
     behind: float
     cost: float
+    trials: int
 
 
-_SMALL = _Rule(on=0.85, behind=0.15, cost=1.0)
-_LARGE = _Rule(on=0.75, behind=0.15, cost=1.0)
-_BACKGROUND = _Rule(on=0.1, behind=0.1, cost=3.0)
+_SMALL = _Rule(on=0.85, behind=0.15, cost=1.0, trials=400)
+_LARGE = _Rule(on=0.75, behind=0.15, cost=1.0, trials=400)
+_BACKGROUND = _Rule(on=0.1, behind=0.1, cost=3.0, trials=4000)
 
 
 class _View(NamedTuple):
@@ -100,36 +101,36 @@ class _Plane(NamedTuple):
         return np.asarray(np.clip(across * x + down * y + offset, self.least, self.most))
 
 
-def on_planes(found: Fused, filled: Filled, pair: GrayPair) -> Filled:
-    """Return what is filled, with planes in the gaps of areas that they explain; what is matched stays as it is.
+def on_planes(found: Fused, dense: Array, pair: GrayPair) -> Array:
+    """Return a dense map (H, W), pixels, with planes in the gaps of areas that they explain; matches stay as they are.
 
-    Choice and distance stay those of the filling: planes fail seldom, but by much.
+    found: what is matched. dense: (H, W) the same with its gaps filled.
     """
     gap = np.isnan(found.disparity)
     if gap.all() or not gap.any():
-        return filled
-    view = _seen_in_steps(found, filled, pair)
+        return dense
+    view = _seen_in_steps(found, dense, pair)
     rng = np.random.default_rng(0)
     before = _misfit(view, view.filled)
-    disparity = filled.disparity.copy()
+    disparity = dense.copy()
     for area in _areas(view.left, pair.noise):
         plane = _plane_of(area, view, rng)
         if plane is not None:
             _put(plane, area, _taken(plane, area, view, before), gap, disparity, view.step)
-    return filled._replace(disparity=disparity)
+    return disparity
 
 
-def _seen_in_steps(found: Fused, filled: Filled, pair: GrayPair) -> _View:
+def _seen_in_steps(found: Fused, dense: Array, pair: GrayPair) -> _View:
     step = int(np.ceil(np.sqrt(pair.left.size / _LARGEST)))
     every = slice(None, None, step)
-    disparity, dense = (values[every, every] / step for values in (found.disparity, everywhere(filled.disparity)))
+    disparity, filled = (values[every, every] / step for values in (found.disparity, dense))
     size = disparity.shape[::-1]
     left, right = (
         image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
         for image in (pair.left, pair.right)
     )
     believed = np.where(found.confidence[every, every] > Confidence.SINGLE, disparity, np.nan)
-    return _View(left, right, disparity, dense.astype(np.float32), _nearest(believed), step)
+    return _View(left, right, disparity, filled.astype(np.float32), _nearest(believed), step)
 
 
 def _nearest(disparity: Array) -> Array:
@@ -181,7 +182,7 @@ def _plane_of(area: _Area, view: _View, rng: np.random.Generator) -> _Plane | No
     if plane is not None or not large or inner < _HARDLY * size:
         return None if plane is None else plane[0]
     support = _support(area, area.whole & ~area.inside & ~gap, view, rng)
-    plane = None if support is None else _fitted(support, gaps, view, _BACKGROUND, rng)
+    plane = None if support is None else _fitted(_moved_in(support, area), gaps, view, _BACKGROUND, rng)
     return None if plane is None or _is_ground(area, plane[1], view) else plane[0]
 
 
@@ -203,17 +204,27 @@ def _support(area: _Area, chosen: Array, view: _View, rng: np.random.Generator) 
     return _Support(pixels.astype(float), view.disparity[pixels[:, 1], pixels[:, 0]].astype(float))
 
 
+def _moved_in(support: _Support, area: _Area) -> _Support:
+    """Return support from beside an area at the nearest places inside: of what is beside it, only its edge is known."""
+    corner = [area.box[1].start, area.box[0].start]
+    x, y = (support.places.astype(int) - corner).T
+    outside = (~area.inside).astype(np.uint8)
+    _, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    edge = np.zeros((nearest.max() + 1, 2))
+    edge[nearest[area.inside]] = area.pixels(area.inside)
+    return support._replace(places=edge[nearest[y, x]])
+
+
 def _fitted(
     support: _Support, gaps: Array, view: _View, rule: _Rule, rng: np.random.Generator
 ) -> tuple[_Plane, Array] | None:
     """Return the plane that most of the support lies on and the least behind, and what lies on it (M, 2); or None."""
+    planes = _candidates(support, rule.trials, rng)
+    planes = planes[np.argsort(-_score(planes, _some(support, rng), rule, gaps, view))[:_FINALISTS]]
+    hidden = _in_front(planes, gaps, view) + _OUTSIDE * _beyond(planes, gaps, support.disparities)
+    best = planes[[np.argmax(_score(planes, support, rule, gaps, view) - hidden)]]
+    plane = _refitted(best[0], support, _typical_slopes(best, gaps, view)[0])
     places, disparities = _homogeneous(support.places), support.disparities
-    planes, fewer = _candidates(support, rng)
-    off = planes @ places.T - disparities
-    score = (np.abs(off) < _NEAR).mean(axis=1) - rule.cost * (off > _NEAR).mean(axis=1) + _LEVEL * fewer
-    best = np.argsort(-score)[:_FINALISTS]
-    score = score[best] - _in_front(planes[best], gaps, view) - _OUTSIDE * _beyond(planes[best], gaps, disparities)
-    plane = _refitted(planes[best[np.argmax(score)]], support)
     off = places @ plane - disparities
     on = np.abs(off) < _NEAR
     if on.mean() < rule.on or (off > _NEAR).mean() > rule.behind:
@@ -223,14 +234,34 @@ def _fitted(
     return _Plane(plane, low - margin, high + margin), support.places[on]
 
 
-def _candidates(support: _Support, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return planes (K, 3) through one, two and three points, and how many points fewer than three they take (K,).
+def _some(support: _Support, rng: np.random.Generator) -> _Support:
+    """Return as much of a support as many planes are tried on."""
+    chosen = rng.permutation(len(support.places))[:_TRIED_ON]
+    return _Support(support.places[chosen], support.disparities[chosen])
 
-    What a point or two leave open has no slope.
+
+def _score(planes: Array, support: _Support, rule: _Rule, gaps: Array, view: _View) -> Array:
+    """Return how well planes (K, 3) explain a support (K,): what lies on them, and that they are not steep."""
+    off = planes @ _homogeneous(support.places).T - support.disparities
+    score: Array = (np.abs(off) < _NEAR).mean(axis=1) - rule.cost * (off > _NEAR).mean(axis=1)
+    steep = np.hypot(planes[:, 0], _UPRIGHT * planes[:, 1]) / _typical_slopes(planes, gaps, view)
+    return np.asarray(score - _STEEP * np.log1p(steep**2))
+
+
+def _typical_slopes(planes: Array, gaps: Array, view: _View) -> Array:
+    """Return slopes (K,), pixels per pixel, that surfaces have at the disparities of planes (K, 3) amid the gaps.
+
+    Of surfaces of one tilt, the slope grows with the disparity, and falls with the focal length.
     """
+    disparity = planes @ np.array([*gaps.mean(axis=0), 1.0])
+    return np.asarray(_TYPICAL * np.maximum(disparity / view.left.shape[1], _FARTHEST))
+
+
+def _candidates(support: _Support, trials: int, rng: np.random.Generator) -> Array:
+    """Return planes (K, 3) through one, two and three points; what a point or two leave open has no slope."""
     places, disparities = support.places, support.disparities
-    one, first, second, *three = rng.integers(len(places), size=(6, _TRIALS))
-    level = np.column_stack([np.zeros((_TRIALS, 2)), disparities[one]])
+    one, first, second, *three = rng.integers(len(places), size=(6, trials))
+    level = np.column_stack([np.zeros((trials, 2)), disparities[one]])
     along = places[second] - places[first]
     squared = (along**2).sum(axis=1)
     slopes = ((disparities[second] - disparities[first]) / np.maximum(squared, 1))[:, None] * along
@@ -239,10 +270,8 @@ def _candidates(support: _Support, rng: np.random.Generator) -> tuple[Array, Arr
     triples = _homogeneous(places[corners])
     wide = np.abs(np.linalg.det(triples)) > _WIDE
     full = np.linalg.solve(triples[wide], disparities[corners[wide]][..., None])[..., 0]
-    planes = np.concatenate([level, through, full])
-    fewer = np.repeat([2, 1, 0], [len(level), len(through), len(full)])
-    flat = (np.abs(planes[:, :2]) < _STEEPEST).all(axis=1)
-    return planes[flat], fewer[flat]
+    planes: Array = np.concatenate([level, through, full])
+    return planes[(np.abs(planes[:, :2]) < _STEEPEST).all(axis=1)]
 
 
 def _in_front(planes: Array, gaps: Array, view: _View) -> Array:
@@ -262,12 +291,12 @@ def _beyond(planes: Array, gaps: Array, disparities: Array) -> Array:
     return np.asarray(((values < low - margin) | (values > high + margin)).mean(axis=1))
 
 
-def _refitted(plane: Array, support: _Support) -> Array:
-    """Return a plane (3,) fitted to what lies on it; slopes that the support leaves open are small."""
+def _refitted(plane: Array, support: _Support, typical: float) -> Array:
+    """Return a plane (3,) fitted to what lies on it; slopes that the support leaves open are small beside typical."""
     middle = support.places.mean(axis=0)
     places = _homogeneous(support.places - middle)
     plane = np.array([*plane[:2], plane[2] + plane[:2] @ middle])
-    prior = np.diag([(_ERROR / _TYPICAL_SLOPE) ** 2] * 2 + [0.0])
+    prior = np.diag([(_ERROR / typical) ** 2] * 2 + [0.0])
     for _ in range(_REFITS):
         on = np.abs(places @ plane - support.disparities) < _NEAR
         if not on.any():

@@ -30,7 +30,7 @@ def filled_by_a_loop(disparity):
     """Return the filled map, the choice and the distance (3, H, W).
 
     It is the smaller of both sides, the left of equals; or the straight line between them in a gap of more than 30
-    pixels and two more for every pixel by which they differ.
+    pixels and two more for every pixel by which they differ. Maps of so few rows tell no slope.
     """
     result = np.stack([disparity, np.zeros_like(disparity), np.zeros_like(disparity)])
     for y, x in np.argwhere(np.isnan(disparity)):
@@ -63,6 +63,38 @@ def test_a_wide_gap_in_a_slanted_surface_is_filled_along_the_surface():
     gappy = surface.copy()
     gappy[:, 20:110] = np.nan
     np.testing.assert_allclose(from_the_background(gappy).disparity, surface, atol=1e-4)  # float32
+
+
+def wall_behind_a_board(slope):
+    """Return a wall (30, 160) that is steep from left to right with a board before it, and what the board hides."""
+    disparity = np.tile(12 + slope * np.arange(160, dtype=np.float32), (30, 1))
+    disparity[:, 80:110] = 40
+    return disparity, slice(65, 80)
+
+
+@pytest.mark.parametrize("slope", [0.1, -0.06, 0.0])
+def test_what_is_hidden_goes_on_as_steeply_as_the_wall_beside_it(slope):
+    disparity, hidden = wall_behind_a_board(slope)
+    gappy = disparity.copy()
+    gappy[:, hidden] = gappy[:, :12] = np.nan
+    filled = from_the_background(gappy)
+    np.testing.assert_allclose(filled.disparity, disparity, atol=1e-4)  # float32
+    assert filled.distance[0, 79] == 15
+    assert filled.distance[0, 0] == 12
+
+
+def test_nothing_hidden_comes_before_what_hides_it():
+    disparity, hidden = wall_behind_a_board(0.4)
+    disparity[:, 80:110] = 39
+    disparity[:, hidden] = np.nan
+    assert from_the_background(disparity).disparity[:, hidden].max() == 39
+
+
+def test_a_surface_that_bends_beside_a_gap_tells_no_slope():
+    disparity, hidden = wall_behind_a_board(0.0)
+    disparity[:, :65] += 0.01 * np.arange(-64, 1) ** 2
+    disparity[:, hidden] = np.nan
+    np.testing.assert_array_equal(from_the_background(disparity).disparity[:, hidden], 12)
 
 
 @given(shapes, st.integers(0, 2**32 - 1))

@@ -32,15 +32,15 @@ def right_of(left, disparity):
 
 
 def planes_of(left, disparity, gap, matched=None):
-    """Return what is filled with and without planes; matched: (H, W) outside of the gap, the truth by default."""
+    """Return dense maps with and without planes; matched: (H, W) outside of the gap, the truth by default."""
     left = np.rint(left).astype(np.uint8)
     right = right_of(left, disparity)
     known = np.where(gap, np.nan, disparity if matched is None else matched).astype(np.float32)
     confidence = np.where(gap, Confidence.FILLED, Confidence.AGREED).astype(np.uint8)
     nothing = np.full(left.shape, np.nan, np.float32)
     found = Fused(known, confidence, nothing, np.zeros(left.shape, np.int8))
-    filled = from_the_background(known)
-    return on_planes(found, filled, GrayPair(left, right, left, right, 0.5)), filled
+    dense = everywhere(from_the_background(known).disparity)
+    return on_planes(found, dense, GrayPair(left, right, left, right, 0.5)), dense
 
 
 def framed_board(end=WIDTH):
@@ -75,27 +75,36 @@ def test_gap_of_a_slanted_board_takes_its_plane():
     after, before = planes_of(image, disparity, gap)
     inside = np.zeros_like(gap)
     inside[40:110, 70:230] = True
-    assert np.abs(after.disparity - disparity)[inside].max() < 0.2
-    assert np.abs(before.disparity - disparity)[inside].max() > 1
-    assert np.array_equal(after.distance, before.distance)
+    assert np.abs(after - disparity)[inside].max() < 0.2
+    assert np.abs(before - disparity)[inside].max() > 1
 
 
 def test_what_is_matched_stays_as_it_is():
     image, disparity, gap = framed_board()
     after, before = planes_of(image, disparity, gap)
-    assert np.array_equal(after.disparity[~gap], before.disparity[~gap])
+    assert np.array_equal(after[~gap], before[~gap])
 
 
 def test_wall_without_texture_goes_on_from_the_edge_of_the_floor_and_not_from_what_stands_before_it():
     image, disparity, gap, matched = wall_and_floor()
     after, before = planes_of(image, disparity, gap, matched)
-    assert np.abs(everywhere(before.disparity) - disparity)[gap].mean() > 2
-    assert np.abs(after.disparity - disparity)[gap].mean() < 1
+    assert np.abs(before - disparity)[gap].mean() > 2
+    assert np.abs(after - disparity)[gap].mean() < 1
+
+
+def test_wall_stands_upright_rather_than_lean_on_what_hangs_before_it():
+    image, disparity, gap, matched = wall_and_floor()
+    thing = slice(5, 60), slice(150, 240)
+    image[thing], disparity[thing] = paint(5)[thing], 34
+    gap[thing], matched = False, np.where(disparity == 34, 34, matched)
+    after, before = planes_of(image, disparity, gap, matched)
+    assert np.abs(before - disparity)[gap].mean() > 5
+    assert np.abs(after - disparity)[gap].mean() < 1
 
 
 def test_how_steep_a_floor_without_texture_is_nobody_guesses():
     after, before = planes_of(*(values[::-1] for values in wall_and_floor()))
-    assert np.array_equal(after.disparity, before.disparity, equal_nan=True)
+    assert np.array_equal(after, before, equal_nan=True)
 
 
 def test_no_plane_goes_across_a_step():
@@ -104,7 +113,7 @@ def test_no_plane_goes_across_a_step():
     small = slice(50, 100), slice(WIDTH // 2 - 30, WIDTH // 2 + 30)
     image[small], gap[small] = 150, True
     after, before = planes_of(image, disparity, gap)
-    assert np.array_equal(after.disparity, before.disparity)
+    assert np.array_equal(after, before)
 
 
 def test_nothing_matched_stays_nothing():
@@ -124,8 +133,16 @@ def test_large_pair_is_looked_at_in_steps():
     y, x = down / 4, across / 4
     seen = 4 * (8 + 0.08 * y + 0.06 * x) / (1 - 0.06)  # of a pixel of the right image
     right = cv2.remap(left, across + seen, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    after = on_planes(found, from_the_background(known), GrayPair(left, right, left, right, 0.5))
-    assert np.abs(after.disparity - 4 * disparity)[160:440, 280:720].max() < 0.8
+    after = on_planes(found, from_the_background(known).disparity, GrayPair(left, right, left, right, 0.5))
+    assert np.abs(after - 4 * disparity)[160:440, 280:720].max() < 0.8
+
+
+def test_rows_that_only_a_plane_reaches_are_full():
+    image, disparity, gap, matched = wall_and_floor()
+    image[:, 200:210], image[:, 210:] = 60, 90  # two plain strips beside the wall, of which nothing is matched
+    gap[:, 196:] = True
+    after, _ = planes_of(image, disparity, gap, matched)
+    assert np.isfinite(after).all()
 
 
 def test_matching_fills_a_board_without_texture():
