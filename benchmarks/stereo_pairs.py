@@ -70,6 +70,13 @@ def skimage(folder: Path) -> Iterator[Pair]:
     yield Pair("motorcycle", left, right, truth, unhidden(truth), up(np.nanmax(truth) + 1))
 
 
+def slambook(folder: Path) -> Iterator[Pair]:
+    """The road of slambook2: ch5/stereo/left.png and right.png, ch8/disparity.png, whose disparities were computed."""
+    truth = known(disparity.read(folder / "ch8" / "disparity.png", 1).values)
+    left, right = (image(folder / "ch5" / "stereo" / f"{eye}.png") for eye in ("left", "right"))
+    yield Pair("slambook2", left, right, truth, unhidden(truth), up(np.nanmax(truth) + 1))
+
+
 def simulated(folder: Path) -> Iterator[Pair]:
     """What `camcal simulate --stereo` writes."""
     for path in sorted((folder / "left").glob("*.png")):
@@ -83,6 +90,7 @@ LAYOUTS = {
     middlebury2003: "disp2.png",
     middlebury2014: "im0.png",
     skimage: "motorcycle_disp.npz",
+    slambook: "ch8/disparity.png",
     simulated: "visible",
 }
 
