@@ -9,11 +9,18 @@ from camcal.arrays import Array
 from camcal.raw.planes import Each, one_by_one
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
-from camcal.stereo.matching.fusion import Fused, alone, fused, textured
-from camcal.stereo.matching.gray import GrayPair
-from camcal.stereo.matching.matchers import Found, by_census, by_gray_levels, by_gray_levels_unchecked
+from camcal.stereo.matching.matchers import (
+    Found,
+    Fused,
+    alone,
+    by_census,
+    by_gray_levels,
+    by_gray_levels_unchecked,
+    fused,
+    textured,
+)
 from camcal.stereo.matching.planes import on_planes
-from camcal.stereo.matching.preparation import Prepared, prepare
+from camcal.stereo.matching.preparation import GrayPair, Prepared, prepare
 from camcal.stereo.matching.pyramid import coarse_to_fine, needs_levels
 from camcal.stereo.matching.uncertainty import (
     FROM_COARSE_TO_FINE,

@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from camcal.arrays import Array
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.fusion import Fused
-from camcal.stereo.matching.gray import GrayPair
+from camcal.stereo.matching.matchers import Fused
+from camcal.stereo.matching.preparation import GrayPair
 
 _LARGEST = 500_000  # pixels; larger images are looked at in steps, and lengths below are in steps then
 _BLUR = 1.5  # pixels

@@ -1,16 +1,128 @@
-"""A pair made ready to be matched: gray, of one exposure, its rows aligned, and the range to look through."""
+"""A pair made ready to be matched: gray, of one depth and exposure, its rows aligned, and the range to look through."""
 
 from dataclasses import dataclass, replace
 
+import cv2
+import numpy as np
+
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.stereo.matching.gray import GrayPair, gray_pair
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
 from camcal.stereo.pair.coarse import CoarseMap, coarse_map, default_range, range_in
 from camcal.stereo.pair.pair_check import FINDINGS, SWAPPED, finding_of
 
+_DARKEST, _BRIGHTEST = 0.1, 99.9  # percentiles of deep images that become 0 and 255
+_QUANTILES = np.linspace(0.01, 0.99, 33)
+_DIFFERENT = 3.0  # gray levels of 255; where two exposures differ by less, correcting them gains nothing
+_MOST = 1 << 18  # pixels that histograms are made of
+_LEAST_SPAN = 1e-30  # of brightness; keeps the numbers of float images finite where all pixels are alike
+_NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noise is measured
 _FEWEST = 4  # disparities; with fewer there is nothing between them
 _WIDEST = 1 << 14
+
+
+@dataclass(frozen=True, eq=False)
+class GrayPair:
+    """A pair as matchers take it.
+
+    left, right: (H, W) uint8, of one exposure. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken.
+    noise: standard deviation, gray levels of 255.
+    """
+
+    left: Array
+    right: Array
+    deep_left: Array
+    deep_right: Array
+    noise: float
+
+
+def gray_pair(left: Array, right: Array, *, expose: bool = True) -> GrayPair:
+    """Return both images (H, W), (H, W, 3) BGR or (H, W, 4), of uint8, uint16 or float32, as matchers take them.
+
+    Deep images become 8 bits by one straight line for both. expose: where their exposures differ, bring the right one
+    to the left one's by the curve that makes their histograms equal.
+    Raises InvalidInput for images of different sizes.
+    """
+    deep_left, deep_right = _gray(left), _gray(right)
+    if deep_left.shape != deep_right.shape:
+        sizes = ["{1} × {0}".format(*image.shape) for image in (deep_left, deep_right)]
+        raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}; a pair has one size")
+    deep_left, deep_right = _whole_numbers(deep_left, deep_right)
+    first, second = _eight_bits(deep_left, deep_right)
+    second = _exposed_alike(first, second) if expose else second
+    return GrayPair(first, second, deep_left, deep_right, noise_of(first))
+
+
+def noise_of(gray: Array) -> float:
+    """Return the standard deviation of the noise of an image (H, W) uint8, gray levels; fine texture counts as noise.
+
+    Source: Immerkær, Fast noise variance estimation, CVIU 1996, with a median for the mean.
+    """
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # blind to slopes and to even curvature
+    middle = tuple(slice(max(0, length // 2 - _NOISE_SIDE), length // 2 + _NOISE_SIDE) for length in gray.shape)
+    below = np.cumsum(np.bincount(np.abs(cv2.filter2D(gray[middle], cv2.CV_16S, mask)).ravel()))
+    median = int(np.searchsorted(below, below[-1] / 2))
+    return median / (0.6745 * 6)
+
+
+def _gray(pixels: Array) -> Array:
+    if pixels.ndim == 2:
+        return pixels
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_BGR2GRAY))
+
+
+def _whole_numbers(left: Array, right: Array) -> tuple[Array, Array]:
+    """Return images of 8 or 16 bits as they are, others as 16 bits over the range of both; what is no number as 0."""
+    if all(image.dtype in (np.uint8, np.uint16) for image in (left, right)):
+        return (left, right) if left.dtype == right.dtype else (_sixteen_bits(left), _sixteen_bits(right))
+    pair = [np.nan_to_num(image.astype(np.float32), posinf=0.0, neginf=0.0) for image in (left, right)]
+    low, high = min(float(image.min()) for image in pair), max(float(image.max()) for image in pair)
+    scale = np.iinfo(np.uint16).max / max(high - low, _LEAST_SPAN)
+    first, second = (np.rint((image - low) * scale).astype(np.uint16) for image in pair)
+    return first, second
+
+
+def _sixteen_bits(image: Array) -> Array:
+    return image if image.dtype == np.uint16 else image.astype(np.uint16) * np.uint16(257)
+
+
+def _eight_bits(left: Array, right: Array) -> tuple[Array, Array]:
+    if left.dtype == np.uint8:
+        return left, right
+    sample = np.concatenate([_sample(left), _sample(right)])
+    low, high = np.percentile(sample, (_DARKEST, _BRIGHTEST))
+    scale = 255 / max(float(high - low), 1.0)
+    first, second = (
+        np.asarray(cv2.convertScaleAbs(np.maximum(image, low), alpha=scale, beta=-low * scale))
+        for image in (left, right)
+    )
+    return first, second
+
+
+def _exposed_alike(left: Array, right: Array) -> Array:
+    """Return the right image (H, W) uint8 with the left one's histogram, itself where theirs hardly differ."""
+    here, there = (_quantiles(_sample(image)) for image in (left, right))
+    if np.abs(here - there).max() < _DIFFERENT:
+        return right
+    there += np.arange(len(there)) * 1e-6  # rising, as the interpolation needs it
+    levels = np.arange(256)
+    curve = np.interp(levels, there, here)
+    slope = (here[-1] - here[0]) / max(float(there[-1] - there[0]), 1.0)
+    curve = np.where(levels < there[0], here[0] + slope * (levels - there[0]), curve)
+    curve = np.where(levels > there[-1], here[-1] + slope * (levels - there[-1]), curve)
+    return np.asarray(cv2.LUT(right, np.clip(np.rint(curve), 0, 255).astype(np.uint8)))
+
+
+def _quantiles(gray: Array) -> Array:
+    """Return the gray levels (33,) of 8 bits, fractions between them, that 1 to 99 % of the pixels lie below."""
+    counts = np.bincount(gray.ravel(), minlength=256)
+    return np.interp(_QUANTILES, (np.cumsum(counts) - counts / 2) / gray.size, np.arange(256))
+
+
+def _sample(image: Array) -> Array:
+    """Return pixels spread evenly over an image, few enough for statistics to take no time."""
+    step = max(1, int(np.sqrt(image.size / _MOST)))
+    return image[::step, ::step]
 
 
 @dataclass(frozen=True, eq=False)

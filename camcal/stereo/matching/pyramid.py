@@ -10,12 +10,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.census import UNSEEN, census
-from camcal.stereo.matching.consistency import in_order, without_specks
 from camcal.stereo.matching.filling import everywhere, from_the_background, smoothed
-from camcal.stereo.matching.fusion import Fused
-from camcal.stereo.matching.gray import GrayPair
-from camcal.stereo.matching.semi_global import aggregate, least, meeting
+from camcal.stereo.matching.matchers import Fused, in_order, without_specks
+from camcal.stereo.matching.preparation import GrayPair
+from camcal.stereo.matching.semi_global import UNSEEN, aggregate, census, least, meeting
 
 LARGEST = 2_000_000  # pixels; in smaller images more is lost of what is thin than time is won
 _MOST_COSTS = 500_000_000  # bytes of one volume; matching holds two and some more

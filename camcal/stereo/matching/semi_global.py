@@ -1,6 +1,7 @@
-"""Semi-global matching on 8-bit costs: four paths, smooth where the image is, and the disparity that costs least.
+"""Semi-global matching of census transforms: four paths, smooth where the image is, and the disparity of least cost.
 
-Everything fits eight bits: a cost of at most 24, plus a jump of at most 39, gives 63 along a path and 252 for all four.
+The census transform says what differs between the surroundings of two pixels. Everything fits eight bits: a cost of at
+most 24, plus a jump of at most 39, gives 63 along a path and 252 for all four.
 Source: Hirschmüller, Stereo processing by semiglobal matching and mutual information, PAMI 2008.
 """
 
@@ -8,7 +9,6 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.stereo.matching.census import overlap
 
 STEP = 8  # what a change of disparity by one pixel costs
 JUMP = 39  # what a larger one costs where neighbours look alike
@@ -19,6 +19,12 @@ _NEVER = 255
 _OWN = 2  # places on either side of the best that belong to it
 _HARDLY = 20  # of 252; where texture repeats itself, three of four second best cost less than that more
 _AROUND = (9, 9)  # pixels; more are surer on planes, and less sure beside edges
+
+# Of the census transform.
+REACH = 2  # pixels around the centre: a window of 5 × 5
+BITS = (2 * REACH + 1) ** 2 - 1
+UNSEEN = 6  # cost of what the right camera cannot see: a quarter of the bits, as a mediocre match has
+_BLOCK = 16  # rows that are worked on while they are in the cache
 
 
 def jump_penalties(guide: Array, axis: int) -> Array:
@@ -150,3 +156,49 @@ def meeting(three: Array, known: Array) -> Array:
     before, middle, after = three
     slope = np.maximum(np.maximum(before, after) - middle, 1)
     return np.where(known, np.clip((before - after) / (2 * slope), -0.5, 0.5), np.float32(0))
+
+
+def census(gray: Array) -> Array:
+    """Return for every pixel which of its neighbours are darker (H, W), uint32, a bit for each of `BITS`.
+
+    gray: (H, W) uint8, uint16 or float32. Brighter and darker images, and those of another contrast, give the same.
+    Source: Zabih and Woodfill, Non-parametric local transforms for computing visual correspondence, ECCV 1994.
+    """
+    around = cv2.copyMakeBorder(gray, REACH, REACH, REACH, REACH, cv2.BORDER_REPLICATE)
+    transform = np.zeros(gray.shape, np.uint32)
+    for top in range(0, len(gray), _BLOCK):
+        _compare(around[top : top + _BLOCK + 2 * REACH], transform[top : top + _BLOCK])
+    return transform
+
+
+def _compare(around: Array, words: Array) -> None:
+    """Write into words (H, W) the comparisons of pixels with those around them, (H + 2 REACH, W + 2 REACH)."""
+    height, width = words.shape
+    middle = around[REACH : REACH + height, REACH : REACH + width]
+    for down in range(2 * REACH + 1):
+        for across in range(2 * REACH + 1):
+            if (down, across) != (REACH, REACH):
+                np.left_shift(words, 1, out=words)
+                words |= around[down : down + height, across : across + width] < middle
+
+
+def matching_costs(left: Array, right: Array, first: int, count: int) -> Array:
+    """Return the bits (count, H, W), uint8, in which a pixel differs from the one `first`, `first + 1` … to its left.
+
+    left, right: census transforms (H, W) of a rectified pair.
+    """
+    height, width = left.shape
+    costs = np.full((count, height, width), UNSEEN, np.uint8)
+    for top in range(0, height, _BLOCK):
+        rows = slice(top, top + _BLOCK)
+        for index in range(count):
+            here, there = overlap(first + index, width)
+            np.bitwise_count(left[rows, here] ^ right[rows, there], out=costs[index, rows, here])
+    return costs
+
+
+def overlap(disparity: int, width: int) -> tuple[slice, slice]:
+    """Return the columns of the left image that the right one sees at a disparity, and where it sees them."""
+    start, stop = min(max(disparity, 0), width), max(min(width, width + disparity), 0)
+    start = min(start, stop)
+    return slice(start, stop), slice(start - disparity, stop - disparity)

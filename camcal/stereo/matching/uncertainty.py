@@ -10,8 +10,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.filling import Filled
-from camcal.stereo.matching.fusion import Fused
-from camcal.stereo.matching.gray import GrayPair
+from camcal.stereo.matching.matchers import Fused
+from camcal.stereo.matching.preparation import GrayPair
 
 Weights = Mapping[Confidence, tuple[float, ...]]
 

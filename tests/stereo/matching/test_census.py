@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.matching.census import BITS, REACH, UNSEEN, census, matching_costs, overlap
+from camcal.stereo.matching.semi_global import BITS, REACH, UNSEEN, census, matching_costs, overlap
 
 
 def census_of_loops(gray):

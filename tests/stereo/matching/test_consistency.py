@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.matching.consistency import AGREEMENT, difference_seen, has_texture, in_order, without_specks
+from camcal.stereo.matching.matchers import AGREEMENT, difference_seen, has_texture, in_order, without_specks
 
 shapes = st.tuples(st.integers(1, 4), st.integers(1, 14))
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.fusion import alone, fused
-from camcal.stereo.matching.matchers import Found
+from camcal.stereo.matching.matchers import Found, alone, fused
 
 NOT = np.nan
 

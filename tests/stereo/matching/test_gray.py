@@ -6,7 +6,7 @@ import pytest
 from textured import darker, noisy, textured_pair
 
 from camcal.errors import InvalidInput
-from camcal.stereo.matching.gray import gray_pair, noise_of
+from camcal.stereo.matching.preparation import gray_pair, noise_of
 
 LEFT, RIGHT = textured_pair(np.full((90, 120), 8.0))
 MIRRORED = np.ascontiguousarray(LEFT[:, ::-1])  # has the same histogram

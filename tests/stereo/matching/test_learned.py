@@ -11,8 +11,7 @@ from onnx_bytes import difference, field, model, node, tensor
 
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.stereo.matching import learned
-from camcal.stereo.matching.learned import NetworkInput, learned_disparity
-from camcal.stereo.matching.onnx_graph import read_graph
+from camcal.stereo.matching.learned import NetworkInput, learned_disparity, read_graph
 
 GRAY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, red first
 IMAGE = (1, 3, "rows", "columns")

@@ -7,10 +7,10 @@ from scipy.ndimage import gaussian_filter
 
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.filling import everywhere, from_the_background
-from camcal.stereo.matching.fusion import Fused
-from camcal.stereo.matching.gray import GrayPair
 from camcal.stereo.matching.match import match
+from camcal.stereo.matching.matchers import Fused
 from camcal.stereo.matching.planes import on_planes
+from camcal.stereo.matching.preparation import GrayPair
 from camcal.stereo.options import ALL, MatchOptions
 
 HEIGHT, WIDTH = 150, 240

@@ -5,15 +5,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.matching.census import BITS, UNSEEN, census, matching_costs
 from camcal.stereo.matching.semi_global import (
+    BITS,
     JUMP,
     STEP,
+    UNSEEN,
     aggregate,
+    census,
     fraction,
     has_rival,
     jump_penalties,
     least,
+    matching_costs,
     meeting,
     rough_fraction,
     seen_from_the_right,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from textured import textured_pair
 
-from camcal.stereo.matching.three_way import three_way, three_way_from_the_right
+from camcal.stereo.matching.matchers import three_way, three_way_from_the_right
 
 SHAPE = (60, 120)
 
