@@ -165,6 +165,6 @@ def test_a_plane_under_which_shading_fits_worse_than_as_it_is_filled_is_not_take
     known = np.where(gap, np.nan, 14.0).astype(np.float32)
     confidence = np.where(gap, Confidence.FILLED, Confidence.AGREED).astype(np.uint8)
     found = Fused(known, confidence, np.full(gap.shape, np.nan, np.float32), np.zeros(gap.shape, np.int8))
-    filled = from_the_background(known)._replace(disparity=np.where(gap, 8.0, 14.0).astype(np.float32))
-    after = on_planes(found, filled, GrayPair(left, right, left, right, 0.5)).disparity
+    filled = np.where(gap, 8.0, 14.0).astype(np.float32)
+    after = on_planes(found, filled, GrayPair(left, right, left, right, 0.5))
     assert np.abs(after[40:110, 80:170] - (14 if planes else 8)).max() < 0.1

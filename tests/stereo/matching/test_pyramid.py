@@ -6,8 +6,8 @@ from layered import layered_pair
 
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching import pyramid
-from camcal.stereo.matching.gray import gray_pair, noise_of
 from camcal.stereo.matching.match import match
+from camcal.stereo.matching.preparation import gray_pair, noise_of
 from camcal.stereo.matching.semi_global import aggregate
 from camcal.stereo.options import ALL, BALANCED, BEST, FILLS, MatchOptions
 
