@@ -34,17 +34,11 @@ from peers.pose_solvers import matrix_of, plain_solvers
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, Rig
-from camcal.estimate.pnp import (
-    AMBIGUOUS,
-    Correspondences,
-    PoseEstimate,
-    PoseOptions,
-    estimate_poses,
-    estimate_rig_poses,
-    region_quantile,
-)
+from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
 from camcal.estimate.poses import states as se3
+from camcal.estimate.poses.judgement import region_quantile
 from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseEstimate, PoseOptions
 from camcal.estimate.poses.sightings import Sightings
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

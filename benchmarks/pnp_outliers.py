@@ -23,14 +23,9 @@ import numpy as np
 import pnp as clean
 from peers.pose_solvers import Solver, robust_solvers
 
-from camcal.estimate.pnp import (
-    AMBIGUOUS,
-    Correspondences,
-    PoseEstimate,
-    PoseOptions,
-    estimate_poses,
-    region_quantile,
-)
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.judgement import region_quantile
+from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseEstimate, PoseOptions
 from camcal.geometry.pose import Pose
 
 NOISE = 1.0

@@ -22,7 +22,8 @@ from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.estimate.tracking.view_track import track_views
 from camcal.geometry import rotation as so3

@@ -24,7 +24,8 @@ import motion
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.segments import PoseMeasurements, candidates_at
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses

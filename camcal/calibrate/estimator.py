@@ -20,7 +20,8 @@ from camcal.calibrate.scales import Scale
 from camcal.calibrate.shape import board_scales, first_scales, offset_std, spent_on_offsets, under, with_terms
 from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equations
 from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Factors, Step, factorise, lowest_along
 

@@ -19,7 +19,8 @@ from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board

@@ -12,7 +12,8 @@ from camcal.arrays import Array
 from camcal.calibrate.outliers import CUT
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.targets.board import Board
 

@@ -20,7 +20,8 @@ from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.calibrate.view_quadratics import ViewQuadratics, view_quadratics
 from camcal.calibrate.words import names_of, px_words
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import SingularError
 from camcal.targets.board_map import polynomial_terms

@@ -14,36 +14,20 @@ import numpy as np
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.poses.fits import Fit, agreement_of, fits_of, points_needed, pooled
-from camcal.estimate.poses.judgement import Judgement, region_quantile
+from camcal.estimate.poses.judgement import Judgement
 from camcal.estimate.poses.moments import SINGULAR, scaled_eigenvalues
 from camcal.estimate.poses.problem import lowest
 from camcal.estimate.poses.records import (
-    AMBIGUOUS,
     CAMERA_T_OBJECT,
     RIG_T_OBJECT,
-    Alternative,
     Correspondences,
     PoseEstimate,
     PoseOptions,
-    PosePrior,
 )
 from camcal.estimate.poses.sightings import Group, alike
 from camcal.geometry.pose import Pose
 from camcal.progress import Outcome
 
-__all__ = [
-    "AMBIGUOUS",
-    "CAMERA_T_OBJECT",
-    "RIG_T_OBJECT",
-    "Alternative",
-    "Correspondences",
-    "PoseEstimate",
-    "PoseOptions",
-    "PosePrior",
-    "estimate_poses",
-    "estimate_rig_poses",
-    "region_quantile",
-]
 DEFAULTS = PoseOptions()
 _OWN_FRAME = Pose.identity()
 Item = TypeVar("Item")

@@ -19,7 +19,8 @@ from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.geometry.pose import Pose
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import SingularError, factorise

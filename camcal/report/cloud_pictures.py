@@ -49,7 +49,7 @@ _BACKGROUND = (228, 231, 235)  # white walls stand out from it
 _LINE = 2  # pixels between the pictures of a montage
 _LIMITS = (32, 8192)  # pixels of a side
 _PER_SECOND = 20  # a GIF counts in hundredths of a second
-_CODEC = "mp4v"  # the one that every build of OpenCV can write_film into an MP4
+_CODEC = "mp4v"  # the one that every build of OpenCV can write into an MP4
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def _write_mp4(path: Path, pictures: Iterator[Array], named: Path) -> None:
         raise InvalidInput(f"an MP4 has sides of even numbers of pixels, not {width}x{height}", where=str(named))
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*_CODEC), _PER_SECOND, (width, height))
     if not writer.isOpened():
-        raise FileError("this OpenCV writes no MP4; write_film a .gif", where=str(named))
+        raise FileError("this OpenCV writes no MP4; write a .gif", where=str(named))
     count = 0
     for picture in chain([first], pictures):
         writer.write(np.ascontiguousarray(picture[:, :, ::-1]))

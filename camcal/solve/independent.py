@@ -28,8 +28,6 @@ from camcal.solve.descent import (
 )
 from camcal.solve.losses import Loss
 
-__all__ = ["REASONS", "Minima", "Models", "Problems", "Tried", "assemble", "joined", "minimise_each"]
-
 _CONVERGED = np.isin(np.arange(len(REASONS)), [SETTLED, HELD, ROUNDED, EXACT])
 _REACH = 1000.0  # times what an undamped step promises: further down, a search does not come
 _TINY = np.finfo(float).tiny

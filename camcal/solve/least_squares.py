@@ -16,7 +16,6 @@ from camcal.solve.steps import Block, Factors, Jacobian, NormalEquations, Step, 
 
 State = TypeVar("State")
 
-__all__ = ["STOPPING", "Problem", "Solution", "Stopping", "linearise", "minimise"]
 _PART_ROWS = 4000  # of a block at a time
 
 

@@ -25,7 +25,8 @@ from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
 from camcal.quality.projection_uncertainty import projection_uncertainty
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import minimise
 from camcal.targets.board import Board
 from camcal.tasks.calibration import model_selection
 from camcal.tasks.calibration.model_selection import CANDIDATES, select

@@ -9,7 +9,8 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.formats import poses, trajectories
 from camcal.formats.camera_file import Noise
 from camcal.formats.poses.record import PoseRecord, Poses, Sight

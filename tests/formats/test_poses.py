@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
-from camcal.estimate.pnp import Alternative
+from camcal.estimate.poses.records import Alternative
 from camcal.formats import poses
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose

@@ -8,7 +8,8 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.quality.projection_uncertainty import calibration_std, forecast_pose

@@ -9,7 +9,8 @@ import pytest
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import Correspondences, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences
 from camcal.images.load import gray_8bit, load
 from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
 from camcal.targets.board import Detection, parse_board

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from camcal.estimate.pnp import Alternative
+from camcal.estimate.poses.records import Alternative
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
 from camcal.geometry.pose import Pose
 from camcal.report import pose_words

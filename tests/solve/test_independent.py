@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from camcal.solve.independent import REASONS, Models, assemble, joined, minimise_each
-from camcal.solve.least_squares import Stopping, minimise
+from camcal.solve.descent import REASONS, Stopping
+from camcal.solve.independent import Models, assemble, joined, minimise_each
+from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Block, Jacobian
 

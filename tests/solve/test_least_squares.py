@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from camcal.solve.least_squares import Stopping, assemble, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import assemble, minimise
 from camcal.solve.losses import Cauchy, Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step, factorise
 

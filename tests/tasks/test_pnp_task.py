@@ -11,7 +11,7 @@ import pytest
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences
+from camcal.estimate.poses.records import Correspondences
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Noise
 from camcal.formats.poses.record import PixelNoise, Sight

@@ -16,7 +16,8 @@ from camcal.estimate.poses.records import Alternative, PoseEstimate
 from camcal.estimate.poses.states import NEAR_PLANE, Extents
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.solve.independent import REASONS, Minima
+from camcal.solve.descent import REASONS
+from camcal.solve.independent import Minima
 
 _ROUNDED = 1e-6  # px: a noise below is the rounding of numbers, which differs from view to view
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.geometry.pose import Pose, inverse_jacobian
+from camcal.geometry.pose import Pose, carried, inverse_jacobian
 
 CAMERA_T_OBJECT, RIG_T_OBJECT = "camera_T_object", "rig_T_object"
 AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags
@@ -138,9 +138,12 @@ class Alternative:
     def inverse(self) -> "Alternative":
         """Return the same of the transform in the other direction."""
         jacobian = inverse_jacobian(self.transform)
-        covariances = (self.covariance, self.noise_covariance)
-        turned = [None if each is None else jacobian @ each @ jacobian.T for each in covariances]
-        return replace(self, transform=self.transform.inverse(), covariance=turned[0], noise_covariance=turned[1])
+        return replace(
+            self,
+            transform=self.transform.inverse(),
+            covariance=carried(jacobian, self.covariance),
+            noise_covariance=carried(jacobian, self.noise_covariance),
+        )
 
 
 @dataclass(frozen=True, eq=False)

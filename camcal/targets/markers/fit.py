@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.solve.least_squares import Solution, Stopping, minimise
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
 from camcal.targets.markers import map as marker_map

@@ -18,7 +18,8 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.words import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.targets.board import Board, Detection
 from camcal.targets.mixed_sizes import (
     CLOCKWISE,

@@ -13,7 +13,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, PosePrior
+from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions, PosePrior
 from camcal.formats import correspondences, native, pose_text, poses
 from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.poses.record import PixelNoise, Poses, Sight

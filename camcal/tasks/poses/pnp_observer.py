@@ -14,7 +14,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InvalidInput
-from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses, estimate_rig_poses
+from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
+from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.formats.camera_file import CameraFile, Noise
 from camcal.formats.poses.record import Sight
 from camcal.geometry.pose import Pose

@@ -9,7 +9,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import Correspondences, PoseEstimate, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.formats.poses.record import PoseRecord
 from camcal.tasks.poses.pnp_views import Observation
 

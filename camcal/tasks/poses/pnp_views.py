@@ -11,7 +11,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera, resized
 from camcal.errors import CamcalError, InvalidInput
-from camcal.estimate.pnp import Correspondences
+from camcal.estimate.poses.records import Correspondences
 from camcal.formats import boards, tags
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import Sight

@@ -11,7 +11,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError
-from camcal.estimate.pnp import Correspondences
+from camcal.estimate.poses.records import Correspondences
 from camcal.images.image import Image
 from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames

@@ -9,7 +9,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences
+from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.segments import Following
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses

@@ -15,17 +15,11 @@ from scipy import stats
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.pnp import (
-    AMBIGUOUS,
-    Alternative,
-    Correspondences,
-    PoseOptions,
-    PosePrior,
-    estimate_poses,
-    region_quantile,
-)
+from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses import states as se3
+from camcal.estimate.poses.judgement import region_quantile
 from camcal.estimate.poses.problem import Anchor, PoseProblems
+from camcal.estimate.poses.records import AMBIGUOUS, Alternative, Correspondences, PoseOptions, PosePrior
 from camcal.estimate.poses.sightings import Sightings
 from camcal.geometry.pose import Pose
 from camcal.solve.differentiate import central_jacobian

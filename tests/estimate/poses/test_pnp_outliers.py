@@ -9,11 +9,13 @@ from scipy.stats import chi2
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses, region_quantile
+from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses import fits, inliers
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import likeliest_threshold
+from camcal.estimate.poses.judgement import region_quantile
 from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.estimate.poses.sightings import Group, Sightings
 from camcal.geometry.pose import Pose
 

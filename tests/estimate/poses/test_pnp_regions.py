@@ -5,10 +5,12 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import AMBIGUOUS, Correspondences, PoseOptions, estimate_poses, region_quantile
+from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses import states as se3
+from camcal.estimate.poses.judgement import region_quantile
 from camcal.estimate.poses.moments import covariances, inverses
 from camcal.estimate.poses.problem import PoseProblems, lowest, pose_minima
+from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseOptions
 from camcal.estimate.poses.sightings import Sightings
 from camcal.estimate.poses.states import Extents
 from camcal.geometry import rotation as so3

@@ -7,7 +7,8 @@ from scipy import stats
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses, estimate_rig_poses
+from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.geometry.pose import Pose
 
 PINHOLE = Camera(model_named("pinhole"), (1280, 960), [800.0, 805.0, 640.0, 480.0])

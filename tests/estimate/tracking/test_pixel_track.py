@@ -7,7 +7,8 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.estimate.pnp import Correspondences, PoseOptions, estimate_poses
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.estimate.smoothing.kalman import AMBIGUOUS
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import TrackOptions
