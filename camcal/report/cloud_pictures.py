@@ -26,6 +26,7 @@ from camcal.report.cloud_scene import CloudScene
 from camcal.report.cloud_views import View, view_of
 from camcal.report.colour_scale import ColourScale, Paint, turbo_table
 
+# labels
 _DPI = 100
 _FONT = 1 / 55  # of the smaller side of the picture
 _SMALLEST_FONT = 9.0  # pixels
@@ -33,6 +34,8 @@ _INK = "0.15"
 _OPACITY = 0.85
 _PAPER: dict[str, Any] = {"facecolor": "white", "alpha": _OPACITY, "edgecolor": "none", "pad": 2.5}
 _BAR = 0.22  # longest scale bar as a share of the width
+
+# points
 _OVERLAP = 0.75  # radius of a disc in spacings: 0.71 would just close a square grid
 _LARGEST = 12  # pixels
 _NEAREST = 0.02  # of the distance to the centre; what is nearer to the viewer is not drawn
@@ -44,10 +47,13 @@ _NOTHING = -1
 _DEEPEST = 0.1  # step, as a share of the distance, that darkens most
 _CROSS = [(0, -2), (0, -1), (0, 1), (0, 2), (-2, 0), (-1, 0), (1, 0), (2, 0)]
 _RING = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
+
 MONTAGE = ("camera", "30,22", "top", "side")
 _BACKGROUND = (228, 231, 235)  # white walls stand out from it
 _LINE = 2  # pixels between the pictures of a montage
 _LIMITS = (32, 8192)  # pixels of a side
+
+# films
 _PER_SECOND = 20  # a GIF counts in hundredths of a second
 _CODEC = "mp4v"  # the one that every build of OpenCV can write into an MP4
 

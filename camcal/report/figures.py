@@ -28,6 +28,8 @@ _LINE = "0.25"
 _DPI = 120
 _DECADE = 10  # a longer range of distances is drawn with a logarithmic axis
 STYLE: dict[Any, Any] = {"svg.hashsalt": "camcal", "svg.fonttype": "none", "font.size": 9}
+
+# fitted curves
 _POINTS, _CURVE, _OUTLIERS = "tab:blue", "tab:red", "0.6"
 _FINE = 400
 _MARGIN = 0.03  # of the range, beyond the data

@@ -17,6 +17,8 @@ from camcal.geometry.pose import Pose
 from camcal.report.figures import STYLE, encoded
 
 _SMOOTHED, _POINTS, _OUTLIERS = "tab:blue", "0.45", "tab:red"
+
+# tracks
 _RAW, _LINE, _OUT, _SPAN = "0.65", "tab:blue", "tab:red", "0.93"
 _AXES = "xyz"
 _ROWS = 7

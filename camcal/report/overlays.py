@@ -15,6 +15,7 @@ from camcal.report.colour_scale import turbo
 from camcal.targets.board import Detection
 
 Colour = tuple[int, int, int]  # blue, green, red
+Place = tuple[int, int]  # in the picture, as OpenCV takes it: multiples of 2⁻⁴ px
 
 INK, PAPER = (30, 30, 30), 245
 LEAST_WIDTH = 900  # px; smaller images are enlarged by a whole factor, so that marks and letters can be seen
@@ -25,7 +26,7 @@ _FINE = 4  # bits of a fraction of a pixel that OpenCV draws with
 _LETTERS = cv2.FONT_HERSHEY_SIMPLEX
 _SIZE = 0.55  # of letters, with lines of one pixel
 
-Place = tuple[int, int]  # in the picture, as OpenCV takes it: multiples of 2⁻⁴ px
+# poses
 _AXES: tuple[tuple[str, Colour], ...] = (("x", (60, 60, 240)), ("y", (60, 200, 60)), ("z", (240, 120, 40)))
 _SEEN: Colour = (80, 220, 80)
 _ARROW: Colour = (0, 220, 255)
@@ -36,6 +37,8 @@ _STEPS = 24  # of an axis, which a lens may bend
 _ARROW_SHARE = 0.02  # of the picture's width, which an arrow of the root mean square may have
 _ARROW_FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _MOST_LINES = 8
+
+# points of boards
 MOST_WIDTH = 2400  # px; larger photographs are reduced by a whole factor
 _POINT, _FIRST, _ELLIPSE, _REASON = (255, 255, 255), (80, 255, 80), (0, 235, 255), (70, 70, 255)
 _TURBO = (0.12, 0.92)  # of the colours: the ends are too dark to be seen

@@ -44,6 +44,8 @@ _DPI = 100
 _STRIP = 4.4  # height of the legend, in heights of its letters like what follows
 _ABOVE, _BELOW = 3.5, 1.0
 _BOX = 0.9
+
+# the picture of a check
 SUFFIXES = (".png",)
 _ROWS = "row in the right image minus row in the left, px"
 _CHECK_DPI = 110

@@ -28,6 +28,7 @@ from camcal.simulate.stereo_world import Sight, make_world
 SAME = 1e-6  # by this share may depths differ that are those of one point
 
 _STRIP = 1 << 18  # rays that are worked on at once: their temporaries stay near the processor's cache
+
 GRAY = np.array([0.114, 0.587, 0.299])  # of BGR, ITU-R BT.601
 CELLS = 2  # along a pixel
 SHARPEST = 0.3  # px of blur; with less the finest paint would alias between cells

@@ -25,6 +25,7 @@ _SMALL = 1e-4
 METHODS = ("levenberg-marquardt", "gauss-newton")
 Found = Descent[Array, DenseEquations]
 Observe = Callable[[int, Iteration], None]
+
 _ITERATIONS = 2000
 LARGEST = 1e100  # of residuals and slopes: sums of their squares are numbers
 _ROUNDS, _STEADY = 30, 1e-3  # of the scale of a robust fit: how often it is found anew, and when it has settled

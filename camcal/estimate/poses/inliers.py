@@ -31,6 +31,8 @@ KEPT_VARIANCE = 0.98399  # that of what stays below WIDTH
 
 # The largest squared residuals (S, 1) of inliers, by those (S, N) of all points, and the starts (S,) they are of
 Limits = Callable[[Array, Array], Array]
+
+# random samples
 MOST = 20000  # triplets: enough for 93 % of outliers at a confidence of 0.999
 _CORNERS = 3  # points of a triplet
 _ROUND, _LONG_ROUND = 96, 1024  # triplets drawn at a time

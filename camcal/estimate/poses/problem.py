@@ -22,6 +22,7 @@ PART = 8192  # rows at a time, whose temporaries stay in the processor's cache
 # The step that promises this is taken; what it leaves is far smaller.
 _STOPPING = Stopping(relative_decrease=1e-6)
 _ROUGH = Stopping(relative_decrease=1e-3)
+
 # Minima are sought to the end up to this many times the lowest cost, and if their probability, with the noise estimated
 # from the one view, may be this large.
 _LEAST_WORTH, _DOUBT = 10.0, 1e-12

@@ -32,8 +32,11 @@ _HELD = 1e-12  # keeps points on a single ray, whose distance is open, from bein
 _PAIRS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where the upper triangle of a 3 × 3 matrix stands
 _UPPER = np.triu_indices(3)
 _GENERATORS = so3.hat(np.eye(3))
+
 FEW = 5  # points for which every choice of three gives starts: noise may have the others lead astray
 _LEAST = 4  # points below which only triplets give starts
+
+# poses that meet three points
 _POLISH = 3  # Newton steps on the distances
 _FIRST, _SECOND = [0, 0, 1], [1, 2, 2]  # the corners that each edge joins
 _FITS = 1e-8  # of the longest edge squared

@@ -22,6 +22,7 @@ _LOST = 1e-14  # a pivot this much smaller than its diagonal is rounding
 _SMALL_STATE = 3  # up to this size all covariances come from one banded triangle, above it from a loop
 _UNOBSERVED = "not all states are determined by the measurements"
 _HIDDEN = "q and sigma are so unlike in size that rounding hides what was measured; are their units right?"
+
 OUTLIER_CONFIDENCE = 0.999
 _GOOD = 0.8214  # share of good measurements within Huber's bound; for one number the usual 1.345 σ
 _SETTLED = 1e-3  # of a weight: far less than the weights matter

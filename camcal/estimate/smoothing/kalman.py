@@ -19,6 +19,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 
 _LOG_2PI = float(np.log(2 * np.pi))
+
 CONSISTENT, OVERCONFIDENT, UNDERCONFIDENT = "consistent", "overconfident", "underconfident"
 NOT_JUDGED, AMBIGUOUS = "not judged", "ambiguous"
 _NEAR_ONE = 0.1  # a mean NIS this near to 1 means standard deviations right to 5 %: no reason to change anything

@@ -26,6 +26,8 @@ _TURN = 2 * np.pi  # rad/s, the same of an unknown rate
 _PLACE, _ANGLE = 0.5, 2.0  # of the distance, and rad: of an unknown pose
 POSE = slice(0, 6)
 _PER_AXIS = np.repeat([0, 1], 3)
+
+# descents
 _ITERATIONS = 12
 _TEMPERS = (16.0, 4.0)
 _SETTLED = 1e-3  # decrease of the cost that is no longer worth a step

@@ -30,6 +30,8 @@ _NOTICEABLE = 0.05  # of -2 log likelihood: less is no reason to go on towards n
 _START_ROTATION = 1.0  # rad²/s³: a hand moves so
 _START_TRANSLATION = 0.1  # 1/s³, of the squared distance
 _AROUND = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)], dtype=float)
+
+# the choice by evidence
 FADING = 0.3  # s, in which accelerations fade
 _CHOICE_ROUNDS, _ROUNDS_SHAKEN = 5, 8
 _STEPS = 3  # of Gauss-Newton between two changes of the noise

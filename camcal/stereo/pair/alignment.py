@@ -45,7 +45,9 @@ _BREAK = 4.685  # deviations beyond which Tukey's biweight takes a match for wro
 _NORMAL = 1.4826  # standard deviation over median absolute deviation
 _LEAST_SCATTER = 1e-3  # px; of images made by shifting one of them
 _LEAST_SPREAD = 1.0  # px by which disparities must vary to tell how rows depend on them
-_MOST = 800  # corners
+
+# corners that are followed
+_MOST = 800
 _QUALITY = 0.01  # of the best corner's
 _APART = 5.0  # px
 _BLOCK = 5

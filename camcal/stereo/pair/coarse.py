@@ -42,6 +42,8 @@ _FEWEST = 50  # matches
 _FEWEST_SHARE = 0.02  # of the pixels; noise alone gives fewer
 _FAR, _NEAR = 0.04, 0.12  # margins, of the span: what is missed at reduced size is thin and stands in front
 _DEFAULT_SHARE = 1 / 6  # of the width
+
+# features
 PIXELS = 1e6  # of the image features are looked for in; they are found to a part of a pixel that is as large there
 _MOST = 1500  # features of an image; more make the trend of the rows no surer than it is already
 _FEATURE_CONTRAST = 0.01  # SIFT's own limit is 0.04, too much for dark images; the strongest are taken anyway

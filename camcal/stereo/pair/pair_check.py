@@ -12,6 +12,7 @@ from camcal.stereo.pair.alignment import LARGEST_CORRECTION, Measured, Residual,
 from camcal.stereo.pair.coarse import Matches, coarse_map, match_features, range_in
 
 _WINDOW = 2  # px about a feature; a mean over 5x5 is little moved by a quarter of a pixel
+# exposure
 _ENDS = (4, 251)  # counts; beyond them pixels may be cut off
 _FEWEST = 20
 _GAMMAS = np.geomspace(0.4, 2.5, 61)  # steps of 3 %
@@ -23,6 +24,7 @@ _SURE = 3.0
 _LEAST_SPREAD = 1e-6  # counts²; images of one gray tell no gain
 _NOTICEABLE = 0.05  # of the light
 _TAIL = 0.01
+
 SWAPPED = "swapped"
 IDENTICAL = "identical"
 PERIODIC = "periodic"

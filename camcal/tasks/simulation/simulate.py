@@ -49,11 +49,14 @@ MAX_VIEWS = 10_000  # view names have four digits
 STRONGEST_BEND = 0.05  # peak to peak, as a share of the board's larger side
 
 _POSE_COLUMNS = ("image", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz")
+
+# raw frames
 FLATS, DARKS = "flats", "darks"
 FRAMES_A_LEVEL = 2
 _DARK_EXPOSURES = (0.01, 0.1)  # without flat frames to be subtracted from
 _FEW_DARKS = 4  # that few are taken at one exposure: two frames are needed to tell noise from pattern
 _FLAT_STREAM, _DARK_STREAM, _PATTERN_STREAM = 1, 2, 3
+
 MARK = "x_simulation"  # the key under which the truth says how the images were made
 
 
