@@ -26,17 +26,15 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.formats.documents import Document, Fault, child, load_either
 from camcal.formats.schema import mapping
-from camcal.formats.tables import Table, numbered_lines
+from camcal.formats.tables import COVARIANCE, Table, far_outside, numbered_lines, pixel_covariances
 
 COLUMNS = ("X", "Y", "Z", "u", "v")
-COVARIANCE = ("suu", "suv", "svv")
 OPTIONAL = ("image", "id", "camera", "sigma", *COVARIANCE, "weight")
 YAML = (".yaml", ".yml")
 JSON = (".json",)
 MAX_ID = 10**9
 FARTHEST = 1e9  # m from the origin; squares of squares of more are no numbers any longer
 BEYOND = 1e12  # of a sigma, a variance or a weight; its inverse is the least
-MARGIN = 0.1  # a point farther outside than this share of the image's side is a mistake, not a measurement
 
 _MAX_VALUES = 20_000_000  # of a YAML file, which is a table here
 
@@ -182,12 +180,9 @@ def _full_covariance(table: Table) -> Array:
     missing = [name for name in COVARIANCE if name not in table.columns]
     if missing:
         raise InvalidInput(f"column {missing[0]!r} is missing; {','.join(COVARIANCE)} go together", where=table.path)
-    suu, suv, svv = (table.numbers(name) for name in COVARIANCE)
-    _refuse_beyond(table, suu, "suu {:g} px²")
-    _refuse_beyond(table, svv, "svv {:g} px²")
-    bad = np.asarray((suu <= 0) | (suu * svv <= suv**2))
-    table.refuse(bad, lambda _row: "suu, suv, svv are no covariance (not positive)")
-    return np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
+    for name in ("suu", "svv"):
+        _refuse_beyond(table, table.numbers(name), f"{name} {{:g}} px²")
+    return pixel_covariances(table)
 
 
 def _refuse_beyond(table: Table, values: Array, named: str) -> None:
@@ -206,9 +201,8 @@ def _refuse_immense(table: Table, points: Array) -> None:
 
 
 def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
-    outside = np.any((pixels < -0.5 - MARGIN * sizes) | (pixels > sizes - 0.5 + MARGIN * sizes), axis=1)
     table.refuse(
-        outside,
+        far_outside(pixels, sizes),
         lambda row: (
             f"({pixels[row, 0]:g}, {pixels[row, 1]:g}) is far outside the camera's image of "
             f"{sizes[row, 0]} x {sizes[row, 1]}; are u and v exchanged, was the image resized, or is it another camera?"

@@ -26,7 +26,16 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput, Located
 from camcal.formats import vnl
 from camcal.formats.boards import short_form
-from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
+from camcal.formats.tables import (
+    COVARIANCE,
+    Lines,
+    Table,
+    cell,
+    csv_rows,
+    far_outside,
+    numbered_lines,
+    pixel_covariances,
+)
 from camcal.parsing import parse_integer
 from camcal.targets.board import Board, Detection, Detections, parse_board
 
@@ -35,11 +44,9 @@ VERSION = "1"
 NONE = "# none "
 CIRCLE = "# image_circle "
 COLUMNS = ("image", "width", "height", "id", "u", "v")
-COVARIANCE = ("suu", "suv", "svv")
 OPTIONAL = ("camera", "orientation", *COVARIANCE)
 MAX_COUNT = 1_000_000
 MAX_SIDE = 1_000_000
-MARGIN = 0.1  # a corner farther outside than this share of the image's side is a mistake, not a measurement
 
 Placed = tuple[int, Detection]  # with the line on which the file first names the image
 
@@ -211,10 +218,8 @@ def _same_in_view(table: Table, what: str, values: Array, first: Array) -> Array
 
 
 def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
-    margin = MARGIN * sizes
-    outside = np.any((pixels < -0.5 - margin) | (pixels > sizes - 0.5 + margin), axis=1)
     table.refuse(
-        outside,
+        far_outside(pixels, sizes),
         lambda row: (
             f"image {table.columns['image'][row]!r}: ({pixels[row, 0]:g}, {pixels[row, 1]:g}) "
             f"is far outside the image of {sizes[row, 0]} x {sizes[row, 1]}; are u and v exchanged?"
@@ -234,13 +239,8 @@ def _covariance(table: Table) -> Array | None:
         np.asarray(empty.any(axis=0) & ~empty.all(axis=0)), lambda _row: f"only a part of {','.join(COVARIANCE)}"
     )
     filled = np.flatnonzero(~empty[0])
-    part = table.rows(filled)
-    suu, suv, svv = (part.numbers(name) for name in COVARIANCE)
-    part.refuse(
-        np.asarray((suu <= 0) | (suu * svv <= suv**2)), lambda _row: "suu, suv, svv are no covariance (not positive)"
-    )
     result = np.full((len(table), 2, 2), np.nan)
-    result[filled] = np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
+    result[filled] = pixel_covariances(table.rows(filled))
     return result
 
 

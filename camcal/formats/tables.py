@@ -15,6 +15,9 @@ from camcal.parsing import did_you_mean, is_number, parse_integer, parse_number
 
 MAX_LINES = 3_000_000  # of a table; a line takes some 200 bytes of memory
 LONGEST_QUOTE = 60  # characters of a cell that a message repeats
+COVARIANCE = ("suu", "suv", "svv")  # of u and v
+
+_MARGIN = 0.1  # a pixel farther outside than this share of the image's side is a mistake, not a measurement
 
 _SHIELD = "'"
 _FORMULA = ("=", "+", "@", "\t")  # a minus too, but numbers begin with it
@@ -113,6 +116,20 @@ class Table:
         bad = np.array([not _converts(cell, convert) for cell in cells])
         self.refuse(bad, lambda row: f"{name}: {cells[row]!r} is not {what}")
         return []
+
+
+def pixel_covariances(table: Table) -> Array:
+    """Return the covariances (N, 2, 2) of pixels, px², in columns suu, suv, svv; raises InvalidInput if one is none."""
+    suu, suv, svv = (table.numbers(name) for name in COVARIANCE)
+    bad = np.asarray((suu <= 0) | (suu * svv <= suv**2))
+    table.refuse(bad, lambda _row: "suu, suv, svv are no covariance (not positive)")
+    return np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
+
+
+def far_outside(pixels: Array, sizes: Array) -> Array:
+    """Return which pixels (N, 2) are so far outside of images of sizes (N, 2) that they are no measurements."""
+    outside = (pixels < -0.5 - _MARGIN * sizes) | (pixels > sizes - 0.5 + _MARGIN * sizes)
+    return np.asarray(outside.any(axis=1))
 
 
 def csv_rows(path: str, lines: Lines) -> list[list[str]]:

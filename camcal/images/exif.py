@@ -67,8 +67,8 @@ def orientation(block: bytes) -> int:
     if not is_readable(block):
         return UPRIGHT
     order = _ORDERS[block[:4]]
-    position = _first_directory(block, order).entries.get(_ORIENTATION)
-    value = UPRIGHT if position is None else _value(block, order, position)
+    numbers = _numbers(block, order, _first_directory(block, order).entries.get(_ORIENTATION))
+    value = next(iter(numbers), UPRIGHT)
     return value if value in range(1, 9) else UPRIGHT
 
 
@@ -248,12 +248,6 @@ def _fact(block: bytes, order: str, position: int) -> str | float | None:
 def _place(block: bytes, order: str, position: int, length: int) -> int:
     """Return where the values of an entry stand: in the entry itself, if they are at most 4 bytes long."""
     return int(position + 8 if length <= 4 else struct.unpack_from(order + "I", block, position + 8)[0])
-
-
-def _value(block: bytes, order: str, position: int) -> int:
-    (kind,) = struct.unpack_from(order + "H", block, position + 2)
-    (value,) = struct.unpack_from(order + ("I" if kind == _LONG else "H"), block, position + 8)
-    return int(value)
 
 
 @dataclass(frozen=True)

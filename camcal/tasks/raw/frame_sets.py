@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +11,6 @@ import numpy as np
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.image import RAW_SUFFIXES
 from camcal.progress import Progress, values_of
-from camcal.raw.mosaic import Capture
 from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_images
@@ -39,16 +38,6 @@ class FrameSet:
         return f"{self.paths[0]} …" if len(self.paths) > 1 else str(self.paths[0])
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """One file: what tells its level. mean: counts, None where the file was not read."""
-
-    path: Path
-    exposure_s: float | None
-    iso: float | None
-    mean: float | None = None
-
-
 def find_sets(
     inputs: Sequence[Path | str],
     exposures: Sequence[float],
@@ -68,7 +57,7 @@ def find_sets(
     if len(exposures) not in (0, 1, len(inputs)):
         raise InvalidInput(f"{len(exposures)} exposures for {len(inputs)} inputs: give one, or one for each")
     seen = [item for place, one in enumerate(inputs) for item in _named(one, _given(exposures, place))]
-    unread = [item for item in seen if item.exposure_s is None or item.path.suffix.lower() in RAW_SUFFIXES]
+    unread = [item for item in seen if item.exposure_s is None or item.paths[0].suffix.lower() in RAW_SUFFIXES]
     if unread:
         work = partial(_read, reading=reading)
         seen = values_of(fan_out(work, seen, jobs=jobs, what="looking at frames", progress=progress))
@@ -80,31 +69,32 @@ def _given(exposures: Sequence[float], place: int) -> float | None:
     return exposures[place if len(exposures) > 1 else 0] if exposures else None
 
 
-def _named(one: Path | str, exposure_s: float | None) -> list[_Seen]:
-    """Return the files of an input with what their folders' names tell."""
+def _named(one: Path | str, exposure_s: float | None) -> list[FrameSet]:
+    """Return the files of an input, each by itself, with what their folders' names tell."""
     found = []
     for path in find_images([one], recursive=True, also=HEADERLESS_SUFFIXES):
         exposure, iso = _EXPOSURE.search(path.parent.name), _ISO.search(path.parent.name)
         named = float(exposure[1]) * _SECONDS[exposure[2].lower()] if exposure else None
-        found.append(_Seen(path, named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
+        found.append(FrameSet((path,), named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
     return found
 
 
-def _read(item: _Seen, reading: RawInput) -> _Seen:
-    frame = read_frame(item.path, reading)
-    told: Capture = frame.capture
-    exposure = told.exposure_s if item.exposure_s is None else item.exposure_s
-    return _Seen(item.path, exposure, told.iso if item.iso is None else item.iso, float(frame.values.mean()))
+def _read(item: FrameSet, reading: RawInput) -> FrameSet:
+    """Return a single file with what it says itself, and its mean."""
+    frame = read_frame(item.paths[0], reading)
+    exposure = frame.capture.exposure_s if item.exposure_s is None else item.exposure_s
+    iso = frame.capture.iso if item.iso is None else item.iso
+    return FrameSet(item.paths, exposure, iso, float(frame.values.mean()))
 
 
-def _grouped(seen: Sequence[_Seen]) -> list[list[_Seen]]:
-    groups: dict[tuple[Path, float | None, float | None], list[_Seen]] = {}
+def _grouped(seen: Sequence[FrameSet]) -> list[list[FrameSet]]:
+    groups: dict[tuple[Path, float | None, float | None], list[FrameSet]] = {}
     for item in seen:
-        groups.setdefault((item.path.parent, item.exposure_s, item.iso), []).append(item)
+        groups.setdefault((item.paths[0].parent, item.exposure_s, item.iso), []).append(item)
     return list(groups.values())
 
 
-def _by_brightness(group: list[_Seen], black: float) -> list[list[_Seen]]:
+def _by_brightness(group: list[FrameSet], black: float) -> list[list[FrameSet]]:
     """Return the frames of a group as sets of the same light, darkest first; all in one where they were not read."""
     means = [item.mean for item in group if item.mean is not None]
     if len(means) < len(group):
@@ -115,12 +105,12 @@ def _by_brightness(group: list[_Seen], black: float) -> list[list[_Seen]]:
     return [[group[place] for place in sorted(part)] for part in np.split(order, np.flatnonzero(steps) + 1)]
 
 
-def _as_set(part: Sequence[_Seen]) -> FrameSet:
+def _as_set(part: Sequence[FrameSet]) -> FrameSet:
     first = part[0]
     if len(part) < 2:
         told = "" if first.exposure_s is None else f" at {1e3 * first.exposure_s:g} ms"
         raise InsufficientData(
             f"a single frame of its light{told}; every level takes at least two frames of the same exposure",
-            where=str(first.path),
+            where=first.where,
         )
-    return FrameSet(tuple(item.path for item in part), first.exposure_s, first.iso, first.mean)
+    return replace(first, paths=tuple(item.paths[0] for item in part))
