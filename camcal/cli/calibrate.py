@@ -44,7 +44,7 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
 
     calibration = report.calibration
     if report.frames and verbose:
-        show_frames(report.frames, verbose)
+        _show_frames(report.frames, verbose)
     for reason in report.advice.reasons:
         show.text(f"DO NOT TRUST: {reason}")
     if report.advice.trustworthy:
@@ -150,7 +150,7 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
     if len(shown) < len(views):
         show.text(f"  … and {len(views) - len(shown)} with corners (--verbose lists all)")
     if report.frames:
-        show_frames(report.frames, verbose)
+        _show_frames(report.frames, verbose)
     for note in report.notes:
         show.text(note)
     for message in report.failed:
@@ -161,7 +161,7 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
         show.text(f"drew {count} picture{'s' if count > 1 else ''} in {options.draw}")
 
 
-def show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
+def _show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
     """Print which frames of videos are taken, or with `verbose` what became of all that were searched."""
     from camcal.tasks.calibration.video_frames import COLUMNS, cells
 

@@ -24,9 +24,18 @@ from camcal.errors import InvalidInput
 from camcal.formats import documents, emit, kalibr_target
 from camcal.formats.documents import Check, Fault
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text
-from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board, parse_board
+from camcal.targets.board import Board, parse_board
 from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
-from camcal.targets.boards.types import BOARD_TYPES, METRES, TAG_FAMILY
+from camcal.targets.boards.types import (
+    APRILGRID,
+    ASYMMETRIC_CIRCLES,
+    BOARD_TYPES,
+    CHARUCO,
+    CHESSBOARD,
+    CIRCLES,
+    METRES,
+    TAG_FAMILY,
+)
 
 SUFFIXES = (".yaml", ".yml")
 SPACING = "spacing_ratio"  # of an AprilGrid: the gap between two tags as a share of a tag's side
@@ -69,7 +78,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
             data, path
         )
         return
-    faults = list(shape_of(kind)(data, path)) or list(check_lengths(data, path))
+    faults = list(_shape_of(kind)(data, path)) or list(_check_lengths(data, path))
     yield from faults
     if not faults:
         try:
@@ -120,7 +129,7 @@ def lengths(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for unit in METRES) if name else ()
 
 
-def shape_of(kind: str) -> Check:
+def _shape_of(kind: str) -> Check:
     """Return the check that a board file of one type has its keys and no others."""
     keys = BOARD_KEYS[kind]
     fewest = BOARD_TYPES[kind].least + BOARD_TYPES[kind].border
@@ -131,7 +140,7 @@ def shape_of(kind: str) -> Check:
     return mapping(required, positive | dict(keys.optional.values()))
 
 
-def check_lengths(data: Data, path: str) -> Iterator[Fault]:
+def _check_lengths(data: Data, path: str) -> Iterator[Fault]:
     """Check that every length of a board is given once, and in proportion to another only if that one is given."""
     keys = BOARD_KEYS[data["type"]]
     scales = [key for key in lengths(keys.scale) if key in data]

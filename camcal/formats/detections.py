@@ -59,14 +59,14 @@ def read(path: Path, board: Board | None = None, image_size: vnl.ImageSize | Non
     Raises InvalidInput with file and line for the first row that breaks a rule, FileError if the file cannot be read.
     """
     if path.suffix.lower() == vnl.SUFFIX:
-        return vnl.read_vnl(path, board, image_size)
+        return vnl.read(path, board, image_size)
     return read_csv(path, board)
 
 
 def write(path: Path, detections: Detections) -> None:
     """Write detections in the form the file's suffix says; raises InvalidInput for what the form cannot hold."""
-    text = vnl.vnl_text if path.suffix.lower() == vnl.SUFFIX else csv_text
-    files.write_text(path, text(detections))
+    form = vnl.text if path.suffix.lower() == vnl.SUFFIX else _csv_text
+    files.write_text(path, form(detections))
 
 
 def read_csv(path: Path, board: Board | None = None) -> Detections:
@@ -263,7 +263,7 @@ def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
             raise InvalidInput(f"image {view.image!r} is already named at line {first}", where=f"{path}:{line}")
 
 
-def csv_text(detections: Detections) -> str:
+def _csv_text(detections: Detections) -> str:
     """Return the text of a CSV file, columns that would say nothing left out."""
     views = detections.views
     cameras = any(view.camera for view in views)

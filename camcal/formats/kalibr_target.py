@@ -18,9 +18,9 @@ from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.documents import Fault
 from camcal.formats.schema import flag, integer, mapping, number, one_of, text
-from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHESSBOARD, CIRCLES, Board
+from camcal.targets.board import Board
 from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
-from camcal.targets.boards.types import TAG_FAMILY
+from camcal.targets.boards.types import APRILGRID, ASYMMETRIC_CIRCLES, CHESSBOARD, CIRCLES, TAG_FAMILY
 
 KEY = "target_type"
 

@@ -85,17 +85,17 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
     findings: list[Fault] = []
     for name, data in document["cameras"].items():
         cameras[name], unknown = native_entry.read(data, folder)
-        findings += without_uncertainty(child("cameras", name), unknown)
+        findings += _without_uncertainty(child("cameras", name), unknown)
     file = CameraFile(
         cameras,
-        transforms=read_transforms(document.get("transforms", {})),
+        transforms=_read_transforms(document.get("transforms", {})),
         joint_covariance=_read_joint(document.get("joint_covariance"), folder),
         board_shape=read_board_shape(document["board_shape"], folder) if "board_shape" in document else None,
         provenance=document.get("provenance", {}),
         converted_from=document.get("converted_from", {}),
         extra={key: value for key, value in document.items() if key.startswith(VENDOR)},
     )
-    findings += implausible(file)
+    findings += _implausible(file)
     return replace(file, warnings=tuple(map(document.message, findings)))
 
 
@@ -143,7 +143,7 @@ def check(data: Any, path: str = "") -> Iterator[Fault]:
         yield Fault("cameras", "no camera; a file has at least one")
     for name in cameras:
         yield from check_name(name, child("cameras", name))
-    yield from check_transforms(transforms, "transforms", list(cameras))
+    yield from _check_transforms(transforms, "transforms", list(cameras))
     if isinstance(transforms, dict) and not any(_JOINT(joint, "")):
         yield from covariance.check(joint, "joint_covariance", list(_joint_names(cameras, transforms)))
 
@@ -182,7 +182,7 @@ def _block(file: CameraFile, path: Path) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         "cameras": {name: native_entry.block(entry, path) for name, entry in file.cameras.items()},
-        "transforms": transforms_block(file.transforms) or None,
+        "transforms": _transforms_block(file.transforms) or None,
         "joint_covariance": covariance.block(joint.names, joint.matrix, path) if joint else None,
         "board_shape": board_shape_block(file.board_shape, path) if file.board_shape else None,
         "converted_from": file.converted_from or None,
@@ -191,7 +191,7 @@ def _block(file: CameraFile, path: Path) -> dict[str, Any]:
     }
 
 
-def implausible(file: CameraFile) -> Iterator[Fault]:
+def _implausible(file: CameraFile) -> Iterator[Fault]:
     """Yield what a reader should know before trusting the file, with the key it is about."""
     for name, entry in file.cameras.items():
         path = child("cameras", name)
@@ -208,7 +208,7 @@ def implausible(file: CameraFile) -> Iterator[Fault]:
             yield Fault(child(child("transforms", name), "t"), f"{distance:g} m: are these millimetres?")
 
 
-def without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Fault]:
+def _without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Fault]:
     """Yield that a camera's uncertainty cannot be used, if there are parameters without one."""
     if names:
         text = f"no uncertainty of {', '.join(names)}; the camera's uncertainty is not used"
@@ -263,7 +263,7 @@ def check_name(name: str, path: str) -> Iterator[Fault]:
         yield Fault(path, f"{name!r} is no name: letters and digits joined by single '_', a letter first, no '_T_'")
 
 
-def check_transforms(data: Any, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
+def _check_transforms(data: Any, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
     """Check all transforms; cameras: the names that the file gives its cameras."""
     yield from mapping({}, others=_check_transform)(data, path)
     tree: dict[str, str] = {}  # frame -> the frame that stands for all that are connected with it
@@ -311,7 +311,7 @@ def _connect(key: str, path: str, tree: dict[str, str]) -> Iterator[Fault]:
     tree.update({frame: root_a for frame, root in tree.items() if root == root_b})
 
 
-def read_transforms(data: Mapping[str, Any]) -> dict[str, Transform]:
+def _read_transforms(data: Mapping[str, Any]) -> dict[str, Transform]:
     """Return the transforms of data that has passed `check`, by name."""
     return {
         name: Transform(Pose(np.array(item["R"], dtype=float), item["t"]), item.get("covariance"))
@@ -319,7 +319,7 @@ def read_transforms(data: Mapping[str, Any]) -> dict[str, Transform]:
     }
 
 
-def transforms_block(transforms: Mapping[str, Transform]) -> dict[str, Any]:
+def _transforms_block(transforms: Mapping[str, Transform]) -> dict[str, Any]:
     """Return transforms as plain data."""
     return {
         name: {

@@ -96,7 +96,7 @@ def _model(value: Any, path: str) -> Iterator[Fault]:
 
 
 def _unchecked(_value: Any, _path: str) -> tuple[Fault, ...]:
-    """Pass anything: `check_lens` looks at it once the model is known."""
+    """Pass anything: `_check_lens` looks at it once the model is known."""
     return ()
 
 
@@ -123,21 +123,21 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     name = data.get("model") if isinstance(data, dict) else None
     if not isinstance(name, str) or name not in MODELS:
         return
-    yield from check_lens(data, path, MODELS[name])
-    yield from check_held_by_prior(data, path, MODELS[name])
+    yield from _check_lens(data, path, MODELS[name])
+    yield from _check_held_by_prior(data, path, MODELS[name])
     if "configuration" in data:
         yield Fault(child(path, "configuration"), f"model {name!r} takes no configuration; leave it out")
     channels = data.get("channels")
     for colour, lens in channels.items() if isinstance(channels, dict) else ():
         if isinstance(lens, dict):
-            yield from check_lens(lens, child(child(path, "channels"), colour), MODELS[name])
+            yield from _check_lens(lens, child(child(path, "channels"), colour), MODELS[name])
 
 
 def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str, ...]]:
     """Return the entry of data that has passed `check`, and the parameters that lack an uncertainty others have."""
     model, size = MODELS[data["model"]], (data["image_size"][0], data["image_size"][1])
-    camera, unknown = read_lens(data, model, size, folder)
-    channels = {name: read_lens(lens, model, size, folder)[0] for name, lens in data.get("channels", {}).items()}
+    camera, unknown = _read_lens(data, model, size, folder)
+    channels = {name: _read_lens(lens, model, size, folder)[0] for name, lens in data.get("channels", {}).items()}
     return CameraEntry(
         camera,
         valid=_read_valid(data["valid"], size) if "valid" in data else None,
@@ -175,7 +175,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     """Return the data of one camera; beside: the file it is for."""
     camera = entry.camera
     data: dict[str, Any] = {"image_size": list(camera.image_size), "model": camera.model.name}
-    data.update(lens_block(camera, beside))
+    data.update(_lens_block(camera, beside))
     data["held_by_prior"] = list(entry.held_by_prior) or None
     if entry.projection:
         data.setdefault("uncertainty", {})["projection"] = [
@@ -186,7 +186,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     data["noise"] = vars(entry.noise) if entry.noise else None
     data["verdict"] = vars(entry.verdict) if entry.verdict else None
     data["sensor"] = entry.sensor or None
-    data["channels"] = {name: lens_block(lens, beside) for name, lens in entry.channels.items()} or None
+    data["channels"] = {name: _lens_block(lens, beside) for name, lens in entry.channels.items()} or None
     return {**data, **entry.extra}
 
 
@@ -204,7 +204,7 @@ def circle_block(circle: ImageCircle | None) -> dict[str, Any] | None:
     return None if circle is None else {"centre_px": list(circle.centre), "radius_px": circle.radius}
 
 
-def check_lens(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
+def _check_lens(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
     """Check the keys of a lens of the given model; other keys of the block are not looked at."""
     names = model.parameter_names
     yield from _check_names(block.get("intrinsics", {}), child(path, "intrinsics"), model, _core(names))
@@ -216,7 +216,7 @@ def check_lens(block: Mapping[str, Any], path: str, model: CameraModel) -> Itera
     yield from faults or covariance.check(uncertainty, where, names, fixed if isinstance(fixed, list) else ())
 
 
-def check_held_by_prior(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
+def _check_held_by_prior(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
     """Check the names of coefficients that a prior holds: some of the model's that were not fixed."""
     held, fixed = block.get("held_by_prior", []), block.get("fixed", [])
     where = child(path, "held_by_prior")
@@ -256,7 +256,7 @@ def _check_names(values: Any, path: str, model: CameraModel, names: Sequence[str
         yield Fault(path, lacks if missing[0] in CORE else f"{lacks} (write {missing[0]}: 0.0)")
 
 
-def read_lens(
+def _read_lens(
     block: Mapping[str, Any], model: CameraModel, image_size: tuple[int, int], folder: Path
 ) -> tuple[Camera, tuple[str, ...]]:
     """Return the camera of a block that has passed `check`, and the parameters that have no uncertainty beside others
@@ -272,7 +272,7 @@ def read_lens(
     return Camera(model, image_size, parameters, known, fixed), unknown
 
 
-def lens_block(camera: Camera, beside: Path) -> dict[str, Any]:
+def _lens_block(camera: Camera, beside: Path) -> dict[str, Any]:
     """Return the block of a camera's lens; beside: the file it is for."""
     names = camera.model.parameter_names
     values = dict(zip(names, camera.parameters.tolist(), strict=True))

@@ -25,7 +25,7 @@ MAX_LEVEL = 20
 ImageSize = tuple[int, int] | Callable[[str], tuple[int, int]]
 
 
-def read_vnl(path: Path, board: Board | None, image_size: ImageSize | None) -> Detections:
+def read(path: Path, board: Board | None, image_size: ImageSize | None) -> Detections:
     """Return the detections in a corners.vnl; image_size: one (width, height) or a function of the image's name.
 
     Where levels differ from 0, the covariance is that of a level-0 standard deviation of 1 px.
@@ -100,7 +100,7 @@ def _relative_std(rows: Table) -> Array:
     return np.ones(len(rows))
 
 
-def vnl_text(detections: Detections) -> str:
+def text(detections: Detections) -> str:
     """Return the text of a corners.vnl; levels are the covariances' sizes relative to the best corner of the set.
 
     Raises InvalidInput without a board, and for an image whose name holds white space.

@@ -115,7 +115,7 @@ class _TwoPasses:
                 self._green(tile, differences[around.slices], samples)
                 for differences, samples in zip(self._differences, (bayer.red, bayer.blue), strict=True)
             )
-            missing = red_and_blue(tile, bayer, at_red, at_blue, self._noise)
+            missing = _red_and_blue(tile, bayer, at_red, at_blue, self._noise)
             self.mosaic.write(tile, box, _COLOUR_REACH, bayer, missing)
             tile.give_back(*bayer, *missing)
 
@@ -143,7 +143,7 @@ class _Full(NamedTuple):
     blue: Plane
 
 
-def red_and_blue(tile: Tile, bayer: Bayer, green_at_red: Plane, green_at_blue: Plane, noise: float) -> Missing:
+def _red_and_blue(tile: Tile, bayer: Bayer, green_at_red: Plane, green_at_blue: Plane, noise: float) -> Missing:
     """Return what the cells lack; green at red and blue is handed through. noise: variance of green samples."""
     learning = replace(_ON_GREEN, noise=_LAPLACIAN_NOISE * noise)
     red = _residual(tile, bayer.red, green_at_red, learning)

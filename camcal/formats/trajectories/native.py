@@ -64,7 +64,7 @@ def read(path: Path) -> Trajectory:
     """Return the trajectory of a YAML or JSON file of camcal, or of ROS transforms as YAML."""
     document = load_either(path)
     if TRANSFORMS in document:
-        return from_transforms(document)
+        return _from_transforms(document)
     is_track = document.get("format") == tracked.FORMAT
     if faults := list((tracked.CHECK if is_track else _CHECK)(document.data, "")):
         raise document.error(faults)
@@ -137,7 +137,7 @@ def _all(document: Document, name: str) -> Array | None:
     return None if without else np.array([block[name] for block in blocks], float)
 
 
-def from_transforms(document: Document) -> Trajectory:
+def _from_transforms(document: Document) -> Trajectory:
     """Return the trajectory of a document of transforms of one frame in one other."""
     if faults := list(_TF_CHECK(document.data, "")):
         raise document.error(faults)

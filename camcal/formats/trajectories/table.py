@@ -34,8 +34,8 @@ _ROUNDED = 1e-3
 
 def read(path: Path, frames: str | None = None) -> Trajectory:
     """Return the trajectory of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, of a track, or of a truth of EuRoC."""
-    if is_euroc(path):
-        return read_euroc(path, frames)
+    if _is_euroc(path):
+        return _read_euroc(path, frames)
     lines = tables.numbered_lines(path)
     if holds_track(lines):
         return read_table(path, lines, frames or _named(lines))
@@ -64,7 +64,7 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
 def holds_poses(path: Path) -> bool:
     """Tell whether a CSV names the columns of poses, or is a ground truth of EuRoC."""
     first = next((line for _, line in tables.numbered_lines(path) if not line.startswith("#")), "")
-    return is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
+    return _is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
 
 
 def write(path: Path, poses: Trajectory) -> None:
@@ -139,12 +139,12 @@ def _of_tum(path: str, lines: list[int], table: Array, frames: str | None) -> Tr
     return trajectory(path, lines, frames, table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]])
 
 
-def is_euroc(path: Path) -> bool:
+def _is_euroc(path: Path) -> bool:
     """Tell whether a CSV is a ground truth of EuRoC or of what writes its form."""
     return files.read_text(path).startswith("#timestamp")
 
 
-def read_euroc(path: Path, frames: str | None = None) -> Trajectory:
+def _read_euroc(path: Path, frames: str | None = None) -> Trajectory:
     """Return the trajectory of lines `nanoseconds, x, y, z, qw, qx, qy, qz` and whatever follows."""
     rows = [(number, line) for number, line in tables.numbered_lines(path) if not line.startswith("#")]
     if not rows:

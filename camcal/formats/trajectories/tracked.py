@@ -152,13 +152,13 @@ def write_tracks(path: Path, images: Sequence[str], objects: Mapping[str, Tracke
         text = "".join(f"{line}\n" for line in _csv_lines(images, objects))
     elif suffix in SUFFIXES:
         comment = "camcal tracks of objects. Lengths: m; times: s; angles: rad."
-        text = emit.text_for(path, tracks_document(images, objects), comment)
+        text = emit.text_for(path, _tracks_document(images, objects), comment)
     else:
         raise InvalidInput(f"tracks are written as {', '.join(SUFFIXES)}", where=str(path))
     files.write_text(path, text)
 
 
-def tracks_document(images: Sequence[str], objects: Mapping[str, TrackedObject]) -> dict[str, Any]:
+def _tracks_document(images: Sequence[str], objects: Mapping[str, TrackedObject]) -> dict[str, Any]:
     """Return tracks as plain data."""
     return {
         "format": FORMAT,

@@ -49,7 +49,7 @@ class AxesChange:
         return change(self.before, self.after)
 
 
-def changes_of(axes: Sequence[str]) -> dict[str, AxesChange]:
+def _changes_of(axes: Sequence[str]) -> dict[str, AxesChange]:
     """Return changes of axes by frame; raises InvalidInput for a frame that is changed twice."""
     changes = [AxesChange.parse(text) for text in axes]
     by_frame = {item.frame: item for item in changes}
@@ -90,8 +90,8 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
         raise InsufficientData("there are no transforms and no cameras", where=" ".join(options.sources))
     if options.inverse:
         transforms = tuple(item.inverse() for item in transforms)
-    changes = changes_of(options.axes)
-    require_known(changes, {*centres, *(frame for item in transforms for frame in frames_in(item))})
+    changes = _changes_of(options.axes)
+    require_known(changes, {*centres, *(frame for item in transforms for frame in _frames_in(item))})
     converted = tuple(_along(item, changes) for item in transforms)
     points = tuple(_counted_from_corners(centres, changes))
     for point in points:
@@ -107,14 +107,14 @@ def document(converted: Converted, output: Output) -> dict[str, Any]:
     """Return transforms and what was changed as plain data for --json."""
     return {
         "transforms": [plain(transform, output.numbers) for transform in converted.transforms],
-        "axes": plain_changes(converted.changes),
+        "axes": _plain_changes(converted.changes),
         "principal_points": [vars(point) for point in converted.principal_points],
         "trajectory": None,
         "output": output.path,
     }
 
 
-def plain_changes(changes: Sequence[AxesChange]) -> list[dict[str, Any]]:
+def _plain_changes(changes: Sequence[AxesChange]) -> list[dict[str, Any]]:
     """Return changes of axes as plain data for --json."""
     return [
         {
@@ -129,7 +129,7 @@ def plain_changes(changes: Sequence[AxesChange]) -> list[dict[str, Any]]:
     ]
 
 
-def frames_in(transform: NamedTransform) -> tuple[str, str]:
+def _frames_in(transform: NamedTransform) -> tuple[str, str]:
     """Return the frames of a transform, a and b where it has no names."""
     return (transform.target, transform.source) if transform.name else _UNNAMED
 
@@ -142,14 +142,14 @@ def require_known(changes: Mapping[str, AxesChange], frames: set[str]) -> None:
             raise InvalidInput(f"--axes: no frame {frame!r}{did_you_mean(frame, known)}")
 
 
-def matrices_of(changes: Mapping[str, AxesChange], frames: tuple[str, str]) -> tuple[Array, Array]:
+def _matrices_of(changes: Mapping[str, AxesChange], frames: tuple[str, str]) -> tuple[Array, Array]:
     """Return the matrices (3, 3) that change the axes of two frames."""
     a, b = (changes[frame].matrix if frame in changes else np.eye(3) for frame in frames)
     return a, b
 
 
 def _along(transform: NamedTransform, changes: Mapping[str, AxesChange]) -> NamedTransform:
-    change_a, change_b = matrices_of(changes, frames_in(transform))
+    change_a, change_b = _matrices_of(changes, _frames_in(transform))
     try:
         pose = reexpress(transform.pose, change_a, change_b)
     except InvalidInput as error:
@@ -205,7 +205,7 @@ def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> 
     trajectory = trajectories.read(Path(body), name or None)
     if options.inverse:
         trajectory = _inverse_trajectory(trajectory, progress)
-    changes = changes_of(options.axes)
+    changes = _changes_of(options.axes)
     frames = frames_of(trajectory.frames)
     require_known(changes, set(frames))
     trajectory = _trajectory_along(trajectory, changes, frames)
@@ -218,7 +218,7 @@ def trajectory_document(converted: ConvertedTrajectory) -> dict[str, Any]:
     trajectory = converted.trajectory
     return {
         "transforms": [],
-        "axes": plain_changes(converted.changes),
+        "axes": _plain_changes(converted.changes),
         "principal_points": [],
         "trajectory": {
             "frames": trajectory.frames,
@@ -247,7 +247,7 @@ def _inverse_trajectory(trajectory: Trajectory, progress: Progress) -> Trajector
 
 
 def _trajectory_along(trajectory: Trajectory, changes: dict[str, AxesChange], frames: tuple[str, str]) -> Trajectory:
-    change_a, change_b = matrices_of(changes, frames)
+    change_a, change_b = _matrices_of(changes, frames)
     poses = [reexpress(trajectory.pose(index), change_a, change_b) for index in range(len(trajectory))]
     jacobian = reexpress_jacobian(change_a)
     covariances, velocities = trajectory.covariances, trajectory.velocities

@@ -80,10 +80,10 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
     _require_pattern(sources, options.reading.pattern)
     outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
-    settings = [settings_beside(output) for output in outputs.values()]
+    settings = [_settings_beside(output) for output in outputs.values()]
     refuse_overwriting(settings, sources)
     for path in settings:
-        require_own_settings(path)
+        _require_own_settings(path)
     corrections = load_corrections(options.corrections, options.reading, sources[0])
     into_a_folder = outputs[sources[0]] != options.output
     names = [output.name for output in outputs.values()]
@@ -122,7 +122,7 @@ def _developed(
     frame = read_frame(source, options.reading)
     if not options.trust_pattern:
         check_phase(frame)
-    settings = settings_beside(output)
+    settings = _settings_beside(output)
     if output.suffix.lower() == DNG:
         kept = negative(frame, options.development, corrections)
         write_dng(output, kept)
@@ -143,7 +143,7 @@ def _developed(
         gains=picture.gains,
     )
     repeating = _repeating(options, picture, frame.pattern)
-    files.write_text(settings, settings_text(repeating, _record(frame, developed, options)))
+    files.write_text(settings, _settings_text(repeating, _record(frame, developed, options)))
     return developed
 
 
@@ -209,18 +209,18 @@ def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any
     }
 
 
-def settings_beside(image: Path) -> Path:
+def _settings_beside(image: Path) -> Path:
     """Return where the settings of an image stand."""
     return image.with_name(image.name + _SETTINGS)
 
 
-def require_own_settings(path: Path) -> None:
+def _require_own_settings(path: Path) -> None:
     """Raise InvalidInput if something else stands where settings go."""
     if path.exists() and _COMMENT.encode() not in files.read_bytes(path):
         raise InvalidInput("was not written by 'camcal demosaic' and is kept; choose another output", where=str(path))
 
 
-def settings_text(options: DemosaicOptions, record: Mapping[str, Any]) -> str:
+def _settings_text(options: DemosaicOptions, record: Mapping[str, Any]) -> str:
     """Return the settings file: options of the command by name, and under x_record what was found on the way.
 
     Of the development it has everything, so that another version with other defaults repeats it too.
