@@ -56,8 +56,8 @@ def real(images: list[Path]) -> None:
     print("\n| image | ArUco | ms | camcal | ms |\n|---|---|---|---|---|")
     for path in images:
         gray = gray_8bit(load(path).pixels)
-        (read, theirs), (sighting, ours) = timed(aruco, gray), timed(detect, gray, APRILGRID)
-        print(f"| {path.name} | {read} | {theirs:.0f} | {len(np.unique(sighting.ids // 4))} | {ours:.0f} |")
+        (read, theirs), (detection, ours) = timed(aruco, gray), timed(detect, gray, APRILGRID)
+        print(f"| {path.name} | {read} | {theirs:.0f} | {len(np.unique(detection.ids // 4))} | {ours:.0f} |")
 
 
 def timed(find, *arguments):
@@ -104,11 +104,11 @@ def errors(board, pitch: float, blur: float, tilt: float, view: int) -> np.ndarr
     image = render(
         CAMERA, board, pose, rng=np.random.default_rng(view), exposure=Exposure(blur_px=blur, noise_dn=NOISE_DN)
     )
-    sighting = detect(image, board)
-    off = sighting.pixels - CAMERA.project(pose.apply(board.points())).pixels[sighting.ids]
-    if sighting.covariance is None:
+    detection = detect(image, board)
+    off = detection.pixels - CAMERA.project(pose.apply(board.points())).pixels[detection.ids]
+    if detection.covariance is None:
         return np.column_stack([off, np.full(len(off), np.nan)])
-    return np.column_stack([off, np.einsum("ni,nij,nj->n", off, np.linalg.inv(sighting.covariance), off) / 2])
+    return np.column_stack([off, np.einsum("ni,nij,nj->n", off, np.linalg.inv(detection.covariance), off) / 2])
 
 
 def placed(board, pitch: float, tilt: float, view: int) -> Pose:

@@ -36,7 +36,8 @@ from camcal.geometry.pose import Pose
 from camcal.simulate import render
 from camcal.simulate.scene import observe, views
 from camcal.solve.least_squares import minimise
-from camcal.targets.board import Board, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 
 SIZE, NOISE, VIEWS = (1600, 1200), 0.15, 40
 BOARD = Board("chessboard", 14, 10, 0.030)

@@ -30,11 +30,12 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.images.save import save
 from camcal.progress import SILENT
+from camcal.raw.options import AS_IMAGES
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.options import AS_IMAGES
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.second_look import second_look
 
 SIZE, BOARD = (1280, 960), Board("chessboard", 9, 6, 0.04)
@@ -90,8 +91,8 @@ def one_set(seed: int, count: int, gamma: float) -> dict[str, tuple[float, float
 
 def seen(name: str, image: np.ndarray) -> Detection:
     """Return what camcal sees in an image."""
-    sighting = detect(image, BOARD)
-    return Detection(name, SIZE, sighting.ids, sighting.pixels, sighting.covariance)
+    detection = detect(image, BOARD)
+    return Detection(name, SIZE, detection.ids, detection.pixels, detection.covariance)
 
 
 def opencv_corners(image: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray]:

@@ -122,10 +122,10 @@ def compare(scene, number, ours, theirs):
     truth = camera.project(pose.apply(scene.board.points())).pixels
     offset = ellipse_centres(camera, scene.board, pose) - truth
     start = time.process_time()
-    sighting = find_circles(gray, scene.told or scene.board)
+    detection = find_circles(gray, scene.told or scene.board)
     ours.seconds.append(time.process_time() - start)
-    if sighting.found:
-        ours.add(sighting.pixels, sighting.covariance, truth, offset)
+    if detection.found:
+        ours.add(detection.pixels, detection.covariance, truth, offset)
     start = time.process_time()
     centres = opencv_centres(gray, scene.board)
     theirs.seconds.append(time.process_time() - start)

@@ -18,7 +18,8 @@ import numpy as np
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 NOISE = 0.08  # px, the typical standard deviation of a coordinate
 SPREAD = 2.0  # the variance of a corner differs from the typical one by at most this factor

@@ -137,14 +137,14 @@ def score(cell: Cell, count: int, peers: bool) -> Score:
     errors: dict[str, list[Array]] = {name: [] for name in PEERS}
     windows: dict[int, list[Array]] = {window: [] for window in WINDOWS}
     for view in scenes(cell, count, SEED):
-        sighting = detect(gray_8bit(view.image), BOARD, samples=Samples(gray_levels(view.image)))
-        seen += len(sighting.ids)
+        detection = detect(gray_8bit(view.image), BOARD, samples=Samples(gray_levels(view.image)))
+        seen += len(detection.ids)
         limits = bound(view)
-        if sighting.found:
-            off = sighting.pixels - view.corners[sighting.ids]
+        if detection.found:
+            off = detection.pixels - view.corners[detection.ids]
             squares.append((off**2).sum(axis=1) / 2)
-            least.append(np.trace(limits[sighting.ids], axis1=1, axis2=2) / 2)
-            nees.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(sighting.covariance), off) / 2)
+            least.append(np.trace(limits[detection.ids], axis1=1, axis2=2) / 2)
+            nees.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(detection.covariance), off) / 2)
         if peers:
             _peers(view, errors, windows)
     rms = {name: _root(parts) for name, parts in errors.items() if parts}

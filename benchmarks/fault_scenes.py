@@ -15,7 +15,8 @@ from corner_error_scenes import Setting, Shot
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 NOISE = (0.03, 0.3)  # px
 BOARDS = (

@@ -37,7 +37,8 @@ from camcal.calibrate.model_choice import chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.run.fanout import fan_out
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.model_selection import select
 
 COMPARED = ("opencv5", "kannala_brandt4", "kannala_brandt5t", "opencv8")

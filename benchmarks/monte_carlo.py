@@ -38,7 +38,8 @@ from camcal.simulate import render
 from camcal.simulate.scene import observe, views
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import NormalEquations, Step
-from camcal.targets.board import Board, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 
 SIZE, NOISE, VIEWS = (1600, 1200), 0.1, 20
 BOARD = Board("chessboard", 9, 6, 0.025)

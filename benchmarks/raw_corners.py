@@ -28,6 +28,8 @@ from camcal.raw.colour import balance_in_place
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import Reading
+from camcal.raw.photograph import agreeing_gains, photograph_of
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit, light
@@ -35,8 +37,6 @@ from camcal.simulate.scene import views
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
 from camcal.targets.samples import Samples
-from camcal.tasks.calibration.options import Reading
-from camcal.tasks.calibration.photographs import agreeing_gains, photograph_of
 
 SIZE, PATTERN, BLACK, WHITE = (1280, 960), "RGGB", 64.0, 4095.0
 BOARD = Board("chessboard", 9, 6, 0.04)
@@ -110,10 +110,10 @@ def counts(brightness: np.ndarray, noisy: bool, rng: np.random.Generator) -> np.
 
 def corners(gray: np.ndarray, samples: Samples | None = None) -> np.ndarray:
     """Return all corners (N, 2) of the board in an image."""
-    sighting = detect(gray, BOARD, samples=samples)
-    if len(sighting.ids) != BOARD.count:
-        raise SystemExit(f"{len(sighting.ids)} of {BOARD.count} corners found")
-    return sighting.pixels
+    detection = detect(gray, BOARD, samples=samples)
+    if len(detection.ids) != BOARD.count:
+        raise SystemExit(f"{len(detection.ids)} of {BOARD.count} corners found")
+    return detection.pixels
 
 
 def read_as(algorithm: str) -> Callable[[Mosaic, Mosaic], np.ndarray]:

@@ -33,8 +33,9 @@ from camcal.errors import CamcalError
 from camcal.images.load import gray_8bit, load
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_images
-from camcal.targets.board import Board, Detection, parse_board
+from camcal.targets.board import Board, parse_board
 from camcal.targets.detect import detect
+from camcal.targets.detection import Detection
 
 WAYS = ("camcal", *SECTOR_BASED, "cornerSubPix")
 HALF_WINDOW = 5
@@ -83,7 +84,7 @@ def row(name: str, jobs: int | None) -> str:
 def look(path: Path, board: Board) -> Seen:
     """Return what an image shows in every way."""
     gray = gray_8bit(load(path).pixels)
-    sighting = detect(gray, board)
+    detection = detect(gray, board)
     starts: dict[str, Array] = {}
     with opencv.repeatable(0):
         for way, flags in SECTOR_BASED.items():
@@ -92,13 +93,13 @@ def look(path: Path, board: Board) -> Seen:
                 starts[way] = corners
         if "SB" in starts:
             starts["cornerSubPix"] = refined(gray, starts["SB"], HALF_WINDOW)
-    found = frozenset(starts) | ({"camcal"} if sighting.found else frozenset())
-    if not sighting.found:
+    found = frozenset(starts) | ({"camcal"} if detection.found else frozenset())
+    if not detection.found:
         return Seen({}, found)
     shape = (gray.shape[1], gray.shape[0])
-    views = {"camcal": Detection(path.name, shape, sighting.ids, sighting.pixels)}
+    views = {"camcal": Detection(path.name, shape, detection.ids, detection.pixels)}
     for way, pixels in starts.items():
-        ids, places = matched(sighting.ids, sighting.pixels, pixels)
+        ids, places = matched(detection.ids, detection.pixels, pixels)
         views[way] = Detection(path.name, shape, ids, places)
     common = set.intersection(*(set(view.ids.tolist()) for view in views.values()))
     return Seen({way: only(view, common) for way, view in views.items()}, found)

@@ -25,7 +25,7 @@ import numpy as np
 
 from camcal.errors import CamcalError
 from camcal.formats import detections
-from camcal.targets.board import Detections
+from camcal.targets.detection import Detections
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
 

@@ -30,7 +30,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.quality.advise import advise
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.model_selection import select
 from camcal.tasks.calibration.name_groups import name_groups
 

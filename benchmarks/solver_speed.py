@@ -25,7 +25,8 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 
 SIZE = (1600, 1200)
 WIDTH = 0.390  # of the board, m

@@ -59,7 +59,8 @@ from camcal.formats import detections
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import point_jacobian, retract
 from camcal.run.fanout import fan_out
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.calibrate import calibrate as calibrate_files
 from camcal.tasks.calibration.options import CalibrateOptions
 

@@ -46,7 +46,8 @@ from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import point_jacobian, retract
 from camcal.run.fanout import fan_out
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 TABLES = ("accuracy", "coverage")
 PROGRAMS = ("camcal", "base")

@@ -24,7 +24,7 @@ from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Cauchy, Loss
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 
 _CORNERS_A_PARAMETER = 5
 _LOSS = Cauchy(3.0)
@@ -65,13 +65,14 @@ class Aberration:
     largest_at: Array
 
 
-def fit_colour(calibration: Calibration, detections: Sequence[Detection]) -> ColourLens:
+def fit_colour(calibration: Calibration, views: Sequence[Detection], colour: str) -> ColourLens:
     """Return the lens of a colour in which the views of a calibration were measured again.
 
-    detections: one for each of calibration.views, numbered as their detections were; corners may be missing.
+    views: one for each of calibration.views, numbered as their detections were; of their colours, views and corners may
+    be missing.
     Raises InsufficientData for too few corners, NotConverged.
     """
-    problem = _LensProblem.of(calibration.camera, *_pairs(calibration, detections))
+    problem = _LensProblem.of(calibration.camera, *_pairs(calibration, views, colour))
     measured = len(problem.pixels)
     problem, solution = _simplest(*_settled(problem), calibration.sigma_px)
     if not solution.converged:
@@ -121,7 +122,7 @@ def aberration(main: Camera, lens: ColourLens) -> Aberration:
     )
 
 
-def _pairs(calibration: Calibration, detections: Sequence[Detection]) -> tuple[Array, Array]:
+def _pairs(calibration: Calibration, views: Sequence[Detection], colour: str) -> tuple[Array, Array]:
     """Return points (N, 3) in the camera frame as the calibration has them, and pixels (N, 2) of the colour.
 
     Corners that were rejected in the calibration stay out.
@@ -129,13 +130,14 @@ def _pairs(calibration: Calibration, detections: Sequence[Detection]) -> tuple[A
     rejected = {(corner.image, corner.id) for corner in calibration.rejected}
     board_points = calibration.surface.points()
     points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
-    for view, detection in zip(calibration.views, detections, strict=True):
-        if view.camera_T_board is None or not detection.found:
+    for record, view in zip(calibration.views, views, strict=True):
+        own = view.colours.get(colour)
+        if record.camera_T_board is None or own is None or not own.found:
             continue
-        ids = calibration.board.symmetries()[view.turned][detection.ids]
+        ids = calibration.board.symmetries()[record.turned][own.ids]
         kept = np.array([(view.image, int(index)) not in rejected for index in ids])
-        points.append(view.camera_T_board.apply(board_points[ids[kept]]))
-        pixels.append(detection.pixels[kept])
+        points.append(record.camera_T_board.apply(board_points[ids[kept]]))
+        pixels.append(own.pixels[kept])
     return np.concatenate(points), np.concatenate(pixels)
 
 

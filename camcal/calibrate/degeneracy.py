@@ -6,7 +6,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 MIN_VIEWS = 3
 MIN_CORNERS = 6

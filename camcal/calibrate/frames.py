@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array
 from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.problem import BoardProblem, Observations, State
 from camcal.cameras.catalogue import WIDE_MODEL, model_named
 from camcal.solve.least_squares import linearise
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 NOISE = 0.1  # px of error per px of blur; its bound grows with the root of the blur, what reaches in from beside faster
 SKEW = 0.05  # px of error per pixel a frame that things move: rows of most sensors are not exposed at one time
@@ -33,33 +34,6 @@ _FEW = 4  # points in common, below which frames are not compared
 _FOCAL, _CENTRE = 0.3, 0.1  # standard deviations of a first guess, shares of the focal length and of the image's width
 
 CHOSEN, BLURRED, MOVING, SAME, SURPLUS = "chosen", "blurred", "moving", "alike", "adds less"
-
-
-@dataclass(frozen=True, eq=False)
-class FrameLooks:
-    """What is known of V frames, in their order: the points found, blur (V,) px and motion (V,) px a frame.
-
-    NaN where blur or motion is not known: it is then taken to be as in the better frames. Motion is infinite where it
-    was too fast to be followed.
-    """
-
-    views: tuple[Detection, ...]
-    blur: Array
-    motion: Array
-
-    def __post_init__(self) -> None:
-        for name in ("blur", "motion"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (len(self.views),), name))
-
-    def errors(self) -> Array:
-        """Return the errors (2, V) px to be expected of a point: by the blur, and by rows that see things move.
-
-        Where most frames cannot be followed they are pictures taken one by one, and nothing is known of their motion.
-        """
-        blur, motion = (np.where(np.isnan(each), _usual(each), each) for each in (self.blur, self.motion))
-        if np.isinf(_usual(self.motion)):
-            motion = np.zeros_like(motion)
-        return np.stack([NOISE * np.maximum(blur, 1.0), SKEW * motion])
 
 
 @dataclass(frozen=True)
@@ -83,22 +57,35 @@ class FrameChoice:
         return self.why == CHOSEN
 
 
-def choose_frames(looks: FrameLooks, board: Board, limit: int) -> tuple[FrameChoice, ...]:
-    """Return what becomes of every frame when at most `limit` are chosen; the same for the same looks.
+def choose_frames(views: Sequence[Detection], board: Board, limit: int) -> tuple[FrameChoice, ...]:
+    """Return what becomes of every frame when at most `limit` are chosen; the same for the same views.
 
-    All views have points and are of one size.
+    All views have points and are of one size. Where blur or motion is not known (NaN), it is taken to be as in the
+    better frames; motion is infinite where it was too fast to be followed.
     """
-    by_blur, by_motion = looks.errors()
+    by_blur, by_motion = _errors(views)
     errors = np.hypot(by_blur, by_motion)
     good = np.flatnonzero(errors <= POOR * np.quantile(errors, _BETTER, method="lower"))
-    chosen = dict(zip(good.tolist(), _chosen(looks, good, errors, board, limit), strict=True))
+    chosen = _chosen(views, good, errors[good], board, limit)
     whys = np.where(by_motion >= by_blur, MOVING, BLURRED).tolist()
     return tuple(chosen.get(index) or FrameChoice(why, float(errors[index])) for index, why in enumerate(whys))
 
 
-def _chosen(looks: FrameLooks, good: Array, errors: Array, board: Board, limit: int) -> list[FrameChoice]:
+def _errors(views: Sequence[Detection]) -> Array:
+    """Return the errors (2, V) px to be expected of a point: by the blur, and by rows that see things move.
+
+    Where most frames cannot be followed they are pictures taken one by one, and nothing is known of their motion.
+    """
+    known = np.array([(view.blur_px, view.motion_px) for view in views]).T
+    blur, motion = (np.where(np.isnan(each), _usual(each), each) for each in known)
+    if np.isinf(_usual(known[1])):
+        motion = np.zeros_like(motion)
+    return np.stack([NOISE * np.maximum(blur, 1.0), SKEW * motion])
+
+
+def _chosen(views: Sequence[Detection], good: Array, errors: Array, board: Board, limit: int) -> dict[int, FrameChoice]:
     """Return what becomes of the good frames (their indices), the first ones chosen where several tell the same."""
-    views, errors = [looks.views[index] for index in good], errors[good]
+    views = [views[index] for index in good.tolist()]
     informations = lens_information(views, board, errors)
     search = _Search(_table(views, board), board, ALIKE * float(np.hypot(*views[0].size)))
     known = np.eye(informations.shape[1])
@@ -119,7 +106,7 @@ def _chosen(looks: FrameLooks, good: Array, errors: Array, board: Board, limit: 
             result.append(FrameChoice(SAME, error, like=int(good[search.like[index]])))
         else:
             result.append(FrameChoice(SURPLUS, error, float(final[index])))
-    return result
+    return dict(zip(good.tolist(), result, strict=True))
 
 
 class _Search:

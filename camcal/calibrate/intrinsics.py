@@ -30,7 +30,8 @@ from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.solve.steps import SingularError
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.targets.surface import Surface
 
 __all__ = ["Calibration", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]

@@ -17,7 +17,8 @@ from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
 from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.targets.surface import basis
 
 POSE = 6  # parameters of a view: tx ty tz rx ry rz

@@ -10,7 +10,7 @@ from camcal.calibrate.fit import Fit
 from camcal.calibrate.noise import median_limit
 from camcal.calibrate.words import px_words
 from camcal.geometry.pose import Pose
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 
 
 @dataclass(frozen=True, eq=False)

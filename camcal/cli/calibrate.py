@@ -140,7 +140,7 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
 
 def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bool) -> None:
-    filmed = {record.look.view.image for record in report.frames}
+    filmed = {record.view.image for record in report.frames}
     views = [view for view in report.detections.views if view.image not in filmed]
     shown = views if verbose or len(views) <= IMAGES_LISTED else [view for view in views if not view.found]
     rows = [[view.image, len(view.ids), view.reason or ""] for view in shown]

@@ -37,7 +37,8 @@ from camcal.formats.tables import (
     pixel_covariances,
 )
 from camcal.parsing import parse_integer
-from camcal.targets.board import Board, Detection, Detections, parse_board
+from camcal.targets.board import Board, parse_board
+from camcal.targets.detection import Detection, Detections
 
 MAGIC = "# camcal-detections"
 VERSION = "1"
@@ -118,7 +119,7 @@ def _nothing(path: str, number: int, line: str) -> Detection:
     names = ("image", "width", "height", "reason", "camera", "orientation")
     table = Table(path, {name: [text] for name, text in zip(names, cells, strict=True)}, [number])
     size, orientation = _sizes(table)[0], int(table.integers("orientation", 1, 8)[0])
-    view = Detection.nothing(cells[0], (int(size[0]), int(size[1])), cells[3] or "nothing found")
+    view = Detection(cells[0], (int(size[0]), int(size[1])), reason=cells[3] or "nothing found")
     return replace(view, camera=cells[4], orientation=orientation)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats.tables import Lines, Table, numbered_lines
-from camcal.targets.board import Board, Detection, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection, Detections
 
 SUFFIX = ".vnl"
 MISSING = "-"
@@ -74,7 +75,7 @@ def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> Detect
     weights = rows.columns.get("level", rows.columns.get("weight", ["0"] * len(rows)))
     seen = np.array([MISSING not in cells for cells in zip(rows.columns["x"], rows.columns["y"], weights, strict=True)])
     if len(rows) == 1 and not seen[0]:
-        return Detection.nothing(name, size, "listed without corners")
+        return Detection(name, size, reason="listed without corners")
     if len(rows) != board.count:
         found = f"image {name!r} has {len(rows)} rows"
         raise InvalidInput(f"{found}; the board has {board.count} points ({board.words})", where=where)
@@ -84,7 +85,7 @@ def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> Detect
     std = _relative_std(rows)
     kept = (pixels >= 0).all(axis=1) & np.isfinite(std)
     if not kept.any():
-        return Detection.nothing(name, size, "listed without corners")
+        return Detection(name, size, reason="listed without corners")
     covariance = None if np.all(std[kept] == 1) else std[kept, None, None] ** 2 * np.eye(2)
     return Detection(name, size, ids[kept], pixels[kept], covariance)
 

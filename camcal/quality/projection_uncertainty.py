@@ -24,7 +24,8 @@ from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.geometry.pose import Pose
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import SingularError, factorise
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 GRID = (31, 23)
 

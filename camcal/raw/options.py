@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from camcal.errors import InvalidInput
-from camcal.options import RAW_FRAMES, SIZE, Option, OptionsRecord
+from camcal.options import LENS, RAW_FRAMES, SIZE, Option, OptionsRecord, Without
 from camcal.parsing import parse_integer, parse_numbers
 
 if TYPE_CHECKING:
@@ -26,6 +26,9 @@ LINEAR = "linear"
 DEPTHS = ("8", "16", "float")
 ENCODINGS = (LINEAR, "gamma")
 DEVELOPMENT = "Development"  # title of the options of what is done to a frame
+
+GREEN, GRAY = "green", "gray"
+ALGORITHMS = (GREEN, GRAY)  # by which raw frames become what detectors look at
 
 Gains = tuple[float, float, float]
 
@@ -96,6 +99,59 @@ class GivenLayout(OptionsRecord):
 
 
 NO_LAYOUT = GivenLayout()
+
+
+@dataclass(frozen=True)
+class Reading(OptionsRecord):
+    """How photographs of a board are read.
+
+    pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
+    algorithm: what is made of a raw frame, one of ALGORITHMS. colours: measure corners in red and in blue as well.
+    layout: of header-less files.
+    """
+
+    pattern: Annotated[
+        str | None,
+        Option(
+            "Gray images are bare mosaics with these colours in their first 2x2 pixels: RGGB, GRBG, GBRG, BGGR.",
+            metavar="LETTERS",
+            group=RAW_FRAMES,
+            choices=(*PATTERNS, MONO),
+        ),
+    ] = None
+    algorithm: Annotated[
+        str,
+        Option(
+            "Of raw frames: green, which a lens's lateral chromatic aberration leaves alone, or gray, all samples "
+            "balanced: as good as a monochrome sensor where the lens has no such aberration.",
+            metavar="NAME",
+            group=RAW_FRAMES,
+            choices=ALGORITHMS,
+        ),
+    ] = GREEN
+    colours: Annotated[
+        bool,
+        Option(
+            "Estimate a lens for red and one for blue too, and with them the lateral chromatic aberration: best "
+            "from raw frames, whose samples no demosaicing has mixed.",
+            group=LENS,
+            names="--channels",
+        ),
+    ] = False
+    layout: Annotated[GivenLayout, Without(("frame",))] = NO_LAYOUT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.colours and self.algorithm != GREEN:
+            raise InvalidInput("channels are measured against green: leave --algorithm out")
+
+    @property
+    def suffixes(self) -> frozenset[str]:
+        """Suffixes that are read in folders beside those of images: of header-less files, if their layout is given."""
+        return frozenset() if self.layout == NO_LAYOUT else HEADERLESS_SUFFIXES
+
+
+AS_IMAGES = Reading()
 
 
 def _is_optical(name: str) -> bool:

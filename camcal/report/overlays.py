@@ -12,7 +12,7 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.report.colour_scale import turbo
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 
 Colour = tuple[int, int, int]  # blue, green, red
 Place = tuple[int, int]  # in the picture, as OpenCV takes it: multiples of 2⁻⁴ px

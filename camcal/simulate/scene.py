@@ -14,7 +14,8 @@ from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import FLAT, Shape
-from camcal.targets.board import Board, Detection, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection, Detections
 from camcal.targets.pattern import QUIET, ink_reach
 
 ROUNDS = 30  # attempts for a view that does not fit, each with a smaller board
@@ -237,7 +238,7 @@ def in_image(camera: Camera, pixels: Array) -> Array:
 
 def _detection(camera: Camera, index: int, seen: Array, pixels: Array) -> Detection:
     if not seen.any():
-        return Detection.nothing(view_name(index), camera.image_size, "no corner of the board is in the image")
+        return Detection(view_name(index), camera.image_size, reason="no corner of the board is in the image")
     return Detection(view_name(index), camera.image_size, np.flatnonzero(seen), pixels[seen])
 
 

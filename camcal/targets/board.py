@@ -1,4 +1,4 @@
-"""Boards and what is seen of them: the Board record, the Detection record, the short form of a board.
+"""Boards: the record of one, and its short form.
 
 The points of a chessboard and of a ChArUco board are the inner corners of the checker pattern, those of a circle grid
 the centres: id = row · columns + column, x along a row, y down the rows, z into the board, the origin at id 0.
@@ -6,13 +6,11 @@ An AprilGrid has Kalibr's numbering and frame: the corners of its tags, id = 4 �
 tags along a row to the right, rows upwards, corners from the lower left counter-clockwise, y up, z out of the board.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
-from camcal.cameras.validity import ImageCircle
+from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.targets.boards import layouts
 from camcal.targets.boards.short_forms import fields_of
@@ -25,8 +23,6 @@ __all__ = [
     "CHESSBOARD",
     "CIRCLES",
     "Board",
-    "Detection",
-    "Detections",
     "parse_board",
 ]
 
@@ -184,50 +180,6 @@ def _require_lengths(board: Board) -> None:
         raise InvalidInput(kind.needs)
     if max(board.marker or 0.0, board.diameter or 0.0) >= kind.nearest * board.pitch:
         raise InvalidInput(kind.crowded)
-
-
-@dataclass(frozen=True, eq=False)
-class Detection:
-    """What was found in one image: ids (N,), pixels (N, 2), covariance (N, 2, 2) px² or None.
-
-    reason: why nothing was found, None where points were. orientation: the EXIF tag 1…8 (never applied).
-    """
-
-    image: str
-    size: tuple[int, int]
-    ids: Array
-    pixels: Array
-    covariance: Array | None = None
-    camera: str = ""
-    reason: str | None = None
-    orientation: int = 1
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ids", readonly(self.ids, (None,), "ids", np.intp))
-        object.__setattr__(self, "pixels", readonly(self.pixels, (len(self.ids), 2), "pixels"))
-        if self.covariance is not None:
-            object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.ids), 2, 2), "covariance"))
-
-    @classmethod
-    def nothing(cls, image: str, size: tuple[int, int], reason: str) -> "Detection":
-        """Return the record of an image without points."""
-        return cls(image, size, np.zeros(0, np.intp), np.zeros((0, 2)), reason=reason)
-
-    @property
-    def found(self) -> bool:
-        return len(self.ids) > 0
-
-
-@dataclass(frozen=True)
-class Detections:
-    """What was found in a set of images, in their order, and the board that was looked for (None: unknown).
-
-    circles: the image circles of cameras by their names, as far as they were measured.
-    """
-
-    board: Board | None
-    views: tuple[Detection, ...]
-    circles: Mapping[str, ImageCircle] = field(default_factory=dict)
 
 
 def parse_board(text: str) -> Board:

@@ -1,6 +1,7 @@
 """The points of a board in one image."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from camcal import opencv
 from camcal.arrays import Array
@@ -11,15 +12,15 @@ from camcal.targets.checker.charuco import find_charuco, require_markers
 from camcal.targets.checker.chessboard import find_chessboard
 from camcal.targets.circles.circles import find_circles
 from camcal.targets.corners.measure import measure
+from camcal.targets.detection import Detection
 from camcal.targets.markers.families import family_named
 from camcal.targets.samples import Samples
-from camcal.targets.sighting import Sighting
 
 SEED = 0  # of OpenCV's random numbers, set anew for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them
 LEAST_SIDE = 3  # corners along a side of a chessboard; fewer may be anything
 
-_FINDERS: Mapping[str, Callable[[Array, Board], Sighting]] = {
+_FINDERS: Mapping[str, Callable[[Array, Board], Detection]] = {
     CHARUCO: find_charuco,
     CIRCLES: find_circles,
     ASYMMETRIC_CIRCLES: find_circles,
@@ -28,7 +29,7 @@ _FINDERS: Mapping[str, Callable[[Array, Board], Sighting]] = {
 
 def detect(
     gray: Array, board: Board, *, seed: int = SEED, partial: bool = False, samples: Samples | None = None
-) -> Sighting:
+) -> Detection:
     """Return the points of a board in an image with their covariances, or the reason why there are none.
 
     gray: (H, W) uint8, in which the board is found. partial: a part of a chessboard will do that shows which part it
@@ -40,8 +41,12 @@ def detect(
     require_findable(board, partial=partial)
     if gray.ndim != 2 or gray.dtype != "uint8":
         raise InvalidInput(f"boards are found in gray images of 8 bits, not in {gray.dtype} of shape {gray.shape}")
+    return replace(_found(gray, board, seed, samples, partial=partial), size=gray.shape[::-1])
+
+
+def _found(gray: Array, board: Board, seed: int, samples: Samples | None, *, partial: bool) -> Detection:
     if min(gray.shape) < MIN_PIXELS:
-        return Sighting.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
+        return Detection.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
     with opencv.repeatable(seed):
         if board.type == APRILGRID:
             return find_aprilgrid(gray, board, samples)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 
 Size = tuple[int, int]
 
@@ -58,7 +58,8 @@ class PixelMap:
         """Return a view with its points as an image of the other size would show them."""
         covariance = None if view.covariance is None else self.linear @ view.covariance @ self.linear.T
         pixels = view.pixels @ self.linear.T + self.offset
-        return replace(view, size=self.size, pixels=pixels, covariance=covariance)
+        colours = {colour: self.apply(own) for colour, own in view.colours.items()}
+        return replace(view, size=self.size, pixels=pixels, covariance=covariance, colours=colours)
 
 
 def pixel_map(size: Size, usual: Size, quarter: int = 0) -> PixelMap:

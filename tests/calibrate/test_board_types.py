@@ -11,7 +11,8 @@ from camcal.calibrate.degeneracy import reason_unusable
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.orientation import opposed_views
 from camcal.simulate import render
-from camcal.targets.board import Detection, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection
 from camcal.targets.surface import TIERS, basis
 
 BOARDS = {

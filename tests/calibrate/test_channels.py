@@ -17,7 +17,8 @@ from camcal.errors import InsufficientData
 from camcal.simulate.mosaics import lenses
 from camcal.simulate.render import bow
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 SIZE = (1600, 1200)
 GREEN = Camera(model_named("opencv5"), SIZE, np.array([1200.0, 1205, 805, 590, -0.12, 0.06, 5e-4, -3e-4, 0.01]))
@@ -28,6 +29,11 @@ NOISE_PX = 0.05
 @pytest.fixture(scope="module")
 def poses():
     return views(GREEN, BOARD, 12, rng=np.random.default_rng(1))
+
+
+def fit_red(green, views):
+    """Return the lens of red that shows these views, one for each of the green calibration."""
+    return fit_colour(green, [Detection(view.image, view.size, colours={"red": view}) for view in views], "red")
 
 
 def seen(camera, poses, seed, board=BOARD, **how):
@@ -50,7 +56,7 @@ def test_half_a_pixel_of_aberration_is_recovered_all_over_the_image(poses):
     green = calibrated(poses)
     for colour, sign, seed in (("R", 1, 2), ("B", -1, 3)):
         true = lenses(GREEN, 0.5)[colour]
-        lens = fit_colour(green, seen(true, poses, seed))
+        lens = fit_red(green, seen(true, poses, seed))
         errors = displacement(green.camera, lens.camera) - displacement(GREEN, true)
         assert np.linalg.norm(errors, axis=1).max() < 0.02  # px; 4σ of a scale and a shift from 1296 coordinates
         found = aberration(green.camera, lens)
@@ -62,14 +68,14 @@ def test_half_a_pixel_of_aberration_is_recovered_all_over_the_image(poses):
 
 def test_an_aberration_that_grows_with_the_cube_of_the_radius_takes_more_terms(poses):
     true = replace(GREEN, parameters=GREEN.parameters + 2e-3 * (np.arange(9) == 4))
-    lens = fit_colour(calibrated(poses, noise_px=0.01), seen(true, poses, 2, noise_px=0.01))
+    lens = fit_red(calibrated(poses, noise_px=0.01), seen(true, poses, 2, noise_px=0.01))
     assert lens.terms == ("fx", "fy", "cx", "cy", "k1", "p1", "p2")
     assert lens.camera.value("k1") - GREEN.value("k1") == pytest.approx(2e-3, abs=2e-4)
 
 
 def test_no_aberration_is_found_where_there_is_none(poses):
     green = calibrated(poses)
-    found = aberration(green.camera, fit_colour(green, seen(GREEN, poses, 2)))
+    found = aberration(green.camera, fit_red(green, seen(GREEN, poses, 2)))
     assert abs(found.corner_px) < 4 * found.corner_std_px
     assert found.largest_px < 0.02
 
@@ -82,7 +88,7 @@ def test_the_uncertainty_of_the_difference_is_the_true_one(poses):
     squared = []
     for seed in range(30):
         green = calibrate(seen(GREEN, poses[:6], 2 * seed), BOARD, flat)
-        lens = fit_colour(green, seen(true, poses[:6], 2 * seed + 1, noise_px=2 * NOISE_PX))
+        lens = fit_red(green, seen(true, poses[:6], 2 * seed + 1, noise_px=2 * NOISE_PX))
         part = slice(0, 4)
         error = (lens.camera.parameters - green.camera.parameters - (true.parameters - GREEN.parameters))[part]
         squared.append(error @ np.linalg.solve(lens.difference_covariance[part, part], error))
@@ -91,7 +97,7 @@ def test_the_uncertainty_of_the_difference_is_the_true_one(poses):
 
 def test_a_noisy_colour_knows_its_lens_worse_than_green(poses):
     green = calibrated(poses)
-    lens = fit_colour(green, seen(lenses(GREEN, 0.5)["B"], poses, 2, noise_px=4 * NOISE_PX))
+    lens = fit_red(green, seen(lenses(GREEN, 0.5)["B"], poses, 2, noise_px=4 * NOISE_PX))
     assert lens.camera.std("fx") > green.camera.std("fx")
     assert np.linalg.eigvalsh(lens.difference_covariance).min() > -1e-12  # rounding
 
@@ -99,7 +105,7 @@ def test_a_noisy_colour_knows_its_lens_worse_than_green(poses):
 def test_wrong_corners_of_a_colour_are_rejected(poses):
     true = lenses(GREEN, 0.5)["R"]
     green = calibrated(poses)
-    lens = fit_colour(green, seen(true, poses, 2, outliers=0.05))
+    lens = fit_red(green, seen(true, poses, 2, outliers=0.05))
     assert 0.02 * 648 < lens.rejected < 0.09 * 648
     errors = displacement(green.camera, lens.camera) - displacement(GREEN, true)
     assert np.linalg.norm(errors, axis=1).max() < 0.02
@@ -135,8 +141,8 @@ def test_the_bend_of_the_board_and_missing_corners_do_not_matter(poses):
         replace(view, ids=view.ids[:: 1 + index % 2], pixels=view.pixels[:: 1 + index % 2])
         for index, view in enumerate(seen(true, poses, 2, shape=shape))
     ]
-    colour[3] = Detection.nothing(colour[3].image, SIZE, "too dark in red")
-    errors = displacement(green.camera, fit_colour(green, colour).camera) - displacement(GREEN, true)
+    colour[3] = Detection(colour[3].image, SIZE, reason="too dark in red")
+    errors = displacement(green.camera, fit_red(green, colour).camera) - displacement(GREEN, true)
     assert np.linalg.norm(errors, axis=1).max() < 0.025  # px; fewer corners
 
 
@@ -151,7 +157,7 @@ def test_views_of_a_symmetric_board_are_numbered_as_green_numbered_them(poses):
     poses = views(GREEN, board, 12, rng=np.random.default_rng(4))
     green = calibrate(numbered(seen(GREEN, poses, 1, board, shape=shape)), board, Options(model_named("opencv5")))
     true = lenses(GREEN, 0.5)["R"]
-    lens = fit_colour(green, numbered(seen(true, poses, 2, board, shape=shape)))
+    lens = fit_red(green, numbered(seen(true, poses, 2, board, shape=shape)))
     assert any(view.turned for view in green.views)
     errors = displacement(green.camera, lens.camera) - displacement(GREEN, true)
     assert np.linalg.norm(errors, axis=1).max() < 0.02
@@ -159,7 +165,7 @@ def test_views_of_a_symmetric_board_are_numbered_as_green_numbered_them(poses):
 
 def test_parameters_that_green_held_stay_held(poses):
     green = calibrate(seen(GREEN, poses, 1), BOARD, Options(model_named("opencv5"), fixed=("k3", "p1")))
-    lens = fit_colour(green, seen(lenses(GREEN, 2.0)["R"], poses, 2))
+    lens = fit_red(green, seen(lenses(GREEN, 2.0)["R"], poses, 2))
     assert lens.camera.fixed == green.camera.fixed
     assert (lens.camera.value("k3"), lens.camera.value("p1")) == (0, 0)
 
@@ -169,12 +175,12 @@ def test_a_rational_lens_and_a_fisheye_have_channels_too(poses):
     true = lenses(GREEN, 0.5)["R"]
     for model in ("opencv8", "kannala_brandt4"):
         green = calibrated(poses, model=model, noise_px=0.02)
-        lens = fit_colour(green, seen(true, poses, 2, noise_px=0.02))
+        lens = fit_red(green, seen(true, poses, 2, noise_px=0.02))
         assert aberration(green.camera, lens).corner_px == pytest.approx(0.5, abs=0.02)
 
 
 def test_too_few_corners_of_a_colour_are_refused_with_how_many_it_takes(poses):
     green = calibrated(poses)
-    nothing = [Detection.nothing(view.image, SIZE, "dark") for view in green.views]
+    nothing = [Detection(view.image, SIZE, reason="dark") for view in green.views]
     with pytest.raises(InsufficientData, match="only 0 corners of a colour are clear; 45 at least"):
-        fit_colour(green, nothing)
+        fit_red(green, nothing)

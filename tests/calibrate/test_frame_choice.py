@@ -17,7 +17,6 @@ from camcal.calibrate.frames import (
     MOVING,
     SAME,
     SURPLUS,
-    FrameLooks,
     choose_frames,
     lens_information,
 )
@@ -42,7 +41,7 @@ def film(stops, seed=0, lingering=1):
 
 def looks_of(poses, seed=1, blur=1.0, motion=2.0, board=BOARD):
     seen, _ = observe(CAMERA, board, poses, rng=np.random.default_rng(seed), noise_px=NOISE)
-    return FrameLooks(seen.views, np.full(len(poses), blur), np.full(len(poses), motion))
+    return [replace(view, blur_px=blur, motion_px=motion) for view in seen.views]
 
 
 def chosen(choices):
@@ -115,9 +114,11 @@ def test_more_frames_are_chosen_from_a_slow_film_than_stand_far_apart():
 
 def test_blurred_and_fast_frames_are_left_out_and_told_apart():
     looks = looks_of(film(5))
-    blur, motion = looks.blur.copy(), looks.motion.copy()
-    blur[3], motion[5], blur[6], motion[6], motion[7] = 9.0, 80.0, np.nan, np.nan, np.inf
-    choices = choose_frames(FrameLooks(looks.views, blur, motion), BOARD, 500)
+    looks[3] = replace(looks[3], blur_px=9.0)
+    looks[5] = replace(looks[5], motion_px=80.0)
+    looks[6] = replace(looks[6], blur_px=np.nan, motion_px=np.nan)
+    looks[7] = replace(looks[7], motion_px=np.inf)
+    choices = choose_frames(looks, BOARD, 500)
     assert [choices[index].why for index in (3, 5, 7)] == [BLURRED, MOVING, MOVING]
     assert not choices[3].chosen
     assert choices[3].error_px > 5 * choices[0].error_px
@@ -127,15 +128,14 @@ def test_blurred_and_fast_frames_are_left_out_and_told_apart():
 
 def test_pictures_that_were_taken_one_by_one_are_chosen_for_what_they_tell():
     looks = looks_of(film(6))
-    one_by_one = FrameLooks(looks.views, looks.blur, np.full(len(looks.views), np.inf))
-    still = FrameLooks(looks.views, looks.blur, np.zeros(len(looks.views)))
+    one_by_one, still = ([replace(look, motion_px=motion) for look in looks] for motion in (np.inf, 0.0))
     assert choose_frames(one_by_one, BOARD, 8) == choose_frames(still, BOARD, 8)
 
 
 def test_the_sharper_one_of_two_frames_of_one_view_is_chosen():
     pose = film(3)[0]
-    looks = looks_of([pose] * 2)
-    choices = choose_frames(FrameLooks(looks.views, np.array([2.0, 1.0]), np.zeros(2)), BOARD, 2)
+    looks = looks_of([pose] * 2, motion=0.0)
+    choices = choose_frames([replace(looks[0], blur_px=2.0), looks[1]], BOARD, 2)
     assert [choice.why for choice in choices] == [SAME, CHOSEN]
     assert choices[0].like == 1
 
@@ -144,14 +144,14 @@ def test_a_view_numbered_from_the_other_end_is_the_same_view():
     board = Board("chessboard", 10, 8, 0.02)
     pose = views(CAMERA, board, 1, rng=np.random.default_rng(0))[0]
     looks = looks_of([pose] * 2, board=board)
-    both = (looks.views[0], replace(looks.views[1], ids=board.symmetries()[1][looks.views[1].ids]))
+    both = [looks[0], looks[1].renumbered(board.symmetries()[1])]
     assert not np.allclose(both[0].pixels[0], both[1].pixels[both[1].ids == 0])
-    choices = choose_frames(replace(looks, views=both), board, 2)
+    choices = choose_frames(both, board, 2)
     assert sorted(choice.why for choice in choices) == [SAME, CHOSEN]
 
 
 def test_twice_the_error_is_a_quarter_of_the_information():
-    seen = looks_of(film(3)[:4]).views
+    seen = looks_of(film(3)[:4])
     once, twice = (lens_information(seen, BOARD, np.full(4, error)) for error in (0.1, 0.2))
     np.testing.assert_allclose(once, 4 * twice, rtol=1e-12)  # the same sums
     eigenvalues = np.linalg.eigvalsh(once)
@@ -159,7 +159,7 @@ def test_twice_the_error_is_a_quarter_of_the_information():
 
 
 def test_one_view_alone_says_less_than_two_together_that_differ():
-    seen = looks_of([film(6)[0], film(6)[40]]).views
+    seen = looks_of([film(6)[0], film(6)[40]])
     information = lens_information(seen, BOARD, np.full(2, NOISE))
     gains = [np.linalg.slogdet(np.eye(8) + each)[1] for each in (*information, information.sum(axis=0))]
     assert gains[2] > max(gains[:2]) + 1.0

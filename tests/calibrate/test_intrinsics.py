@@ -20,7 +20,8 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.scene import observe
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import factorise
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 
 def sigmas(calibration, truth):
@@ -175,7 +176,7 @@ def test_fewer_than_three_views_are_refused(scene):
     with pytest.raises(InsufficientData, match="2 usable views of 2"):
         calibrate(scene.observe(0)[:2], scene.board, Options(scene.camera.model))
     with pytest.raises(InsufficientData, match="0 usable views"):
-        calibrate([Detection.nothing("a.png", (640, 480), "no board found")], scene.board, Options(scene.camera.model))
+        calibrate([Detection("a.png", (640, 480), reason="no board found")], scene.board, Options(scene.camera.model))
 
 
 def test_one_image_repeated_is_refused(scene):

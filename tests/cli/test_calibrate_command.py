@@ -16,7 +16,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import bow
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 
 BOARD = Board("chessboard", 9, 6, 0.040)
 CAMERA = Camera(

@@ -10,7 +10,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import detections
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 
 BOARD = Board("chessboard", 9, 6, 0.040)
 

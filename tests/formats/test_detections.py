@@ -11,7 +11,8 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import detections
 from camcal.formats.detections import read_csv
-from camcal.targets.board import Detection, Detections, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection, Detections
 
 BOARD = parse_board("chessboard:4x3:25mm")
 GOOD = """# camcal-detections 1 board=chessboard:4x3:25mm
@@ -70,7 +71,7 @@ found_views = st.builds(
 )
 empty_views = st.builds(
     lambda image, camera, reason, orientation: replace(
-        Detection.nothing(image, (640, 480), " ".join(reason.split()) or "none"), camera=camera, orientation=orientation
+        Detection(image, (640, 480), reason=" ".join(reason.split()) or "none"), camera=camera, orientation=orientation
     ),
     names,
     st.sampled_from(["", "left"]),

@@ -5,7 +5,8 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.formats import detections
-from camcal.targets.board import Detection, Detections, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection, Detections
 
 BOARD = parse_board("chessboard:3x2:50mm")
 SIZE = (800, 600)
@@ -73,7 +74,7 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
     variances = 0.01 * np.array([1.0, 4.0, 16.0])
     covariance = variances[:, None, None] * np.eye(2)
     view = Detection("a.jpg", SIZE, ids, rng.uniform(0, 599, (3, 2)), covariance)
-    written = Detections(BOARD, (view, Detection.nothing("b.jpg", SIZE, "no board")))
+    written = Detections(BOARD, (view, Detection("b.jpg", SIZE, reason="no board")))
     detections.write(tmp_path / "corners.vnl", written)
     found = detections.read(tmp_path / "corners.vnl", BOARD, SIZE).views
     np.testing.assert_array_equal(found[0].ids, ids)

@@ -13,7 +13,8 @@ from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences
 from camcal.images.load import gray_8bit, load
 from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
-from camcal.targets.board import Detection, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection
 
 BOARD = parse_board("aprilgrid:6x6:88mm:0.3")
 BASELINE = {  # tags that OpenCV's ArUco detector reads with the border set to two cells

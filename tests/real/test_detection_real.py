@@ -39,9 +39,9 @@ TRINOCULAR = "multicam/boofcv-trinocular"
 )
 def test_boards_that_single_detectors_miss_are_found_whole(real_data, image, board):
     wanted = parse_board(board)
-    sighting = find_chessboard(gray_8bit(load(real_data / image).pixels), wanted)
-    assert sighting.reason is None
-    assert len(sighting.ids) == wanted.count
+    detection = find_chessboard(gray_8bit(load(real_data / image).pixels), wanted)
+    assert detection.reason is None
+    assert len(detection.ids) == wanted.count
 
 
 @pytest.mark.parametrize(
@@ -110,8 +110,8 @@ def test_the_grid_of_circles_that_images_show_is_proposed(real_data, asked):
 
 def test_a_partly_hidden_charuco_board_is_used(real_data):
     image = real_data / "charuco" / "opencv-tutorial" / "chocclusion_original.jpg"
-    sighting = detect(gray_8bit(load(image).pixels), parse_board("charuco:5x7:40mm:20mm:DICT_6X6_250"))
-    assert 18 <= len(sighting.ids) < 24  # cv2.aruco.CharucoDetector: 16
+    detection = detect(gray_8bit(load(image).pixels), parse_board("charuco:5x7:40mm:20mm:DICT_6X6_250"))
+    assert 18 <= len(detection.ids) < 24  # cv2.aruco.CharucoDetector: 16
 
 
 @pytest.mark.parametrize(
@@ -154,9 +154,9 @@ def test_rows_of_a_board_that_looks_the_same_turned_run_alike_in_all_views(real_
 def test_a_board_that_leaves_the_image_is_numbered_by_the_sides_in_sight(real_data):
     for name, first in (("left24", 1), ("left27", 13)):  # its first column, its first row is outside
         gray = gray_8bit(load(real_data / TRINOCULAR / "left" / f"{name}.jpg").pixels)
-        sighting = find_chessboard(gray, parse_board("chessboard:13x9"), partial=True)
-        assert sighting.ids[0] == first
-        assert len(sighting.ids) in (104, 108)
+        detection = find_chessboard(gray, parse_board("chessboard:13x9"), partial=True)
+        assert detection.ids[0] == first
+        assert len(detection.ids) in (104, 108)
 
 
 def test_a_picture_of_the_board_on_a_screen_is_not_the_board(real_data):
@@ -186,6 +186,6 @@ def test_corners_lead_to_a_smaller_reprojection_error_than_those_of_opencv(real_
     wanted = parse_board(board)
     grays = [gray_8bit(load(path).pixels) for path in find_images([real_data / images])]
     sightings = [detect(gray, wanted) for gray in grays]
-    pixels = [sighting.pixels.astype(np.float32)[:, None] for sighting in sightings]
-    points = [wanted.points().astype(np.float32)[sighting.ids] for sighting in sightings]
+    pixels = [detection.pixels.astype(np.float32)[:, None] for detection in sightings]
+    points = [wanted.points().astype(np.float32)[detection.ids] for detection in sightings]
     assert cv2.calibrateCamera(points, pixels, grays[0].shape[::-1], None, None)[0] < limit

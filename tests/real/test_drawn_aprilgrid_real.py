@@ -31,11 +31,11 @@ def test_every_cell_of_the_drawing_is_as_dark_or_bright_as_in_the_photograph(rea
     (tmp_path / "target.yaml").write_text(TARGET)
     board = load_board(str(tmp_path / "target.yaml"))
     gray = gray_8bit(load(real_data / "aprilgrid" / "tumvi-1024" / f"{name}.png").pixels)
-    sighting = detect(gray, board)
-    assert len(sighting.ids) > 0.9 * board.count
+    detection = detect(gray, board)
+    assert len(detection.ids) > 0.9 * board.count
 
-    rays = camera.unproject(sighting.pixels).directions
-    found, turn, shift = cv2.solvePnP(board.points()[sighting.ids], rays[:, :2] / rays[:, 2:], np.eye(3), None)
+    rays = camera.unproject(detection.pixels).directions
+    found, turn, shift = cv2.solvePnP(board.points()[detection.ids], rays[:, :2] / rays[:, 2:], np.eye(3), None)
     assert found
     pattern = pattern_of(board)
     x, y = (np.convolve(lines[1:-1], [0.5, 0.5], "valid") for lines in (pattern.x, pattern.y))

@@ -17,9 +17,7 @@ def test_a_film_of_a_moving_camera_gives_the_published_lens(real_data, tmp_path)
     camera = report.calibration.camera
     assert sum(record.taken for record in report.frames) == 20
     # the board is moved quickly in the beginning and hardly at all later; 19 to 33 were filmed on the way
-    quick = [
-        int(record.look.view.image[-6:]) for record in report.frames if record.choice and record.choice.why == MOVING
-    ]
+    quick = [int(record.view.image[-6:]) for record in report.frames if record.choice and record.choice.why == MOVING]
     assert set(range(20, 25, 2)) <= set(quick)
     assert max(quick) < 125
     focal = np.array([camera.value("fx"), camera.value("fy")])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.report.overlays import MOST_WIDTH, Canvas, corner_overlay
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 
 GREEN, YELLOW = (80, 255, 80), (0, 235, 255)  # blue, green, red
 
@@ -101,9 +101,8 @@ def test_ids_are_written_where_there_is_room():
 
 
 def test_an_image_without_the_board_has_the_reason_in_large_letters():
-    nothing = Detection.nothing(
-        "a.png", (1000, 800), "only 3 x 2 of 6 x 5 corners in sight, which is not enough for it"
-    )
+    reason = "only 3 x 2 of 6 x 5 corners in sight, which is not enough for it"
+    nothing = Detection("a.png", (1000, 800), reason=reason)
     picture = corner_overlay(gray(), nothing)
     red = of_colour(picture[:800], (70, 70, 255))
     assert len(red) > 2000

@@ -39,55 +39,55 @@ def plain():
     return picture()
 
 
-def errors(sighting, truth):
-    return sighting.pixels - truth[sighting.ids]
+def errors(detection, truth):
+    return detection.pixels - truth[detection.ids]
 
 
 def test_all_corners_are_found_in_the_order_of_their_ids(plain):
     image, truth = plain
-    sighting = find_aprilgrid(image, BOARD)
-    assert sighting.ids.tolist() == list(range(48))
-    assert np.abs(errors(sighting, truth)).max() < MEASURED
+    detection = find_aprilgrid(image, BOARD)
+    assert detection.ids.tolist() == list(range(48))
+    assert np.abs(errors(detection, truth)).max() < MEASURED
 
 
 def test_the_covariance_is_that_of_the_errors():
     squares = []
     for seed in range(4):
         image, truth = picture(seed=seed, pose=placed(BOARD, CAMERA, 60, turn=(0.4 * np.cos(seed), 0.3, seed)))
-        sighting = find_aprilgrid(image, BOARD)
-        error = errors(sighting, truth)
-        squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(sighting.covariance), error))
+        detection = find_aprilgrid(image, BOARD)
+        error = errors(detection, truth)
+        squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(detection.covariance), error))
     assert 0.75 < np.mean(squares) / 2 < 1.3  # of 192 corners: a standard deviation is 0.07
 
 
 def test_a_board_turned_upside_down_keeps_its_ids():
     image, truth = picture(pose=placed(BOARD, CAMERA, 60, turn=(0.2, 0.1, 3.0)))
-    sighting = find_aprilgrid(image, BOARD)
-    assert len(sighting.ids) == 48
-    assert np.abs(errors(sighting, truth)).max() < MEASURED
+    detection = find_aprilgrid(image, BOARD)
+    assert len(detection.ids) == 48
+    assert np.abs(errors(detection, truth)).max() < MEASURED
 
 
 def test_tags_on_the_rim_of_a_fisheye_image_are_found():
     image, truth = picture(camera=FISHEYE, pose=placed(BOARD, FISHEYE, 40, turn=(0.1, 0.2, 0.2), aside=(1.0, 0.3)))
-    sighting = find_aprilgrid(image, BOARD)
-    assert len(sighting.ids) == 48
-    assert np.abs(errors(sighting, truth)).max() < 0.08  # tags are half as large there
+    detection = find_aprilgrid(image, BOARD)
+    assert len(detection.ids) == 48
+    assert np.abs(errors(detection, truth)).max() < 0.08  # tags are half as large there
 
 
 def test_small_blurred_tags_that_cannot_be_read_one_by_one_are_read_together():
     """A cell of a tag is 1.7 pixels wide, the blur 1 pixel."""
     image, truth = picture(pose=placed(BOARD, CAMERA, 22, turn=(0.1, 0.1, 0.2)), blur_px=1.0)
-    sighting = find_aprilgrid(image, BOARD)
-    assert len(sighting.ids) == 48
-    assert np.abs(errors(sighting, truth)).max() < 0.1  # tags of 17 px have a third of the edges
+    detection = find_aprilgrid(image, BOARD)
+    assert len(detection.ids) == 48
+    assert np.abs(errors(detection, truth)).max() < 0.1  # tags of 17 px have a third of the edges
 
 
 def test_a_blur_that_brings_the_next_edges_in_moves_no_corner():
     """The gaps are 9 pixels wide, the blur 2 pixels."""
     image, truth = picture(pose=placed(BOARD, CAMERA, 40, turn=(0.1, 0.1, 0.2)), blur_px=2.0)
-    sighting = find_aprilgrid(image, BOARD)
-    assert len(sighting.ids) == 48
-    assert np.sqrt((errors(sighting, truth) ** 2).mean()) < 0.03  # 0.013 measured; with straight edges alone 0.2
+    detection = find_aprilgrid(image, BOARD)
+    assert len(detection.ids) == 48
+    assert np.sqrt((errors(detection, truth) ** 2).mean()) < 0.03  # 0.013 measured; with straight edges alone 0.2
 
 
 def test_hidden_corners_are_left_out_and_the_others_keep_their_ids(plain):
@@ -95,19 +95,19 @@ def test_hidden_corners_are_left_out_and_the_others_keep_their_ids(plain):
     hidden = image.copy()
     u, v = truth[20:24].mean(axis=0).astype(int)
     hidden[v - 28 : v + 28, u - 28 : u + 28] = 120  # tag 5
-    sighting = find_aprilgrid(hidden, BOARD)
-    assert not set(sighting.ids) & {20, 21, 22, 23}
-    assert len(sighting.ids) >= 36
-    assert np.abs(errors(sighting, truth)).max() < 0.1  # the patch cuts into some windows
+    detection = find_aprilgrid(hidden, BOARD)
+    assert not set(detection.ids) & {20, 21, 22, 23}
+    assert len(detection.ids) >= 36
+    assert np.abs(errors(detection, truth)).max() < 0.1  # the patch cuts into some windows
 
 
 def test_a_board_that_is_partly_outside_the_image_is_found():
     image, truth = picture(pose=placed(BOARD, CAMERA, 90, aside=(0.6, 0.2)))
     inside = ((truth > 12) & (truth < np.array(SIZE) - 13)).all(axis=1)
     assert 8 < inside.sum() < 40
-    sighting = find_aprilgrid(image, BOARD)
-    assert set(np.flatnonzero(inside)) <= set(sighting.ids)
-    assert np.abs(errors(sighting, truth)).max() < 0.1  # the image's rim cuts into some windows
+    detection = find_aprilgrid(image, BOARD)
+    assert set(np.flatnonzero(inside)) <= set(detection.ids)
+    assert np.abs(errors(detection, truth)).max() < 0.1  # the image's rim cuts into some windows
 
 
 def test_corners_of_a_board_cut_along_its_tags_are_no_crossings(plain):
@@ -116,10 +116,10 @@ def test_corners_of_a_board_cut_along_its_tags_are_no_crossings(plain):
     outer = np.concatenate([truth[2::4][8:], truth[3::4][8:]])  # upper corners of the upper row
     line = np.polyfit(outer[:, 0], outer[:, 1], 1)
     cut[np.arange(SIZE[1])[:, None] < np.polyval(line, np.arange(SIZE[0]))] = 200
-    sighting = find_aprilgrid(cut, BOARD)
+    detection = find_aprilgrid(cut, BOARD)
     upper = {4 * tag + corner for tag in range(8, 12) for corner in (2, 3)}
-    assert not set(sighting.ids) & upper
-    assert len(sighting.ids) == 40
+    assert not set(detection.ids) & upper
+    assert len(detection.ids) == 40
 
 
 def test_a_board_with_other_ids_says_what_is_in_sight(plain):
@@ -142,17 +142,17 @@ def test_a_mirrored_image_is_called_by_its_name(plain):
 def test_images_without_tags_hold_no_board():
     noise = np.random.default_rng(3).integers(0, 256, (240, 320)).astype(np.uint8)
     for image in (noise, np.full((240, 320), 128, np.uint8), np.zeros((40, 33), np.uint8)):
-        sighting = find_aprilgrid(image, BOARD)
-        assert not sighting.found
-        assert sighting.reason == "no tag of tag36h11 with a black border of 2 cells found"
+        detection = find_aprilgrid(image, BOARD)
+        assert not detection.found
+        assert detection.reason == "no tag of tag36h11 with a black border of 2 cells found"
 
 
 def test_one_tag_is_a_board():
     board = parse_board("aprilgrid:1x1:60mm:0.3")
     image, truth = picture(board, pose=placed(board, CAMERA, 120))
-    sighting = find_aprilgrid(image, board)
-    assert sighting.ids.tolist() == [0, 1, 2, 3]
-    assert np.abs(errors(sighting, truth)).max() < MEASURED
+    detection = find_aprilgrid(image, board)
+    assert detection.ids.tolist() == [0, 1, 2, 3]
+    assert np.abs(errors(detection, truth)).max() < MEASURED
 
 
 def test_the_same_image_gives_the_same_corners(plain):

@@ -37,9 +37,9 @@ def test_corners_have_no_bias(board):
     errors = []
     for seed in range(6):
         image, truth = view(board, seed, roll_deg=10.0 * seed)
-        sighting = detect(image, board)
-        assert len(sighting.ids) == board.count
-        errors.append(sighting.pixels - truth[sighting.ids])
+        detection = detect(image, board)
+        assert len(detection.ids) == board.count
+        errors.append(detection.pixels - truth[detection.ids])
     errors = np.concatenate(errors)
     assert np.abs(errors.mean(axis=0)).max() < 0.01
     assert np.sqrt((errors**2).mean()) < 0.05  # noise of 2 gray levels, and markers that leave a narrow margin
@@ -49,9 +49,9 @@ def test_corners_have_no_bias(board):
 @pytest.mark.parametrize("board", [CURRENT, LEGACY, WORDS], ids=["current", "legacy", "6x6"])
 def test_ids_are_the_same_corners_however_the_board_is_turned(board, roll_deg):
     image, truth = view(board, 0, roll_deg)
-    sighting = find_charuco(image, board)
-    assert len(sighting.ids) >= board.count - 1
-    assert np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < 0.3
+    detection = find_charuco(image, board)
+    assert len(detection.ids) >= board.count - 1
+    assert np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < 0.3
 
 
 def test_two_markers_say_where_a_small_part_is():
@@ -59,9 +59,9 @@ def test_two_markers_say_where_a_small_part_is():
     u, v = truth[16].astype(int)
     part = np.full_like(image, 120)
     part[v - 75 : v + 75, u - 75 : u + 75] = image[v - 75 : v + 75, u - 75 : u + 75]
-    sighting = find_charuco(part, CURRENT)
-    assert 4 <= len(sighting.ids) < CURRENT.count
-    assert np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < 0.3
+    detection = find_charuco(part, CURRENT)
+    assert 4 <= len(detection.ids) < CURRENT.count
+    assert np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < 0.3
 
 
 def test_a_hand_across_the_board_leaves_the_corners_on_both_sides():
@@ -69,16 +69,16 @@ def test_a_hand_across_the_board_leaves_the_corners_on_both_sides():
     covered = image.copy()
     u = int(truth[:, 0].mean())
     covered[:, u - 25 : u + 25] = 120
-    sighting = find_charuco(covered, CURRENT)
-    assert {0, CURRENT.columns - 1} <= set(sighting.ids)
-    assert np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < 0.3
+    detection = find_charuco(covered, CURRENT)
+    assert {0, CURRENT.columns - 1} <= set(detection.ids)
+    assert np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < 0.3
 
 
 @pytest.mark.parametrize(("drawn", "wanted"), [(CURRENT, LEGACY), (LEGACY, CURRENT)], ids=["current", "legacy"])
 def test_the_other_pattern_is_not_taken_for_the_board(drawn, wanted):
-    sighting = find_charuco(view(drawn)[0], wanted)
-    assert not sighting.found
-    assert sighting.reason.endswith("markers, but not where this board has them")
+    detection = find_charuco(view(drawn)[0], wanted)
+    assert not detection.found
+    assert detection.reason.endswith("markers, but not where this board has them")
 
 
 def test_a_board_of_unknown_pattern_is_found_in_both():

@@ -15,17 +15,17 @@ WRONG_PX = 1.0  # before corners are measured; the next one is 5 px away at leas
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in ("16 MP", "no board")])
 def test_boards_are_found_and_no_corner_is_wrong(name):
     (image, truth), *_ = photographs(SCENES[name], BOARD, 1, seed=3)
-    sighting = find_chessboard(image, BOARD)
-    assert len(sighting.ids) >= LIMITS.get(name, 0.95) * BOARD.count, sighting.reason
-    away = np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1)
+    detection = find_chessboard(image, BOARD)
+    assert len(detection.ids) >= LIMITS.get(name, 0.95) * BOARD.count, detection.reason
+    away = np.linalg.norm(detection.pixels - truth[detection.ids], axis=1)
     assert away.max() < WRONG_PX
 
 
 def test_a_room_without_a_board_has_none():
     for image, _ in photographs(SCENES["no board"], BOARD, 2):
         for size in ("9x6", "3x3"):
-            sighting = find_chessboard(image, parse_board(f"chessboard:{size}"), partial=True)
-            assert not sighting.found
+            detection = find_chessboard(image, parse_board(f"chessboard:{size}"), partial=True)
+            assert not detection.found
 
 
 def test_a_picture_of_a_board_on_a_screen_is_not_taken_for_the_board_before_it():
@@ -34,5 +34,5 @@ def test_a_picture_of_a_board_on_a_screen_is_not_taken_for_the_board_before_it()
     before = low.sum() > (np.array(image.shape[::-1]) - high).sum()
     free = np.s_[:128, :160] if before else np.s_[-128:, -160:]  # the corner of the image farther from the board
     image[free] = image[::8, ::8]
-    sighting = find_chessboard(image, BOARD)
-    assert np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < WRONG_PX
+    detection = find_chessboard(image, BOARD)
+    assert np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < WRONG_PX

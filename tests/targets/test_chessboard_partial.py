@@ -39,31 +39,31 @@ def cut(board, left=0.0, top=0.0, right=0.0, bottom=0.0, roll_deg=12.0):
     return np.ascontiguousarray(image[y0:y1, x0:x1]), truth - (x0, y0)
 
 
-def assert_true(sighting, truth):
-    assert sighting.found, sighting.reason
-    assert np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < CLOSE
+def assert_true(detection, truth):
+    assert detection.found, detection.reason
+    assert np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < CLOSE
 
 
 @pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
 def test_three_sides_of_a_board_say_which_part_of_it_is_seen(side):
     image, truth = cut(ODD, **{side: 0.3})
     assert find_chessboard(image, ODD).reason.startswith(("board partly outside", "only"))
-    sighting = find_chessboard(image, ODD, partial=True)
-    assert_true(sighting, truth)
-    assert ODD.count * 0.4 < len(sighting.ids) < ODD.count
+    detection = find_chessboard(image, ODD, partial=True)
+    assert_true(detection, truth)
+    assert ODD.count * 0.4 < len(detection.ids) < ODD.count
 
 
 def test_a_corner_of_a_board_with_a_light_and_a_dark_end_is_enough():
     image, truth = cut(ODD, right=0.35, bottom=0.3)
-    sighting = find_chessboard(image, ODD, partial=True)
-    assert not sighting.found or np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < CLOSE
+    detection = find_chessboard(image, ODD, partial=True)
+    assert not detection.found or np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < CLOSE
 
 
 def test_the_middle_of_a_board_is_refused():
     image, _ = cut(ODD, left=0.25, right=0.25, top=0.2, bottom=0.2)
-    sighting = find_chessboard(image, ODD, partial=True)
-    assert not sighting.found
-    assert sighting.reason.endswith("which part of the board is not to be seen")
+    detection = find_chessboard(image, ODD, partial=True)
+    assert not detection.found
+    assert detection.reason.endswith("which part of the board is not to be seen")
 
 
 def test_a_part_without_a_side_of_the_board_is_numbered_by_its_dots():
@@ -79,9 +79,9 @@ def test_a_part_that_shows_neither_dots_nor_sides_is_refused():
 @pytest.mark.parametrize("roll_deg", [0.0, 90.0, 170.0, -80.0])
 def test_dots_number_a_whole_board_however_it_is_turned(roll_deg):
     image, truth = view(DOTTED, roll_deg)
-    sighting = find_chessboard(image, DOTTED)
-    assert len(sighting.ids) == DOTTED.count
-    assert_true(sighting, truth)
+    detection = find_chessboard(image, DOTTED)
+    assert len(detection.ids) == DOTTED.count
+    assert_true(detection, truth)
 
 
 def test_a_board_without_the_dots_it_should_have_is_not_numbered():
@@ -91,8 +91,8 @@ def test_a_board_without_the_dots_it_should_have_is_not_numbered():
 
 def test_a_part_of_a_board_that_looks_the_same_turned_is_numbered_as_the_whole():
     image, truth = cut(EVEN, right=0.3)
-    sighting = find_chessboard(image, EVEN, partial=True)
-    assert_true(sighting, truth)  # its rows run to the right
+    detection = find_chessboard(image, EVEN, partial=True)
+    assert_true(detection, truth)  # its rows run to the right
 
 
 def test_a_hand_over_the_rows_at_one_end_is_not_the_end_of_the_board():
@@ -101,5 +101,5 @@ def test_a_hand_over_the_rows_at_one_end_is_not_the_end_of_the_board():
     rows = truth.reshape(ODD.rows, ODD.columns, 2)
     last = rows[-2, :, 1].min() - 8
     covered[int(last) :] = 140
-    sighting = find_chessboard(covered, ODD, partial=True)
-    assert not sighting.found or np.linalg.norm(sighting.pixels - truth[sighting.ids], axis=1).max() < CLOSE
+    detection = find_chessboard(covered, ODD, partial=True)
+    assert not detection.found or np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < CLOSE

@@ -47,29 +47,29 @@ def view(board, tilt_deg=45, roll_deg=7.0, spacing_px=42, k1=0.0, exposure=Expos
     return gray, lens.project(pose.apply(board.points())).pixels
 
 
-def errors(sighting, truth):
-    return sighting.pixels - truth[sighting.ids]
+def errors(detection, truth):
+    return detection.pixels - truth[detection.ids]
 
 
-def normalised(sighting, truth):
-    away = errors(sighting, truth)
-    return np.einsum("ni,nij,nj->n", away, np.linalg.inv(sighting.covariance), away).mean() / 2
+def normalised(detection, truth):
+    away = errors(detection, truth)
+    return np.einsum("ni,nij,nj->n", away, np.linalg.inv(detection.covariance), away).mean() / 2
 
 
 @pytest.mark.parametrize("board", [PLAIN, STAGGERED], ids=["plain", "asymmetric"])
 @pytest.mark.parametrize("k1", [0.0, -0.25], ids=["pinhole", "barrel"])
 def test_centres_at_45_degrees_are_those_of_the_discs(board, k1):
     gray, truth = view(board, k1=k1, spacing_px=42 if board is PLAIN else 34)
-    sighting = find_circles(gray, board)
-    assert len(sighting.ids) == board.count
-    assert np.abs(errors(sighting, truth)).max() < MEASURED
-    assert 0.5 < normalised(sighting, truth) < 1.6  # chi² of 42 to 70 values over their number, to 3 σ
+    detection = find_circles(gray, board)
+    assert len(detection.ids) == board.count
+    assert np.abs(errors(detection, truth)).max() < MEASURED
+    assert 0.5 < normalised(detection, truth) < 1.6  # chi² of 42 to 70 values over their number, to 3 σ
 
 
 def test_a_diameter_that_is_not_told_is_found_in_the_image():
     gray, truth = view(PLAIN)
-    sighting = find_circles(gray, replace(PLAIN, diameter=None))
-    assert np.abs(errors(sighting, truth)).max() < MEASURED
+    detection = find_circles(gray, replace(PLAIN, diameter=None))
+    assert np.abs(errors(detection, truth)).max() < MEASURED
 
 
 def test_gamma_moves_no_centre():
@@ -80,9 +80,9 @@ def test_gamma_moves_no_centre():
 def test_dots_whose_blur_reaches_the_next_are_told_apart():
     """The rims are 5 px apart along the tilt, 3.3 standard deviations of the blur."""
     gray, truth = view(PLAIN, spacing_px=18, exposure=Exposure(blur_px=1.5))
-    sighting = find_circles(gray, PLAIN)
-    assert np.sqrt((errors(sighting, truth) ** 2).mean()) < MEASURED
-    assert 0.5 < normalised(sighting, truth) < 1.6  # of 70 values, as above
+    detection = find_circles(gray, PLAIN)
+    assert np.sqrt((errors(detection, truth) ** 2).mean()) < MEASURED
+    assert 0.5 < normalised(detection, truth) < 1.6  # of 70 values, as above
 
 
 @pytest.mark.parametrize("roll_deg", [-170, -100, -35, 80, 160])
@@ -130,23 +130,23 @@ def test_covered_dots_are_left_out_and_the_others_stay():
     covered = gray.copy()
     for place in (9, 17):
         cv2.circle(covered, np.rint(truth[place]).astype(int).tolist(), 14, 120, -1)
-    sighting = find_circles(covered, PLAIN)
-    assert set(range(35)) - set(sighting.ids.tolist()) == {9, 17}
-    assert np.abs(errors(sighting, truth)).max() < MEASURED
+    detection = find_circles(covered, PLAIN)
+    assert set(range(35)) - set(detection.ids.tolist()) == {9, 17}
+    assert np.abs(errors(detection, truth)).max() < MEASURED
 
 
 def test_a_board_in_the_dark_is_found():
     gray, truth = view(PLAIN, exposure=Exposure(black=0.02, white=0.07, background=0.03, noise_dn=1))
-    sighting = find_circles(gray, PLAIN)
-    assert len(sighting.ids) == PLAIN.count
-    assert np.abs(errors(sighting, truth)).max() < 0.15  # a contrast of 13 gray levels, 1/14 of the usual
+    detection = find_circles(gray, PLAIN)
+    assert len(detection.ids) == PLAIN.count
+    assert np.abs(errors(detection, truth)).max() < 0.15  # a contrast of 13 gray levels, 1/14 of the usual
 
 
 def test_a_board_at_75_degrees_is_found():
     gray, truth = view(PLAIN, 75, spacing_px=55)
-    sighting = find_circles(gray, PLAIN)
-    assert len(sighting.ids) == PLAIN.count
-    assert np.abs(errors(sighting, truth)).max() < NUMBERED
+    detection = find_circles(gray, PLAIN)
+    assert len(detection.ids) == PLAIN.count
+    assert np.abs(errors(detection, truth)).max() < NUMBERED
 
 
 def test_another_grid_is_named():
@@ -193,16 +193,16 @@ def test_another_grid_is_named():
 )
 def test_another_grid_is_proposed_as_a_board(drawn, asked, proposed, reason, roll_deg):
     gray, _ = view(parse_board(drawn), 30, roll_deg, 30)
-    sighting = find_circles(gray, parse_board(asked))
-    assert (sighting.other, sighting.reason) == (parse_board(proposed), reason)
+    detection = find_circles(gray, parse_board(asked))
+    assert (detection.other, detection.reason) == (parse_board(proposed), reason)
 
 
 def test_a_grid_that_leaves_the_image_is_not_proposed():
     gray, truth = view(PLAIN, 30, 7, 30)
     cut = gray[:, int(truth[:, 0].min()) + 70 :]
-    sighting = find_circles(np.ascontiguousarray(cut), parse_board("circles:8x6"))
-    assert sighting.other is None
-    assert sighting.reason.startswith("board partly outside the image (")
+    detection = find_circles(np.ascontiguousarray(cut), parse_board("circles:8x6"))
+    assert detection.other is None
+    assert detection.reason.startswith("board partly outside the image (")
 
 
 def test_a_grid_with_holes_is_not_proposed():
@@ -210,9 +210,9 @@ def test_a_grid_with_holes_is_not_proposed():
     covered = gray.copy()
     for u, v in truth[[9, 10, 16, 24]].astype(int):
         covered[v - 9 : v + 10, u - 9 : u + 10] = 200
-    sighting = find_circles(covered, parse_board("circles:8x6"))
-    assert sighting.other is None
-    assert sighting.reason.startswith("a part of a grid in sight (")
+    detection = find_circles(covered, parse_board("circles:8x6"))
+    assert detection.other is None
+    assert detection.reason.startswith("a part of a grid in sight (")
 
 
 def test_the_dark_squares_of_a_small_chessboard_are_no_grid_of_circles():
@@ -221,16 +221,16 @@ def test_the_dark_squares_of_a_small_chessboard_are_no_grid_of_circles():
     squares = np.kron(np.where((row + column) % 2, 220, 30), np.ones((10, 10))).astype(np.uint8)
     image = cv2.copyMakeBorder(squares, 80, 80, 105, 105, cv2.BORDER_CONSTANT, value=220)
     image = cv2.GaussianBlur(image, (0, 0), 2.0)
-    sighting = find_circles(image, parse_board("asymmetric_circles:4x11"))
-    assert (sighting.other, sighting.found) == (None, False)
+    detection = find_circles(image, parse_board("asymmetric_circles:4x11"))
+    assert (detection.other, detection.found) == (None, False)
 
 
 def test_images_without_circles_have_a_reason():
     noise = np.random.default_rng(2).integers(0, 256, (240, 320)).astype(np.uint8)
     for gray in (np.full((240, 320), 128, np.uint8), noise):
-        sighting = find_circles(gray, PLAIN)
-        assert not sighting.found
-        assert sighting.reason
+        detection = find_circles(gray, PLAIN)
+        assert not detection.found
+        assert detection.reason
 
 
 def test_half_a_board_is_not_numbered_by_guess():

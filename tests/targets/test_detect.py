@@ -36,16 +36,16 @@ def places(board, homography=TILTED):
     return truth(board, homography)
 
 
-def assert_seen(sighting, pixels, ids=None, atol=EXACT):
-    np.testing.assert_array_equal(sighting.ids, np.arange(len(pixels)) if ids is None else ids)
-    np.testing.assert_allclose(sighting.pixels, pixels[sighting.ids], atol=atol)
+def assert_seen(detection, pixels, ids=None, atol=EXACT):
+    np.testing.assert_array_equal(detection.ids, np.arange(len(pixels)) if ids is None else ids)
+    np.testing.assert_allclose(detection.pixels, pixels[detection.ids], atol=atol)
 
 
 @pytest.mark.parametrize("board", [ODD, EVEN, SQUARE, CHARUCO, LEGACY], ids=lambda board: f"{board.type}{board.rows}")
 def test_every_corner_has_its_id(board):
-    sighting = detect(view(board), board)
-    assert sighting.reason is None
-    assert_seen(sighting, places(board), atol=2 * EXACT)  # noise of 2 gray levels adds 0.01 px
+    detection = detect(view(board), board)
+    assert detection.reason is None
+    assert_seen(detection, places(board), atol=2 * EXACT)  # noise of 2 gray levels adds 0.01 px
 
 
 def turned_back(pixels, turns):
@@ -59,17 +59,17 @@ def turned_back(pixels, turns):
 @pytest.mark.parametrize("turns", [1, 2, 3])
 @pytest.mark.parametrize("board", [ODD, CHARUCO], ids=["chessboard", "charuco"])
 def test_an_id_is_the_same_corner_however_the_camera_is_turned(board, turns):
-    sighting = detect(np.ascontiguousarray(np.rot90(view(board), turns)), board)
-    np.testing.assert_array_equal(sighting.ids, np.arange(board.count))
+    detection = detect(np.ascontiguousarray(np.rot90(view(board), turns)), board)
+    np.testing.assert_array_equal(detection.ids, np.arange(board.count))
     before = detect(view(board), board).pixels
-    np.testing.assert_allclose(turned_back(sighting.pixels, turns), before, atol=EXACT)
+    np.testing.assert_allclose(turned_back(detection.pixels, turns), before, atol=EXACT)
 
 
 @pytest.mark.parametrize("turns", range(4))
 @pytest.mark.parametrize("board", [EVEN, SQUARE], ids=["half a turn", "a quarter turn"])
 def test_rows_of_a_board_that_looks_the_same_turned_run_to_the_right(board, turns):
-    sighting = detect(np.ascontiguousarray(np.rot90(view(board), turns)), board)
-    grid = sighting.pixels.reshape(board.rows, board.columns, 2)
+    detection = detect(np.ascontiguousarray(np.rot90(view(board), turns)), board)
+    grid = detection.pixels.reshape(board.rows, board.columns, 2)
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     assert along[0] * down[1] - along[1] * down[0] > 0  # seen from the front
     if board is SQUARE or turns % 2 == 0:
@@ -92,10 +92,10 @@ def test_a_chessboard_given_transposed_is_the_same_object_numbered_along_the_col
     ],
 )
 def test_a_board_of_another_size_is_not_taken_for_the_stated_one(stated, reason):
-    sighting = detect(view(ODD), Board("chessboard", *stated))
-    assert not sighting.found
-    assert sighting.reason == reason
-    assert sighting.other == Board("chessboard", 6, 5)
+    detection = detect(view(ODD), Board("chessboard", *stated))
+    assert not detection.found
+    assert detection.reason == reason
+    assert detection.other == Board("chessboard", 6, 5)
 
 
 def test_a_board_that_leaves_the_image_says_so_and_its_rim_is_no_row_of_corners():
@@ -105,9 +105,9 @@ def test_a_board_that_leaves_the_image_says_so_and_its_rim_is_no_row_of_corners(
 
 def test_a_side_of_which_most_is_in_the_image_is_enough():
     cut = np.ascontiguousarray(view(ODD)[:, : int(places(ODD)[5, 0]) - 3])
-    sighting = detect(cut, ODD)
-    assert set(range(ODD.count)) - set(sighting.ids) <= {5, 11}
-    np.testing.assert_allclose(sighting.pixels, places(ODD)[sighting.ids], atol=4 * EXACT)  # windows cut by the rim
+    detection = detect(cut, ODD)
+    assert set(range(ODD.count)) - set(detection.ids) <= {5, 11}
+    np.testing.assert_allclose(detection.pixels, places(ODD)[detection.ids], atol=4 * EXACT)  # windows cut by the rim
 
 
 def test_an_image_without_a_board_says_so():
@@ -144,19 +144,19 @@ def test_the_same_image_gives_the_same_bytes_whatever_was_done_before():
 
 def test_a_charuco_board_seen_in_part_keeps_its_ids():
     cut = np.ascontiguousarray(view(CHARUCO)[:, : int(places(CHARUCO)[3, 0]) + 10])
-    sighting = detect(cut, CHARUCO)
-    assert set(sighting.ids) == {id_ for id_ in range(CHARUCO.count) if id_ % CHARUCO.columns <= 3}
-    np.testing.assert_allclose(sighting.pixels, places(CHARUCO)[sighting.ids], atol=2 * EXACT)
+    detection = detect(cut, CHARUCO)
+    assert set(detection.ids) == {id_ for id_ in range(CHARUCO.count) if id_ % CHARUCO.columns <= 3}
+    np.testing.assert_allclose(detection.pixels, places(CHARUCO)[detection.ids], atol=2 * EXACT)
 
 
 def test_corners_beside_a_hidden_marker_are_found_by_their_look():
     hidden = view(CHARUCO).copy()
     u, v = places(CHARUCO).mean(axis=0).astype(int)
     hidden[v - 30 : v + 30, u - 30 : u + 30] = 128
-    sighting = detect(hidden, CHARUCO)
+    detection = detect(hidden, CHARUCO)
     away = np.abs(places(CHARUCO) - (u, v)).max(axis=1)
-    assert set(np.flatnonzero(away > 45)) <= set(sighting.ids)
-    assert not set(np.flatnonzero(away < 25)) & set(sighting.ids)
+    assert set(np.flatnonzero(away > 45)) <= set(detection.ids)
+    assert not set(np.flatnonzero(away < 25)) & set(detection.ids)
 
 
 def test_markers_may_begin_at_another_id():
@@ -167,9 +167,9 @@ def test_markers_may_begin_at_another_id():
 
 @pytest.mark.parametrize(("drawn", "looked_for"), [(CHARUCO, LEGACY), (LEGACY, CHARUCO)])
 def test_the_other_pattern_yields_nothing(drawn, looked_for):
-    sighting = detect(view(drawn), looked_for)
-    assert not sighting.found
-    assert sighting.reason.endswith("markers, but not where this board has them")
+    detection = detect(view(drawn), looked_for)
+    assert not detection.found
+    assert detection.reason.endswith("markers, but not where this board has them")
 
 
 def test_a_board_of_unknown_pattern_is_found_in_both():

@@ -41,21 +41,21 @@ def photograph(board, turn):
 def test_a_board_is_found_and_numbered_but_for_its_symmetries(form, turn):
     board = parse_board(form)
     image, truth = photograph(board, turn)
-    sighting = detect(image, board)
-    assert sighting.reason is None
-    assert len(sighting.ids) > 0.9 * board.count
-    errors = [np.abs(sighting.pixels - truth[turned[sighting.ids]]).max() for turned in board.symmetries()]
+    detection = detect(image, board)
+    assert detection.reason is None
+    assert len(detection.ids) > 0.9 * board.count
+    errors = [np.abs(detection.pixels - truth[turned[detection.ids]]).max() for turned in board.symmetries()]
     assert min(errors) < EXACT
-    if sighting.covariance is not None:
-        assert np.linalg.eigvalsh(sighting.covariance).min() > 0
+    if detection.covariance is not None:
+        assert np.linalg.eigvalsh(detection.covariance).min() > 0
 
 
 @pytest.mark.parametrize("form", BOARDS)
 def test_an_image_without_a_board_says_why(form):
     blank = np.full((240, 320), 200, np.uint8)
-    sighting = detect(blank, parse_board(form))
-    assert not sighting.found
-    assert sighting.reason
+    detection = detect(blank, parse_board(form))
+    assert not detection.found
+    assert detection.reason
 
 
 @pytest.mark.parametrize("form", ["charuco:7x5:30mm:22mm:DICT_4X4_50", "aprilgrid:4x3:60mm:0.3", BOARDS[1]])
@@ -63,9 +63,9 @@ def test_a_part_of_a_board_whose_points_can_be_told_apart_is_enough(form):
     board = parse_board(form)
     image, truth = photograph(board, 10)
     cut = int(truth[:, 0].max()) - 30
-    sighting = detect(np.ascontiguousarray(image[:, :cut]), board)
-    assert 0.5 * board.count < len(sighting.ids) < board.count
-    assert np.abs(sighting.pixels - truth[sighting.ids]).max() < EXACT
+    detection = detect(np.ascontiguousarray(image[:, :cut]), board)
+    assert 0.5 * board.count < len(detection.ids) < board.count
+    assert np.abs(detection.pixels - truth[detection.ids]).max() < EXACT
 
 
 def test_parts_of_a_grid_of_circles_are_refused_where_they_are_asked_for():

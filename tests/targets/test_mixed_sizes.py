@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 from camcal.targets.mixed_sizes import CLOCKWISE, COUNTER_CLOCKWISE, pixel_map, size_relation, size_words
 
 USUAL = (64, 48)

@@ -16,8 +16,8 @@ from camcal.targets.corners.cell_window import LONGEST_PX
 from camcal.targets.corners.cells import Cells
 from camcal.targets.corners.measure import _cells, clear, measure
 from camcal.targets.corners.refine import RefinedCorners, refine
+from camcal.targets.detection import Detection
 from camcal.targets.samples import Samples
-from camcal.targets.sighting import Sighting
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 SIZE = (480, 400)
@@ -45,7 +45,7 @@ def photograph(exposure, *, k1=0.0, seed=0, where=None, board=BOARD):
 
 def measure_grid(image, start, sites=None, board=BOARD):
     """Return the measured corners and their covariances as grids, NaN where none."""
-    seen = measure(Samples(image, sites), board, Sighting(np.arange(board.count), start.reshape(-1, 2)))
+    seen = measure(Samples(image, sites), board, Detection(ids=np.arange(board.count), pixels=start.reshape(-1, 2)))
     pixels, covariance = np.full((board.count, 2), np.nan), np.full((board.count, 2, 2), np.nan)
     pixels[seen.ids], covariance[seen.ids] = seen.pixels, seen.covariance
     return pixels.reshape(start.shape), covariance.reshape(*start.shape, 2)
@@ -144,14 +144,14 @@ def test_only_the_sites_of_a_mosaic_are_looked_at():
 
 
 def test_where_nothing_was_found_nothing_is_measured():
-    nothing = Sighting.nothing("no chessboard found")
+    nothing = Detection.nothing("no chessboard found")
     assert measure(Samples(np.zeros((50, 60), np.uint8)), BOARD, nothing) is nothing
 
 
 def test_a_blank_wall_has_no_corners():
     _, _, start = photograph(Exposure())
     wall = Samples(np.full((400, 480), 100, np.uint8))
-    seen = measure(wall, BOARD, Sighting(np.arange(BOARD.count), start.reshape(-1, 2)))
+    seen = measure(wall, BOARD, Detection(ids=np.arange(BOARD.count), pixels=start.reshape(-1, 2)))
     assert seen.reason == "only 0 clear corners"
 
 

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camcal.targets.board import Detection, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.board_remarks import OtherBoard, nothing_found, remarks
 
-NOTHING = Detection.nothing("a.png", (640, 480), "nothing seen")
+NOTHING = Detection("a.png", (640, 480), reason="nothing seen")
+
+
+def instead(other):
+    """Return the view that shows another board."""
+    return replace(NOTHING, other=other)
 
 
 @pytest.mark.parametrize(
@@ -51,12 +57,12 @@ def test_unknown_sizes_and_symmetries_are_told_in_the_words_of_the_board(form, n
     ],
 )
 def test_a_board_that_is_nowhere_is_named_with_what_to_check(form, message):
-    assert message in str(nothing_found([NOTHING, NOTHING], [None, None], parse_board(form)))
+    assert message in str(nothing_found([NOTHING, NOTHING], parse_board(form)))
 
 
 def test_another_size_that_is_proposed_keeps_the_squares_and_the_dots():
     asked = parse_board("chessboard:10x7:25mm:dots")
-    error = nothing_found([NOTHING], [asked.of_size(9, 6)], asked)
+    error = nothing_found([instead(asked.of_size(9, 6))], asked)
     assert str(error).endswith("sizes count inner corners, not squares: use --board chessboard:9x6:25mm:dots")
 
 
@@ -77,7 +83,7 @@ def test_another_size_that_is_proposed_keeps_the_squares_and_the_dots():
 )
 def test_another_grid_of_circles_is_proposed_as_a_board(asked, shown, message):
     other = parse_board(shown)
-    text = str(nothing_found([NOTHING] * 3, [other, None, other], parse_board(asked)))
+    text = str(nothing_found([instead(other), NOTHING, instead(other)], parse_board(asked)))
     assert text == f"no grid of 8x5 circles in {message}"
 
 
@@ -112,7 +118,7 @@ def test_another_charuco_board_is_proposed_with_what_differs(asked, shown, diffe
 @pytest.mark.parametrize(("pattern", "parts"), [((6, 4), False), ((6, 4), True), ((11, 4), False)])
 def test_a_smaller_pattern_may_be_a_part_unless_parts_count_already(pattern, parts):
     asked = parse_board("chessboard:9x6:25mm")
-    error = nothing_found([NOTHING], [asked.of_size(*pattern)], asked, parts=parts)
+    error = nothing_found([instead(asked.of_size(*pattern))], asked, parts=parts)
     assert ("or --partial" in str(error)) == (pattern == (6, 4) and not parts)
 
 
@@ -120,4 +126,4 @@ def test_a_smaller_pattern_may_be_a_part_unless_parts_count_already(pattern, par
 def test_a_board_that_was_found_is_no_error(form):
     board = parse_board(form)
     seen = Detection("b.png", (640, 480), np.arange(board.count), np.zeros((board.count, 2)))
-    assert nothing_found([NOTHING, seen], [None, None], board) is None
+    assert nothing_found([NOTHING, seen], board) is None

@@ -17,13 +17,15 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
+from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detection, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection, Detections
 from camcal.tasks.calibration import model_selection
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.detect import detect_images, document
 from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
-from camcal.tasks.calibration.options import AS_IMAGES, CalibrateOptions, DetectOptions
+from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.video_frames import Film
 
 SIZE = (400, 300)

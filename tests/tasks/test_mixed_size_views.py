@@ -14,12 +14,13 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import detections
 from camcal.progress import SILENT
+from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
-from camcal.targets.board import Board, Detection, Detections, parse_board
+from camcal.targets.board import Board, parse_board
+from camcal.targets.detection import Detection, Detections
 from camcal.targets.mixed_sizes import CLOCKWISE, COUNTER_CLOCKWISE, pixel_map
 from camcal.tasks.calibration.board_views import board_views
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.options import AS_IMAGES
 from camcal.tasks.calibration.second_look import _samples
 
 SIZE = (640, 480)
@@ -94,8 +95,10 @@ def test_images_are_used_as_the_camera_saw_them(quarter):
         "used with --mixed-sizes: 1 image of 320x240, half as large (the majority: 640x480): view0007.png"
     )
     assert [view.size for view in result.in_files(mixed)] == [view.size for view in mixed]
-    red = [replace(view, pixels=view.pixels + 1) for view in mixed]  # what is seen of a colour goes the same way
-    np.testing.assert_allclose(result.alike(red)[7].pixels, all_seen[7].pixels + 2)
+    # what is seen of a colour goes the same way
+    mixed[7] = replace(mixed[7], colours={"red": replace(mixed[7], pixels=mixed[7].pixels + 1)})
+    red = same_size(mixed, SIZE, BOARD, mixed=True).views[7].colours["red"]
+    np.testing.assert_allclose(red.pixels, all_seen[7].pixels + 2)
 
 
 @pytest.mark.slow
@@ -155,11 +158,11 @@ def test_corners_are_not_measured_again_in_an_image_of_other_pixels(tmp_path):
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), np.full((240, 320), 120, np.uint8))
     for size, measured in (((320, 240), True), ((321, 240), True), ((640, 480), False), ((240, 320), False)):
-        view = Detection.nothing(str(path), size, "")
+        view = Detection(str(path), size, reason="")
         assert (_samples(view, AS_IMAGES) is not None) == measured
 
 
 def test_views_without_points_have_no_usual_size():
-    nothing = Detection.nothing("a.png", SIZE, "nothing seen")
+    nothing = Detection("a.png", SIZE, reason="nothing seen")
     assert usual_size([nothing]) == (0, 0)
     assert same_size([nothing], (0, 0), parse_board("chessboard:9x6"), mixed=True).views == (nothing,)

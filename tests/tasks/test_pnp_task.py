@@ -19,7 +19,8 @@ from camcal.geometry.pose import Pose
 from camcal.progress import Silent
 from camcal.report import pose_words
 from camcal.simulate.scene import observe
-from camcal.targets.board import Detection, Detections, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection, Detections
 from camcal.targets.surface import Surface
 from camcal.tasks.poses.pnp import Gates, PnpOptions, PriorOptions, pnp
 from camcal.tasks.poses.pnp_observer import Observer
@@ -118,7 +119,7 @@ def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path
     good = seen.views[0]
     few = Detection("few.png", CAMERA.image_size, good.ids[:3], good.pixels[:3])
     small = Detection("small.png", (640, 480), good.ids, good.pixels / 2)
-    empty = Detection.nothing("empty.png", CAMERA.image_size, "no board found")
+    empty = Detection("empty.png", CAMERA.image_size, reason="no board found")
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, (empty, few, small, good))))
     assert list(report.poses.estimates) == [(good.image, "")]
     assert {sight.image: reason for sight, reason in report.poses.missing.items()} == {
@@ -131,7 +132,7 @@ def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path
 
 
 def test_without_any_pose_the_reason_is_raised_and_nothing_written(camera_file, tmp_path):
-    empty = Detections(BOARD, (Detection.nothing("empty.png", CAMERA.image_size, "no board found"),))
+    empty = Detections(BOARD, (Detection("empty.png", CAMERA.image_size, reason="no board found"),))
     output = tmp_path / "poses.yaml"
     with pytest.raises(InsufficientData, match=r"empty\.png: no pose from 1 images; no board found"):
         pnp(from_detections(camera_file, tmp_path, empty, output=output))

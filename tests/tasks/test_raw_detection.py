@@ -18,14 +18,14 @@ from camcal.options import given_words
 from camcal.raw.demosaic import demosaic
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import MONO, PATTERNS, GivenLayout
+from camcal.raw.options import MONO, PATTERNS, GivenLayout, Reading
+from camcal.raw.photograph import agreeing_gains, photograph_of, read_photograph
 from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.targets.board import Board, parse_board
 from camcal.tasks.calibration.detect import MIXED, detect_images
-from camcal.tasks.calibration.options import DetectOptions, Reading
-from camcal.tasks.calibration.photographs import agreeing_gains, photograph_of, read_photograph
+from camcal.tasks.calibration.options import DetectOptions
 
 SIZE = (480, 360)
 BOARD = Board("chessboard", 8, 5, 0.03)
@@ -110,7 +110,7 @@ def test_every_phase_puts_the_corners_of_every_colour_in_its_place(tmp_path, pat
     report = found(path, pattern=pattern, colours=True)
     assert error_px(report.detections.views[0]) < 0.02  # px, photon noise
     for colour in ("red", "blue"):
-        view, lens = report.colours[colour][0], lenses(LENS, 1.0)[colour[0].upper()]
+        view, lens = report.detections.views[0].colours[colour], lenses(LENS, 1.0)[colour[0].upper()]
         assert len(view.ids) > 0.9 * BOARD.count
         assert error_px(view, lens=lens) < 0.04  # a quarter of the samples, half of the light
         assert error_px(view) > 0.1  # it is not green that was found again
@@ -130,7 +130,7 @@ def test_markers_are_read_and_their_corners_measured_in_raw_frames(tmp_path):
     view = report.detections.views[0]
     assert len(view.ids) > 0.8 * CHARUCO.count
     assert error_px(view, CHARUCO) < 0.03
-    assert error_px(report.colours["red"][0], CHARUCO, lenses(LENS, 0.5)["R"]) < 0.05
+    assert error_px(report.detections.views[0].colours["red"], CHARUCO, lenses(LENS, 0.5)["R"]) < 0.05
 
 
 def test_channels_of_demosaiced_images_come_with_a_warning(tmp_path):
@@ -138,8 +138,8 @@ def test_channels_of_demosaiced_images_come_with_a_warning(tmp_path):
     path = save_as(tmp_path / "colour.png", demosaic(mosaic.values, "RGGB", "bilinear"))
     report = found(path, colours=True)
     assert MIXED in report.notes
-    assert set(report.colours) == {"red", "blue"}
-    assert error_px(report.colours["red"][0], lens=lenses(LENS, 1.0)["R"]) < 0.2  # moved, not lost
+    assert set(report.detections.views[0].colours) == {"red", "blue"}
+    assert error_px(report.detections.views[0].colours["red"], lens=lenses(LENS, 1.0)["R"]) < 0.2  # moved, not lost
 
 
 def test_gains_go_by_the_board_and_not_by_what_stands_around_it():

@@ -12,7 +12,8 @@ from camcal.formats import detections
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
 from camcal.progress import SILENT, Silent
-from camcal.targets.board import Detection, Detections, parse_board
+from camcal.targets.board import parse_board
+from camcal.targets.detection import Detection, Detections
 from camcal.tasks.poses.pnp_observer import seen_by_rig
 from camcal.tasks.poses.pnp_views import Looking
 

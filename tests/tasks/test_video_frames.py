@@ -21,12 +21,13 @@ from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
 from camcal.images.video import frame_name
 from camcal.progress import SILENT
+from camcal.raw.options import Reading
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, parse_board
 from camcal.tasks.calibration.board_views import board_views
 from camcal.tasks.calibration.detect import detect_images, document
-from camcal.tasks.calibration.options import DetectOptions, FrameOptions, Reading
+from camcal.tasks.calibration.options import DetectOptions, FrameOptions
 from camcal.tasks.calibration.video_frames import survey
 
 BOARD = Board("chessboard", 7, 4, 0.03)
@@ -96,11 +97,11 @@ def found(*inputs, board=BOARD, jobs=1, **options):
 
 
 def test_resting_frames_are_taken_and_moving_ones_are_not(shot, report):
-    records = {record.look.view.image: record for record in report.frames}
+    records = {record.view.image: record for record in report.frames}
     assert list(records) == [shot.name(number) for number in range(len(shot.poses))]
     shaken = [records[shot.name(number)] for number in np.flatnonzero(shot.moving)]
-    assert any(record.look.view.found for record in shaken)
-    assert {record.choice.why for record in shaken if record.look.view.found} <= {BLURRED, MOVING}
+    assert any(record.view.found for record in shaken)
+    assert {record.choice.why for record in shaken if record.view.found} <= {BLURRED, MOVING}
     taken = [number for number in range(len(shot.poses)) if records[shot.name(number)].taken]
     assert [view.image for view in report.detections.views] == [shot.name(number) for number in taken]
     assert sorted(number // (REST + MOVE) for number in taken) == list(range(STOPS))  # one of every stop
@@ -116,11 +117,11 @@ def test_corners_of_frames_are_where_the_truth_has_them(shot, report):
 
 def test_blur_and_motion_of_frames_are_told(shot, report):
     records = report.frames
-    blurs = np.array([record.look.blur_px for record in records])
+    blurs = np.array([record.view.blur_px for record in records])
     resting = np.array([number % (REST + MOVE) == 1 for number in range(len(records))])
     resting[-2:] = False
-    assert np.isnan(records[0].look.motion_px)  # there is no frame before it
-    assert max(record.look.motion_px for record, rests in zip(records, resting, strict=True) if rests) < 0.1
+    assert np.isnan(records[0].view.motion_px)  # there is no frame before it
+    assert max(record.view.motion_px for record, rests in zip(records, resting, strict=True) if rests) < 0.1
     assert np.nanmax(blurs[resting]) < 1.0  # rendered with 0.7 px
     assert np.nanmin(blurs[np.array(shot.moving)]) > 1.2 * np.nanmax(blurs[resting])
 
@@ -139,13 +140,13 @@ def test_all_frames_are_taken_if_asked_for(shot):
     numbers = range(0, len(shot.poses), 2)
     assert [view.image for view in report.detections.views] == [shot.name(number) for number in numbers]
     assert report.detections.views[-1].reason
-    assert all(record.taken == record.look.view.found for record in report.frames)
+    assert all(record.taken == record.view.found for record in report.frames)
 
 
 def test_every_kth_frame_is_looked_at_if_asked_for(shot):
     looked = found(shot.path, frames=FrameOptions(every=4)).frames
-    assert [record.look.view.image for record in looked] == [shot.name(number) for number in (0, 4, 8, 12)]
-    assert [record.look.view.found for record in looked] == [True, True, True, False]
+    assert [record.view.image for record in looked] == [shot.name(number) for number in (0, 4, 8, 12)]
+    assert [record.view.found for record in looked] == [True, True, True, False]
 
 
 def test_of_a_long_film_the_sharpest_frame_of_every_stretch_is_searched(shot):

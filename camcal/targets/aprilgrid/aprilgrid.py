@@ -27,8 +27,8 @@ from camcal.targets.corners.board_edges import tag_reach
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.measure import blur_of, clear
 from camcal.targets.corners.refine import refine
+from camcal.targets.detection import MIN_CORNERS, Detection
 from camcal.targets.samples import Samples
-from camcal.targets.sighting import MIN_CORNERS, Sighting
 
 WINDOW = 0.6  # of a tag's side, what looks take for the distance of the next corner
 CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
@@ -89,7 +89,7 @@ class _Look:
         return np.asarray((self.agreement > AGREEMENT) & (self.moved < MOVED) & (self.contrast > 0))
 
 
-def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) -> Sighting:
+def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) -> Detection:
     """Return the corners of an AprilGrid in `gray`, (H, W) uint8, with covariance, or the reason why there are none.
 
     samples: those of the same image that say where its corners are, None for gray itself. A corner is left
@@ -104,10 +104,10 @@ def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) ->
         if seen.right >= ENOUGH and not seen.wrong:
             break
     if not best.right:
-        return Sighting.nothing(_reason(gray, board, lattice))
+        return Detection.nothing(_reason(gray, board, lattice))
     if best.wrong > best.right:
         layout = f"{board.columns} x {board.rows}"
-        return Sighting.nothing(f"most tags are not where a board of {layout} tags has them; is it of another size?")
+        return Detection.nothing(f"most tags are not where a board of {layout} tags has them; is it of another size?")
     return _measured(samples or Samples(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
@@ -189,7 +189,7 @@ def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _Seen) -> _S
     return _Seen(grid, seen.contrast, int((agreement > RIGHT).sum()), int(other.sum()))
 
 
-def _measured(samples: Samples, lattice: TagLattice, seen: _Seen, side: int) -> Sighting:
+def _measured(samples: Samples, lattice: TagLattice, seen: _Seen, side: int) -> Detection:
     """Return the corners as exactly as the image allows, with their covariance, in the order of their ids.
 
     side: cells across a tag, its border included.
@@ -206,10 +206,10 @@ def _measured(samples: Samples, lattice: TagLattice, seen: _Seen, side: int) -> 
             break
     good = clear(corners) & (corners.noise < LOUD * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast))
     if good.sum() < MIN_CORNERS:
-        return Sighting.nothing(f"only {int(good.sum())} corners of tags are clear")
+        return Detection.nothing(f"only {int(good.sum())} corners of tags are clear")
     ids = lattice.ids[known][good]
     order = np.argsort(ids)
-    return Sighting(ids[order], corners.pixels[good][order], covariance=corners.covariance[good][order])
+    return Detection(ids=ids[order], pixels=corners.pixels[good][order], covariance=corners.covariance[good][order])
 
 
 def _reason(gray: Array, board: Board, lattice: TagLattice) -> str:

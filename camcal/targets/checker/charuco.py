@@ -15,8 +15,8 @@ from camcal.targets.board import Board
 from camcal.targets.checker.charuco_markers import LEAST_VOTES, Reading, Seat, read_markers, seat
 from camcal.targets.checker.checker import Checker, revisited, settle, trimmed, undisturbed
 from camcal.targets.checker.proposals import proposals
+from camcal.targets.detection import Detection
 from camcal.targets.markers.families import family_named
-from camcal.targets.sighting import Sighting
 
 ENOUGH = 0.5  # of the board's corners, to look no further
 INSIDE = 0.9  # share of a pattern's corners that must be the board's where its markers put it
@@ -39,7 +39,7 @@ def require_markers(board: Board) -> None:
     family_named(name).require(board.first_marker, (board.columns + 1) * (board.rows + 1) // 2)
 
 
-def find_charuco(gray: Array, board: Board) -> Sighting:
+def find_charuco(gray: Array, board: Board) -> Detection:
     """Return the corners of a ChArUco board in `gray`, (H, W) uint8, or the reason why there are none.
 
     A board whose `legacy` is None is looked for in both patterns, and the one that more markers speak for is taken.
@@ -47,7 +47,7 @@ def find_charuco(gray: Array, board: Board) -> Sighting:
     """
     require_markers(board)
     legacies = _legacies(board)
-    best, refused = Sighting.nothing(f"no marker of {board.dictionary} found"), 0
+    best, refused = Detection.nothing(f"no marker of {board.dictionary} found"), 0
     for copy in proposals(gray):
         parts = [_part(gray, start, board, legacies) for start in copy]
         grid = _joined(parts, board)
@@ -57,8 +57,8 @@ def find_charuco(gray: Array, board: Board) -> Sighting:
                 best, refused = _reason(closest), closest.markers
             continue
         checker = revisited(gray, settle(gray, grid, clearance(board)), clearance(board))
-        seen = Sighting.of(undisturbed(gray, checker, clearance(board)))
-        best = max(best, seen, key=lambda sighting: len(sighting.ids))
+        seen = Detection.of(undisturbed(gray, checker, clearance(board)))
+        best = max(best, seen, key=lambda detection: len(detection.ids))
         if len(best.ids) >= ENOUGH * board.count:
             break
     return best
@@ -102,12 +102,12 @@ def _joined(parts: list[_Part], board: Board) -> Array | None:
     return grid
 
 
-def _reason(part: _Part) -> Sighting:
+def _reason(part: _Part) -> Detection:
     """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
     if mirrored > count:
-        return Sighting.nothing("the image is mirrored: its markers can be read only from behind")
-    return Sighting.nothing(f"{count} markers, but not where this board has them")
+        return Detection.nothing("the image is mirrored: its markers can be read only from behind")
+    return Detection.nothing(f"{count} markers, but not where this board has them")
 
 
 def clearance(board: Board) -> float:

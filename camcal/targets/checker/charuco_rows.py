@@ -10,7 +10,7 @@ from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
-from camcal.targets.sighting import MIN_CORNERS
+from camcal.targets.detection import MIN_CORNERS
 
 _ASIDE = 0.15  # squares, from the last row's edge to the samples inside and outside
 _SPREAD = np.array([-0.25, -0.1, 0.1, 0.25])  # squares, along the edge from the middle of a square

@@ -15,7 +15,7 @@ from camcal.targets.checker import grid as grids
 from camcal.targets.checker import placing
 from camcal.targets.checker.checker import SIDE, Checker, extended, settle, trimmed, undisturbed
 from camcal.targets.checker.proposals import proposals
-from camcal.targets.sighting import Sighting
+from camcal.targets.detection import Detection
 
 MIN_PROPOSED = 0.5  # of a proposal's corners; one of which the image bears out fewer is a mistake
 MIN_SHARE = 0.75  # of the board's corners
@@ -24,13 +24,13 @@ SMALLER = 0.25  # of the area of such a part: a picture of a board, on a screen 
 LEAST_PART = 3  # corners each way of a part of a board; fewer may be anything
 
 
-def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Sighting:
+def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Detection:
     """Return the corners of a chessboard in `gray`, (H, W) uint8, or the reason why there are none.
 
     Up to a quarter of the corners may be hidden, but on each side of the board most must be seen: they say where it
     ends. partial: any part of the board will do that shows which part it is, by dots or by where the board ends.
     """
-    best, most, area = Sighting.nothing("no chessboard found"), 0, 0.0
+    best, most, area = Detection.nothing("no chessboard found"), 0, 0.0
     for start in chain.from_iterable(proposals(gray)):
         checker = settle(gray, start)
         if checker.found.sum() < MIN_PROPOSED * (~np.isnan(start[..., 0])).sum():
@@ -49,13 +49,13 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Sigh
     return best
 
 
-def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Sighting:
+def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Detection:
     """Return the corners of a pattern if it is the board, or a part of it where that is enough, else what it is."""
     whole = sorted(checker.grid.shape[:2]) == sorted((board.rows, board.columns))
     if not whole and (not partial or min(checker.grid.shape[:2]) < LEAST_PART):
         return _part_or_another(gray, checker, board)
     if whole and not partial and checker.found.mean() < MIN_SHARE:
-        return Sighting.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
+        return Detection.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
     places = placing.fitting(checker, board)
     if not whole:
         places = placing.ending(gray, checker, places, board)
@@ -63,24 +63,24 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Si
         places = placing.with_dots(gray, checker, places, board)
     grid = placing.numbered(places, checker, board)
     if grid is not None:
-        return Sighting.of(undisturbed(gray, Checker(grid, checker.sign, checker.contrast)))
+        return Detection.of(undisturbed(gray, Checker(grid, checker.sign, checker.contrast)))
     if whole and board.dots:
-        return Sighting.nothing("the three dots that tell its corners apart are not to be seen")
+        return Detection.nothing("the three dots that tell its corners apart are not to be seen")
     seen = _part_or_another(gray, checker, board)
-    return Sighting.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.other)
+    return Detection.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.other)
 
 
-def _part_or_another(gray: Array, checker: Checker, board: Board) -> Sighting:
+def _part_or_another(gray: Array, checker: Checker, board: Board) -> Detection:
     """Return what a pattern of another size than the board is."""
     rows, columns = checker.grid.shape[:2]
     size = max(rows, columns), min(rows, columns)  # it does not say which are its rows
     other = board.of_size(*size)
     seen, wanted = f"{size[0]} x {size[1]}", f"{board.columns} x {board.rows}"
     if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
-        return Sighting.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
+        return Detection.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
     if _leaves(gray, checker.grid):
-        return Sighting.nothing(f"board partly outside the image ({seen} corners in sight)")
-    return Sighting.nothing(f"only {seen} of {wanted} corners in sight", other)
+        return Detection.nothing(f"board partly outside the image ({seen} corners in sight)")
+    return Detection.nothing(f"only {seen} of {wanted} corners in sight", other)
 
 
 def _leaves(gray: Array, pattern: Array) -> bool:

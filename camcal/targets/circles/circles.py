@@ -20,7 +20,7 @@ from camcal.targets.circles.disc_fit import DiscFits, fit_discs
 from camcal.targets.circles.lattice import lattices
 from camcal.targets.circles.numbering import as_drawn, nodes, numbered, size_of
 from camcal.targets.circles.other_grids import OtherGrid
-from camcal.targets.sighting import MIN_CORNERS, Sighting
+from camcal.targets.detection import MIN_CORNERS, Detection
 
 MIN_PROPOSED = 0.5  # of the board's circles, for the others to be looked for
 LEAST_OTHER = 9  # circles of a grid that is worth a word; fewer may be anything
@@ -34,7 +34,7 @@ _NOISE = 4.0  # times the median over the board: more of it is something that li
 _NOISE_FLOOR = 2.0  # gray levels
 
 
-def find_circles(gray: Array, board: Board) -> Sighting:
+def find_circles(gray: Array, board: Board) -> Detection:
     """Return the circles of a board in `gray`, (H, W) uint8, or the reason why there are none.
 
     Up to a quarter of the circles may be hidden, but on each side of the board most must be seen: they say where it
@@ -54,8 +54,8 @@ def find_circles(gray: Array, board: Board) -> Sighting:
                 return seen
             unclear = seen
     if unclear or largest is None or largest.count < LEAST_OTHER:
-        return unclear or Sighting.nothing(f"no {board.words} found")
-    return largest.sighting(gray, board)
+        return unclear or Detection.nothing(f"no {board.words} found")
+    return largest.detection(gray, board)
 
 
 def _proposals(gray: Array) -> Iterator[Ellipses]:
@@ -70,18 +70,18 @@ def _proposals(gray: Array) -> Iterator[Ellipses]:
                 yield find_ellipses(copy, size // share | 1, bright=bright).enlarged(1 / scale)
 
 
-def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> Sighting:
+def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> Detection:
     """Return the dots of a board fitted to the image; those that the lattice lacks are looked for too."""
     height, width = gray.shape
     start = _completed(board, lattice, ellipses, (width, height))
     fits = fit_discs(gray, start)
     good = _good(fits)
     if good.sum() < MIN_SHARE * board.count:
-        return Sighting.nothing(f"only {int(good.sum())} of {board.count} circles are clear")
+        return Detection.nothing(f"only {int(good.sum())} of {board.count} circles are clear")
     points = board.points()[good, :2] / board.pitch
     radius = None if board.diameter is None else board.diameter / board.pitch / 2
     pixels = projected_centres(fits.ellipses.take(good), points, radius, (width, height))
-    return Sighting(np.flatnonzero(good), pixels, covariance=fits.covariance[good])
+    return Detection(ids=np.flatnonzero(good), pixels=pixels, covariance=fits.covariance[good])
 
 
 def _completed(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:

@@ -12,7 +12,7 @@ from camcal.targets.checker.proposals import proposals
 from camcal.targets.circles.blobs import Ellipses
 from camcal.targets.circles.lattice import places
 from camcal.targets.circles.numbering import as_drawn, board_of
-from camcal.targets.sighting import MIN_CORNERS, Sighting
+from camcal.targets.detection import MIN_CORNERS, Detection
 
 _FILLED = 0.9  # of a board's circles, that are seen of one that is proposed
 _CHECKERED = 0.75  # corners for every dark square of a checker pattern, at least
@@ -44,20 +44,20 @@ class OtherGrid:
             found.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
         return max(found, key=lambda grid: grid.count)
 
-    def sighting(self, gray: Array, board: Board) -> Sighting:
+    def detection(self, gray: Array, board: Board) -> Detection:
         """Return why the grid in an image (H, W) uint8 is not the board, and which board it is."""
         other, wanted = board_of(self.drawn, self.like), f"{board.columns} x {board.rows}"
         if self.like.type == ASYMMETRIC_CIRCLES and _checkered(gray, self.count):
-            return Sighting.nothing(f"a checker pattern in sight, no {board.words}")
+            return Detection.nothing(f"a checker pattern in sight, no {board.words}")
         size = gray.shape[1], gray.shape[0]
         beyond = self._next(size)
         if self._leaves(beyond, size):
-            return Sighting.nothing(f"board partly outside the image ({self.count} circles in sight, not {wanted})")
+            return Detection.nothing(f"board partly outside the image ({self.count} circles in sight, not {wanted})")
         if other is None or self.count < _FILLED * other.count or not self.whole or self._goes_on(beyond):
-            return Sighting.nothing(f"a part of a grid in sight ({self.count} circles), not {wanted}")
+            return Detection.nothing(f"a part of a grid in sight ({self.count} circles), not {wanted}")
         kind = "an asymmetric grid" if other.type == ASYMMETRIC_CIRCLES else "a grid"
         seen = f"{other.columns} x {other.rows}"
-        return Sighting.nothing(f"{kind} of {seen} circles in sight, not {wanted}", other)
+        return Detection.nothing(f"{kind} of {seen} circles in sight, not {wanted}", other)
 
     def _next(self, size: tuple[int, int]) -> tuple[Array, ...]:
         """Return where the next circles beyond each side would be (K, 2) px, nothing where that is unknown."""

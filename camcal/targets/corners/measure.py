@@ -9,9 +9,9 @@ from camcal.targets.corners.board_edges import seen_cells, signs
 from camcal.targets.corners.cell_window import LONGEST_PX
 from camcal.targets.corners.cells import Cells
 from camcal.targets.corners.refine import RefinedCorners, refine
+from camcal.targets.detection import MIN_CORNERS, Detection
 from camcal.targets.edge_blur import edge_blur
 from camcal.targets.samples import Samples
-from camcal.targets.sighting import MIN_CORNERS, Sighting
 
 LARGEST_NOISE = 0.4  # of the contrast; what is left over of a corner that is none is more
 LARGEST_STD_PX = 0.5  # of a corner that is one
@@ -22,18 +22,18 @@ _BENT_PX = 0.03  # that an edge may be off by where it ends
 _ROUNDS = 3  # where corners are so close that each is seen in its neighbours' pictures
 
 
-def measure(samples: Samples, board: Board, sighting: Sighting) -> Sighting:
+def measure(samples: Samples, board: Board, detection: Detection) -> Detection:
     """Return what was seen of a board of crossing edges with its corners measured; those that are none are left out.
 
-    sighting: its corners are good to half a pixel or so.
+    detection: its corners are good to half a pixel or so.
     """
-    if not sighting.found:
-        return sighting
-    ids, pixels, values, sites = sighting.ids, sighting.pixels, samples.values, samples.sites
+    if not detection.found:
+        return detection
+    ids, pixels, values, sites = detection.ids, detection.pixels, samples.values, samples.sites
     blur = blur_of(values, pixels)
     near = refine(values, pixels, _cells(board, ids, pixels, values, blur)[0].narrow(), blur, sites, _NEAR_PX)
     if not near.settled.any():
-        return Sighting.nothing("no clear corners")
+        return Detection.nothing("no clear corners")
     # What a board that leaves its pattern open, or that is printed inverted, has before its first corner
     first = 1 if np.nansum(near.contrast * signs(board)[ids]) >= 0 else -1
     corners = near
@@ -46,7 +46,7 @@ def measure(samples: Samples, board: Board, sighting: Sighting) -> Sighting:
         corners = refine(values, corners.pixels, cells, blur, sites, reach)
         if not (cells.crowded(blur) and corners.settled.any()):
             break
-    return _sighting(ids, corners, near)
+    return _detection(ids, corners, near)
 
 
 def _cells(
@@ -74,15 +74,15 @@ def _cells(
     return cells, float(np.clip(step * np.sqrt(_BENT_PX / max(left, 1e-9)), _NEAR_PX, LONGEST_PX))
 
 
-def _sighting(ids: Array, corners: RefinedCorners, near: RefinedCorners) -> Sighting:
+def _detection(ids: Array, corners: RefinedCorners, near: RefinedCorners) -> Detection:
     """Return the corners that are clear, by a near look at them where the whole of their cells does not fit."""
     good, fallback = clear(corners), clear(near)
     kept = good | fallback
     if kept.sum() < MIN_CORNERS:
-        return Sighting.nothing(f"only {int(kept.sum())} clear corners")
+        return Detection.nothing(f"only {int(kept.sum())} clear corners")
     pixels = np.where(good[:, None], corners.pixels, near.pixels)
     covariance = np.where(good[:, None, None], corners.covariance, near.covariance)
-    return Sighting(ids[kept], pixels[kept], covariance=covariance[kept])
+    return Detection(ids=ids[kept], pixels=pixels[kept], covariance=covariance[kept])
 
 
 def clear(corners: RefinedCorners) -> Array:

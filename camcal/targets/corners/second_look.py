@@ -2,7 +2,7 @@
 along the edges as the lens bends them, corners that were missed are looked for where they must be.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from camcal.arrays import Array, readonly
 from camcal.targets.corners.cells import Cells
 from camcal.targets.corners.measure import blur_of, clear
 from camcal.targets.corners.refine import refine
+from camcal.targets.detection import Detection
 from camcal.targets.samples import Samples
 
 _SURE = 3.0  # times the median of the noise and of the blur that a corner nobody had found may have
@@ -38,22 +39,12 @@ class Expected:
         object.__setattr__(self, "signs", readonly(self.signs, (count,), "signs"))
 
 
-@dataclass(frozen=True, eq=False)
-class SeenAgain:
-    """Corners ids (N,) at pixels (N, 2) with covariance (N, 2, 2); recovered: how many had not been found before."""
-
-    ids: Array
-    pixels: Array
-    covariance: Array
-    recovered: int
-
-
-def look_again(samples: Samples, ids: Array, pixels: Array, expected: Expected) -> SeenAgain:
-    """Return the corners of a board that has been found and calibrated with.
-
-    ids (N,), pixels (N, 2): the corners that were found. Those that the model does not bear out, along the edges that
-    are expected, are left out.
+def look_again(samples: Samples, view: Detection, expected: Expected) -> Detection:
+    """Return a view of a board that has been calibrated with, its corners measured again and those that were missed
+    added; as it was where none is seen again. Corners that the model does not bear out, along the edges that are
+    expected, are left out.
     """
+    ids, pixels = view.ids, view.pixels
     start = expected.pixels.copy()
     start[ids] = pixels
     known = np.zeros(len(start), np.bool_)
@@ -67,11 +58,11 @@ def look_again(samples: Samples, ids: Array, pixels: Array, expected: Expected) 
     moved = np.linalg.norm(corners.pixels - start[chosen], axis=1)
     before = good & known[chosen] & (moved < _DRAWN)
     if not before.any():
-        return SeenAgain(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), 0)
+        return view
     step = np.linalg.norm(expected.cells.steps[chosen], axis=1).min(axis=1)
     fresh = good & ~known[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
     fresh &= np.abs(contrast) > _FAINT * np.median(np.abs(contrast[before]))
     fresh &= corners.noise < _SURE * np.median(corners.noise[before])
     fresh &= (corners.blur < _SURE * np.median(corners.blur[before])).all(axis=1)
     kept = before | fresh
-    return SeenAgain(chosen[kept], corners.pixels[kept], corners.covariance[kept], int(fresh.sum()))
+    return replace(view, ids=chosen[kept], pixels=corners.pixels[kept], covariance=corners.covariance[kept])

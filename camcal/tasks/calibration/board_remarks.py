@@ -6,15 +6,8 @@ from dataclasses import dataclass, replace
 
 from camcal.errors import InsufficientData
 from camcal.formats.boards import short_form
-from camcal.targets.board import (
-    APRILGRID,
-    ASYMMETRIC_CIRCLES,
-    CHARUCO,
-    CHESSBOARD,
-    CIRCLES,
-    Board,
-    Detection,
-)
+from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
+from camcal.targets.detection import Detection
 
 _UNKNOWN_SIZE = {
     CHESSBOARD: "the size of a square is not given: lengths are in squares",
@@ -51,16 +44,14 @@ def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[st
     return tuple(notes)
 
 
-def nothing_found(
-    views: Sequence[Detection], others: Sequence[Board | None], board: Board, *, parts: bool = False
-) -> InsufficientData | None:
+def nothing_found(views: Sequence[Detection], board: Board, *, parts: bool = False) -> InsufficientData | None:
     """Return the error that says why the board is in no image, None where it is in some.
 
-    others: the boards that images show instead. One that is larger than the board and in more images than the board
-    means that a part of another board was taken for it; a smaller one may be a part of the board, which counts only if
-    parts do.
+    Images may show other boards instead. One that is larger than the board and in more images than the board means that
+    a part of another board was taken for it; a smaller one may be a part of the board, which counts only if parts do.
     """
     found = sum(view.found for view in views)
+    others = (view.other for view in views)
     counts = Counter(other for other in others if other is not None and (not found or _larger(other, board)))
     common = max(counts, key=lambda other: counts[other], default=None)
     if found and (common is None or counts[common] <= found):

@@ -1,18 +1,19 @@
 """What is seen of a board, from images or from a detections file: the first step of every task that needs a board."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from camcal.errors import InvalidInput
 from camcal.formats import boards, detections
 from camcal.options import given_words
 from camcal.progress import Progress
-from camcal.targets.board import Board, Detection, Detections
+from camcal.raw.options import AS_IMAGES, Reading
+from camcal.raw.photograph import read_photograph
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.options import AS_IMAGES, BEST_FRAMES, DetectOptions, FrameOptions, Reading
-from camcal.tasks.calibration.photographs import read_photograph
+from camcal.tasks.calibration.options import BEST_FRAMES, DetectOptions, FrameOptions
 from camcal.tasks.calibration.video_frames import Film, FrameRecord
 
 DETECTION_SUFFIXES = (".csv", ".vnl")
@@ -22,15 +23,13 @@ DETECTION_SUFFIXES = (".csv", ".vnl")
 class BoardViews:
     """The board, its detections, remarks on them, and the images that could not be read.
 
-    colours: the same views by the samples of red and of blue, where they were asked for. frames: what became of the
-    frames of videos. films: these videos. table: whether all comes from a detections file.
+    frames: what became of the frames of videos. films: these videos. table: whether all comes from a detections file.
     """
 
     board: Board
     detections: Detections
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
-    colours: Mapping[str, tuple[Detection, ...]] = field(default_factory=dict)
     frames: tuple[FrameRecord, ...] = ()
     films: tuple[Film, ...] = ()
     table: bool = False
@@ -93,7 +92,6 @@ def board_views(
         found,
         notes=report.notes,
         failed=report.failed,
-        colours=report.colours,
         frames=report.frames,
         films=report.films,
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,16 +21,17 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
+from camcal.raw.photograph import COLOURS
 from camcal.report.calibration import as_data, contenders_data, uncertainty_data, view_record
 from camcal.run.paths import find_media, refuse_overwriting, split_address
 from camcal.run.pose_sources import read_camera_file
-from camcal.targets.board import Detection
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.name_groups import name_groups
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.calibration.second_look import renumbered, second_look
+from camcal.tasks.calibration.second_look import second_look
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 
@@ -99,7 +99,8 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         remarks += (remark,)
         if options.save_detections:
             detections.write(options.save_detections, seen.detections)
-    channels = {colour: _channel(calibration, colour, views) for colour, views in seen.colours.items()}
+    colours = COLOURS if options.reading.colours else ()
+    channels = {colour: _channel(calibration, colour, seen.detections.views) for colour in colours}
     advice = advise(calibration, circle)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
     file = camera_file(calibration, uncertainty, advice, options, channels, circle)
@@ -162,11 +163,7 @@ def _refined(
     """
     views = seen.detections.views
     look = second_look(calibration, views, seen.films, options.reading, options.jobs, progress)
-    colours = {
-        colour: tuple(map(renumbered, same, calibration.views, repeat(seen.board)))
-        for colour, same in seen.colours.items()
-    }
-    better = replace(seen, detections=replace(seen.detections, views=look.views), colours=colours)
+    better = replace(seen, detections=replace(seen.detections, views=look.views))
     progress.start("solving again", None)
     try:
         again = intrinsics.calibrate(better.detections.views, seen.board, replace(how, model=calibration.camera.model))
@@ -182,7 +179,7 @@ def _refined(
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) -> Channel:
     try:
-        lens = fit_colour(calibration, views)
+        lens = fit_colour(calibration, views, colour)
     except (InsufficientData, NotConverged) as error:
         raise type(error)(f"{colour}: {error.message}") from error
     return Channel(lens, aberration(calibration.camera, lens))

@@ -8,12 +8,12 @@ from pathlib import Path
 from camcal.arrays import Array
 from camcal.images.save import save
 from camcal.progress import Progress, values_of
+from camcal.raw.options import Reading
+from camcal.raw.photograph import read_photograph
 from camcal.report.overlays import corner_overlay
 from camcal.run.fanout import fan_out
 from camcal.run.paths import record_outputs, refuse_collisions, refuse_overwriting
-from camcal.targets.board import Detection
-from camcal.tasks.calibration.options import Reading
-from camcal.tasks.calibration.photographs import read_photograph
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.video_frames import Film
 
 SUFFIX = "_corners.png"

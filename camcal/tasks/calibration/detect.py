@@ -1,7 +1,7 @@
 """`camcal detect`: the points of a board in images and frames of videos, as many at a time as there are cores."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,22 +9,23 @@ from typing import Any
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.progress import SILENT, Progress
+from camcal.raw.options import AS_IMAGES
+from camcal.raw.photograph import is_raw
 from camcal.run.paths import Media, find_images, find_media, refuse_overwriting, require_folder
-from camcal.targets.board import CHARUCO, Board, Detection, Detections
+from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
+from camcal.targets.detection import Detection, Detections
 from camcal.tasks.calibration.board_remarks import nothing_found, remarks
 from camcal.tasks.calibration.corner_drawing import draw, pictures
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, with_circle
-from camcal.tasks.calibration.image_detection import Seen, detect_file, search
+from camcal.tasks.calibration.image_detection import detect_file, require_colours, search
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.options import AS_IMAGES, DetectOptions
-from camcal.tasks.calibration.photographs import require_colours
+from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import (
     Film,
-    FrameLook,
     FrameRecord,
     as_data,
-    look_at,
+    detect_frame,
     require_names,
     settled,
     summary,
@@ -43,15 +44,13 @@ MIXED = (
 class DetectReport:
     """The detections with the board as it turned out to be, remarks, and the images that could not be read.
 
-    colours: the same views by the samples of red and of blue, if the reading asked for them. frames: what became of the
-    frames of videos that were searched; those that are taken are among the detections. films: where they come from.
-    pictures: those drawn.
+    frames: what became of the frames of videos that were searched; those that are taken are among the detections.
+    films: where they come from. pictures: those drawn.
     """
 
     detections: Detections
     notes: tuple[str, ...]
     failed: tuple[str, ...]
-    colours: Mapping[str, tuple[Detection, ...]] = field(default_factory=dict)
     frames: tuple[FrameRecord, ...] = ()
     films: tuple[Film, ...] = ()
     pictures: tuple[Path, ...] = ()
@@ -79,23 +78,21 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     material = Material(media.images, films, options.reading, options.jobs, progress)
     board = arranged(asked, material) if asked.type == CHARUCO else asked
     seen, errors = _seen(media.images, board, options, progress)
-    looks, lost = _looks(films, board, options, progress)
+    framed, lost = _in_films(films, board, options, progress)
     errors += [*(film.error for film in films if film.error is not None), *lost]
-    found = [item.view for item in seen] + [look.view for look in looks]
-    others = [item.other for item in seen] + [look.other for look in looks]
+    found = [*seen, *framed]
     _require_readable(found, errors)
     instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
-    nothing = nothing_found(found, others, board, parts=options.parts)
+    nothing = nothing_found(found, board, parts=options.parts)
     if error := instead.error(found, asked) if instead else nothing:
-        _drawn([item.view for item in seen], films, options, progress)  # here the reasons are wanted most
+        _drawn(seen, films, options, progress)  # here the reasons are wanted most
         raise error
     size = usual_size(found)
-    records = settled(looks, board, size, options.frames)
-    kept = [record.look.view for record in records if record.taken or options.frames.whole]
-    before = [*(item.view for item in seen), *kept]
+    records = settled(framed, board, size, options.frames)
+    before = [*seen, *(record.view for record in records if record.taken or options.frames.whole)]
     sized = same_size(before, size, board, mixed=options.mixed_sizes)
     views = sized.views
-    mixed = (MIXED,) if any(item.demosaiced for item in seen) else ()
+    mixed = (MIXED,) if any(view.colours and not is_raw(Path(view.image), options.reading) for view in seen) else ()
     result = Detections(board, views)
     if options.output is not None:
         result = with_circle(result, films, options.reading)
@@ -110,9 +107,6 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
             *(summary(film, records) for film in films),
         ),
         failed=tuple(map(str, errors)),
-        colours={
-            colour: sized.alike([item.colours[colour] for item in seen]) for colour in (seen[0].colours if seen else ())
-        },
         frames=records,
         films=tuple(films),
         pictures=_drawn(sized.in_files(before), films, options, progress),
@@ -163,7 +157,7 @@ def _require_readable(views: Sequence[Detection], errors: Sequence[CamcalError])
 
 def _seen(
     images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress
-) -> tuple[list[Seen], list[CamcalError]]:
+) -> tuple[list[Detection], list[CamcalError]]:
     """Return what images show, and why others could not be read."""
     work = partial(detect_file, reading=options.reading, parts=options.parts)
     tasks = [(path, board) for path in images]
@@ -172,19 +166,19 @@ def _seen(
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
 
 
-def _looks(
+def _in_films(
     films: Sequence[Film], board: Board, options: DetectOptions, progress: Progress
-) -> tuple[list[FrameLook], list[CamcalError]]:
+) -> tuple[list[Detection], list[CamcalError]]:
     """Return what the frames of films show that are searched, and why others could not be."""
-    looks: list[FrameLook] = []
+    views: list[Detection] = []
     errors: list[CamcalError] = []
     for film in films:
         # one outcome after another: each holds its frame
-        work = partial(look_at, parts=options.parts)
+        work = partial(detect_frame, parts=options.parts)
         for outcome in search(work, film.tasks([board]), options.jobs, f"detecting in {film.path.name}", progress):
-            looks += [outcome.value] if outcome.value else []
+            views += [outcome.value] if outcome.value else []
             errors += [outcome.error] if outcome.error else []
-    return looks, errors
+    return views, errors
 
 
 def document(report: DetectReport, output: Path | None) -> dict[str, Any]:

@@ -9,10 +9,10 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.formats.camera_file import CameraEntry
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
-from camcal.targets.board import Detection, Detections
+from camcal.raw.options import Reading
+from camcal.raw.photograph import read_photograph
+from camcal.targets.detection import Detection, Detections
 from camcal.tasks.calibration.mixed_sizes import usual_size
-from camcal.tasks.calibration.options import Reading
-from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
 

@@ -1,17 +1,20 @@
 """What one image shows of a board, and how many images are searched at a time."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+from camcal.errors import InvalidInput
 from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress
+from camcal.raw.options import Reading
+from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.corners.measure import measure
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.options import Reading
-from camcal.tasks.calibration.photographs import in_colours, read_photograph
+from camcal.targets.detection import Detection
 
 TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
 
@@ -19,28 +22,26 @@ Source = TypeVar("Source")
 Shown = TypeVar("Shown")
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What one image shows, and its colours if asked for; other: the board in sight that is not the one looked for.
+def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Detection:
+    """Return what an image file shows of a board, also in each colour if the reading asks for them.
 
-    demosaiced: whether the colours had been mixed.
+    Raises FileError or InvalidInput if it cannot be read.
     """
-
-    view: Detection
-    other: Board | None
-    colours: Mapping[str, Detection] = field(default_factory=dict)
-    demosaiced: bool = False
-
-
-def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Seen:
-    """Return what an image file shows of a board. Raises FileError or InvalidInput if it cannot be read."""
     path, board = task
     require_cell(path)
     photograph = read_photograph(path, reading)
-    sighting = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
-    height, width = photograph.gray.shape
-    found = sighting.in_image(path.as_posix(), (width, height), photograph.orientation)
-    return Seen(found, sighting.other, in_colours(photograph, found, board), photograph.demosaiced)
+    found = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
+    colours = {
+        colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
+        for colour, samples in photograph.colours.items()
+    }
+    return replace(found, image=path.as_posix(), orientation=photograph.orientation, colours=colours)
+
+
+def require_colours(board: Board, reading: Reading) -> None:
+    """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
+    if reading.colours and not board.checker:
+        raise InvalidInput(f"colours are measured at the corners of checker patterns, which no {board.words} has")
 
 
 def search(

@@ -7,7 +7,7 @@ clearly better is taken. Where both fit alike, the image is left out.
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.targets.mixed_sizes import (
     CLOCKWISE,
     COUNTER_CLOCKWISE,
@@ -49,10 +50,6 @@ class SameSize:
     views: tuple[Detection, ...]
     maps: Mapping[str, PixelMap] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-    def alike(self, views: Sequence[Detection]) -> tuple[Detection, ...]:
-        """Return other views of the same images, of their red for example, made to fit as these are."""
-        return tuple(self.maps[view.image].apply(view) if view.image in self.maps else view for view in views)
 
     def in_files(self, before: Sequence[Detection]) -> tuple[Detection, ...]:
         """Return the views with the pixels of their files; before: as they were before they were made to fit."""
@@ -84,7 +81,7 @@ def same_size(views: Sequence[Detection], usual: Size, board: Board, *, mixed: b
             offered = mixed is False and size_relation(view.size, usual) is not None
             hint = f"; {OPTION} uses it" if offered else ""
             reason = reasons.get(view.image) or _differs(view, usual) + hint
-            result.append(replace(Detection.nothing(view.image, view.size, reason), orientation=view.orientation))
+            result.append(view.without_points(reason))
     return SameSize(tuple(result), maps, _notes(others, maps, usual, mixed=mixed))
 
 

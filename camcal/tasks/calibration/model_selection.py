@@ -12,7 +12,8 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.quality.projection_uncertainty import projection_uncertainty
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")

@@ -13,14 +13,13 @@ from camcal.options import (
     NAMES,
     OUTPUT,
     PERCENT,
-    RAW_FRAMES,
     SIZE,
     Argument,
     Option,
     OptionsRecord,
     Without,
 )
-from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.raw.options import AS_IMAGES, Reading
 from camcal.tasks.options import (
     BOARD_OPTION,
     OUTPUT_OPTION,
@@ -35,64 +34,9 @@ from camcal.tasks.options import (
 if TYPE_CHECKING:
     from camcal.targets.board import Board
 
-GREEN, GRAY = "green", "gray"
-ALGORITHMS = (GREEN, GRAY)
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
 SHEET = "Sheet"
-
-
-@dataclass(frozen=True)
-class Reading(OptionsRecord):
-    """How photographs of a board are read.
-
-    pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
-    algorithm: what is made of a raw frame, one of ALGORITHMS. colours: measure corners in red and in blue as well.
-    layout: of header-less files.
-    """
-
-    pattern: Annotated[
-        str | None,
-        Option(
-            "Gray images are bare mosaics with these colours in their first 2x2 pixels: RGGB, GRBG, GBRG, BGGR.",
-            metavar="LETTERS",
-            group=RAW_FRAMES,
-            choices=(*PATTERNS, MONO),
-        ),
-    ] = None
-    algorithm: Annotated[
-        str,
-        Option(
-            "Of raw frames: green, which a lens's lateral chromatic aberration leaves alone, or gray, all samples "
-            "balanced: as good as a monochrome sensor where the lens has no such aberration.",
-            metavar="NAME",
-            group=RAW_FRAMES,
-            choices=ALGORITHMS,
-        ),
-    ] = GREEN
-    colours: Annotated[
-        bool,
-        Option(
-            "Estimate a lens for red and one for blue too, and with them the lateral chromatic aberration: best "
-            "from raw frames, whose samples no demosaicing has mixed.",
-            group=LENS,
-            names="--channels",
-        ),
-    ] = False
-    layout: Annotated[GivenLayout, Without(("frame",))] = NO_LAYOUT
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.colours and self.algorithm != GREEN:
-            raise InvalidInput("channels are measured against green: leave --algorithm out")
-
-    @property
-    def suffixes(self) -> frozenset[str]:
-        """Suffixes that are read in folders beside those of images: of header-less files, if their layout is given."""
-        return frozenset() if self.layout == NO_LAYOUT else HEADERLESS_SUFFIXES
-
-
-AS_IMAGES = Reading()
 
 
 @dataclass(frozen=True)

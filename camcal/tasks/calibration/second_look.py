@@ -1,7 +1,7 @@
 """A second look at the images of a calibration, with its lens, its poses and the shape of its board in hand."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -10,14 +10,14 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.progress import Progress
+from camcal.raw.options import Reading
+from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
-from camcal.targets.board import Board, Detection
 from camcal.targets.corners.board_edges import seen_cells, signs
 from camcal.targets.corners.second_look import Expected, look_again
+from camcal.targets.detection import Detection
 from camcal.targets.mixed_sizes import NEAR, size_relation
 from camcal.targets.samples import Samples
-from camcal.tasks.calibration.options import Reading
-from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.calibration.video_frames import Film
 
 _BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares
@@ -58,9 +58,10 @@ def second_look(
     detections: of calibration.views, in their order. A view that the calibration does not use stays as it is, and so
     does one whose image can no longer be read, or was made to fit the size of the others (--mixed-sizes).
     """
+    turns = calibration.board.symmetries()
     pairs = zip(detections, calibration.views, strict=True)
     expected = {
-        view.image: _Sight(renumbered(view, record, calibration.board), _expected(calibration, record))
+        view.image: _Sight(view.renumbered(turns[record.turned]), _expected(calibration, record))
         for view, record in pairs
         if record.used
     }
@@ -68,12 +69,13 @@ def second_look(
     outcomes = fan_out(
         work, _sights(expected, films), jobs=jobs, processes=True, what="measuring corners", progress=progress
     )
-    again = {outcome.item.view.image: outcome.value for outcome in outcomes if outcome.value is not None}
-    views = tuple(again[view.image][0] if view.image in again else view for view in detections)
-    recovered = sum(new for _, new in again.values())
-    before = sum(len(view.ids) for view in detections if view.image in again)
-    after = sum(len(view.ids) for view, _ in again.values())
-    return SecondLook(views, recovered, before + recovered - after)
+    again = {outcome.value.image: outcome.value for outcome in outcomes if outcome.value is not None}
+    numbers = [(expected[image].view.ids, view.ids) for image, view in again.items()]
+    return SecondLook(
+        tuple(again.get(view.image, view) for view in detections),
+        recovered=sum(len(np.setdiff1d(after, before)) for before, after in numbers),
+        lost=sum(len(np.setdiff1d(before, after)) for before, after in numbers),
+    )
 
 
 def _sights(expected: Mapping[str, _Sight], films: Sequence[Film]) -> Iterator[_Sight]:
@@ -86,16 +88,11 @@ def _sights(expected: Mapping[str, _Sight], films: Sequence[Film]) -> Iterator[_
             yield _Sight(sight.view, sight.expected, frame.image.pixels)
 
 
-def _look_again(sight: _Sight, reading: Reading) -> tuple[Detection, int]:
-    """Return a view with its corners measured again, and how many were recovered."""
+def _look_again(sight: _Sight, reading: Reading) -> Detection:
+    """Return a view with its corners measured again."""
     view = sight.view
     samples = Samples(sight.gray) if sight.gray is not None else _samples(view, reading)
-    if samples is None:
-        return view, 0
-    seen = look_again(samples, view.ids, view.pixels, sight.expected)
-    if not len(seen.ids):
-        return view, 0
-    return replace(view, ids=seen.ids, pixels=seen.pixels, covariance=seen.covariance), seen.recovered
+    return view if samples is None else look_again(samples, view, sight.expected)
 
 
 def _samples(view: Detection, reading: Reading) -> Samples | None:
@@ -104,11 +101,6 @@ def _samples(view: Detection, reading: Reading) -> Samples | None:
     height, width = photograph.gray.shape
     same = (width, height) == view.size or size_relation((width, height), view.size) == NEAR
     return photograph.samples if same else None
-
-
-def renumbered(view: Detection, record: View, board: Board) -> Detection:
-    """Return a view of a board that looks the same turned with the ids that the calibration gave its corners."""
-    return replace(view, ids=board.symmetries()[record.turned][view.ids])
 
 
 def _expected(calibration: Calibration, record: View) -> Expected:

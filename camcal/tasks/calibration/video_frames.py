@@ -16,15 +16,16 @@ import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, FrameLooks, choose_frames
+from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, choose_frames
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
 from camcal.images.image import Image
 from camcal.images.load import gray_8bit
 from camcal.images.video import focus, motion, reduced
 from camcal.progress import Progress
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
 from camcal.targets.detect import SEED, detect
+from camcal.targets.detection import Detection
 from camcal.targets.edge_blur import edge_blur
 from camcal.tasks.calibration.options import FrameOptions
 
@@ -82,23 +83,10 @@ class Film:
 
 
 @dataclass(frozen=True)
-class FrameLook:
-    """What a frame shows: blur of the board's edges, px, and how far it has moved since the frame before, px.
-
-    other: the board in sight that is not the one looked for.
-    """
-
-    view: Detection
-    other: Board | None = None
-    blur_px: float = float("nan")
-    motion_px: float = float("nan")
-
-
-@dataclass(frozen=True)
 class FrameRecord:
     """What became of a frame that was searched, why, and the figures behind it: see `calibrate.frames.FrameChoice`."""
 
-    look: FrameLook
+    view: Detection
     taken: bool
     reason: str
     choice: FrameChoice | None = None
@@ -142,69 +130,66 @@ def _sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int
     return [numbers[part[0] + int(np.argmax(np.take(sharpness, part)))] for part in parts]
 
 
-def look_at(task: tuple[str, Frame, Board], parts: bool = False) -> FrameLook:
+def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> Detection:
     """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial."""
-    _, frame, board = task
+    name, frame, board = task
     gray = frame.image.pixels
-    sighting = detect(gray, board, partial=parts)
-    found = sighting.in_image(frame.name, frame.image.size, frame.image.orientation)
-    if not sighting.found:
-        return FrameLook(found, sighting.other)
+    found = replace(detect(gray, board, partial=parts), image=name, orientation=frame.image.orientation)
+    if not found.found:
+        return found
     copy = reduced(gray)
     moved = np.nan
     if frame.before is not None and frame.before.shape == copy.shape:
-        moved = motion(frame.before, copy, sighting.pixels, gray.shape[1] // copy.shape[1])
-    return FrameLook(found, sighting.other, edge_blur(gray, sighting.pixels), moved)
+        moved = motion(frame.before, copy, found.pixels, gray.shape[1] // copy.shape[1])
+    return replace(found, blur_px=edge_blur(gray, found.pixels), motion_px=moved)
 
 
 def settled(
-    looks: Sequence[FrameLook], board: Board, size: tuple[int, int], options: FrameOptions
+    views: Sequence[Detection], board: Board, size: tuple[int, int], options: FrameOptions
 ) -> tuple[FrameRecord, ...]:
     """Return what becomes of every frame that was searched; only those of a size with the board can be taken."""
-    usable = [index for index, look in enumerate(looks) if look.view.found and look.view.size == size]
+    usable = [index for index, view in enumerate(views) if view.found and view.size == size]
     if options.whole or not usable:
-        return tuple(FrameRecord(look, index in usable, _refusal(look, size)) for index, look in enumerate(looks))
-    some = [looks[index] for index in usable]
-    blur, moved = np.array([look.blur_px for look in some]), np.array([look.motion_px for look in some])
-    choices = choose_frames(FrameLooks(tuple(look.view for look in some), blur, moved), board, options.most)
-    by_look = dict(zip(usable, choices, strict=True))
-    names = [look.view.image for look in some]
+        return tuple(FrameRecord(view, index in usable, _refusal(view, size)) for index, view in enumerate(views))
+    some = [views[index] for index in usable]
+    by_view = dict(zip(usable, choose_frames(some, board, options.most), strict=True))
+    names = [view.image for view in some]
     records = []
-    for index, look in enumerate(looks):
-        choice = by_look.get(index)
-        reason = _refusal(look, size) if choice is None else _reason(choice, look, names)
-        records.append(FrameRecord(look, choice is not None and choice.chosen, reason, choice))
+    for index, view in enumerate(views):
+        choice = by_view.get(index)
+        reason = _refusal(view, size) if choice is None else _reason(choice, view, names)
+        records.append(FrameRecord(view, choice is not None and choice.chosen, reason, choice))
     return tuple(records)
 
 
-def _refusal(look: FrameLook, size: tuple[int, int]) -> str:
-    if not look.view.found:
-        return look.view.reason or "nothing found"
-    if look.view.size != size:
-        return "is {}x{}, most images are {}x{}".format(*look.view.size, *size)
+def _refusal(view: Detection, size: tuple[int, int]) -> str:
+    if not view.found:
+        return view.reason or "nothing found"
+    if view.size != size:
+        return "is {}x{}, most images are {}x{}".format(*view.size, *size)
     return ""
 
 
-def _reason(choice: FrameChoice, look: FrameLook, names: Sequence[str]) -> str:
+def _reason(choice: FrameChoice, view: Detection, names: Sequence[str]) -> str:
     """Return why a frame that shows the board is taken or not."""
     if choice.why == SAME and choice.like is not None:
         return f"like {Path(names[choice.like]).name}"
     return {
         CHOSEN: "adds most",
         SURPLUS: "adds less",
-        BLURRED: f"blurred by {look.blur_px:.1f} px",
-        MOVING: f"moves {look.motion_px:.0f} px a frame" if np.isfinite(look.motion_px) else "moves too fast to follow",
+        BLURRED: f"blurred by {view.blur_px:.1f} px",
+        MOVING: f"moves {view.motion_px:.0f} px a frame" if np.isfinite(view.motion_px) else "moves too fast to follow",
     }[choice.why]
 
 
 def summary(film: Film, records: Sequence[FrameRecord]) -> str:
     """Return in a line what became of the frames of a video; records: its own and those of others."""
     names = frozenset(film.names)
-    own = [record for record in records if record.look.view.image in names]
+    own = [record for record in records if record.view.image in names]
     whys = Counter(record.choice.why for record in own if record.choice is not None)
     words = {SAME: "like these", BLURRED: "blurred", MOVING: "moving fast", SURPLUS: "adding less"}
     others = "".join(f", {whys[why]} {text}" for why, text in words.items() if whys[why])
-    taken, found = sum(record.taken for record in own), sum(record.look.view.found for record in own)
+    taken, found = sum(record.taken for record in own), sum(record.view.found for record in own)
     return (
         f"{film.path.name}: {taken} of {film.count} frames are taken; {len(own)} were searched, "
         f"{found} show the board{others}"
@@ -213,23 +198,23 @@ def summary(film: Film, records: Sequence[FrameRecord]) -> str:
 
 def cells(record: FrameRecord) -> list[object]:
     """Return what is listed of a frame under COLUMNS, None where a figure is not known."""
-    look, choice = record.look, record.choice
-    figures = [round(value, 2) if np.isfinite(value) else None for value in (look.blur_px, look.motion_px)]
+    view, choice = record.view, record.choice
+    figures = [round(value, 2) if np.isfinite(value) else None for value in (view.blur_px, view.motion_px)]
     order = None if choice is None or choice.rank is None else choice.rank + 1
-    return [look.view.image, len(look.view.ids), *figures, order, record.reason]
+    return [view.image, len(view.ids), *figures, order, record.reason]
 
 
 def as_data(record: FrameRecord) -> dict[str, Any]:
     """Return what became of a frame as plain data for --json; NaN where a figure is not known."""
-    look, choice = record.look, record.choice
+    view, choice = record.view, record.choice
     return {
-        "frame": look.view.image,
-        "corners": len(look.view.ids),
+        "frame": view.image,
+        "corners": len(view.ids),
         "taken": record.taken,
         "reason": record.reason,
         "order": None if choice is None or choice.rank is None else choice.rank + 1,
-        "blur_px": look.blur_px,
-        "motion_px": look.motion_px,
+        "blur_px": view.blur_px,
+        "motion_px": view.motion_px,
         "error_px": None if choice is None else choice.error_px,
         "gain": None if choice is None else choice.gain,
     }

@@ -11,16 +11,17 @@ from typing import TypeVar
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.progress import Progress
-from camcal.targets.board import Board, Detection
+from camcal.raw.options import Reading
+from camcal.raw.photograph import read_photograph
+from camcal.targets.board import Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.checker.charuco_rows import ends_after, rows_seen
 from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, is_like, search_charuco
 from camcal.targets.detect import SEED
+from camcal.targets.detection import Detection
 from camcal.tasks.calibration.board_remarks import OtherBoard
 from camcal.tasks.calibration.image_detection import detect_file, search
-from camcal.tasks.calibration.options import Reading
-from camcal.tasks.calibration.photographs import read_photograph
-from camcal.tasks.calibration.video_frames import Film, Frame, look_at
+from camcal.tasks.calibration.video_frames import Film, Frame, detect_frame
 
 SAMPLE = 6  # images on which it is found out
 TRYING, SEARCHING = "trying patterns", "trying other boards"
@@ -70,10 +71,10 @@ def arranged(asked: Board, material: Material) -> Board:
     for part in (material.sample(), material):
         tasks = [(path, candidate) for candidate in candidates for path in part.images]
         shown = search(partial(detect_file, reading=reading), tasks, jobs, TRYING, progress)
-        corners.update(_counts((outcome.item[1], outcome.value.view) for outcome in shown if outcome.value))
+        corners.update(_counts((outcome.item[1], outcome.value) for outcome in shown if outcome.value))
         for film in part.films:
-            looks = search(look_at, film.tasks(candidates), jobs, TRYING, progress)
-            corners.update(_counts((outcome.item[2], outcome.value.view) for outcome in looks if outcome.value))
+            looks = search(detect_frame, film.tasks(candidates), jobs, TRYING, progress)
+            corners.update(_counts((outcome.item[2], outcome.value) for outcome in looks if outcome.value))
         if corners.total():
             break
     return max(candidates, key=lambda candidate: corners[candidate])

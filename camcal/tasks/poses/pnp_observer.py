@@ -24,11 +24,11 @@ from camcal.images.save import save
 from camcal.images.video import frame_name, frames
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress, values_of
+from camcal.raw.photograph import read_photograph
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs, refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
-from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.poses.options import Looking
 from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
 

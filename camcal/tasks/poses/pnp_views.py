@@ -17,11 +17,12 @@ from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import Sight
 from camcal.images.video import frames
 from camcal.progress import Progress
+from camcal.raw.photograph import read_photograph
 from camcal.run.paths import find_media
-from camcal.targets.board import Board, Detection
+from camcal.targets.board import Board
+from camcal.targets.detection import Detection
 from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
-from camcal.tasks.calibration.photographs import read_photograph
 from camcal.tasks.poses.options import Looking
 from camcal.tasks.poses.tag_views import board_frames, tag_views
 

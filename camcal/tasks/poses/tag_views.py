@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -16,16 +16,17 @@ from camcal.images.image import Image
 from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Outcome, Progress
+from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_media
-from camcal.targets.board import CHARUCO, Board, Detection, Detections
+from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
+from camcal.targets.detection import Detection, Detections
 from camcal.targets.markers.markers import Markers, detect_markers
 from camcal.targets.markers.tags import TagObjects
 from camcal.tasks.calibration.board_remarks import remarks
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.calibration.photographs import read_photograph
 
 _TIMEOUT_S = 600.0  # for one image; the slowest take seconds
 _LISTED = 8  # ids in a reason
@@ -192,7 +193,7 @@ def _detect(frame: _Frame, board: Board) -> Detection:
     if isinstance(frame.image, CamcalError):
         raise frame.image
     assert frame.image is not None
-    return detect(frame.image.pixels, board).in_image(frame.name, frame.image.size, frame.image.orientation)
+    return replace(detect(frame.image.pixels, board), image=frame.name, orientation=frame.image.orientation)
 
 
 def _arranged(video: Path, board: Board) -> Board:

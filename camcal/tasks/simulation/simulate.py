@@ -32,7 +32,8 @@ from camcal.simulate import mosaics
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder, lenses
 from camcal.simulate.render import FLAT, Shape, render
 from camcal.simulate.scene import Truth, make_camera, observe, view_name, views
-from camcal.targets.board import Board, Detections
+from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions

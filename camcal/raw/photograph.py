@@ -5,7 +5,7 @@ where green was sampled, or in all samples alike, and measured by the samples of
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,9 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
-from camcal.raw.options import HEADERLESS_SUFFIXES, MONO, PATTERNS, Gains
+from camcal.raw.options import AS_IMAGES, GRAY, GREEN, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, Gains, Reading
 from camcal.raw.reading import read_mosaic
-from camcal.targets.board import Board, Detection
-from camcal.targets.corners.measure import measure
 from camcal.targets.samples import Samples
-from camcal.targets.sighting import Sighting
-from camcal.tasks.calibration.options import AS_IMAGES, GRAY, GREEN, Reading
 
 COLOURS = ("red", "blue")
 
@@ -41,14 +37,12 @@ class Photograph:
     """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
 
     measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
-    demosaiced: whether the colours stem from an image, in which they have been mixed.
     """
 
     gray: Array
     orientation: int
     measured: Samples | None = None
     colours: Mapping[str, Samples] = field(default_factory=dict)
-    demosaiced: bool = False
 
     @property
     def samples(self) -> Samples:
@@ -61,15 +55,18 @@ def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
 
     Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the colours asked for.
     """
-    suffix = path.suffix.lower()
     try:
-        if suffix in HEADERLESS_SUFFIXES:
-            return photograph_of(read_mosaic(path, reading.pattern, reading.layout), reading)
-        if suffix in RAW_SUFFIXES or reading.pattern is not None:
-            return photograph_of(read_mosaic(path, reading.pattern), reading)
-        return _of_image(load(path), reading)
+        if not is_raw(path, reading):
+            return _of_image(load(path), reading)
+        layout = reading.layout if path.suffix.lower() in HEADERLESS_SUFFIXES else NO_LAYOUT
+        return photograph_of(read_mosaic(path, reading.pattern, layout), reading)
     except InvalidInput as error:
         raise InvalidInput(error.message, where=error.where or str(path)) from error
+
+
+def is_raw(path: Path, reading: Reading) -> bool:
+    """Return whether a file holds a raw frame; colours of other images have been mixed by demosaicing."""
+    return path.suffix.lower() in RAW_SUFFIXES | HEADERLESS_SUFFIXES or reading.pattern is not None
 
 
 def _of_image(image: Image, reading: Reading) -> Photograph:
@@ -81,7 +78,7 @@ def _of_image(image: Image, reading: Reading) -> Photograph:
     planes = {colour: image.pixels[:, :, channel] for colour, channel in _CHANNELS.items()}
     colours = {colour: Samples(gray_levels(planes[colour])) for colour in COLOURS}
     green = Samples(gray_levels(planes[GREEN]))
-    return Photograph(gray_8bit(planes[GREEN]), image.orientation, green, colours, demosaiced=True)
+    return Photograph(gray_8bit(planes[GREEN]), image.orientation, green, colours)
 
 
 def photograph_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> Photograph:
@@ -137,18 +134,3 @@ def _weighted_median(values: Array, weights: Array) -> float:
     order = np.argsort(values)
     heaped = np.cumsum(weights[order], dtype=np.float64)
     return float(values[order][np.searchsorted(heaped, heaped[-1] / 2)])
-
-
-def require_colours(board: Board, reading: Reading) -> None:
-    """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
-    if reading.colours and not board.checker:
-        raise InvalidInput(f"colours are measured at the corners of checker patterns, which no {board.words} has")
-
-
-def in_colours(photograph: Photograph, view: Detection, board: Board) -> dict[str, Detection]:
-    """Return the corners of a view as red and blue show them, each where it is clear; empty if not asked for."""
-    result = {}
-    for colour, samples in photograph.colours.items():
-        seen = measure(samples, board, Sighting(view.ids, view.pixels, view.reason))
-        result[colour] = replace(view, ids=seen.ids, pixels=seen.pixels, covariance=seen.covariance, reason=seen.reason)
-    return result
