@@ -29,9 +29,10 @@ from projection_error import rms_inside_and_outside
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.geometry.pose import Pose
 from camcal.simulate import render
 from camcal.simulate.scene import observe, views

@@ -28,9 +28,10 @@ from scipy.stats import f as fisher
 from scipy.stats import norm
 
 from camcal.calibrate.intrinsics import Calibration, Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.run.fanout import fan_out

@@ -12,10 +12,11 @@ from toy_model import TOY
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras import catalogue
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.cameras.validity import folds_inside
 from camcal.cli.main import app
 from camcal.errors import InvalidInput

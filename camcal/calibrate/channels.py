@@ -20,6 +20,7 @@ from camcal.arrays import Array, readonly
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.outliers import CUT, robust_sigma, truncation
 from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.reprojection import linearised, residuals
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Cauchy, Loss
@@ -185,7 +186,7 @@ class _LensProblem:
 
     def distances(self, parameters: Array) -> Array:
         """Return the lengths (N,) of the residuals, NaN outside the lens's domain."""
-        return np.asarray(np.linalg.norm(self.model.project(parameters, self.points).pixels - self.pixels, axis=1))
+        return np.asarray(np.hypot(*residuals(self.model, parameters, self.points.T, self.pixels.T)))
 
     def screened(self, parameters: Array, loss: Loss | None = None) -> "_LensProblem":
         """Return the problem with σ brought up to date, and without a loss with outliers at weight 0."""
@@ -196,12 +197,11 @@ class _LensProblem:
         return replace(self, weights=kept.astype(float), sigma=sigma, loss=loss)
 
     def blocks(self, parameters: Array) -> list[Block] | None:
-        projected = self.model.project_with_jacobians(parameters, self.points, within_domain=False)
-        if np.any(self.weights[~projected.valid] > 0):
+        seen = linearised(self.model, parameters, self.points.T, self.pixels.T, within_domain=False)
+        if np.any(self.weights[~seen.valid] > 0):
             return None
-        residuals = np.nan_to_num(projected.pixels - self.pixels)
-        by_lens = Jacobian(np.nan_to_num(projected.d_parameters[:, :, self.free]), np.arange(self.shared))
-        data = Block(residuals, (by_lens,), weights=self.weights / self.sigma**2, loss=self.loss)
+        by_lens = Jacobian(seen.by_lens[:, self.free].transpose(2, 0, 1), np.arange(self.shared))
+        data = Block(seen.residuals.T, (by_lens,), weights=self.weights / self.sigma**2, loss=self.loss)
         slopes = 1 / self.spread[self.free]
         pull = (parameters - self.start)[self.free] * slopes
         return [data, Block(pull[:, None], (Jacobian(slopes[:, None, None], np.arange(self.shared)[:, None]),))]

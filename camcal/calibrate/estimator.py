@@ -57,16 +57,6 @@ class Freedom:
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
-    """What was detected: present: (V, P) the points that there are, whatever their weight. claimed: (V, P, 2, 2) px²,
-    their covariances as their images give them, None: all alike.
-    """
-
-    present: Array
-    claimed: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class Estimate:
     """Where the passes ended.
 
@@ -94,7 +84,6 @@ class Estimate:
 def estimate(
     problem: BoardProblem,
     state: State,
-    views: Views,
     freedom: Freedom,
     start: Estimate | None = None,
     *,
@@ -105,7 +94,7 @@ def estimate(
     start: an estimate of the same problem with no more freedom, whose noise and scales are taken over. brief: with few
     passes, to look at. Raises SingularError where the data leave parameters undetermined.
     """
-    return _Passes(problem, state, views, freedom, start).run(brief=brief)
+    return _Passes(problem, state, freedom, start).run(brief=brief)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,15 +109,13 @@ class _Place:
 class _Passes:
     """The alternation; its attributes are what a pass leaves for the next."""
 
-    def __init__(
-        self, problem: BoardProblem, state: State, views: Views, freedom: Freedom, start: Estimate | None
-    ) -> None:
-        present = views.present
+    def __init__(self, problem: BoardProblem, state: State, freedom: Freedom, start: Estimate | None) -> None:
+        present, claimed = problem.observations.present, problem.observations.covariance
         if freedom.smooth:
             problem, state = with_terms(problem, state)
         together = freedom.points and problem.board.count <= TOGETHER
         self.problem = replace(problem, loss=None, offsets=together)
-        self.present, self.claimed, self.freedom = present, views.claimed, freedom
+        self.present, self.claimed, self.freedom = present, claimed, freedom
         derivatives = self.problem.derivatives(state)
         self.columns = columns_at(self.problem, state, derivatives, present, freedom.effects)
         self.place = _Place(state, derivatives, np.zeros((len(present), len(self.columns.effect))))
@@ -145,7 +132,7 @@ class _Passes:
             self._take_effects(start, start.effect_scales)
         self.moved, self.share = np.zeros(len(problem.free)), 1.0
         # offsets of the points may follow the corners of a view or two exactly, as if these had no noise at all
-        self.finest = FINEST if views.claimed is None else _FINER * _typical_std(views.claimed[present])
+        self.finest = FINEST if claimed is None else _FINER * _typical_std(claimed[present])
 
     def _take_effects(self, start: Estimate, scales: EffectScales) -> None:
         """Begin with the effects of an estimate that has some of them."""

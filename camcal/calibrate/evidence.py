@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, Effect, columns_at
-from camcal.calibrate.estimator import Estimate, Views
+from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE
 from camcal.calibrate.variances import EffectScales, likelihood_gain
 from camcal.targets.surface import basis
@@ -47,20 +47,21 @@ class WithinViews:
     flex: tuple[float, float] | None = None
 
 
-def evidence_of_effects(plain: Estimate, views: Views) -> Evidence:
+def evidence_of_effects(plain: Estimate) -> Evidence:
     """Return the evidence for effects by the gain of the restricted likelihood that they bring.
 
     plain: the estimate that takes errors within views for noise.
     """
-    count = len(views.present)
+    table = plain.problem.observations
+    count = len(table.ids)
     chosen = np.unique(np.linspace(0, count - 1, min(count, _VIEWS)).astype(np.intp))
     some = replace(
         plain.problem,
-        observations=plain.problem.observations.take(chosen),
+        observations=table.take(chosen),
         noise=plain.noise.views[chosen],
         offsets=False,
     )
-    state, present = plain.state.take(chosen), views.present[chosen]
+    state, present = plain.state.take(chosen), table.present[chosen]
     derivatives = some.derivatives(state)
     start = EffectScales.start(len(chosen), plain.noise.sigma, max(some.board.extent))
 
@@ -76,19 +77,19 @@ def evidence_of_effects(plain: Estimate, views: Views) -> Evidence:
     return Evidence(share, rolling, flex)
 
 
-def within_views(evidence: Evidence, everything: Estimate, views: Views, height: int) -> WithinViews:
+def within_views(evidence: Evidence, everything: Estimate, height: int) -> WithinViews:
     """Return what the errors within views are, by the estimate that models all effects; height: of the image, px."""
     problem, state = everything.problem, everything.state
-    own = everything.freedom.effects
-    columns = columns_at(problem, state, problem.derivatives(state), views.present, own)
+    own, present = everything.freedom.effects, everything.problem.observations.present
+    columns = columns_at(problem, state, problem.derivatives(state), present, own)
     rolling_px = flex = None
     if evidence.rolling >= NAMED:
         moved = columns.of([EFFECTS.index(ROLLING)]).values
         products = _products(everything, columns.effect, ROLLING)
         squares = np.einsum("imvp,vmn,invp->vp", moved, products, moved, optimize=True)
-        rows = problem.observations.pixels[1] - np.mean(problem.observations.pixels[1][views.present])
+        rows = problem.observations.pixels[1] - np.mean(problem.observations.pixels[1][present])
         # the effect grows with the distance from the middle row: by how much over the height of the image
-        apart = np.sum(squares, axis=1) / np.sum(rows**2 * views.present, axis=1)
+        apart = np.sum(squares, axis=1) / np.sum(rows**2 * present, axis=1)
         rolling_px = _typical_and_most(height * np.sqrt(apart))
     if evidence.flex >= NAMED:
         terms = basis(problem.board, FLEX_TERMS)[:, 2]

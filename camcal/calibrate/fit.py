@@ -7,17 +7,18 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.averaging import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.effects import EFFECTS, SMOOTH
-from camcal.calibrate.estimator import Estimate, Freedom, Views, estimate
+from camcal.calibrate.estimator import Estimate, Freedom, estimate
 from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
 from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
 from camcal.calibrate.outliers import CUT, robust_sigma
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.shape import odd_terms
 from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -81,16 +82,16 @@ class Fit:
         return self.plain.problem
 
 
-def fit(plain: Estimate, turns: Array, views: Views, image_size: tuple[int, int]) -> Fit:
+def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> Fit:
     """Return the solution that goes on from the two results of `fit_plain`."""
     estimates = [plain]
-    found = evidence_of_effects(plain, views) if plain.converged and len(plain.problem.free) else Evidence()
+    found = evidence_of_effects(plain) if plain.converged and len(plain.problem.free) else Evidence()
     for effects in _EFFECTS if found.share > 0 else ():
-        following = _with_effects(estimates[-1], views, effects)
+        following = _with_effects(estimates[-1], effects)
         estimates += [following] if following is not None and following.converged else []
     errors = WithinViews(found.share)
     if estimates[-1].freedom.effects == _EFFECTS[-1]:
-        errors = within_views(found, estimates[-1], views, image_size[1])
+        errors = within_views(found, estimates[-1], image_size[1])
     return _averaged(tuple(estimates), errors, turns, image_size)
 
 
@@ -102,7 +103,6 @@ def fit_plain(
     held: Array,
     guess: Array | None,
     shape: ShapeOptions,
-    claimed: Array | None = None,
     *,
     brief: bool = False,
 ) -> tuple[Estimate, Array]:
@@ -110,7 +110,7 @@ def fit_plain(
     turned.
 
     held: (K,) values of lens parameters that stay as they are, NaN where free. guess: (K,) a lens to start from.
-    claimed: (V, P, 2, 2) px², the covariances that the images give the points, None: all alike. brief: with few passes,
+    brief: with few passes,
     to compare lens models by. Raises InsufficientData where no start is found.
     """
     free = np.flatnonzero(np.isnan(held))
@@ -127,15 +127,14 @@ def fit_plain(
     state = minimise(problem, state, _FINE).state
     spread = model.prior_std(image_size, float(state.parameters[0]))
     problem = replace(problem, observations=observations, lens_spread=spread)
-    views = Views(observations.weights > 0, claimed)
-    problem, state, turns, first = _oriented(problem, state, views, shape)
-    return estimate(problem, state, views, shape.freedom, first, brief=brief), turns
+    problem, state, turns, first = _oriented(problem, state, shape)
+    return estimate(problem, state, shape.freedom, first, brief=brief), turns
 
 
-def _with_effects(start: Estimate, views: Views, effects: tuple[str, ...]) -> Estimate | None:
+def _with_effects(start: Estimate, effects: tuple[str, ...]) -> Estimate | None:
     """Return the estimate that models errors within views as `effects`, None where the data do not hold it."""
     try:
-        return estimate(start.problem, start.state, views, replace(start.freedom, effects=effects), start)
+        return estimate(start.problem, start.state, replace(start.freedom, effects=effects), start)
     except SingularError:
         return None
 
@@ -244,36 +243,37 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
 
 
 def _oriented(
-    problem: BoardProblem, state: State, views: Views, shape: ShapeOptions
+    problem: BoardProblem, state: State, shape: ShapeOptions
 ) -> tuple[BoardProblem, State, Array, Estimate | None]:
     """Return problem and state with every view of a symmetric board numbered from the end that fits its shape best, the
     symmetries (V,) by which they were turned, and the estimate that says so.
     """
-    turns = np.zeros(len(views.present), np.intp)
+    present = problem.observations.present
+    turns = np.zeros(len(present), np.intp)
     symmetries = len(problem.board.symmetries())
     if not shape.smooth or symmetries == 1:
         return problem, state, turns, None
-    found = _first(problem, state, views, shape)
+    found = _first(problem, state, shape)
     opposed = opposed_views(*odd_terms(found.problem, found.state, found.factors))
     if opposed.any():
         sorted_apart = opposed * (symmetries // 2)
-        trial = _first(*turned(found.problem, found.state, sorted_apart), views, shape)
+        trial = _first(*turned(found.problem, found.state, sorted_apart), shape)
         sigma = found.noise.sigma
-        if _chi_square(found, views.present, sigma) - _chi_square(trial, views.present, sigma) > len(turns):
+        if _chi_square(found, present, sigma) - _chi_square(trial, present, sigma) > len(turns):
             found, turns = trial, sorted_apart
     for _ in range(_ROUNDS):
-        better, state = best_turns(found.problem, found.state, views.present)
+        better, state = best_turns(found.problem, found.state, present)
         if not better.any():
             break
-        found = _first(renumbered(found.problem, better), state, views, shape)
+        found = _first(renumbered(found.problem, better), state, shape)
         turns = (turns + better) % symmetries
     return found.problem, found.state, turns, found
 
 
-def _first(problem: BoardProblem, state: State, views: Views, shape: ShapeOptions) -> Estimate:
+def _first(problem: BoardProblem, state: State, shape: ShapeOptions) -> Estimate:
     """Return a first estimate of the board's shape, good enough to tell its ends apart; its points start anew."""
     state = replace(state, offsets=0 * state.offsets)
-    return estimate(problem, state, views, shape.freedom, brief=True)
+    return estimate(problem, state, shape.freedom, brief=True)
 
 
 def _chi_square(result: Estimate, present: Array, sigma: float) -> float:

@@ -17,8 +17,9 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.initialise import sweep_focal
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import WIDE_MODEL, model_named
+from camcal.cameras.observations import Observations
 from camcal.solve.least_squares import linearise
 from camcal.targets.board import Board
 from camcal.targets.detection import Detection

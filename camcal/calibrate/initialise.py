@@ -8,8 +8,9 @@ form for pinholes (Zhang 2000) this serves lenses beyond 180° alike.
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.model import CameraModel
+from camcal.cameras.observations import Observations
 from camcal.cameras.planar_poses import planar_poses
 from camcal.targets.board import Board
 

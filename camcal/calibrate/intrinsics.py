@@ -17,17 +17,17 @@ from camcal.calibrate.degeneracy import (
     require_tilts,
     require_views,
 )
-from camcal.calibrate.estimator import Views
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
 from camcal.calibrate.gross import misfit, require_fit, require_one_camera
 from camcal.calibrate.model_choice import Contender, contender
 from camcal.calibrate.noise import REJECTED
-from camcal.calibrate.problem import POSE, BoardProblem, Observations, covariances_of
+from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board
@@ -110,7 +110,6 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     held, guess = _held(options, size)
     observations = Observations.of(usable)
-    claimed = covariances_of(usable)
     try:
         plain, turns = fit_plain(
             options.model,
@@ -120,16 +119,15 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
             held=held,
             guess=guess,
             shape=options.shape,
-            claimed=claimed,
         )
-        result = fit(plain, turns, Views(observations.weights > 0, claimed), size)
+        result = fit(plain, turns, size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"
         ) from error
-    present, images = observations.weights > 0, [view.image for view in usable]
-    cameras = two_cameras(plain, present, images, size, options.shape, options.named_groups)
+    present, images = observations.present, [view.image for view in usable]
+    cameras = two_cameras(plain, images, size, options.shape, options.named_groups)
     if not result.plain.converged:
         # the likeliest causes, and better things to say
         require_one_camera(cameras)
@@ -150,7 +148,7 @@ def compare_models(
     """
     size, reasons = _usable(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
-    observations, claimed = Observations.of(usable), covariances_of(usable)
+    observations = Observations.of(usable)
     result = []
     for model in models:
         try:
@@ -163,10 +161,9 @@ def compare_models(
                 held=held,
                 guess=guess,
                 shape=options.shape,
-                claimed=claimed,
                 brief=True,
             )
-            result.append(contender(model.name, plain, observations.weights > 0))
+            result.append(contender(model.name, plain, observations.present))
         except (SingularError, np.linalg.LinAlgError):
             result.append(Contender(model.name, reason="the views leave some of its parameters undetermined"))
         except (InsufficientData, InvalidInput) as error:

@@ -5,7 +5,6 @@ its points (x y z of point 0, of point 1, …). Each view's pose camera_T_board 
 followed by the coefficients of effects within views where an estimator models them.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,76 +12,17 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import CameraModel
+from camcal.cameras.observations import Observations
+from camcal.cameras.reprojection import by_pose, linearised, residuals, turned, whitened
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
 from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
 from camcal.targets.surface import basis
 
 POSE = 6  # parameters of a view: tx ty tz rx ry rz
 _FITS = 3.0  # times the noise: the distance within which a point fits
-
-
-@dataclass(frozen=True, eq=False)
-class Observations:
-    """Pixels of board points in V views, padded to P rows a view.
-
-    ids: (V, P). pixels: (2, V, P). weights: (V, P), 0 for padding and for what is rejected, else 1.
-    whitening: (2, 2, V, P) with Wᵀ W the inverse covariance of a pixel over a typical one's, or None: all alike.
-    """
-
-    ids: Array
-    pixels: Array
-    weights: Array
-    whitening: Array | None = None
-
-    @classmethod
-    def of(cls, views: Sequence[Detection]) -> "Observations":
-        """Return the table of the points found in `views`, one row of the table each, all points counting the same."""
-        length = max(len(view.ids) for view in views)
-        ids = np.zeros((len(views), length), np.intp)
-        pixels, weights = np.zeros((2, len(views), length)), np.zeros((len(views), length))
-        for index, view in enumerate(views):
-            count = len(view.ids)
-            ids[index, :count], weights[index, :count] = view.ids, 1.0
-            pixels[:, index, :count] = view.pixels.T
-        return cls(ids, pixels, weights)
-
-    def weighted(self, covariances: Array) -> "Observations":
-        """Return the table with points that count by their covariances (V, P, 2, 2) px², relative to the typical one.
-
-        Residuals stay in pixels, those of a typical point: one with the geometric mean of all variances.
-        """
-        typical = np.exp(np.log(np.linalg.det(covariances[self.weights > 0])).mean() / 2)
-        roots = np.linalg.cholesky(np.linalg.inv(covariances / typical))
-        return replace(self, whitening=np.ascontiguousarray(roots.transpose(3, 2, 0, 1)))
-
-    def take(self, views: Array) -> "Observations":
-        """Return the table of some of the views."""
-        whitening = None if self.whitening is None else self.whitening[:, :, views]
-        return Observations(self.ids[views], self.pixels[:, views], self.weights[views], whitening)
-
-    @property
-    def present(self) -> int:
-        """The number of points that count."""
-        return int(np.count_nonzero(self.weights))
-
-
-def covariances_of(views: Sequence[Detection]) -> Array | None:
-    """Return the covariances (V, P, 2, 2) px² of the points of views, in the order of Observations, None if no view
-    has any; a view without counts as the typical one of the others.
-    """
-    known = [view.covariance for view in views if view.covariance is not None]
-    if not known:
-        return None
-    typical = np.median(np.concatenate(known), axis=0)
-    result = np.tile(typical, (len(views), max(len(view.ids) for view in views), 1, 1))
-    for index, view in enumerate(views):
-        if view.covariance is not None:
-            result[index, : len(view.ids)] = view.covariance
-    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +62,7 @@ class Derivatives:
 
     def by_pose(self) -> Array:
         """Return the derivatives (2, 6, M) by tx ty tz rx ry rz."""
-        return _pose_jacobian(self.by_point, self.rotated)
+        return by_pose(self.by_point, self.rotated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,15 +144,13 @@ class BoardProblem:
 
     def distances(self, residuals: Array) -> Array:
         """Return the lengths (V, P) of residuals (2, V, P), whitened where covariances are known."""
-        if self.observations.whitening is not None:
-            residuals = np.einsum("ijvp,jvp->ivp", self.observations.whitening, residuals)
+        residuals = whitened(self.observations.whitening, residuals)
         return np.asarray(np.sqrt(residuals[0] ** 2 + residuals[1] ** 2))
 
     def residuals(self, state: State) -> Array:
         """Return projected minus observed pixels (2, V, P), NaN outside the lens's domain; not divided by σ."""
-        rotated, points = self._points(state)
-        projection = self.model.project(state.parameters, points.reshape(3, -1).T)
-        return np.asarray(projection.pixels.T.reshape(2, *rotated.shape[1:]) - self.observations.pixels)
+        _, points = self._points(state)
+        return residuals(self.model, state.parameters, points, self.observations.pixels)
 
     def blocks(self, state: State) -> list[Block] | None:
         """Return the observations and the priors, or None where a point has no image at all, or has left the lens's
@@ -231,17 +169,11 @@ class BoardProblem:
         """Return the residuals and their derivatives at a state, by the lens's formula beyond its domain as well unless
         only points within it are to have an image.
         """
-        rotated, points = self._points(state)
-        projected = self.model.project_with_jacobians(
-            state.parameters, points.reshape(3, -1).T, within_domain=within_domain
-        )
-        residuals = projected.pixels.T - self.observations.pixels.reshape(2, -1)
-        by_point, by_lens = projected.d_point.transpose(1, 2, 0), projected.d_parameters.transpose(1, 2, 0)
-        if len(self.free) < by_lens.shape[1]:
-            by_lens = by_lens[:, self.free]
-        if not projected.valid.all():
-            residuals, by_point, by_lens = (np.nan_to_num(values) for values in (residuals, by_point, by_lens))
-        return Derivatives(residuals, by_point, by_lens, rotated.reshape(3, -1), projected.valid)
+        rotated, points = (part.reshape(3, -1) for part in self._points(state))
+        pixels = self.observations.pixels.reshape(2, -1)
+        seen = linearised(self.model, state.parameters, points, pixels, within_domain=within_domain)
+        by_lens = seen.by_lens if len(self.free) == seen.by_lens.shape[1] else seen.by_lens[:, self.free]
+        return Derivatives(seen.residuals, seen.by_point, by_lens, rotated, seen.valid)
 
     def with_points_moved(self, state: State, derivatives: "Derivatives", change: Array) -> "Derivatives":
         """Return the derivatives of a state whose board's points are then moved by `change` (C, 3), to first order."""
@@ -254,12 +186,11 @@ class BoardProblem:
         residuals, by_point, by_lens = derivatives.residuals, derivatives.by_point, derivatives.by_lens
         further = [] if effects is None else [effects.reshape(2, effects.shape[1], -1)]
         if self.observations.whitening is not None:
-            whitening = self.observations.whitening.reshape(2, 2, -1)
-            residuals = np.einsum("ijm,jm->im", whitening, residuals)
-            by_point, by_lens, *further = (_whitened(whitening, part) for part in (by_point, by_lens, *further))
+            parts, root = (residuals, by_point, by_lens, *further), self.observations.whitening.reshape(2, 2, -1)
+            residuals, by_point, by_lens, *further = (whitened(root, part) for part in parts)
         shared = [Jacobian(by_lens.transpose(2, 0, 1), np.arange(len(self.free)))]
         shared += self._shape_jacobians(by_point, state.rotations)
-        group = _pose_jacobian(by_point, derivatives.rotated)
+        group = by_pose(by_point, derivatives.rotated)
         group = np.concatenate([group, *further], axis=1) if further else group
         weights = self.observations.weights
         if self.noise is not None:
@@ -281,9 +212,7 @@ class BoardProblem:
 
     def _points(self, state: State) -> tuple[Array, Array]:
         """Return the board's points rotated and in the camera frame, both (3, V, P)."""
-        board_points = np.ascontiguousarray(self.board_points(state).T)[:, self.observations.ids]
-        rotations = state.rotations[:, :, :, None]
-        rotated = np.stack([_dot(rotations[:, i].transpose(1, 0, 2), board_points) for i in range(3)])
+        rotated = turned(state.rotations, self.board_points(state).T[:, self.observations.ids])
         return rotated, rotated + state.translations.T[:, :, None]
 
     def _shape_jacobians(self, by_point: Array, rotations: Array) -> list[Jacobian]:
@@ -324,27 +253,9 @@ class BoardProblem:
         return result
 
 
-def _whitened(whitening: Array, columns: Array) -> Array:
-    """Return columns (2, L, M) multiplied by the whitening (2, 2, M)."""
-    return np.asarray(np.stack([whitening[i, 0] * columns[0] + whitening[i, 1] * columns[1] for i in range(2)]))
-
-
 def _dot(first: Array, second: Array) -> Array:
     """Return Σ first_i · second_i over the leading axis of three."""
     return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
-
-
-def _pose_jacobian(by_point: Array, rotated: Array) -> Array:
-    """Return pixels by tx ty tz rx ry rz (2, 6, M) from d/dpoint (2, 3, M) and the rotated points R p (3, M).
-
-    a · (δr × q) = δr · (q × a), so the rotation's part is the cross product of q with each row a.
-    """
-    result = np.empty((2, 6, by_point.shape[-1]))
-    result[:, :3] = by_point
-    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        np.multiply(rotated[i], by_point[:, j], out=result[:, 3 + axis])
-        result[:, 3 + axis] -= rotated[j] * by_point[:, i]
-    return result
 
 
 def _prior(residuals: Array, slopes: Array, start: int) -> Block:

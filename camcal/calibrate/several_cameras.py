@@ -16,7 +16,7 @@ from camcal.arrays import Array
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.noise import FINEST
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.view_quadratics import ViewQuadratics, view_quadratics
 from camcal.calibrate.words import names_of, px_words
 from camcal.errors import InsufficientData, InvalidInput
@@ -77,7 +77,6 @@ class TwoCameras:
 
 def two_cameras(
     plain: Estimate,
-    present: Array,
     images: Sequence[str],
     image_size: tuple[int, int],
     shape: ShapeOptions,
@@ -85,12 +84,12 @@ def two_cameras(
 ) -> TwoCameras | None:
     """Return the two groups that views fall into, None where nothing speaks for them; how clear it is, `ratio` says.
 
-    plain: an estimate of all views. present: (V, P) the corners that there are. images: (V,) names of the views.
+    plain: an estimate of all views. images: (V,) names of the views.
     named: groups of images by their names, each of which may be another camera's.
     """
     if not len(plain.problem.free) or len(images) < 2 * LEAST_VIEWS:
         return None
-    bare, state = _bare(plain, present)
+    bare, state = _bare(plain)
     if len(images) > _SCREENED:
         # at random: of every second view, all may be of the same camera
         some = np.sort(np.random.default_rng(0).permutation(len(images))[:_SCREENED])
@@ -102,7 +101,7 @@ def two_cameras(
     if by_name is not None and (by_lens is None or (by_name == by_lens).all()):
         by_lens = None
     results = [
-        _compared(plain, present, images, image_size, shape, group, by_name=is_named)
+        _compared(plain, images, image_size, shape, group, by_name=is_named)
         for group, is_named in ((by_name, True), (by_lens, False))
         if group is not None
     ]
@@ -121,12 +120,12 @@ def _suspected(
     return by_name, by_lens
 
 
-def _bare(plain: Estimate, present: Array) -> tuple[BoardProblem, State]:
+def _bare(plain: Estimate) -> tuple[BoardProblem, State]:
     """Return lens and poses alone with the board as it was estimated, all corners that there are counting alike."""
     problem, state, seen = plain.problem, plain.state, plain.problem.observations
     bare = replace(
         problem,
-        observations=Observations(seen.ids, seen.pixels, present.astype(float)),
+        observations=seen.alike(),
         terms=(),
         offsets=False,
         points=problem.board_points(state),
@@ -179,7 +178,6 @@ def _likeliest(found: ViewQuadratics, groups: Sequence[Array], least: float) -> 
 
 def _compared(
     plain: Estimate,
-    present: Array,
     images: Sequence[str],
     image_size: tuple[int, int],
     shape: ShapeOptions,
@@ -188,12 +186,12 @@ def _compared(
     by_name: bool,
 ) -> TwoCameras | None:
     """Return what the lenses of both groups say, estimated each from its own views; None where one has none."""
-    everything = _Lens(*_bare(plain, present))
+    everything = _Lens(*_bare(plain))
     for _ in range(1 if by_name else _SORTINGS):
         try:
-            larger = _lens_of(plain, present, image_size, np.flatnonzero(~smaller), shape)
+            larger = _lens_of(plain, image_size, np.flatnonzero(~smaller), shape)
             # on the board of the larger group: three views do not tell its shape from that of the lens
-            own = _lens_of(plain, present, image_size, np.flatnonzero(smaller), shape, larger.problem.points)
+            own = _lens_of(plain, image_size, np.flatnonzero(smaller), shape, larger.problem.points)
         except _FAILURES:
             return None
         ratios, smooth, moved = [], [], np.zeros(len(smaller), bool)
@@ -229,7 +227,6 @@ class _Lens:
 
 def _lens_of(
     plain: Estimate,
-    present: Array,
     image_size: tuple[int, int],
     views: Array,
     shape: ShapeOptions,
@@ -237,7 +234,7 @@ def _lens_of(
 ) -> _Lens:
     """Return the lens that some views alone give; points: (C, 3) those of the board, None: estimated as well."""
     problem, seen = plain.problem, plain.problem.observations
-    observations = Observations(seen.ids[views], seen.pixels[:, views], present[views].astype(float))
+    observations = seen.alike().take(views)
     held = plain.state.parameters.copy()
     held[problem.free] = np.nan
     how = shape if points is None else ShapeOptions(smooth=False, offsets=False)
@@ -251,7 +248,7 @@ def _lens_of(
         shape=how,
         brief=True,
     )
-    bare, state = _bare(found, present[views])
+    bare, state = _bare(found)
     if points is not None:
         robust = replace(bare, points=points, sigma=found.noise.sigma, loss=_LOSS)
         bare, state = replace(bare, points=points), minimise(robust.within_domain(state), state, _SOLVING).state

@@ -14,9 +14,10 @@ from math import erfc, sqrt
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import estimate_poses

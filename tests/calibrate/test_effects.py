@@ -7,7 +7,8 @@ import pytest
 from observed import make_scene
 
 from camcal.calibrate.effects import EFFECTS, FLEX, ROLLING, SMOOTH, columns_at, effect_columns
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
+from camcal.cameras.observations import Observations
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Step
 from camcal.targets.board import Board

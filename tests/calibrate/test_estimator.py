@@ -7,14 +7,15 @@ import pytest
 from observed import make_scene
 
 from camcal.calibrate import estimator
-from camcal.calibrate.estimator import Freedom, Views, estimate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.estimator import Freedom, estimate
+from camcal.calibrate.problem import BoardProblem, State
+from camcal.cameras.observations import Observations
 from camcal.solve.steps import Step
 from camcal.targets.board import Board
 
 
 def started(scene, views, offset=0.0):
-    """The problem, a state at the truth or `offset` standard deviations of 1 px from it, and what was seen."""
+    """The problem, a state at the truth or `offset` standard deviations of 1 px from it."""
     observations = Observations.of(views)
     rng = np.random.default_rng(5)
     parameters = np.array(scene.camera.parameters)
@@ -26,7 +27,7 @@ def started(scene, views, offset=0.0):
         np.zeros((scene.board.count, 3)),
     )
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(len(parameters)))
-    return problem, state, Views(observations.weights > 0)
+    return problem, state
 
 
 def print_errors(columns, rows, count, size):
@@ -47,8 +48,8 @@ def printed():
 
 
 def test_few_views_of_a_board_with_print_errors_have_the_noise_that_they_have():
-    problem, state, seen = started(*print_errors(9, 6, 4, 2e-4))
-    found = estimate(problem, state, seen, Freedom(smooth=True, points=True))
+    problem, state = started(*print_errors(9, 6, 4, 2e-4))
+    found = estimate(problem, state, Freedom(smooth=True, points=True))
     # 250 degrees of freedom are left: a standard deviation of 4.5 %
     assert found.noise.sigma == pytest.approx(0.05, rel=0.12)
     # the offsets follow the view that sees the board from near most, whose corners are no better for that
@@ -56,12 +57,12 @@ def test_few_views_of_a_board_with_print_errors_have_the_noise_that_they_have():
 
 
 def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, monkeypatch):
-    problem, state, seen = started(*printed)
+    problem, state = started(*printed)
     free = Freedom(smooth=True, points=True)
-    together = estimate(problem, state, seen, free)
+    together = estimate(problem, state, free)
     monkeypatch.setattr(estimator, "AT_ALL_TOGETHER", 0)
     monkeypatch.setattr(estimator, "_SETTLED", 1e-4)
-    in_turn = estimate(problem, state, seen, free)
+    in_turn = estimate(problem, state, free)
     assert together.problem.offsets
     assert not in_turn.problem.offsets
     std = np.sqrt(np.diag(together.posterior.shared))[: len(state.parameters)]
@@ -71,10 +72,10 @@ def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, m
 
 
 def test_an_estimate_that_goes_on_from_another_stays_there(printed):
-    problem, state, seen = started(*printed)
+    problem, state = started(*printed)
     free = Freedom(smooth=True, points=True, effects=("smooth",))
-    first = estimate(problem, state, seen, free)
-    again = estimate(first.problem, first.state, seen, free, first)
+    first = estimate(problem, state, free)
+    again = estimate(first.problem, first.state, free, first)
     std = np.sqrt(np.diag(first.posterior.shared))[: len(state.parameters)]
     assert np.abs((again.state.parameters - first.state.parameters) / std).max() < 0.03
     np.testing.assert_allclose(again.coefficients, first.coefficients, atol=0.05)
@@ -82,9 +83,7 @@ def test_an_estimate_that_goes_on_from_another_stays_there(printed):
 
 def test_the_start_does_not_matter(printed):
     free = Freedom(smooth=True, points=True)
-    near, far = (
-        estimate(problem, state, seen, free) for problem, state, seen in (started(*printed), started(*printed, 5.0))
-    )
+    near, far = (estimate(problem, state, free) for problem, state in (started(*printed), started(*printed, 5.0)))
     std = np.sqrt(np.diag(near.posterior.shared))[: len(near.state.parameters)]
     assert np.abs((far.state.parameters - near.state.parameters) / std).max() < 0.05
 
@@ -97,11 +96,11 @@ class Overshooting(BoardProblem):
 
 
 def test_steps_that_overshoot_are_shortened_and_the_passes_settle(printed):
-    problem, state, seen = started(*printed)
+    problem, state = started(*printed)
     free = Freedom(smooth=False, points=False)
-    straight = estimate(problem, state, seen, free)
+    straight = estimate(problem, state, free)
     fields = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
-    bent = estimate(Overshooting(**fields), state, seen, free)
+    bent = estimate(Overshooting(**fields), state, free)
     assert bent.converged
     assert bent.passes < 2 * straight.passes
     std = np.sqrt(np.diag(straight.posterior.shared))
@@ -109,8 +108,8 @@ def test_steps_that_overshoot_are_shortened_and_the_passes_settle(printed):
 
 
 def test_a_corner_that_leaves_the_image_makes_a_step_too_long(printed):
-    problem, state, seen = started(*printed)
-    passes = estimator._Passes(problem, state, seen, Freedom(smooth=False, points=False), None)
+    problem, state = started(*printed)
+    passes = estimator._Passes(problem, state, Freedom(smooth=False, points=False), None)
     behind = replace(passes.place.derivatives, valid=passes.place.derivatives.valid & False)
     assert np.isfinite(passes._cost(passes.place, np.zeros((12, 0))))
     assert passes._cost(replace(passes.place, derivatives=behind), np.zeros((12, 0))) == np.inf

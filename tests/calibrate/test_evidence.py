@@ -9,18 +9,19 @@ from observed import make_scene
 from camcal.calibrate import evidence
 from camcal.calibrate import fit as fitting
 from camcal.calibrate.effects import SMOOTH
-from camcal.calibrate.estimator import Freedom, Views, estimate
+from camcal.calibrate.estimator import Freedom, estimate
 from camcal.calibrate.evidence import evidence_of_effects
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
+from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 from camcal.targets.surface import normalised
 
 
 def plain(scene, views):
-    """The estimate that takes all errors for noise, from the truth, and what was seen."""
+    """The estimate that takes all errors for noise, from the truth."""
     observations = Observations.of(views)
     state = State(
         np.array(scene.camera.parameters),
@@ -30,8 +31,7 @@ def plain(scene, views):
         np.zeros((scene.board.count, 3)),
     )
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(len(state.parameters)))
-    seen = Views(observations.weights > 0)
-    return estimate(problem, state, seen, Freedom(smooth=False, points=False)), seen
+    return estimate(problem, state, Freedom(smooth=False, points=False))
 
 
 def bent(scene, views, size, seed=3):
@@ -48,7 +48,7 @@ def bent(scene, views, size, seed=3):
 @pytest.mark.parametrize("count", [5, 12, 25])
 def test_noise_alone_is_no_evidence(count):
     scene = make_scene(count=count)
-    shares = [evidence_of_effects(*plain(scene, scene.observe(seed, noise_px=0.1))).share for seed in range(4)]
+    shares = [evidence_of_effects(plain(scene, scene.observe(seed, noise_px=0.1))).share for seed in range(4)]
     assert shares == [0.0] * 4
 
 
@@ -63,7 +63,7 @@ def test_noise_alone_is_no_evidence_on_a_board_of_ten_thousand_corners():
 def test_belief_grows_with_the_errors_that_corners_share_from_nothing_to_all():
     scene = make_scene(count=12)
     views = scene.observe(1, noise_px=0.1)
-    shares = [evidence_of_effects(*plain(scene, bent(scene, views, size))).share for size in np.linspace(0, 0.12, 25)]
+    shares = [evidence_of_effects(plain(scene, bent(scene, views, size))).share for size in np.linspace(0, 0.12, 25)]
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert 0.05 < np.max(np.diff(shares)) < 0.7  # by and by, not at once
@@ -73,9 +73,9 @@ def test_belief_grows_with_the_errors_that_corners_share_from_nothing_to_all():
 def test_of_many_views_some_are_looked_at(monkeypatch):
     scene = make_scene(count=12)
     views = bent(scene, scene.observe(1, noise_px=0.1), 0.06)
-    whole = evidence_of_effects(*plain(scene, views)).share
+    whole = evidence_of_effects(plain(scene, views)).share
     monkeypatch.setattr(evidence, "_VIEWS", 4)
-    assert evidence_of_effects(*plain(scene, views)).share < whole == 1.0
+    assert evidence_of_effects(plain(scene, views)).share < whole == 1.0
 
 
 @pytest.mark.parametrize(("size", "names"), [(0.0, [()]), (0.2, [(), (SMOOTH.name,), ("smooth", "rolling", "flex")])])
@@ -93,7 +93,7 @@ def solved(scene, views, shape=None):
     shape = shape or ShapeOptions(smooth=False)
     seen, size = Observations.of(views), (1600, 1200)
     plain, turns = fit_plain(scene.camera.model, scene.board, seen, size, held, None, shape)
-    return fit(plain, turns, Views(seen.weights > 0), size)
+    return fit(plain, turns, size)
 
 
 def test_a_lens_that_holds_nowhere_is_that_of_the_plain_estimate(monkeypatch):

@@ -8,13 +8,14 @@ import pytest
 
 from camcal.calibrate import evidence
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH
-from camcal.calibrate.estimator import Freedom, Views
+from camcal.calibrate.estimator import Freedom
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.noise import ViewNoise
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.variances import EffectScales
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.observations import Observations
 from camcal.targets.board import Board
 from camcal.targets.surface import basis
 
@@ -53,10 +54,10 @@ def looked_at(monkeypatch, count, gains):
         return gains[names]
 
     monkeypatch.setattr(evidence, "likelihood_gain", gain)
-    problem, state, present = facing(count)
+    problem, state, _ = facing(count)
     noise = ViewNoise(0.3, 1.0 + np.arange(count))
     plain = SimpleNamespace(problem=replace(problem, offsets=True, sigma=0.3), state=state, noise=noise)
-    return evidence_of_effects(plain, Views(present)), asked
+    return evidence_of_effects(plain), asked
 
 
 @pytest.mark.parametrize(("gain", "share"), [(-1.0, 0), (2.9, 0), (6.5, 0.5), (8.6, 0.8), (10.1, 1), (19.9, 1)])
@@ -91,18 +92,18 @@ def test_a_lens_that_is_held_asks_for_no_evidence():
     observations = replace(problem.observations, pixels=problem.observations.pixels + 0.3 * away)
     shape = ShapeOptions(smooth=False, offsets=False)
     plain, turns = fit_plain(problem.model, BOARD, observations, (1600, HEIGHT), state.parameters, None, shape)
-    found = fit(plain, turns, Views(present), (1600, HEIGHT))
+    found = fit(plain, turns, (1600, HEIGHT))
     assert len(found.estimates) == 1
     assert (found.errors.share, found.errors.rolling_px, found.errors.flex) == (0.0, None, None)
 
 
 def everything(coefficients, left, variances, seen=None):
     """An estimate of all effects: their coefficients (V, m), variances of these left open, of standard deviations."""
-    problem, state, present = facing(len(coefficients), seen)
+    problem, state, _ = facing(len(coefficients), seen)
     covariances = np.zeros((len(coefficients), 6 + COLUMNS, 6 + COLUMNS))
     covariances[:, 6:, 6:] = left
     covariances[:, :6] = covariances[:, :, :6] = 1e6  # of poses: of no concern
-    estimate = SimpleNamespace(
+    return SimpleNamespace(
         problem=problem,
         state=state,
         freedom=Freedom(effects=NAMES),
@@ -110,7 +111,6 @@ def everything(coefficients, left, variances, seen=None):
         coefficients=coefficients,
         factors=SimpleNamespace(group_covariances=lambda: covariances),
     )
-    return estimate, Views(present)
 
 
 def along_x(*sizes):
@@ -120,17 +120,17 @@ def along_x(*sizes):
     return coefficients
 
 
-def named(estimate, views, **gains):
-    return within_views(Evidence(0.9, **gains), estimate, views, HEIGHT)
+def named(estimate, **gains):
+    return within_views(Evidence(0.9, **gains), estimate, HEIGHT)
 
 
 def test_rolling_is_told_by_what_rows_are_apart_over_the_image():
     sizes = np.array([0.3, 0.1, -0.9, 0.2])
     seen = np.random.default_rng(2).random((4, BOARD.count)) < 0.8
-    estimate, views = everything(along_x(*sizes), 0.0, [1.0, 4.0, 1.0], seen)
+    estimate = everything(along_x(*sizes), 0.0, [1.0, 4.0, 1.0], seen)
     rows = estimate.problem.observations.pixels[1][seen]
     over_image = HEIGHT * np.abs(sizes) / rows.std()
-    found = named(estimate, views, rolling=20.0)
+    found = named(estimate, rolling=20.0)
     assert found.rolling_px == pytest.approx((np.median(over_image), over_image[2]), rel=1e-9)
     assert found.flex is None
     assert found.share == 0.9
@@ -139,9 +139,9 @@ def test_rolling_is_told_by_what_rows_are_apart_over_the_image():
 def test_what_the_data_leave_open_counts_as_part_of_an_effect():
     sizes, left = np.array([0.3, 0.4, 0.5]), np.zeros((COLUMNS, COLUMNS))
     left[SMOOTH.columns, SMOOTH.columns] = 0.01  # of a variance of 4: 0.2 px
-    estimate, views = everything(along_x(*sizes), left, [1.0, 4.0, 1.0])
+    estimate = everything(along_x(*sizes), left, [1.0, 4.0, 1.0])
     over_image = HEIGHT * np.sqrt(sizes**2 + 0.2**2) / estimate.problem.observations.pixels[1].std()
-    found = named(estimate, views, rolling=25.0).rolling_px
+    found = named(estimate, rolling=25.0).rolling_px
     assert found == pytest.approx((over_image[1], over_image[2]), rel=1e-9)
 
 
@@ -152,15 +152,15 @@ def test_flex_is_told_by_the_heights_of_all_points():
     root = 0.3 * rng.normal(size=(FLEX.columns, FLEX.columns))
     left = np.zeros((COLUMNS, COLUMNS))
     left[-FLEX.columns :, -FLEX.columns :] = root @ root.T
-    estimate, views = everything(coefficients, left, [1.0, 4.0, 1e-8])
+    estimate = everything(coefficients, left, [1.0, 4.0, 1e-8])
     heights = basis(BOARD, FLEX_TERMS)[:, 2] @ coefficients[:, -FLEX.columns :].T
     opened = 1e-4 * basis(BOARD, FLEX_TERMS)[:, 2] @ root
     sizes = np.sqrt(np.mean(heights**2 + np.sum(opened**2, axis=1)[:, None], axis=0))
-    found = named(estimate, views, flex=20.0)
+    found = named(estimate, flex=20.0)
     assert found.flex == pytest.approx((np.median(sizes), sizes.max()), rel=1e-9)
     assert found.rolling_px is None
 
 
 def test_effects_of_smaller_gains_are_not_named():
-    found = named(*everything(along_x(1.0, 1.0), 0.0, [1.0, 1.0, 1.0]), rolling=19.9, flex=19.9)
+    found = named(everything(along_x(1.0, 1.0), 0.0, [1.0, 1.0, 1.0]), rolling=19.9, flex=19.9)
     assert (found.rolling_px, found.flex) == (None, None)

@@ -7,7 +7,7 @@ import pytest
 from observed import make_scene
 
 from camcal.calibrate.initialise import sweep_focal, thinned
-from camcal.calibrate.problem import Observations
+from camcal.cameras.observations import Observations
 
 
 def listed(columns, rows, present=None):

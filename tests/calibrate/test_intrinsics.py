@@ -11,9 +11,10 @@ from scipy.stats import chi2
 from camcal.calibrate.degeneracy import require_tilts
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

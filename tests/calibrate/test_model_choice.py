@@ -17,10 +17,10 @@ from camcal.calibrate import model_choice
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate, compare_models
 from camcal.calibrate.model_choice import GAIN, Contender, chosen, contender
-from camcal.calibrate.problem import Observations
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.directions import in_hull
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3

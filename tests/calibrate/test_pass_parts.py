@@ -10,11 +10,12 @@ from observed import make_scene, true_state
 from camcal.calibrate import estimator
 from camcal.calibrate.corner_noise import CornerNoise
 from camcal.calibrate.effects import EFFECTS
-from camcal.calibrate.estimator import Freedom, Views
+from camcal.calibrate.estimator import Freedom
 from camcal.calibrate.noise import ViewNoise
-from camcal.calibrate.problem import BoardProblem, Observations
+from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.single_points import point_equations
 from camcal.calibrate.variances import EffectScales, Posterior
+from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.scene import observe
@@ -31,10 +32,9 @@ def scene_of(columns=6, rows=5):
 
 def passes_of(scene, freedom=BARE, noise=0.1, claimed=None, start=None, views=None):
     """The passes before the first one, from the truth."""
-    observations = Observations.of(views or scene.observe(1, noise_px=noise))
+    observations = replace(Observations.of(views or scene.observe(1, noise_px=noise)), covariance=claimed)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(4))
-    seen = Views(observations.weights > 0, claimed)
-    return estimator._Passes(problem, true_state(scene), seen, freedom, start)
+    return estimator._Passes(problem, true_state(scene), freedom, start)
 
 
 def test_the_cost_of_a_place_is_that_of_corners_priors_and_effects():

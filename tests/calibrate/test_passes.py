@@ -8,11 +8,12 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
-from camcal.calibrate.estimator import Freedom, Views
+from camcal.calibrate.estimator import Freedom
 from camcal.calibrate.noise import corner_weights, view_noise
-from camcal.calibrate.problem import BoardProblem, Observations
+from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import first_scales
 from camcal.calibrate.variances import Posterior
+from camcal.cameras.observations import Observations
 from camcal.targets.board import Board
 from camcal.targets.surface import TERMS
 
@@ -26,9 +27,9 @@ def scene_of(columns=6, rows=5):
 
 def passes_of(scene, freedom=BARE, noise=0.1, claimed=None, **how):
     """The passes before the first one, from the truth."""
-    observations = Observations.of(scene.observe(1, noise_px=noise))
+    observations = replace(Observations.of(scene.observe(1, noise_px=noise)), covariance=claimed)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(4), **how)
-    return estimator._Passes(problem, true_state(scene), Views(observations.weights > 0, claimed), freedom, None)
+    return estimator._Passes(problem, true_state(scene), freedom, None)
 
 
 # The end of the passes

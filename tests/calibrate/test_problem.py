@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from observed import make_scene
 
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import MODELS
+from camcal.cameras.observations import Observations
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Step
 from camcal.targets.surface import TERMS
@@ -61,7 +62,7 @@ def test_partial_views_count_only_what_was_seen():
     seen = scene.observe(1)
     part = [replace(seen[0], ids=seen[0].ids[::3], pixels=seen[0].pixels[::3]), *seen[1:]]
     observations = Observations.of(part)
-    assert observations.present == sum(len(view.ids) for view in part)
+    assert observations.counting == sum(len(view.ids) for view in part)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(9))
     state = replace(state_of(scene, (), np.random.default_rng(0)), offsets=np.zeros((scene.board.count, 3)))
     residuals = problem.residuals(state)[:, observations.weights > 0]

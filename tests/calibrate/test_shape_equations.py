@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from observed import make_scene, true_state
 
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.scales import Scale, scale_of
 from camcal.calibrate.shape import (
     board_scales,
@@ -19,6 +19,7 @@ from camcal.calibrate.shape import (
     with_terms,
 )
 from camcal.calibrate.variances import posterior
+from camcal.cameras.observations import Observations
 from camcal.solve.steps import factorise
 from camcal.targets.board import Board
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, RATIOS, TERMS

@@ -9,9 +9,10 @@ import pytest
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.gross import Misfit, misfit, require_fit, roughness
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.gross import Misfit, misfit, require_fit, roughness
-from camcal.calibrate.problem import BoardProblem, Observations, State
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board

@@ -22,8 +22,8 @@ class Correspondences:
     """Points (N, 3) of an object and the pixels (N, 2) at which one image shows them.
 
     covariance: (N, 2, 2) px² of the pixels, None for equal ones, of 1 px². camera: its name in a rig.
-    object: the name of the object where an image shows several. Raises InvalidInput unless every number is finite and
-    every covariance positive.
+    object: the name of the object where an image shows several. time: s, None where nobody knows.
+    Raises InvalidInput unless every number is finite and every covariance positive.
     """
 
     image: str
@@ -32,6 +32,7 @@ class Correspondences:
     covariance: Array | None = None
     camera: str | None = None
     object: str = ""
+    time: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", readonly(self.points, (None, 3), "points"))
@@ -42,6 +43,16 @@ class Correspondences:
             object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.points), 2, 2), "covariance"))
             if not np.all(np.linalg.eigvalsh(self.covariance) > 0):
                 raise InvalidInput("the covariance of a pixel is not positive", where=self.image)
+
+    @property
+    def ids(self) -> Array:
+        """The numbers (N,) of the points, in their order."""
+        return np.arange(len(self.points))
+
+    @property
+    def body(self) -> str:
+        """The name of the object."""
+        return self.object
 
     def take(self, chosen: Array) -> "Correspondences":
         """Return some of the points."""

@@ -11,6 +11,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
+from camcal.cameras.reprojection import by_pose, linearised, residuals, turned, whitened, whitening_of
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.poses.states import Extents
@@ -18,6 +20,7 @@ from camcal.geometry.pose import Pose
 
 ROOM = 1.3  # views share arrays that are filled up to at most this many times the points of the smallest
 _COLLINEAR = 1e-6  # second spread over the first
+_ALIKE = np.eye(2)  # px², the covariance of pixels without one
 _CORNERS = 3  # points of one camera that give a start
 _KEYS = np.array([0.5772156649, 0.6931471806, 1.2020569032])  # no two points of an object are alike under these weights
 
@@ -43,24 +46,18 @@ class Sightings:
     @classmethod
     def of(cls, camera: Camera, views: Sequence[Correspondences | None], frame: Pose) -> "Sightings":
         """Return what the camera sees in views; None is a view in which it sees nothing."""
-        counts = np.array([0 if view is None else len(view.points) for view in views])
-        count, most = len(views), max(int(counts.max(initial=0)), 1)
-        points, pixels = np.zeros((3, count, most)), np.zeros((2, count, most))
-        whitened = any(view is not None and view.covariance is not None for view in views)
-        covariance = np.tile(np.eye(2), (count, most, 1, 1)) if whitened else None
-        for index, view in enumerate(views):
-            if view is None or not counts[index]:
-                continue
-            points[:, index, : counts[index]] = view.points.T
-            pixels[:, index, : counts[index]] = view.pixels.T
-            pixels[:, index, counts[index] :] = view.pixels[0, :, None]  # a pixel that the lens knows
-            if covariance is not None and view.covariance is not None:
-                covariance[index, : counts[index]] = view.covariance
-        rays = camera.unproject(pixels.reshape(2, -1).T)
-        present = rays.valid.reshape(count, most) & (np.arange(most) < counts[:, None])
-        directions = np.nan_to_num(np.ascontiguousarray(rays.directions.T)).reshape(3, count, most)
-        whitening = None if covariance is None else _whitening(covariance)
-        return cls(camera, frame, points, pixels, rays=directions, whitening=whitening, present=present)
+        table = Observations.of(views, unknown=_ALIKE)
+        rays = camera.unproject(table.pixels.reshape(2, -1).T)
+        directions = np.nan_to_num(np.ascontiguousarray(rays.directions.T)).reshape(3, *table.ids.shape)
+        return cls(
+            camera,
+            frame,
+            points=table.padded([None if view is None else view.points for view in views], 3),
+            pixels=table.pixels,
+            rays=directions,
+            whitening=None if table.covariance is None else whitening_of(table.covariance),
+            present=rays.valid.reshape(table.ids.shape) & table.present,
+        )
 
     def take(self, chosen: Array) -> "Sightings":
         """Return some of the views."""
@@ -105,17 +102,14 @@ class Sightings:
         Not whitened; NaN outside the lens's domain.
         """
         in_camera = self._in_camera(turned(states[:, :, :3], _of(self.points, view)), states[:, :, 3])
-        projected = self.camera.project(in_camera.reshape(3, -1).T).pixels.T
-        return np.asarray(projected.reshape(2, *in_camera.shape[1:]) - _of(self.pixels, view))
+        return residuals(self.camera.model, self.camera.parameters, in_camera, _of(self.pixels, view))
 
     def squared(self, states: Array, view: Array) -> Array:
         """Return the squared lengths (S, N) of the whitened residuals, infinite outside the lens's domain and where
         there is no point.
         """
-        residuals = self.residuals(states, view)
-        if self.whitening is not None:
-            residuals = np.einsum("ijsn,jsn->isn", self.whitening[:, :, view], residuals)
-        squared = np.einsum("isn,isn->sn", residuals, residuals)
+        left = whitened(self._whitening_of(view), self.residuals(states, view))
+        squared = np.einsum("isn,isn->sn", left, left)
         return np.where(self.present[view], np.nan_to_num(squared, nan=np.inf), np.inf)
 
     def rows(self, states: Array, view: Array, mask: Array) -> tuple[Array, Array, Array]:
@@ -125,22 +119,19 @@ class Sightings:
         """
         rotated = turned(states[:, :, :3], _of(self.points, view))
         in_camera = self._in_camera(rotated, states[:, :, 3])
-        projected = self.camera.model.project_with_jacobians(self.camera.parameters, in_camera.reshape(3, -1).T)
-        shape = rotated.shape[1:]
-        by_point = projected.d_point.transpose(1, 2, 0)
-        if self._turns:
-            by_point = np.einsum("ipn,pq->iqn", by_point, self.frame.rotation)
-        rows = np.empty((2, 7, *shape))
-        rows[:, :3] = by_point.reshape(2, 3, *shape)
-        _cross(rotated, rows[:, :3], rows[:, 3:6])
-        np.subtract(projected.pixels.T.reshape(2, *shape), _of(self.pixels, view), out=rows[:, 6])
-        by_lens = projected.d_parameters.transpose(1, 2, 0).reshape(2, -1, *shape)
-        if self.whitening is not None:
-            whitening = self.whitening[:, :, view]
-            rows, by_lens = (np.einsum("ijsn,jpsn->ipsn", whitening, each) for each in (rows, by_lens))
+        seen = linearised(self.camera.model, self.camera.parameters, in_camera, _of(self.pixels, view))
+        by_point = np.einsum("ipsn,pq->iqsn", seen.by_point, self.frame.rotation) if self._turns else seen.by_point
+        rows = np.empty((2, 7, *rotated.shape[1:]))
+        by_pose(by_point, rotated, out=rows[:, :6])
+        rows[:, 6] = seen.residuals
+        whitening = self._whitening_of(view)
+        rows, by_lens = whitened(whitening, rows), whitened(whitening, seen.by_lens)
         if not mask.all():
             np.copyto(rows, 0.0, where=~mask)
-        return rows, by_lens, np.all(projected.valid.reshape(shape) | ~mask, axis=1)
+        return rows, by_lens, np.all(seen.valid | ~mask, axis=1)
+
+    def _whitening_of(self, view: Array) -> Array | None:
+        return None if self.whitening is None else self.whitening[:, :, view]
 
     @cached_property
     def inverse_frame(self) -> Array:
@@ -168,25 +159,6 @@ class Sightings:
 def _of(values: Array, view: Array) -> Array:
     """Return the values (D, S, N) of views (S,); those of an only view (D, 1, N) serve all."""
     return values if values.shape[1] == 1 else values[:, view]
-
-
-def turned(rotations: Array, points: Array) -> Array:
-    """Return points (3, S, N), or (3, 1, N) for all alike, turned by rotations (S, 3, 3)."""
-    return np.ascontiguousarray((rotations @ points.transpose(1, 0, 2)).transpose(1, 0, 2))
-
-
-def _cross(first: Array, second: Array, result: Array) -> None:
-    """Write first × second (2, 3, S, N), for first (3, S, N): a step δr moves a turned point q by δr × q."""
-    for axis in range(3):
-        ahead, behind = (axis + 1) % 3, (axis + 2) % 3
-        np.multiply(first[ahead], second[:, behind], out=result[:, axis])
-        result[:, axis] -= first[behind] * second[:, ahead]
-
-
-def _whitening(covariance: Array) -> Array:
-    """Return the factors W (2, 2, W, N) with Wᵀ W the inverse of covariances (W, N, 2, 2)."""
-    factors = np.linalg.cholesky(np.linalg.inv(covariance))
-    return np.ascontiguousarray(factors.transpose(3, 2, 0, 1))
 
 
 def alike(counts: Array) -> list[Array]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.estimate.poses.records import Correspondences
 from camcal.geometry import rotation as so3
 
@@ -43,16 +44,12 @@ class PixelFrames:
 
         sigma: standard deviation of a pixel coordinate, px; of covariances the root of their factor.
         """
-        most = max((len(view.points) for view in views if view is not None), default=0)
-        shape = len(views), most
-        points, pixels = np.zeros((*shape, 3)), np.zeros((*shape, 2))
-        roots, there = np.tile(np.eye(2), (*shape, 1, 1)), np.zeros(shape, dtype=bool)
-        for index, view in enumerate(views):
-            if view is not None:
-                count = len(view.points)
-                points[index, :count], pixels[index, :count], there[index, :count] = view.points, view.pixels, True
-                if view.covariance is not None:
-                    roots[index, :count] = np.linalg.cholesky(view.covariance)
+        table = Observations.of(views, unknown=np.eye(2))
+        shape, there = table.ids.shape, table.present.copy()
+        points = table.padded([None if view is None else view.points for view in views], 3).transpose(1, 2, 0)
+        pixels = table.pixels.transpose(1, 2, 0)
+        covariance = np.tile(np.eye(2), (*shape, 1, 1)) if table.covariance is None else table.covariance
+        roots = np.linalg.cholesky(covariance)
         rays = np.tile([0.0, 0.0, 1.0], (*shape, 1))
         projections = np.zeros((*shape, 2, 3))
         found = camera.unproject(pixels[there])
