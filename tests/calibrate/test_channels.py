@@ -119,7 +119,7 @@ def test_corners_of_a_colour_are_rejected_beyond_four_and_a_half_standard_deviat
         pixels = colour[index].pixels.copy()
         pixels[20] = exact[index].pixels[20] + [deviations * NOISE_PX, 0.0]
         colour[index] = replace(colour[index], pixels=pixels)
-    lens = fit_colour(calibrated(poses), colour)
+    lens = fit_red(calibrated(poses), colour)
     assert lens.rejected == rejected
     assert lens.points == 648 - rejected
 
@@ -127,7 +127,7 @@ def test_corners_of_a_colour_are_rejected_beyond_four_and_a_half_standard_deviat
 def test_the_difference_of_a_colour_has_the_noise_of_both(poses):
     """By the same corners and views: four times the noise of green gives 17 times the variance, no noise once."""
     green = calibrated(poses)
-    quiet, noisy = (fit_colour(green, seen(GREEN, poses, 2, noise_px=factor * NOISE_PX)) for factor in (0.01, 4.0))
+    quiet, noisy = (fit_red(green, seen(GREEN, poses, 2, noise_px=factor * NOISE_PX)) for factor in (0.01, 4.0))
     assert quiet.terms == noisy.terms
     ratio = noisy.difference_covariance[0, 0] / quiet.difference_covariance[0, 0]
     assert ratio == pytest.approx(17, rel=0.2)  # 4σ of the noise of 1292 degrees of freedom
