@@ -80,11 +80,7 @@ def _show_pairs(report: "StereoReport", output: Path, verbose: bool) -> None:
         show.table("pairs", ["image", "least px", "greatest px", "seen by both %"], rows)
     show.text(f"wrote {output}: left, right, disparity, disparity_right, visible, {report.rig.name}")
     first = report.pairs[0]
-    show.text(f"next: {_matching(first.left, first.right, report.rig)}")
-
-
-def _matching(left: Path, right: Path, rig: Path) -> str:
-    return f"camcal stereo disparity {left} {right} {rig} -o disparity.pfm"
+    show.text(f"next: camcal stereo disparity {first.left} {first.right} {report.rig} -o disparity.pfm")
 
 
 def demo(options: DemoOptions, call: Call) -> None:

@@ -23,7 +23,7 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import documents, emit, kalibr_target
 from camcal.formats.documents import Check, Fault
-from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text
+from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text, unchecked
 from camcal.targets.board import Board, parse_board
 from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
 from camcal.targets.boards.types import (
@@ -74,9 +74,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     """Check that plain data is a board."""
     kind = data.get("type") if isinstance(data, dict) else None
     if not isinstance(kind, str) or kind not in BOARD_TYPES:
-        yield from mapping({"type": one_of(tuple(BOARD_TYPES), "board type")}, others=lambda _value, _path: ())(
-            data, path
-        )
+        yield from mapping({"type": one_of(tuple(BOARD_TYPES), "board type")}, others=unchecked)(data, path)
         return
     faults = list(_shape_of(kind)(data, path)) or list(_check_lengths(data, path))
     yield from faults

@@ -159,7 +159,8 @@ def _views(table: Table, board: Board | None) -> list[Placed]:
     view_of_row = np.array([keys.setdefault(key, len(keys)) for key in zip(cameras, images, strict=True)])
     rows = np.split(np.argsort(view_of_row, kind="stable"), np.cumsum(np.bincount(view_of_row))[:-1])
     first = np.array([group[0] for group in rows])[view_of_row]
-    ids, pixels, covariance = _ids(table, board, view_of_row), _pixels(table), _covariance(table)
+    ids, covariance = _ids(table, board, view_of_row), _covariance(table)
+    pixels = np.column_stack([table.numbers("u"), table.numbers("v")])
     sizes = _same_in_view(table, "size", _sizes(table), first)
     orientations = _same_in_view(table, "orientation", _orientations(table), first)
     _refuse_outside(table, pixels, sizes)
@@ -190,10 +191,6 @@ def _ids(table: Table, board: Board | None, view_of_row: Array) -> Array:
     repeated[order[1:]] = np.diff(pairs[order]) == 0
     table.refuse(repeated, lambda row: f"image {table.columns['image'][row]!r}: id {ids[row]} stands twice")
     return ids
-
-
-def _pixels(table: Table) -> Array:
-    return np.column_stack([table.numbers("u"), table.numbers("v")])
 
 
 def _sizes(table: Table) -> Array:

@@ -5,7 +5,7 @@
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput, Located
 from camcal.formats.documents import Fault, parse_json
 from camcal.formats.emit import rounded
-from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text, unchecked
 from camcal.stereo.geometry import StereoGeometry
 
 SCHEMA = "camcal/disparity/1"
@@ -149,10 +149,6 @@ def _relative(path: Path | None, folder: Path) -> str | None:
     return None if path is None else Path(os.path.relpath(path, folder)).as_posix()
 
 
-def _anything(_value: Any, _path: str) -> Iterator[Fault]:
-    return iter(())
-
-
 _POSITIVE = number(above=0.0)
 _CHECK = mapping(
     {"schema": one_of([SCHEMA], "schema"), "scale": _POSITIVE, "invalid": one_of(INVALID_CODES, "code")},
@@ -165,7 +161,7 @@ _CHECK = mapping(
         "sigma": text,
         "confidence": text,
         "searched": items(integer(), 2),
-        "matcher": mapping({}, others=_anything),
+        "matcher": mapping({}, others=unchecked),
         "inputs": mapping({}, others=mapping({"path": text, "sha256": text})),
         "camera_R_rectified": matrix(3, 3),
         "relative_sigma": mapping({}, {"fx": number(0), "baseline": number(0)}),

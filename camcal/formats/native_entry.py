@@ -36,7 +36,7 @@ from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
 from camcal.formats.documents import Check, Fault, child
-from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text
+from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text, unchecked
 from camcal.parsing import did_you_mean, nearest
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 
@@ -95,24 +95,19 @@ def _model(value: Any, path: str) -> Iterator[Fault]:
     yield from one_of(tuple(MODELS), "model")(value, path)
 
 
-def _unchecked(_value: Any, _path: str) -> tuple[Fault, ...]:
-    """Pass anything: `_check_lens` looks at it once the model is known."""
-    return ()
-
-
-_LENS = dict.fromkeys(("distortion", "fixed", "uncertainty"), _unchecked)
+_LENS = dict.fromkeys(("distortion", "fixed", "uncertainty"), unchecked)  # `_check_lens` looks at it
 _ENTRY = mapping(
-    {"image_size": items(integer(1), 2), "model": _model, "intrinsics": _unchecked},
+    {"image_size": items(integer(1), 2), "model": _model, "intrinsics": unchecked},
     {
         **_LENS,
         "configuration": mapping({}, others=plain),
-        "held_by_prior": _unchecked,
+        "held_by_prior": unchecked,
         "valid": mapping({}, VALID),
         "quality": mapping({}, {**dict.fromkeys(FIGURES, number(0)), **dict.fromkeys(COUNTS, integer(0))}),
         "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1), "model_error_px": number(0)}),
         "verdict": mapping({"trustworthy": flag}, {"reasons": items(text)}),
         "sensor": mapping({}, SENSOR),
-        "channels": mapping({}, others=mapping({"intrinsics": _unchecked}, _LENS)),
+        "channels": mapping({}, others=mapping({"intrinsics": unchecked}, _LENS)),
     },
 )
 

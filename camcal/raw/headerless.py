@@ -1,6 +1,6 @@
 """Raw frames without a header: nothing in the file says what it is, so the layout is given, and checked by length."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -231,11 +231,7 @@ def _offer(length: int, pixel_format: PixelFormat | None = None, size: tuple[int
         kept += [_times(size)] if size else []
         return f"no common format and size fits{' with ' + ' '.join(kept) if kept else ''}"
     more = f" and {len(fits) - _OFFERS} more" if len(fits) > _OFFERS else ""
-    return f"fits {_listed(fits[:_OFFERS])}{more}"
-
-
-def _listed(fits: Sequence[Fit]) -> str:
-    return ", ".join(str(fit) for fit in fits)
+    return f"fits {', '.join(map(str, fits[:_OFFERS]))}{more}"
 
 
 def _times(size: tuple[int, int]) -> str:

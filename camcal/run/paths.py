@@ -271,24 +271,17 @@ def _lonely(left: Sequence[Path], right: Sequence[Path]) -> Path | None:
     return best[1]
 
 
-def _stem(path: Path) -> str:
-    return path.stem
-
-
-def _without_sides(path: Path) -> str:
-    return _SIDE.sub("", path.stem)
-
-
-def _without_numbers(path: Path) -> str:
-    return _NUMBER.sub("", path.stem)
-
-
 def _with_folder(path: Path) -> str:
     """Return the name after that of its folder, both without marks, for scene1/left.png or cam0/0001.png."""
     return "/".join(_NUMBER.sub("", _SIDE.sub("", part)) for part in (path.absolute().parent.name, path.stem))
 
 
-_READINGS: tuple[Callable[[Path], str], ...] = (_stem, _without_sides, _without_numbers, _with_folder)
+_READINGS: tuple[Callable[[Path], str], ...] = (
+    lambda path: path.stem,
+    lambda path: _SIDE.sub("", path.stem),
+    lambda path: _NUMBER.sub("", path.stem),
+    _with_folder,
+)
 
 
 def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str]) -> dict[Path, Path]:

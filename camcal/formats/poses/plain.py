@@ -11,7 +11,7 @@ from camcal.formats.covariance import ORDER, QUATERNION, STEPS, why_no_covarianc
 from camcal.formats.documents import Check, Document, Fault, child
 from camcal.formats.native import NAME
 from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
-from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text, unchecked
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
@@ -136,11 +136,6 @@ def _pose_block(frames: str) -> Check:
     )
 
 
-def _anything(_value: Any, _path: str) -> Iterator[Fault]:
-    """Accept what is checked elsewhere."""
-    return iter(())
-
-
 def _only(wanted: Any) -> Check:
     """Return a check for the one value that is understood."""
 
@@ -155,10 +150,10 @@ _FILE = mapping(
     {
         "format": text,
         "version": integer(1),
-        "frames": _anything,
+        "frames": unchecked,
         "unit": one_of(UNITS, "unit"),
         "noise": mapping({"sigma_px": number(0)}, {"scale": number(0), "degrees_of_freedom": integer(0)}),
-        "poses": _anything,
+        "poses": unchecked,
     },
     {
         "covariance_order": _only(list(ORDER)),
