@@ -12,9 +12,10 @@ from camcal.formats import series as tables
 TEXT = "time,x,y,sigma_x,sigma_y\n0,1,2,0.1,0.2\n1,,3,0.1,0.2\n2,3,4,0.1,0.2\n"
 
 
-def test_columns_are_taken_by_name_and_empty_cells_are_missing(tmp_path):
+@pytest.mark.parametrize("missing", ["", " ", "nan", "NaN"])
+def test_columns_are_taken_by_name_and_empty_cells_are_missing(tmp_path, missing):
     path = tmp_path / "a.csv"
-    path.write_text(TEXT)
+    path.write_text(TEXT.replace("1,,", f"1,{missing},"))
     found = tables.read(path)
     assert found.names == ("x", "y")
     np.testing.assert_array_equal(found.values, [[1, 2], [np.nan, 3], [3, 4]])
@@ -30,6 +31,7 @@ def test_columns_are_taken_by_name_and_empty_cells_are_missing(tmp_path):
         (TEXT.replace("0.2\n1", "0\n1"), (), "a.csv:2: a sigma must be more than 0"),
         (TEXT.replace("\n2,3", "\n1,3"), (), "a.csv:4: time 1.000000000 s is not later"),
         (TEXT.replace("2,3,4", "2,three,4"), (), "a.csv:4: x: 'three' is not a number"),
+        (TEXT.replace("2,3,4", "2,inf,4"), (), "a.csv:4: x: inf is not finite"),
         ("0,1\n1,2\n", (), "no column names"),
         ("t,x,x\n0,1,2\n", (), "'x' stands twice"),
         (TEXT, ("time", "x", "x"), "one twice"),
