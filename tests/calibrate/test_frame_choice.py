@@ -164,3 +164,14 @@ def test_one_view_alone_says_less_than_two_together_that_differ():
     gains = [np.linalg.slogdet(np.eye(8) + each)[1] for each in (*information, information.sum(axis=0))]
     assert gains[2] > max(gains[:2]) + 1.0
     assert gains[2] < sum(gains[:2])  # as it must be: each tells in part what the other does
+
+
+def test_frames_are_alike_whose_points_are_within_a_fiftieth_of_the_diagonal():
+    """The second frame is 1 % of the diagonal beside the first, the third 3 % and more; the third is not as sharp."""
+    first, diagonal = looks_of(views(CAMERA, BOARD, 1, rng=np.random.default_rng(3)), motion=0.0)[0], np.hypot(*SIZE)
+    places = ((0.0, 1.0), (0.01, 1.0), (0.04, 2.0))
+    moved = [(first.pixels + np.array([share * diagonal, 0]), blur) for share, blur in places]
+    beside = [replace(first, pixels=pixels, blur_px=blur) for pixels, blur in moved]
+    choices = choose_frames(beside, BOARD, 1)
+    assert sorted(choice.why for choice in choices[:2]) == sorted([CHOSEN, SAME])
+    assert choices[2].why == SURPLUS

@@ -8,7 +8,7 @@ import pytest
 from observed import PARAMETERS, make_scene
 from scipy.stats import chi2
 
-from camcal.calibrate.degeneracy import require_tilts
+from camcal.calibrate.degeneracy import require_focal, require_tilts
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
@@ -284,3 +284,9 @@ def test_boards_within_five_degrees_of_one_direction_are_refused(tilt_deg, refus
             require_tilts(rotations)
     else:
         require_tilts(rotations)
+
+
+def test_a_focal_length_is_known_to_a_twentieth_at_least():
+    require_focal(1000.0, 49.0)
+    with pytest.raises(InsufficientData, match=r"focal length undetermined \(1000 ± 51 px\)"):
+        require_focal(1000.0, 51.0)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from camcal.solve.descent import REASONS, Stopping
+from camcal.solve.descent import HELD, REASONS, RUNNING, Stopping
 from camcal.solve.independent import Models, assemble, joined, minimise_each
 from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
@@ -235,3 +235,8 @@ class Wells:
 
     def retract(self, states, steps):
         return states + steps
+
+
+@pytest.mark.parametrize(("blocked", "fall", "end"), [(4, 1e-5, RUNNING), (5, 1e-5, HELD), (5, 1e-3, RUNNING)])
+def test_a_search_is_held_that_left_the_domain_five_times_and_hardly_gets_on(blocked, fall, end):
+    assert Stopping().end_of_taken(1.0, fall, 1.0, blocked, enough=False) == end

@@ -160,11 +160,16 @@ def test_another_charuco_board_ends_with_the_one_that_images_show(tmp_path, aske
         write(tmp_path / f"{seed}.png", DRAWN, seed, size=(480, 400))
     with pytest.raises(InsufficientData) as raised:
         found(tmp_path, parse_board(f"charuco:{asked}"))
-    form = "charuco:6x5:40mm:30mm:DICT_4X4_50"
     assert str(raised.value) == (
-        f"no ChArUco board of {asked[:3]} squares{tried} images that were tried show {differs}; use --board {form}"
+        f"no ChArUco board of {asked[:3]} squares{tried} images that were tried show {differs}; "
+        "use --board charuco:6x5:40mm:30mm:DICT_4X4_50"
     )
-    assert found(tmp_path, parse_board(form)).used == 3
+
+
+def test_the_charuco_board_that_is_proposed_is_found_in_all_images(tmp_path):
+    for seed in range(3):
+        write(tmp_path / f"{seed}.png", DRAWN, seed, size=(480, 400))
+    assert found(tmp_path, parse_board("charuco:6x5:40mm:30mm:DICT_4X4_50")).used == 3
 
 
 def test_a_board_whose_last_row_is_out_of_sight_is_taken_as_stated(tmp_path):

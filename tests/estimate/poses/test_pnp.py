@@ -509,3 +509,21 @@ def test_a_pose_is_trusted_up_to_a_hundredth_for_another_one_and_three_times_the
     found = estimate(camera, observed(camera, some_pose(rng), rng.uniform(-0.1, 0.1, (30, 3)), rng), noise_px=0.1)
     other = Alternative(found.transform, 0.0, probability)
     assert replace(found, alternatives=(other,), misfit=misfit).status.split(":")[0] == status
+
+
+def test_the_misfit_is_how_many_times_the_stated_noise_the_residuals_are():
+    rng = np.random.default_rng(36)
+    view = observed(PINHOLE, some_pose(rng), rng.uniform(-0.1, 0.1, (300, 3)), rng, noise_px=2.0)
+    assert estimate(PINHOLE, view, noise_px=1.0).misfit == pytest.approx(2, rel=0.12)  # 4σ of 594 degrees of freedom
+
+
+@pytest.mark.parametrize(
+    ("turn", "share", "near"), [(0.099, 0, True), (0.101, 0, False), (0, 0.099, True), (0, 0.101, False)]
+)
+def test_poses_are_near_up_to_an_angle_and_a_share_of_the_distance(turn, share, near):
+    first = Pose.from_vector(np.array([0.3, -0.2, 0.5]), np.array([0.0, 0.0, 2.0]))
+    axis = np.array([0.6, 0.0, 0.8])
+    second = Pose(
+        Pose.from_vector(turn * axis, np.zeros(3)).rotation @ first.rotation, first.translation + 2 * share * axis
+    )
+    assert se3.near(se3.of_poses([first]), se3.of_poses([second]), 0.1).tolist() == [near]

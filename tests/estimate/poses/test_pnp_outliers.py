@@ -1,6 +1,7 @@
 """Poses where points are wrong: against the fit to the right ones alone, on the same trials."""
 
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses import fits, inliers
+from camcal.estimate.poses import fits, inliers, judgement
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import likeliest_threshold
 from camcal.estimate.poses.judgement import region_quantile
@@ -241,3 +242,9 @@ def test_a_mirrored_pose_is_followed_that_half_of_the_points_are_near_to(moved, 
     state, which = se3.of_poses([truth]), np.zeros(1, int)
     best = inliers.Settled(state, which, (np.ones((1, 10), bool),), np.zeros(1))
     assert inliers._supported(problems, state, best, inliers.Agreement(WIDTH, 4)).tolist() == [rival]
+
+
+def test_the_poses_that_chance_gives_are_those_of_all_sets_of_inliers_and_of_three_points_in_them():
+    """(n - 3) C(n, k) C(k, 3) α^(k - 3): three points have a pose in any case, the others agree by chance."""
+    assert judgement._chance(20, 7, 0.1) == pytest.approx(17 * comb(20, 7) * comb(7, 3) * 0.1**4, rel=1e-9)
+    assert judgement._chance(4, 3, 0.5) == pytest.approx(1 * 4 * 1, rel=1e-9)
