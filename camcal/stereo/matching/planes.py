@@ -29,10 +29,11 @@ _NEAR = 1.0  # pixels between a plane and what lies on it
 _APART, _WIDE = 100, 200  # squared pixels between two points of a plane, and twice the area between three, at least
 _STEEPEST, _ERROR = 1.0, 0.5  # pixels per pixel; pixels of error of a match
 _TYPICAL, _FARTHEST = 0.6, 0.01  # slope of a surface over disparity per width of the image, and the least of the latter
-_STEEP, _UPRIGHT = 0.04, 3.0  # of the support: what steepness costs; how much more from top to bottom: walls stand
+_UPRIGHT = 3.0  # how much more of it from top to bottom counts as steep: walls stand
 _AROUND, _AROUND_SHARE, _OUTSIDE = 2.0, 0.1, 0.5  # pixels and share of its range beside the support; what it costs
 _MARGIN, _MARGIN_SHARE, _TAIL = 2.0, 0.25, 2  # pixels and share by which a plane goes on; percent that says nothing
-_BACKDROP, _GROUND = 0.1, 0.04  # shares of the image: of a background; of gaps at its lower edge that stay as they are
+_BACKDROP, _FLOOR_SHARE = 0.1, 0.03  # shares of the image: of a background, and of a floor
+_GROUND = 0.04  # share of the image: of gaps at its lower edge that stay as they are
 _HARDLY = 0.5  # of a background that are gaps, at least: where more is matched, that tells
 _SPREAD, _LOWER = 0.4, 0.1  # shares of an area's side, and of its height
 _MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the filling; clipped; pixels compared
@@ -41,18 +42,20 @@ _MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the f
 class _Rule(NamedTuple):
     """When a plane holds: the least share of the support on it, and the most of it behind it.
 
-    cost: of the share behind. trials: planes of each kind that are tried.
+    cost: of the share behind. steep: of the support, what steepness costs. trials: planes of each kind that are tried.
     """
 
     on: float
     behind: float
     cost: float
+    steep: float
     trials: int
 
 
-_SMALL = _Rule(on=0.85, behind=0.15, cost=1.0, trials=400)
-_LARGE = _Rule(on=0.75, behind=0.15, cost=1.0, trials=400)
-_BACKGROUND = _Rule(on=0.1, behind=0.1, cost=3.0, trials=4000)
+_SMALL = _Rule(on=0.85, behind=0.15, cost=1.0, steep=0.04, trials=400)
+_LARGE = _Rule(on=0.75, behind=0.15, cost=1.0, steep=0.04, trials=400)
+_BACKGROUND = _Rule(on=0.1, behind=0.1, cost=3.0, steep=0.04, trials=4000)
+_FLOOR = _Rule(on=0.2, behind=0.1, cost=3.0, steep=0.0, trials=4000)
 
 
 class _View(NamedTuple):
@@ -90,11 +93,12 @@ class _Area(NamedTuple):
 
 
 class _Plane(NamedTuple):
-    """Disparity a x + b y + c, at least and at most; all in steps."""
+    """Disparity a x + b y + c, at least and at most; all in steps. floor: whether it is one."""
 
     coefficients: Array
     least: float
     most: float
+    floor: bool = False
 
     def at(self, x: Array, y: Array) -> Array:
         across, down, offset = self.coefficients
@@ -179,11 +183,18 @@ def _plane_of(area: _Area, view: _View, rng: np.random.Generator) -> _Plane | No
     support = _support(area, area.whole & ~gap, view, rng)
     large = size >= _BACKDROP * view.left.size
     plane = None if support is None else _fitted(support, gaps, view, _LARGE if large else _SMALL, rng)
-    if plane is not None or not large or inner < _HARDLY * size:
+    low = _reaches_down(area, view) and size >= _FLOOR_SHARE * view.left.size
+    if plane is not None or not (large or low) or inner < _HARDLY * size:
         return None if plane is None else plane[0]
     support = _support(area, area.whole & ~area.inside & ~gap, view, rng)
-    plane = None if support is None else _fitted(_moved_in(support, area), gaps, view, _BACKGROUND, rng)
-    return None if plane is None or _is_ground(area, plane[1], view) else plane[0]
+    if support is None:
+        return None
+    support = _moved_in(support, area)
+    plane = _fitted(support, gaps, view, _FLOOR, rng) if low else None
+    if plane is not None and _is_floor(area, *plane):
+        return plane[0]._replace(most=np.inf, floor=True)
+    plane = _fitted(support, gaps, view, _BACKGROUND, rng) if large else None
+    return None if plane is None or _is_open(area, plane[1], view) else plane[0]
 
 
 def _support(area: _Area, chosen: Array, view: _View, rng: np.random.Generator) -> _Support | None:
@@ -245,7 +256,7 @@ def _score(planes: Array, support: _Support, rule: _Rule, gaps: Array, view: _Vi
     off = planes @ _homogeneous(support.places).T - support.disparities
     score: Array = (np.abs(off) < _NEAR).mean(axis=1) - rule.cost * (off > _NEAR).mean(axis=1)
     steep = np.hypot(planes[:, 0], _UPRIGHT * planes[:, 1]) / _typical_slopes(planes, gaps, view)
-    return np.asarray(score - _STEEP * np.log1p(steep**2))
+    return np.asarray(score - rule.steep * np.log1p(steep**2))
 
 
 def _typical_slopes(planes: Array, gaps: Array, view: _View) -> Array:
@@ -306,16 +317,34 @@ def _refitted(plane: Array, support: _Support, typical: float) -> Array:
     return np.array([*plane[:2], plane[2] - plane[:2] @ middle])
 
 
-def _is_ground(area: _Area, on: Array, view: _View) -> bool:
+def _reaches_down(area: _Area, view: _View) -> bool:
+    return bool(area.box[0].stop >= len(view.left) - 3)
+
+
+def _is_floor(area: _Area, plane: _Plane, on: Array) -> bool:
+    """Return whether a plane with a part of an area's border on it (M, 2) is a floor: its horizon is in the image.
+
+    Chance makes no plane that steep of so much.
+    """
+    x = area.pixels(area.inside)[:, 0].mean()
+    across, down, offset = plane.coefficients
+    return bool(across * x + offset < 0 < down and _spread(area, on)[0] > _SPREAD)
+
+
+def _is_open(area: _Area, on: Array, view: _View) -> bool:
     """Return whether too little of an area's border (M, 2) lies on its plane, or only the far edge of the ground.
 
     How steeply a floor comes nearer below its edge, the edge does not tell.
     """
-    height, width = area.inside.shape
-    spread = max(np.ptp(on[:, 0]) / width, np.ptp(on[:, 1]) / height)
     rows = np.nonzero(area.inside)[0] + area.box[0].start
     above = np.median(on[:, 1]) < rows.mean() - _LOWER * np.ptp(rows)
-    return bool(spread < _SPREAD or (above and area.box[0].stop >= len(view.left) - 3))
+    return bool(max(_spread(area, on)) < _SPREAD or (above and _reaches_down(area, view)))
+
+
+def _spread(area: _Area, on: Array) -> tuple[float, float]:
+    """Return which shares of an area's width and height places (M, 2) span."""
+    height, width = area.inside.shape
+    return float(np.ptp(on[:, 0]) / width), float(np.ptp(on[:, 1]) / height)
 
 
 def _taken(plane: _Plane, area: _Area, view: _View, before: Array) -> Array:
@@ -340,7 +369,9 @@ def _taken(plane: _Plane, area: _Area, view: _View, before: Array) -> Array:
     pixels = np.bincount(patches[compared], minlength=count)
     mean = np.bincount(patches[compared], weights=worse[compared], minlength=count) / np.maximum(pixels, 1)
     refused = (mean > _MISFIT) & (pixels > _COMPARED)
-    if area.box[0].stop == len(view.left):  # how steeply ground comes nearer, nothing beside it tells
+    if (
+        area.box[0].stop == len(view.left) and not plane.floor
+    ):  # how steeply ground comes nearer, nothing beside it tells
         refused[patches[-1]] |= np.bincount(patches.ravel())[patches[-1]] > _GROUND * view.left.size
     return np.asarray(taken & ~refused[patches])
 

@@ -107,6 +107,37 @@ def test_how_steep_a_floor_without_texture_is_nobody_guesses():
     assert np.array_equal(after, before, equal_nan=True)
 
 
+def floor_with(standing):
+    """Return an image of a plain floor below a painted wall, its disparity, and the gap; standing: a thing is on it."""
+    y, x = np.indices((HEIGHT, WIDTH))
+    image, disparity = paint(2), np.maximum(8.0, 8 + 0.25 * (y - 50))
+    gap = y > 53
+    image[y > 50] = 150
+    thing = (x > 150) & (y > 40) & (y < 110)
+    if standing:
+        image[thing], disparity[thing], gap[thing] = paint(3)[thing], 8 + 0.25 * (109 - 50), False
+    return image, disparity, gap
+
+
+def test_floor_takes_its_steepness_from_what_stands_on_it():
+    image, disparity, gap = floor_with(standing=True)
+    after, before = planes_of(image, disparity, gap)
+    assert np.abs(after - disparity)[gap].mean() < 1.5  # what stands on it counts where it is within a pixel of it
+    assert np.abs(before - disparity)[gap].mean() > 5
+
+
+def test_floor_that_nothing_stands_on_stays_as_it_is():
+    after, before = planes_of(*floor_with(standing=False))
+    assert np.array_equal(after, before)
+
+
+def test_board_that_reaches_the_lower_edge_is_no_floor():
+    image, _, gap = floor_with(standing=True)
+    matched = np.where(image == 150, np.nan, np.where(np.indices(gap.shape)[0] > 50, 31.0, 20.0))
+    after, before = planes_of(image, np.nan_to_num(matched, nan=20.0), gap, matched)
+    assert np.array_equal(after, before)
+
+
 def test_no_plane_goes_across_a_step():
     image, disparity, gap = paint(1), np.full((HEIGHT, WIDTH), 8.0), np.zeros((HEIGHT, WIDTH), bool)
     disparity[:, WIDTH // 2 :] += 12
