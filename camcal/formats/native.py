@@ -39,6 +39,7 @@ from camcal.formats.schema import VENDOR, flag, integer, items, mapping, matrix,
 from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine
 from camcal.parsing import did_you_mean, nearest
+from camcal.progress import SILENT, Progress
 
 FORMAT = "camcal-calibration"
 VERSION = 1
@@ -71,12 +72,16 @@ _FILE = mapping(
 )
 
 
-def read(path: Path) -> CameraFile:
-    """Return the content of a camera file, with warnings about what looks wrong in it.
+def read(path: Path, progress: Progress = SILENT) -> CameraFile:
+    """Return the content of a camera file, with warnings about what looks wrong in it and of cameras that are not to be
+    trusted; progress is told of them.
 
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is no YAML.
     """
-    return from_document(documents.load(path, check), path.parent)
+    file = from_document(documents.load(path, check), path.parent)
+    for warning in file.warnings:
+        progress.warn(warning)
+    return file
 
 
 def from_document(document: documents.Document, folder: Path) -> CameraFile:

@@ -1,32 +1,18 @@
-"""How far a calibration may misplace the projection of a direction, and how well planned views will measure a board.
+"""How far a calibration may misplace the projection of a direction.
 
 A camera's own axes are a choice of its calibration: a rotation of all directions changes what the parameters are, not
 what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.
-Planned views are judged by the Cramér-Rao bound, the covariance that no unbiased estimate can beat; the package's
-maximum-likelihood fits reach it.
-Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, ch. 3.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import erfc, sqrt
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
-from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
-from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses.records import Correspondences, PoseOptions
-from camcal.geometry.pose import Pose
-from camcal.solve.least_squares import linearise
-from camcal.solve.steps import SingularError, factorise
-from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.errors import InvalidInput
 
 GRID = (31, 23)
 
@@ -114,67 +100,3 @@ def projection_uncertainty(
 
 def _pixels(u: Array, v: Array) -> Array:
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-
-
-@dataclass(frozen=True, eq=False)
-class PoseForecast:
-    """The covariance (6, 6) that a pose will have, order tx ty tz rx ry rz (points' unit, rad), and `p_wrong`.
-
-    p_wrong: how often another minimum will fit better than the true one.
-    """
-
-    covariance: Array
-    p_wrong: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "covariance"))
-
-
-def forecast_pose(camera: Camera, points: Array, camera_T_object: Pose, noise_px: float) -> PoseForecast:
-    """Return how well the pose of points (N, 3), given in the object frame, will be known.
-
-    noise_px: standard deviation of a pixel coordinate. The uncertainty of the camera's own parameters counts where it
-    is known. Two minima whose exact χ² differ by D are exchanged by the noise with probability Φ(-√D / 2), the error
-    of telling two known signals apart (Kay, Detection Theory, 1998, ch. 4).
-    Raises InsufficientData if a point is outside the lens's domain or the points do not fix the pose.
-    """
-    projection = camera.project(camera_T_object.apply(points))
-    if not projection.valid.all():
-        raise InsufficientData("a point is outside what the lens can image; move the object away or to the middle")
-    exact = Correspondences("the plan", points, projection.pixels)
-    outcome = estimate_poses(camera, [exact], PoseOptions(noise_px=noise_px))[0]
-    if outcome.value is None:
-        raise outcome.error or InsufficientData("the points do not fix a pose")
-    chances = [0.5 * erfc(sqrt(other.chi_square_difference / 8)) for other in outcome.value.alternatives]
-    return PoseForecast(outcome.value.covariance, max(chances, default=0.0))
-
-
-def calibration_std(
-    camera: Camera, board: Board, views: Sequence[Detection], poses: Sequence[Pose], noise_px: float
-) -> Array:
-    """Return the standard deviations (K,) that the parameters of a calibration from these views will have.
-
-    views: exact pixels of the board from `poses` (camera_T_board). noise_px: standard deviation of a pixel coordinate.
-    Parameters that the camera holds fixed have 0. The board is taken to be as drawn.
-    Raises InsufficientData if the views leave a parameter open.
-    """
-    names = camera.model.parameter_names
-    free = np.array([index for index, name in enumerate(names) if name not in camera.fixed], np.intp)
-    spread = camera.model.prior_std(camera.image_size, camera.value("fx"))  # as every calibration has it
-    problem = BoardProblem(camera.model, board, Observations.of(views), free, sigma=noise_px, lens_spread=spread)
-    state = State(
-        camera.parameters,
-        np.stack([pose.rotation for pose in poses]),
-        np.stack([pose.translation for pose in poses]),
-        np.zeros(0),
-        np.zeros((board.count, 3)),
-    )
-    equations = linearise(problem, state)
-    result = np.zeros(len(names))
-    try:
-        if equations is None:
-            raise InsufficientData("a corner is outside what the lens can image")
-        result[free] = np.sqrt(np.diag(factorise(equations).shared_covariance()))
-    except SingularError as error:
-        raise InsufficientData("the views leave some parameters open; plan more of them, tilted") from error
-    return result

@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from camcal.errors import InsufficientData, InvalidInput, Located
-from camcal.formats import frames, native, pose_text, trajectories
-from camcal.formats.camera_file import CameraFile
+from camcal.formats import frames, pose_text, trajectories
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, NamedTransform, frames_of
 from camcal.parsing import did_you_mean
-from camcal.progress import Progress
 from camcal.run.paths import split_address
 
 Item = TypeVar("Item", NamedTransform, LooseTransform)
@@ -185,15 +183,3 @@ def _addressed(found: Sequence[NamedTransform], address: str, where: str) -> Nam
         derived = graph.along(graph.path(target, source))
     covariance = derived.covariance({index: item.covariance for index, item in enumerate(found)})
     return NamedTransform(target, source, derived.pose, covariance, where)
-
-
-def read_camera_file(path: Path, progress: Progress) -> CameraFile:
-    """Return a camera file after warning of what looks wrong in it, and of cameras that are not to be trusted.
-
-    Every command whose result depends on a calibration reads it here. Raises InvalidInput and FileError as
-    `native.read` does.
-    """
-    file = native.read(path)
-    for warning in file.warnings:
-        progress.warn(warning)
-    return file

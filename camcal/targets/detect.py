@@ -1,30 +1,18 @@
 """The points of a board in one image."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
-from camcal.targets.checker.charuco import find_charuco, require_markers
-from camcal.targets.checker.chessboard import find_chessboard
-from camcal.targets.circles.circles import find_circles
 from camcal.targets.corners.measure import measure
 from camcal.targets.detection import Detection
-from camcal.targets.markers.families import family_named
 from camcal.targets.samples import Samples
 
 SEED = 0  # of OpenCV's random numbers, set anew for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them
 LEAST_SIDE = 3  # corners along a side of a chessboard; fewer may be anything
-
-_FINDERS: Mapping[str, Callable[[Array, Board], Detection]] = {
-    CHARUCO: find_charuco,
-    CIRCLES: find_circles,
-    ASYMMETRIC_CIRCLES: find_circles,
-}
 
 
 def detect(
@@ -47,14 +35,24 @@ def detect(
 def _found(gray: Array, board: Board, seed: int, samples: Samples | None, *, partial: bool) -> Detection:
     if min(gray.shape) < MIN_PIXELS:
         return Detection.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
-    with opencv.repeatable(seed):
+    with opencv.repeatable(seed):  # each detector is imported when it is needed
         if board.type == APRILGRID:
+            from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
+
             return find_aprilgrid(gray, board, samples)
-        if board.type == CHESSBOARD:
-            found = find_chessboard(gray, board, partial=partial or board.dots)
+        if board.type in (CIRCLES, ASYMMETRIC_CIRCLES):
+            from camcal.targets.circles.circles import find_circles
+
+            return find_circles(gray, board)
+        if board.type == CHARUCO:
+            from camcal.targets.checker.charuco import find_charuco
+
+            found = find_charuco(gray, board)
         else:
-            found = _FINDERS[board.type](gray, board)
-    return measure(samples or Samples(gray), board, found) if board.crossed else found
+            from camcal.targets.checker.chessboard import find_chessboard
+
+            found = find_chessboard(gray, board, partial=partial or board.dots)
+    return measure(samples or Samples(gray), board, found)
 
 
 def require_findable(board: Board, *, partial: bool = False) -> None:
@@ -62,8 +60,12 @@ def require_findable(board: Board, *, partial: bool = False) -> None:
     a grid of circles of which parts are asked for.
     """
     if board.type == CHARUCO:
+        from camcal.targets.checker.charuco import require_markers
+
         require_markers(board)
     elif board.type == APRILGRID:
+        from camcal.targets.markers.families import family_named
+
         family_named(board.dictionary or "").require(board.first_marker, board.columns * board.rows)
     elif board.type == CHESSBOARD and min(board.columns, board.rows) < LEAST_SIDE:
         size = f"{board.columns} x {board.rows}"

@@ -22,7 +22,7 @@ from camcal.calibrate.frames import (
 )
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.quality.projection_uncertainty import calibration_std
+from camcal.quality.forecast import calibration_std
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 

@@ -12,7 +12,7 @@ from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.projection_uncertainty import calibration_std, forecast_pose
+from camcal.quality.forecast import calibration_std, forecast_pose
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import parse_board
 

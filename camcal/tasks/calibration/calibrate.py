@@ -24,7 +24,6 @@ from camcal.quality.projection_uncertainty import ProjectionUncertainty, project
 from camcal.raw.photograph import COLOURS
 from camcal.report.calibration import as_data, contenders_data, uncertainty_data, view_record
 from camcal.run.paths import find_media, refuse_overwriting, split_address
-from camcal.run.pose_sources import read_camera_file
 from camcal.targets.detection import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
@@ -197,7 +196,7 @@ def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
         return None
     path, name = split_address(options.guess)
     # a start may be poor; what is held at its value may not
-    file = read_camera_file(path, progress) if options.fix else native.read(path)
+    file = native.read(path, progress) if options.fix else native.read(path)
     return native.select(file, name, str(path))
 
 

@@ -18,8 +18,6 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.words import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
-from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import Detection
 from camcal.targets.mixed_sizes import (
@@ -153,6 +151,9 @@ def _calibrated(views: Sequence[Detection], board: Board) -> tuple[Calibration |
 
 def _way(view: Detection, usual: Size, lens: Calibration) -> PixelMap | str:
     """Return how a turned view becomes one of the usual size by the way that the lens fits, or why that is unclear."""
+    from camcal.estimate.pnp import estimate_poses
+    from camcal.estimate.poses.records import Correspondences, PoseOptions
+
     maps = [pixel_map(view.size, usual, quarter) for quarter in (CLOCKWISE, COUNTER_CLOCKWISE)]
     points = lens.surface.points()[view.ids]
     both = [each.apply(view) for each in maps]

@@ -30,7 +30,6 @@ from camcal.run.paths import (
     refuse_overwriting,
     split_address,
 )
-from camcal.run.pose_sources import read_camera_file
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 
@@ -196,7 +195,7 @@ def document(report: UndistortReport) -> dict[str, Any]:
 def read_source(address: str, name: str | None, progress: Progress) -> SourceCamera:
     """Return the camera of FILE or FILE#NAME; raises InvalidInput if it is not clear which one is meant."""
     path, addressed = split_address(address)
-    file = read_camera_file(path, progress)
+    file = native.read(path, progress)
     wanted = name or addressed
     entry = native.select(file, wanted, str(path))
     return SourceCamera(

@@ -17,7 +17,7 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.paths import refuse_overwriting
-from camcal.run.pose_sources import files_of, read_camera_file, read_transforms, split_name
+from camcal.run.pose_sources import files_of, read_transforms, split_name
 from camcal.tasks.frames.options import ConvertOptions, Output
 from camcal.tasks.frames.transform import require_own, write
 
@@ -162,7 +162,7 @@ def _principal_points_of(sources: Sequence[str], progress: Progress) -> dict[str
     found: dict[str, tuple[float, float]] = {}
     for path in dict.fromkeys(files_of(sources)):
         if path.suffix.lower() in _CAMERA_FILES and documents.load(path).get("format") == native.FORMAT:
-            cameras = {name: entry.camera for name, entry in read_camera_file(path, progress).cameras.items()}
+            cameras = {name: entry.camera for name, entry in native.read(path, progress).cameras.items()}
             found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in cameras.items()}
     return found
 

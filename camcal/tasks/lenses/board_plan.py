@@ -14,7 +14,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.optics import lens
-from camcal.quality.projection_uncertainty import calibration_std, forecast_pose
+from camcal.quality.forecast import calibration_std, forecast_pose
 from camcal.simulate.scene import observe
 from camcal.simulate.scene import views as scene_views
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, Board

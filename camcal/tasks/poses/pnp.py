@@ -22,7 +22,6 @@ from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
 from camcal.run.paths import refuse_overwriting, require_folder, split_address
-from camcal.run.pose_sources import read_camera_file
 from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_observer import Observer, draw, joined, seen_by_rig, sheets, videos_in
@@ -60,7 +59,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     Raises InvalidInput, FileError, or what kept the first image from a pose if none has one; nothing is written then.
     """
     _check(options)
-    file = read_camera_file(split_address(options.camera_file)[0], progress)
+    file = native.read(split_address(options.camera_file)[0], progress)
     observer = _observer(options, file)
     inverse = _is_inverse(options.pose, observer.frame)
     settings = _settings(options)

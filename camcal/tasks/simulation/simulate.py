@@ -27,7 +27,6 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.paths import split_address
-from camcal.run.pose_sources import read_camera_file
 from camcal.simulate import mosaics
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder, lenses
 from camcal.simulate.render import FLAT, Shape, render
@@ -115,7 +114,7 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
     if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
         raise InvalidInput("a camera file says it all: leave out --model, --size, --fov and --distortion")
     path, name = split_address(options.camera)
-    known = native.select(read_camera_file(path, progress), options.name or name, str(path)).camera
+    known = native.select(native.read(path, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
 
 

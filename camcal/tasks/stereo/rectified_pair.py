@@ -18,7 +18,6 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
-from camcal.run.pose_sources import read_camera_file
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.stereo.points.depth import StereoImage
 from camcal.tasks.stereo.options import GeometryOptions
@@ -101,7 +100,7 @@ def warn_of_file(address: str | None, progress: Progress) -> None:
     """
     path = None if address is None else split_address(address)[0]
     if path is not None and path.suffix.lower() != pair_calibration.SUFFIX:
-        read_camera_file(path, progress)
+        native.read(path, progress)
 
 
 def _of_sidecar(sidecar: Sidecar | None) -> _Source:
@@ -125,7 +124,7 @@ def _of_file(address: str | None, camera: str | None, size: tuple[int, int], pro
 
 def _of_camera_file(path: Path, name: str | None, size: tuple[int, int], address: str, progress: Progress) -> _Source:
     """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
-    file = read_camera_file(path, progress)
+    file = native.read(path, progress)
     pair = _pair(file, name)
     left = file.cameras[pair[0]].camera if pair else native.select(file, name, str(path)).camera
     _require_size(left.image_size, size, address)
