@@ -17,7 +17,7 @@ from camcal.targets.detection import Detection
 class View:
     """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it does
     not fit the other views. turned: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
-    rms_px is over the kept corners, per point.
+    rms_px is over the kept corners, per point. sha256: of the file, where it was read.
     """
 
     image: str
@@ -29,6 +29,7 @@ class View:
     turned: int = 0
     reason: str | None = None
     rejected: bool = False
+    sha256: str | None = None
 
     @property
     def used(self) -> bool:
@@ -67,7 +68,7 @@ def view_records(
     views, row = [], 0
     for detection, reason in zip(detections, reasons, strict=True):
         if reason is not None:
-            views.append(View(detection.image, len(detection.ids), reason=reason))
+            views.append(View(detection.image, len(detection.ids), reason=reason, sha256=detection.sha256))
             continue
         count = int(kept[row].sum())
         view = View(
@@ -78,6 +79,7 @@ def view_records(
             camera_T_board=Pose(result.state.rotations[row], result.state.translations[row]),
             pose_covariance=readonly(covariances[row], (6, 6), "pose covariance"),
             turned=int(result.turns[row]),
+            sha256=detection.sha256,
         )
         if not count:
             words = _misfit_words(float(medians[row]), median_limit(result.plain.noise))

@@ -51,10 +51,11 @@ _LARGEST_LOSSLESS = 0x3FFF
 Size = tuple[int, int]
 
 
-def load(path: Path, scratch: Scratch | None = None) -> Image:
+def load(path: Path, scratch: Scratch | None = None, content: bytes | None = None) -> Image:
     """Return the image of a file: 8 or 16 bits or floating point, gray, colour or with alpha; or a NumPy file.
 
-    scratch: memory for the pixels of a JPEG file, theirs until the next image is loaded with it.
+    scratch: memory for the pixels of a JPEG file, theirs until the next image is loaded with it. content: of the file,
+    where it has been read already.
     Raises FileError if the file is missing, empty, cut off or no image, InvalidInput if it is a camera raw file.
     """
     suffix = path.suffix.lower()
@@ -62,7 +63,7 @@ def load(path: Path, scratch: Scratch | None = None) -> Image:
         raise InvalidInput("is a camera raw file; make an image of it with 'camcal demosaic' first", where=str(path))
     if suffix == ".npy":
         return _load_npy(path)
-    content = read_bytes(path)
+    content = read_bytes(path) if content is None else content
     require_allowed(path, content)
     if content.startswith(JPEG):
         return _load_jpeg(path, content, scratch)

@@ -4,14 +4,16 @@ Filling in colours mixes red, green and blue, which a lens does not put in the s
 where green was sampled, or in all samples alike, and measured by the samples of one colour alone.
 """
 
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
+from camcal.files import read_bytes, sha256
 from camcal.images.image import RAW_SUFFIXES, Image
 from camcal.images.load import gray_8bit, gray_levels, load
 from camcal.raw.colour import balance_in_place
@@ -29,6 +31,7 @@ _CHANNELS = {"blue": 0, "green": 1, "red": 2}  # of colour images
 _GRAY_LEVELS, _ROUNDING = 255.0, 1e-6
 _BRIGHTEST = 0.999  # of the samples; what is above may be a lamp
 _USED_CELLS = 1 << 17
+_READ_IN_PARTS = HEADERLESS_SUFFIXES | {".npy"}
 _CLIPPED = 0.98
 
 
@@ -37,12 +40,14 @@ class Photograph:
     """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
 
     measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
+    sha256: of the file.
     """
 
     gray: Array
     orientation: int
     measured: Samples | None = None
     colours: Mapping[str, Samples] = field(default_factory=dict)
+    sha256: str | None = None
 
     @property
     def samples(self) -> Samples:
@@ -55,13 +60,15 @@ def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
 
     Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the colours asked for.
     """
-    try:
-        if not is_raw(path, reading):
-            return _of_image(load(path), reading)
-        layout = reading.layout if path.suffix.lower() in HEADERLESS_SUFFIXES else NO_LAYOUT
-        return photograph_of(read_mosaic(path, reading.pattern, layout), reading)
-    except InvalidInput as error:
-        raise InvalidInput(error.message, where=error.where or str(path)) from error
+    suffix = path.suffix.lower()
+    content = None if suffix in _READ_IN_PARTS else read_bytes(path)
+    with Located(path):
+        if is_raw(path, reading):
+            layout = reading.layout if suffix in HEADERLESS_SUFFIXES else NO_LAYOUT
+            found = photograph_of(read_mosaic(path, reading.pattern, layout, content), reading)
+        else:
+            found = _of_image(load(path, content=content), reading)
+    return replace(found, sha256=sha256(path) if content is None else hashlib.sha256(content).hexdigest())
 
 
 def is_raw(path: Path, reading: Reading) -> bool:

@@ -24,12 +24,14 @@ from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
 
 
-def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT) -> Mosaic:
+def read_mosaic(
+    path: Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT, content: bytes | None = None
+) -> Mosaic:
     """Return the raw frame of a camera raw file, a bare mosaic (PNG, TIFF, PGM, NPY), or a header-less file.
 
     pattern: of a bare mosaic, and of a header-less file whose pixel format does not name it. layout: of a header-less
     file (.raw, .bin). A camera file brings its pattern, levels and white balance; the others have black 0 and the
-    white of their type or pixel format.
+    white of their type or pixel format. content: of the file, where it has been read already.
     Raises FileError if the file cannot be read, InvalidInput if it holds no mosaic, if the pattern or the layout is
     missing (with the layouts that fit the file), or if the pattern contradicts the file, or a layout is given for one
     that says its own.
@@ -39,7 +41,7 @@ def read_mosaic(path: Path, pattern: str | None = None, layout: GivenLayout = NO
         if suffix in HEADERLESS_SUFFIXES:
             return _read_headerless(path, pattern, layout)
         _refuse_layout(layout)
-        return _read_bare(path, pattern) if suffix in BARE_SUFFIXES else _read_camera(path, pattern)
+        return _read_bare(path, pattern, content) if suffix in BARE_SUFFIXES else _read_camera(path, pattern, content)
 
 
 def _refuse_layout(layout: GivenLayout) -> None:
@@ -53,10 +55,10 @@ def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mo
     return Mosaic(values, named, np.zeros((2, 2)), complete.pixel_format.white)
 
 
-def _read_bare(path: Path, pattern: str | None) -> Mosaic:
+def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
     if pattern is None:
         raise missing_pattern(path)
-    image = load(path)
+    image = load(path, content=content)
     if image.channels != 1:
         raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
     values = image.pixels
@@ -69,8 +71,8 @@ def missing_pattern(path: Path) -> InvalidInput:
     return InvalidInput(message, where=str(path))
 
 
-def _read_camera(path: Path, pattern: str | None) -> Mosaic:
-    frame = read_camera_raw(path)
+def _read_camera(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
+    frame = read_camera_raw(path, content)
     if pattern not in (None, frame.pattern):
         raise InvalidInput(f"the file says {frame.pattern}, --pattern says {pattern}; leave --pattern out")
     return frame
@@ -86,14 +88,14 @@ _MASK_WIDTH = 16  # columns, at least, for a median worth the name
 _MASK_SPREAD = 0.01  # of the white level: samples without light differ by their noise only
 
 
-def read_camera_raw(path: Path) -> Mosaic:
+def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
     """Return the raw frame of a camera raw file: counts, pattern, levels, white balance, colour, orientation, capture.
 
     Raises FileError if the file is missing, cut off or not one that LibRaw reads, InvalidInput if it holds no mosaic.
     """
     import rawpy
 
-    content = read_bytes(path)
+    content = read_bytes(path) if content is None else content
     if exif.is_cut_off(content):
         raise FileError(f"is cut off: it points beyond its {len(content)} bytes", where=str(path))
     try:

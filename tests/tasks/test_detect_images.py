@@ -3,7 +3,9 @@
 The pictures are warped from a drawing, good to tenths of a pixel; accuracy is tested in tests/targets.
 """
 
+import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -235,6 +237,13 @@ def test_a_part_of_a_larger_board_is_not_taken_for_the_board():
 
 def view_of(board):
     return Detection("b.png", SIZE, np.arange(board.count), np.zeros((board.count, 2)))
+
+
+def test_a_view_has_the_hash_of_the_file_it_was_detected_in(tmp_path):
+    image = write(tmp_path / "a.png", BOARD)
+    np.save(tmp_path / "b.npy", cv2.imread(str(image), cv2.IMREAD_UNCHANGED))
+    for view in found(tmp_path).detections.views:
+        assert view.sha256 == hashlib.sha256(Path(view.image).read_bytes()).hexdigest()
 
 
 def test_exif_orientation_is_noted_and_not_applied(tmp_path):

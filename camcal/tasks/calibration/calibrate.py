@@ -318,5 +318,5 @@ def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str
 
 def _image(view: View) -> dict[str, Any]:
     path = Path(view.image)
-    record = view_record(view)
-    return record | ({"sha256": files.sha256(path)} if path.is_file() else {})
+    digest = view.sha256 or (files.sha256(path) if path.is_file() else None)
+    return view_record(view) | ({} if digest is None else {"sha256": digest})

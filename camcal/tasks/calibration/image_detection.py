@@ -35,7 +35,13 @@ def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False)
         colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
         for colour, samples in photograph.colours.items()
     }
-    return replace(found, image=path.as_posix(), orientation=photograph.orientation, colours=colours)
+    return replace(
+        found,
+        image=path.as_posix(),
+        orientation=photograph.orientation,
+        colours=colours,
+        sha256=photograph.sha256,
+    )
 
 
 def require_colours(board: Board, reading: Reading) -> None:
