@@ -96,3 +96,19 @@ def test_whitened_distances_are_those_of_mahalanobis_over_the_typical_covariance
     squared = np.einsum("ivp,vpij,jvp->vp", residuals, np.linalg.inv(covariances), residuals)
     typical = np.exp(np.mean(np.log(np.linalg.det(covariances))) / 2)  # px²: the geometric mean of both axes of all
     np.testing.assert_allclose(problem.distances(residuals), np.sqrt(squared * typical), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("off_px", "solved_with"), [(0.0, False), (20.0, True)], ids=["fits", "gross"])
+def test_a_corner_that_fits_may_not_leave_the_domain_of_the_lens(off_px, solved_with):
+    """A lens whose image turns back within the board: its formula has an image of the corners beyond, too."""
+    scene = make_scene(count=3)
+    lens = np.array([1000.0, 1000.0, 800.0, 600.0, -1.2, 0.0, 0.0, 0.0, 0.0])
+    problem = BoardProblem(scene.camera.model, scene.board, Observations.of(scene.observe(1)), np.arange(9), sigma=0.1)
+    state = replace(
+        state_of(scene, (), np.random.default_rng(0)), parameters=lens, offsets=np.zeros((scene.board.count, 3))
+    )
+    beyond = np.isnan(problem.residuals(state)).any(axis=0)
+    assert 0 < beyond.sum() < beyond.size
+    by_formula = problem.derivatives(state).residuals.reshape(2, *beyond.shape)
+    shifted = replace(problem.observations, pixels=problem.observations.pixels + by_formula + off_px * beyond)
+    assert (replace(problem, observations=shifted).blocks(state) is not None) == solved_with
