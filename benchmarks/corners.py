@@ -28,7 +28,7 @@ from camcal.images.load import gray_8bit, gray_levels
 from camcal.run.fanout import fan_out
 from camcal.simulate.render import piece_length
 from camcal.targets.detect import detect
-from camcal.targets.samples import Samples
+from camcal.targets.detection import Samples
 
 WINDOWS = (2, 3, 4, 5, 7, 9, 11)
 PEERS = (*SECTOR_BASED, "cornerSubPix")

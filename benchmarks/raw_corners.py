@@ -36,7 +36,7 @@ from camcal.simulate.render import Exposure, evenly_lit, light
 from camcal.simulate.scene import views
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
-from camcal.targets.samples import Samples
+from camcal.targets.detection import Samples
 
 SIZE, PATTERN, BLACK, WHITE = (1280, 960), "RGGB", 64.0, 4095.0
 BOARD = Board("chessboard", 9, 6, 0.04)

@@ -25,8 +25,7 @@ from camcal.formats import documents, emit, kalibr_target
 from camcal.formats.documents import Check, Fault
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text, unchecked
 from camcal.targets.board import Board, parse_board
-from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
-from camcal.targets.boards.types import (
+from camcal.targets.board_types import (
     APRILGRID,
     ASYMMETRIC_CIRCLES,
     BOARD_TYPES,
@@ -35,6 +34,8 @@ from camcal.targets.boards.types import (
     CIRCLES,
     METRES,
     TAG_FAMILY,
+    aprilgrid_fields,
+    spacing_of,
 )
 
 SUFFIXES = (".yaml", ".yml")

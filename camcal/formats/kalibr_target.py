@@ -19,8 +19,15 @@ from camcal.formats import emit
 from camcal.formats.documents import Fault
 from camcal.formats.schema import flag, integer, mapping, number, one_of, text
 from camcal.targets.board import Board
-from camcal.targets.boards.short_forms import aprilgrid_fields, spacing_of
-from camcal.targets.boards.types import APRILGRID, ASYMMETRIC_CIRCLES, CHESSBOARD, CIRCLES, TAG_FAMILY
+from camcal.targets.board_types import (
+    APRILGRID,
+    ASYMMETRIC_CIRCLES,
+    CHESSBOARD,
+    CIRCLES,
+    TAG_FAMILY,
+    aprilgrid_fields,
+    spacing_of,
+)
 
 KEY = "target_type"
 

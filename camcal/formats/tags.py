@@ -31,7 +31,7 @@ from camcal.formats.schema import integer, items, mapping, number, one_of, text
 from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_integer, parse_number
-from camcal.targets.boards.types import METRES
+from camcal.targets.board_types import METRES
 from camcal.targets.markers.families import Family, family_named
 from camcal.targets.markers.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
 

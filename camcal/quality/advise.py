@@ -17,7 +17,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.words import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.quality.criteria import CRITERIA, Finding, between_views, finding
-from camcal.targets.boards.types import BOARD_TYPES
+from camcal.targets.board_types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
 # Views: a standard deviation from the scatter of fewer is not well known itself, and counts by the half width of its

@@ -23,7 +23,7 @@ from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
 from camcal.raw.options import AS_IMAGES, GRAY, GREEN, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, Gains, Reading
 from camcal.raw.reading import read_mosaic
-from camcal.targets.samples import Samples
+from camcal.targets.detection import Samples
 
 COLOURS = ("red", "blue")
 

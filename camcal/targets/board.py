@@ -12,9 +12,22 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.targets.boards import layouts
-from camcal.targets.boards.short_forms import fields_of
-from camcal.targets.boards.types import APRILGRID, ASYMMETRIC_CIRCLES, BOARD_TYPES, CHARUCO, CHESSBOARD, CIRCLES
+from camcal.targets.board_types import (
+    APRILGRID,
+    ASYMMETRIC_CIRCLES,
+    BOARD_TYPES,
+    CHARUCO,
+    CHESSBOARD,
+    CIRCLES,
+    dotted_squares,
+    fields_of,
+    grid_points,
+    grid_turns,
+    half_turns,
+    staggered,
+    tag_corners,
+    unchanged,
+)
 
 __all__ = [
     "APRILGRID",
@@ -121,8 +134,8 @@ class Board:
 
     def _flat(self) -> Array:
         if self.type == APRILGRID:
-            return layouts.tag_corners(self.columns, self.rows, (self.marker or 0.0) / self.pitch) * self.pitch
-        layout = layouts.staggered if self.type == ASYMMETRIC_CIRCLES else layouts.grid
+            return tag_corners(self.columns, self.rows, (self.marker or 0.0) / self.pitch) * self.pitch
+        layout = staggered if self.type == ASYMMETRIC_CIRCLES else grid_points
         return layout(self.columns, self.rows) * self.pitch
 
     def transposed(self) -> "Board":
@@ -136,7 +149,7 @@ class Board:
         """
         wide = self.type == ASYMMETRIC_CIRCLES or (columns >= rows) == (self.columns >= self.rows)
         columns, rows = (columns, rows) if wide else (rows, columns)
-        dots = self.dots and bool(layouts.dotted_squares(columns, rows))
+        dots = self.dots and bool(dotted_squares(columns, rows))
         return replace(self, columns=columns, rows=rows, dots=dots)
 
     def symmetries(self) -> tuple[Array, ...]:
@@ -147,11 +160,11 @@ class Board:
         of an even number of rows turned by 180°. Markers, tags and dots leave no doubt.
         """
         if self.coded:
-            return layouts.unchanged(self.count)
+            return unchanged(self.count)
         if self.type == ASYMMETRIC_CIRCLES:
-            return layouts.unchanged(self.count) if self.rows % 2 else layouts.half_turns(self.count)
+            return unchanged(self.count) if self.rows % 2 else half_turns(self.count)
         half = self.type == CIRCLES or (self.columns + self.rows) % 2 == 0
-        return layouts.grid_turns(self.columns, self.rows, half=half)
+        return grid_turns(self.columns, self.rows, half=half)
 
 
 def _require_counts(board: Board) -> None:
@@ -160,7 +173,7 @@ def _require_counts(board: Board) -> None:
         raise InvalidInput(f"a board needs at least {kind.least} × {kind.least} {kind.counted}, found {size}")
     if max(board.columns, board.rows) > LARGEST:
         raise InvalidInput(f"{size} {kind.counted} is more than the limit of {LARGEST} a side")
-    if board.dots and not layouts.dotted_squares(board.columns, board.rows):
+    if board.dots and not dotted_squares(board.columns, board.rows):
         raise InvalidInput(f"a chessboard of {size} inner corners has no room for three dots; it takes 4 × 3 at least")
 
 

@@ -7,8 +7,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.corners.measure import measure
-from camcal.targets.detection import Detection
-from camcal.targets.samples import Samples
+from camcal.targets.detection import Detection, Samples
 
 SEED = 0  # of OpenCV's random numbers, set anew for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them

@@ -1,4 +1,7 @@
-"""What was detected of a board in one image: the record that goes from the detector to the solver."""
+"""What was detected of a board in one image: the record that goes from the detector to the solver.
+
+An image's samples, by which corners are measured, go to the detector as a record too.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -94,3 +97,14 @@ class Detections:
     board: Board | None
     views: tuple[Detection, ...]
     circles: Mapping[str, ImageCircle] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Values (H, W), uint8 or any other kind of number, and the mask (H, W) of those that count, None: all.
+
+    The samples of one colour of a mosaic are such a mask.
+    """
+
+    values: Array
+    sites: Array | None = None

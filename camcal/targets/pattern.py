@@ -7,8 +7,7 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.board import APRILGRID, CHARUCO, Board
-from camcal.targets.boards.layouts import dotted_squares
-from camcal.targets.boards.types import TAG_BORDER
+from camcal.targets.board_types import TAG_BORDER, dotted_squares
 from camcal.targets.markers.families import family_named
 
 BLACK, WHITE = 0.0, 1.0

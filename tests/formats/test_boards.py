@@ -9,7 +9,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import boards, documents, emit
 from camcal.formats.boards import short_form
 from camcal.targets.board import Board, parse_board
-from camcal.targets.boards.types import METRES
+from camcal.targets.board_types import METRES
 
 SHORT_FORMS = [
     "chessboard:9x6",

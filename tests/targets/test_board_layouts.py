@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.boards.layouts import dotted_squares
-from camcal.targets.boards.types import BOARD_TYPES
+from camcal.targets.board_types import BOARD_TYPES, dotted_squares
 from camcal.targets.pattern import pattern_of
 
 FORMS = [

@@ -9,7 +9,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.targets.board_map import Radial, map_of
-from camcal.targets.boards.layouts import grid
+from camcal.targets.board_types import grid_points
 
 SIZE = (640, 480)
 POSE = Pose.from_vector(np.array([0.5, -0.6, 0.3]), [-3.2, -2.1, 6.0])
@@ -35,7 +35,7 @@ def test_bending_undoes_straightening(first, second):
     "lens", [(-0.3, 0.1, 1e-3, -1e-3, 0.0), (0.15, 0.0, 0.0, 0.0, 0.0)], ids=["barrel", "pincushion"]
 )
 def test_the_points_between_those_of_a_board_are_where_the_lens_shows_them(shape, tolerance, lens):
-    points = grid(*shape) * 6 / (max(shape) - 1)
+    points = grid_points(*shape) * 6 / (max(shape) - 1)
     pitch = 6 / (max(shape) - 1)
     between = points[np.all(points < points.max(axis=0) - 0.1, axis=1)] + pitch / 2
     found = map_of(points, seen(points, lens), SIZE)
@@ -43,7 +43,7 @@ def test_the_points_between_those_of_a_board_are_where_the_lens_shows_them(shape
 
 
 def test_a_fisheye_is_followed_too():
-    points = grid(10, 8) * 6 / 9
+    points = grid_points(10, 8) * 6 / 9
     lens = (0.05, -0.01, 0.0, 0.0)
     found = map_of(points, seen(points, lens, "kannala_brandt4"), SIZE)
     between = points[np.all(points < points.max(axis=0) - 0.1, axis=1)] + 1 / 3
@@ -51,7 +51,7 @@ def test_a_fisheye_is_followed_too():
 
 
 def test_four_points_make_a_homography():
-    corners = grid(2, 2) * 3
+    corners = grid_points(2, 2) * 3
     pixels = seen(corners, (0.0, 0.0, 0.0, 0.0, 0.0))
     inside = np.array([[1.0, 2.0], [0.3, 2.9]])
     found = map_of(corners, pixels, SIZE)

@@ -13,8 +13,7 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.render import render
 from camcal.simulate.scene import make_camera
 from camcal.targets.board import Board, parse_board
-from camcal.targets.checker.charuco import find_charuco
-from camcal.targets.checker.charuco_rows import ends_after, rows_seen
+from camcal.targets.checker.charuco import ends_after, find_charuco, rows_seen
 from camcal.targets.checker.charuco_search import common_layout, is_like, search_charuco
 
 SIZE = (640, 480)

@@ -4,9 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.targets.boards.layouts import grid
-from camcal.targets.circles.blobs import Ellipses, find_ellipses, square_roots
-from camcal.targets.circles.lattice import lattices, places
+from camcal.targets.board_types import grid_points
+from camcal.targets.circles.blobs import Ellipses, find_ellipses, lattices, places, square_roots
 
 COLUMNS, ROWS = 8, 6
 
@@ -26,7 +25,7 @@ def seen(points, radius, tilt, turn):
 @given(tilt=st.floats(0, 1.2), turn=st.floats(0, 6.28), seed=st.integers(0, 1000))
 def test_the_whole_board_is_one_lattice_among_clutter(tilt, turn, seed):
     rng = np.random.default_rng(seed)
-    board = seen(grid(COLUMNS, ROWS), 0.3, tilt, turn)
+    board = seen(grid_points(COLUMNS, ROWS), 0.3, tilt, turn)
     others = Ellipses(rng.uniform(0, 640, (40, 2)), rng.uniform(2, 12, (40, 1, 1)) * np.eye(2))
     far = np.linalg.norm(others.centres[:, None] - board.centres, axis=2).min(axis=1) > 30
     mixed = Ellipses(

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from camcal.targets.boards.layouts import grid
+from camcal.targets.board_types import grid_points
 from camcal.targets.circles.blobs import Ellipses, square_roots
-from camcal.targets.circles.disc_centres import projected_centres
+from camcal.targets.circles.disc_fit import projected_centres
 
-POINTS = grid(7, 5)
+POINTS = grid_points(7, 5)
 RADIUS = 0.3
 SIZE = (640, 480)
 LEFT_PX = 5e-3  # three rounds leave less than a hundredth of offsets of up to 0.6 px

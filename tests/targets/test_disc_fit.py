@@ -7,8 +7,8 @@ from scipy.integrate import trapezoid
 from scipy.special import ndtr
 
 from camcal.targets.circles.blobs import Ellipses
-from camcal.targets.circles.disc_edge import picture, rim
 from camcal.targets.circles.disc_fit import fit_discs
+from camcal.targets.circles.disc_model import picture, rim
 
 RAYS = 8  # per pixel and axis
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from camcal.targets.printing.ink import outlines
+from camcal.targets.printing.draw import outlines
 
 
 def around(black):

@@ -11,8 +11,7 @@ from printed import decoded, page_with
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import parse_board
-from camcal.targets.printing.draw import require_fine
-from camcal.targets.printing.ink import ink_of
+from camcal.targets.printing.draw import ink_of, require_fine
 from camcal.targets.printing.page import Page, Text, paper_named, rectangle
 from camcal.targets.printing.png import dots_per_mm, png, size_in_pixels
 

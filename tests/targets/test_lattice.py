@@ -5,8 +5,7 @@ import pytest
 from drawn import picture, pose, truth
 
 from camcal.targets.board import Board, parse_board
-from camcal.targets.checker.proposals import patterns
-from camcal.targets.checker.saddles import find_saddles
+from camcal.targets.checker.proposals import find_saddles, patterns
 
 BOARD = Board("chessboard", 7, 5)
 CHARUCO = parse_board("charuco:8x6:40mm:30mm:DICT_4X4_50:current")

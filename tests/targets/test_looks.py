@@ -6,7 +6,7 @@ from drawn import picture, pose, truth
 
 from camcal.targets.board import Board
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker.looks import glance, look
+from camcal.targets.checker.checker import glance, look
 
 BOARD = Board("chessboard", 7, 5)
 SIZE = (400, 300)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from tagged import facing, photograph, pinhole, true_corners
 
-from camcal.targets.markers import map as marker_map
-from camcal.targets.markers.drawing import MarkerDrawing
-from camcal.targets.markers.families import family_named
+from camcal.targets.markers import fit
+from camcal.targets.markers.families import MarkerDrawing, family_named
 from camcal.targets.markers.fit import fit_marker
 
 CORNERS = np.array([[-21.0, -18.0], [19.0, -22.0], [24.0, 17.0], [-18.0, 20.0]])
@@ -19,30 +18,30 @@ def random_places(count=60, reach=1.1, seed=1):
 
 
 def test_places_come_back_from_their_pixels():
-    entries, places = marker_map.homography(CORNERS), random_places()
-    assert np.allclose(marker_map.straight(entries, marker_map.CORNERS).pixels, CORNERS)
-    assert np.allclose(marker_map.places_of(entries, marker_map.straight(entries, places).pixels), places)
+    entries, places = fit.homography(CORNERS), random_places()
+    assert np.allclose(fit.straight(entries, fit.CORNERS).pixels, CORNERS)
+    assert np.allclose(fit.places_of(entries, fit.straight(entries, places).pixels), places)
 
 
 def test_derivatives_of_the_place_are_those_of_central_differences():
-    entries, places = marker_map.homography(CORNERS), random_places()
-    placed = marker_map.straight(entries, places)
+    entries, places = fit.homography(CORNERS), random_places()
+    placed = fit.straight(entries, places)
     for axis, step in enumerate(np.eye(2) * 1e-6):
-        ends = [marker_map.straight(entries, places + sign * step).pixels for sign in (1, -1)]
+        ends = [fit.straight(entries, places + sign * step).pixels for sign in (1, -1)]
         assert np.allclose((ends[0] - ends[1]) / 2e-6, placed.by_place[:, :, axis], atol=1e-6)  # float64 at h = 1e-6
     for entry, step in enumerate(np.eye(8) * 1e-6):
-        ends = [marker_map.straight(entries + sign * step, places).pixels for sign in (1, -1)]
+        ends = [fit.straight(entries + sign * step, places).pixels for sign in (1, -1)]
         assert np.allclose((ends[0] - ends[1]) / 2e-6, placed.by_entries[:, :, entry], atol=1e-6)
     product = np.einsum("kij,kjl->kil", placed.gradients, placed.by_place)
     assert np.allclose(product, np.eye(2), atol=1e-12)
 
 
 def test_bends_leave_the_corners_and_straight_lines_through_the_middle():
-    entries = marker_map.homography(CORNERS)
-    at_corners = marker_map.bends(entries, marker_map.CORNERS, np.array([150.0, -90.0]), 400.0)
-    assert at_corners.shape == (4, 2, marker_map.BENDS)
+    entries = fit.homography(CORNERS)
+    at_corners = fit.bends_of(entries, fit.CORNERS, np.array([150.0, -90.0]), 400.0)
+    assert at_corners.shape == (4, 2, fit.BENDS)
     assert np.abs(at_corners).max() < 1e-12
-    between = marker_map.bends(entries, np.zeros((1, 2)), np.array([150.0, -90.0]), 400.0)
+    between = fit.bends_of(entries, np.zeros((1, 2)), np.array([150.0, -90.0]), 400.0)
     assert (np.abs(between[0]).max(axis=0) > 1e-3).all()
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.boards.layouts import dotted_squares
+from camcal.targets.board_types import dotted_squares
 from camcal.targets.pattern import pattern_of
 
 MM = 1e-3

@@ -12,12 +12,10 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
 from camcal.targets.checker import grid as grids
-from camcal.targets.corners.cell_window import LONGEST_PX
-from camcal.targets.corners.cells import Cells
+from camcal.targets.corners.cells import LONGEST_PX, Cells
 from camcal.targets.corners.measure import _cells, clear, measure
 from camcal.targets.corners.refine import RefinedCorners, refine
-from camcal.targets.detection import Detection
-from camcal.targets.samples import Samples
+from camcal.targets.detection import Detection, Samples
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 SIZE = (480, 400)

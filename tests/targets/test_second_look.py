@@ -11,10 +11,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
-from camcal.targets.corners.board_edges import seen_cells, signs
-from camcal.targets.corners.second_look import Expected, look_again
-from camcal.targets.detection import Detection
-from camcal.targets.samples import Samples
+from camcal.targets.corners.measure import Expected, look_again, seen_cells, signs
+from camcal.targets.detection import Detection, Samples
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (480, 400), np.array([450.0, 450, 241, 198, -0.3, 0.1, 0, 0, 0]))

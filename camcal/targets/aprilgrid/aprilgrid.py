@@ -17,18 +17,14 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.targets.aprilgrid.outlines import bit_agreement, codes_of, quadrilaterals, read_tags
-from camcal.targets.aprilgrid.tag_groups import most_legible, placed, tag_groups
-from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, predict
+from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, most_legible, placed, predict, tag_groups
 from camcal.targets.board import Board
-from camcal.targets.boards.types import TAG_BORDER
-from camcal.targets.checker.checker import AGREEMENT, CONTRAST
-from camcal.targets.checker.looks import look
-from camcal.targets.corners.board_edges import tag_reach
+from camcal.targets.board_types import TAG_BORDER
+from camcal.targets.checker.checker import AGREEMENT, CONTRAST, look
 from camcal.targets.corners.cells import Beside, Cells
-from camcal.targets.corners.measure import blur_of, clear
+from camcal.targets.corners.measure import blur_of, clear, tag_reach
 from camcal.targets.corners.refine import refine
-from camcal.targets.detection import MIN_CORNERS, Detection
-from camcal.targets.samples import Samples
+from camcal.targets.detection import MIN_CORNERS, Detection, Samples
 
 WINDOW = 0.6  # of a tag's side, what looks take for the distance of the next corner
 CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits

@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array, readonly
-from camcal.targets.boards.types import TAG_BORDER
+from camcal.targets.board_types import TAG_BORDER
 from camcal.targets.markers.families import family_named
 
 _SMALL, _MEDIUM, _LARGE, _TINY = 0.5e6, 1.5e6, 6e6, 0.12e6  # pixels of the copies

@@ -16,17 +16,19 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.targets.board import CHARUCO, LARGEST, Board
-from camcal.targets.checker.charuco import arrangements, find_charuco
-from camcal.targets.checker.charuco_markers import (
+from camcal.targets.checker.charuco import (
     TURNS,
     WRONG_BITS,
+    arrangements,
     bright_squares,
     cells,
+    ends_after,
+    find_charuco,
     in_squares,
     nearest,
     read_bits,
+    rows_seen,
 )
-from camcal.targets.checker.charuco_rows import ends_after, rows_seen
 from camcal.targets.checker.checker import Checker, settle, trimmed
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.markers.families import family_named

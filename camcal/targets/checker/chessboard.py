@@ -3,16 +3,21 @@
 Where columns + rows is odd the colours tell the two ends apart: the square before corner 0, at the board's own corner,
 is dark. Dots tell the ends of any board apart. Otherwise the board looks the same turned, and the turn whose rows run
 most upright is taken. Given transposed it is the same object, found and numbered along the columns it is given.
+
+Where on its board a part of a pattern lies is written as the ids (R, C) of the pattern's corners. Such a place must
+have the colours of the board, end where the image shows the board to end, and have its dots where dots are seen.
+Nothing is guessed: if more than one is left that a look at the board could tell apart, the pattern has no place.
 """
 
 from itertools import chain
 
 import numpy as np
 
+from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board import Board
+from camcal.targets.board_types import dotted_squares
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker import placing
 from camcal.targets.checker.checker import SIDE, Checker, extended, settle, trimmed, undisturbed
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import Detection
@@ -56,12 +61,12 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> De
         return _part_or_another(gray, checker, board)
     if whole and not partial and checker.found.mean() < MIN_SHARE:
         return Detection.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
-    places = placing.fitting(checker, board)
+    places = fitting(checker, board)
     if not whole:
-        places = placing.ending(gray, checker, places, board)
+        places = ending(gray, checker, places, board)
     if board.dots:
-        places = placing.with_dots(gray, checker, places, board)
-    grid = placing.numbered(places, checker, board)
+        places = with_dots(gray, checker, places, board)
+    grid = numbered(places, checker, board)
     if grid is not None:
         return Detection.of(undisturbed(gray, Checker(grid, checker.sign, checker.contrast)))
     if whole and board.dots:
@@ -88,3 +93,147 @@ def _leaves(gray: Array, pattern: Array) -> bool:
     wide = grids.predict(grids.padded(pattern))
     outside = np.asarray(((wide < 0) | (wide > np.array(gray.shape[::-1]) - 1)).any(axis=-1))
     return any(side.mean() > SIDE for side in grids.outer(outside))
+
+
+# Where the board ends, squares are dark and bright by turns on its side and bright on the other.
+RIMS = (1.0, 0.75, 0.5)  # steps, how wide outer squares may be; many boards are cut
+ASIDE = 0.3  # of that from the rim, and of a step along it, is where the squares and the margin are looked at
+ALTERNATING = 0.5  # smallest difference of neighbouring squares of the rim, of dark to bright
+MARGIN = 0.35  # largest difference of the margin and a bright square, likewise
+ENDS = 0.75  # share of a side that must look so, as far as it is in the image
+LEAST_RIM = 3  # places
+DOT, NO_DOT = 0.55, 0.25  # of dark to bright: difference of a square's middle from its rest
+_ROUND = np.arange(12) * (2 * np.pi / 12)
+_DOT_RING = 0.32  # steps from the middle of a square, outside a dot and inside the square
+
+
+def fitting(checker: Checker, board: Board) -> list[Array]:
+    """Return the places of a pattern on a board by its size and colours, as ids (R, C) of the pattern's corners.
+
+    Colours are asked only where a board has a light and a dark end: others are printed either way.
+    """
+    numbers = np.arange(board.count).reshape(board.rows, board.columns)
+    rows, columns = checker.grid.shape[:2]
+    result = []
+    for turn in range(4):
+        turned = np.rot90(numbers, turn)
+        for row in range(turned.shape[0] - rows + 1):
+            for column in range(turned.shape[1] - columns + 1):
+                ids = turned[row : row + rows, column : column + columns]
+                dark = sum(divmod(int(ids[0, 0]), board.columns)) + turn
+                if (board.columns + board.rows) % 2 == 0 or (-1) ** dark == checker.sign:
+                    result.append(ids)
+    return result
+
+
+def numbered(places: list[Array], checker: Checker, board: Board) -> Array | None:
+    """Return the corners of a pattern by their ids on the board (rows, columns, 2), NaN where none was seen.
+
+    None if several places are left. Of those that a turn of the board exchanges, the one whose rows run most upright.
+    """
+    alike = board.symmetries()
+    if not places or len({min(tuple(turn[ids.ravel()]) for turn in alike) for ids in places}) > 1:
+        return None
+    return max((_on_board(ids, checker.grid, board) for ids in places), key=grids.uprightness)
+
+
+def _on_board(ids: Array, grid: Array, board: Board) -> Array:
+    result = np.full((board.count, 2), np.nan)
+    result[ids] = grid
+    return result.reshape(board.rows, board.columns, 2)
+
+
+def ending(gray: Array, checker: Checker, places: list[Array], board: Board) -> list[Array]:
+    """Return the places that end wherever the image shows that the board does."""
+    ends = _ends(gray, checker)
+    return [ids for ids in places if not (ends & ~_ending_on(board, ids)).any()]
+
+
+def _ending_on(board: Board, ids: Array) -> Array:
+    """Return which sides (4,) of a place, top, bottom, left, right, are at the end of the board."""
+    row, column = np.divmod(ids, board.columns)
+    sides = []
+    for at, before in (((0, 0), (1, 0)), ((-1, 0), (-2, 0)), ((0, 0), (0, 1)), ((0, -1), (0, -2))):
+        next_row, next_column = (2 * index[at] - index[before] for index in (row, column))
+        sides.append(not (0 <= next_row < board.rows and 0 <= next_column < board.columns))
+    return np.array(sides)
+
+
+def _ends(gray: Array, checker: Checker) -> Array:
+    """Return on which sides (4,) of a pattern, top, bottom, left, right, the image shows the end of the board."""
+    wide = grids.predict(grids.padded(checker.grid))
+    along, down = np.moveaxis(grids.steps(wide), -1, 0)
+    places, across, downwards = (grids.outer(values) for values in (wide, along, down))
+    beside = (*across[:2], *downwards[2:])
+    outward = (-downwards[0], downwards[1], -across[2], across[3])
+    sides = zip(places, beside, outward, strict=True)
+    return np.array([any(_is_rim(gray, *side, checker.contrast, width) for width in RIMS) for side in sides])
+
+
+def _is_rim(gray: Array, beyond: Array, along: Array, outward: Array, contrast: float, width: float) -> bool:
+    """Return whether outer squares of a width, in steps, end beyond the last corners of a side and a margin begins.
+
+    beyond: (K, 2) where the next corners would be. along, outward: (K, 2) steps, pixels.
+    """
+    aside = ASIDE * width
+    rim = beyond - (1 - width) * outward
+    outer = rim + outward / 2
+    # not so where the rim is unknown
+    seen = np.asarray(((outer > 0) & (outer < np.array(gray.shape[::-1]) - 1)).all(axis=1))
+    if seen.sum() < max(LEAST_RIM, len(seen) / 2):
+        return False
+    rim, along, outward = rim[seen], along[seen], outward[seen]
+    reach = np.stack([along, outward], axis=-1) * (aside / 2)
+    places = [rim + ASIDE * a * along + aside * b * outward for b in (-1, 1) for a in (-1, 1)]
+    left, right, outer_left, outer_right = (_mean_around(gray, place, reach) for place in places)
+    bright = np.maximum(left, right)
+    margin = np.maximum(np.abs(outer_left - bright), np.abs(outer_right - bright)) < MARGIN * 2 * contrast
+    return bool((margin & (np.abs(left - right) > ALTERNATING * 2 * contrast)).mean() >= ENDS)
+
+
+def _mean_around(gray: Array, places: Array, reach: Array) -> Array:
+    """Return the mean (K,) over small cells about places (K, 2); reach: (K, 2, 2) pixels, half their sides."""
+    u, v = (side.ravel() for side in np.meshgrid([-0.6, 0, 0.6], [-0.6, 0, 0.6]))
+    x, y = (places[:, axis, None] + reach[:, axis] @ np.stack([u, v]) for axis in (0, 1))
+    return np.asarray(opencv.sampled(gray, x, y).mean(axis=1))
+
+
+def with_dots(gray: Array, checker: Checker, places: list[Array], board: Board) -> list[Array]:
+    """Return the places whose dots lie where dots are seen, and whose other squares are plain as far as seen."""
+    seen = _dots(gray, checker)
+    dotted = np.zeros((board.rows + 1, board.columns + 1), dtype=bool)
+    for square in dotted_squares(board.columns, board.rows):
+        dotted[square] = True
+    result = []
+    for ids in places:
+        row, column = np.divmod(ids, board.columns)
+        expected = dotted[_square(row), _square(column)]
+        if not (expected & (seen < NO_DOT)).any() and not (~expected & (seen > DOT)).any():
+            result.append(ids)
+    return result
+
+
+def _square(index: Array) -> Array:
+    """Return the row or column (R - 1, C - 1), outer squares counted, of the squares between nodes (R, C)."""
+    return np.asarray(np.maximum(np.maximum(index[:-1, :-1], index[1:, 1:]), index[:-1, 1:]))
+
+
+def _dots(gray: Array, checker: Checker) -> Array:
+    """Return by how much the middles of the squares between nodes (R - 1, C - 1) differ from their rest.
+
+    1 for the difference of dark and bright; NaN where a square's corners were not seen.
+    """
+    grid = checker.grid
+    corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]])
+    middle = corners.mean(axis=0).reshape(-1, 2)
+    sides = np.stack(
+        [corners[1] + corners[3] - corners[0] - corners[2], corners[2] + corners[3] - corners[0] - corners[1]], axis=-1
+    )
+    sides = sides.reshape(-1, 2, 2) / 2
+    seen = ~np.isnan(middle[:, 0])
+    result = np.full(len(middle), np.nan)
+    ring = _DOT_RING * np.stack([np.cos(_ROUND), np.sin(_ROUND)])
+    x, y = (middle[seen, axis, None] + sides[seen, axis] @ ring for axis in (0, 1))
+    rest = opencv.sampled(gray, x, y).mean(axis=1)
+    result[seen] = np.abs(_mean_around(gray, middle[seen], 0.1 * sides[seen]) - rest) / (2 * checker.contrast)
+    return result.reshape(corners.shape[1:3])

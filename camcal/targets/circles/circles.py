@@ -2,24 +2,26 @@
 
 A plain grid looks the same after half a turn, a square one after a quarter, and so does an asymmetric one of an even
 number of rows; the turn whose rows run most to the right is then taken. The pixels are those of the discs' centres,
-not of the ellipses' (disc_centres.py).
+not of the ellipses' (disc_fit.py). A grid that is not the board looked for is told as another board or a part of one.
+
+A grid of ellipses has centres (rows, columns, 2) and axes (rows, columns, 2, 2), NaN where there is none. An asymmetric
+board's grid has a column for every half of its spacing, so that every other node is none of its circles.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.targets.board import Board
+from camcal.targets.board import ASYMMETRIC_CIRCLES, CIRCLES, LARGEST, Board
 from camcal.targets.board_map import map_of
-from camcal.targets.circles.blobs import Ellipses, find_ellipses
-from camcal.targets.circles.disc_centres import projected_centres
-from camcal.targets.circles.disc_fit import DiscFits, fit_discs
-from camcal.targets.circles.lattice import lattices
-from camcal.targets.circles.numbering import as_drawn, nodes, numbered, size_of
-from camcal.targets.circles.other_grids import OtherGrid
+from camcal.targets.board_types import grid_points, staggered
+from camcal.targets.checker.proposals import proposals
+from camcal.targets.circles.blobs import Ellipses, find_ellipses, lattices, places
+from camcal.targets.circles.disc_fit import DiscFits, fit_discs, projected_centres
 from camcal.targets.detection import MIN_CORNERS, Detection
 
 MIN_PROPOSED = 0.5  # of the board's circles, for the others to be looked for
@@ -106,3 +108,166 @@ def _good(fits: DiscFits) -> Array:
     usual, noise = float(np.median(ink[good])), float(np.median(fits.noise[good]))
     good &= np.abs(ink / usual - 1) < _INK
     return np.asarray(good & (fits.noise < _NOISE * noise + _NOISE_FLOOR))
+
+
+_SIDE = 0.5  # of an outer row's nodes that must be seen for it to belong to the board
+
+
+def as_drawn(lattice: Array, board: Board) -> Array:
+    """Return a lattice of indices, -1 where none, with the board's rows and columns parallel to its own.
+
+    The lattice of nearest neighbours of an asymmetric board stands at 45° to it.
+    """
+    if board.type != ASYMMETRIC_CIRCLES:
+        return _trimmed(lattice, 1)
+    row, column = np.nonzero(lattice >= 0)
+    x, y = column - row, column + row
+    turned = np.full((np.ptp(y) + 1, np.ptp(x) + 1), -1)
+    turned[y - y.min(), x - x.min()] = lattice[row, column]
+    return _trimmed(turned, 2)
+
+
+def _trimmed(lattice: Array, every: int) -> Array:
+    """Return the lattice without outer rows and columns of which too little was found."""
+    while lattice.size:
+        found = lattice >= 0
+        sides = (found[0], found[-1], found[:, 0], found[:, -1])
+        top, bottom, left, right = (int(every * side.mean() < _SIDE) for side in sides)
+        if not (top or bottom or left or right):
+            break
+        rows, columns = lattice.shape
+        lattice = lattice[top : rows - bottom, left : columns - right]
+    return lattice
+
+
+def size_of(board: Board) -> tuple[int, int]:
+    """Return rows and columns of the board's grid of ellipses."""
+    return board.rows, board.columns * (2 if board.type == ASYMMETRIC_CIRCLES else 1)
+
+
+def numbered(lattice: Array, ellipses: Ellipses, board: Board) -> Array | None:
+    """Return the lattice turned so that node (0, 0) is point 0, None if it is not the board's.
+
+    Of the turns that look the same, the one whose rows run most to the right.
+    """
+    turns = [np.rot90(lattice, turn) for turn in range(4)]
+    fitting = [turn for turn in turns if turn.shape == size_of(board) and _staggered(turn, board)]
+    return max(fitting, key=lambda turn: _rightness(turn, ellipses), default=None)
+
+
+def board_of(lattice: Array, like: Board) -> Board | None:
+    """Return the board whose rows and columns a lattice of indices, turned as one like it is drawn, has; None if none.
+
+    Lengths are those of `like`.
+    """
+    for turn in range(4):
+        turned = np.rot90(lattice, turn)
+        rows, columns = turned.shape
+        if like.type == ASYMMETRIC_CIRCLES:
+            columns, half = divmod(columns, 2)
+            if half:
+                continue
+        if min(rows, columns) < 2 or max(rows, columns) > LARGEST:
+            return None
+        board = like.of_size(columns, rows)
+        if turned.shape == size_of(board) and _staggered(turned, board):
+            return board
+    return None
+
+
+def nodes(board: Board) -> Array:
+    """Return row and column (count, 2) of every point of the board in its grid of ellipses, in the order of ids."""
+    layout = staggered if board.type == ASYMMETRIC_CIRCLES else grid_points
+    return layout(board.columns, board.rows)[:, ::-1].astype(np.intp)
+
+
+def _staggered(lattice: Array, board: Board) -> bool:
+    """Return whether the nodes with an ellipse are those of the board."""
+    wanted = np.zeros(lattice.shape, dtype=bool)
+    wanted[tuple(nodes(board).T)] = True
+    return not ((lattice >= 0) & ~wanted).any()
+
+
+def _rightness(lattice: Array, ellipses: Ellipses) -> float:
+    """Return the cosine of the angle from the image's x axis to the rows of a lattice."""
+    row, column = np.nonzero(lattice >= 0)
+    design = np.column_stack([column, row, np.ones(len(row))])
+    along = np.linalg.lstsq(design, ellipses.centres[lattice[row, column]], rcond=None)[0][0]
+    return float(along[0] / np.hypot(*along))
+
+
+_FILLED = 0.9  # of a board's circles, that are seen of one that is proposed
+_CHECKERED = 0.75  # corners for every dark square of a checker pattern, at least
+_GOES_ON = 2  # of the next circles along a side, that are seen where a grid is a part of a larger one
+_OUTSIDE = 0.5  # of the next circles along a side, that lie outside the image where the board does
+
+
+@dataclass(frozen=True, eq=False)
+class OtherGrid:
+    """A lattice of ellipses that is not the board looked for.
+
+    drawn: indices (rows, columns), -1 where none, as `like` is drawn. like: the type of board of which most is seen.
+    count: ellipses. whole: whether the lattice ends by itself.
+    """
+
+    drawn: Array
+    ellipses: Ellipses
+    like: Board
+    count: int
+    whole: bool
+
+    @classmethod
+    def of(cls, lattice: Array, ellipses: Ellipses, board: Board, *, whole: bool) -> "OtherGrid":
+        """Return a lattice as the board is drawn, or as the other type of board is if it holds more of it then."""
+        other = CIRCLES if board.type == ASYMMETRIC_CIRCLES else ASYMMETRIC_CIRCLES
+        found = []
+        for like in (board, replace(board, type=other, square=None, diameter=None)):
+            drawn = as_drawn(lattice, like)
+            found.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
+        return max(found, key=lambda grid: grid.count)
+
+    def detection(self, gray: Array, board: Board) -> Detection:
+        """Return why the grid in an image (H, W) uint8 is not the board, and which board it is."""
+        other, wanted = board_of(self.drawn, self.like), f"{board.columns} x {board.rows}"
+        if self.like.type == ASYMMETRIC_CIRCLES and _checkered(gray, self.count):
+            return Detection.nothing(f"a checker pattern in sight, no {board.words}")
+        size = gray.shape[1], gray.shape[0]
+        beyond = self._next(size)
+        if self._leaves(beyond, size):
+            return Detection.nothing(f"board partly outside the image ({self.count} circles in sight, not {wanted})")
+        if other is None or self.count < _FILLED * other.count or not self.whole or self._goes_on(beyond):
+            return Detection.nothing(f"a part of a grid in sight ({self.count} circles), not {wanted}")
+        kind = "an asymmetric grid" if other.type == ASYMMETRIC_CIRCLES else "a grid"
+        seen = f"{other.columns} x {other.rows}"
+        return Detection.nothing(f"{kind} of {seen} circles in sight, not {wanted}", other)
+
+    def _next(self, size: tuple[int, int]) -> tuple[Array, ...]:
+        """Return where the next circles beyond each side would be (K, 2) px, nothing where that is unknown."""
+        rows, columns = self.drawn.shape
+        row, column = np.nonzero(self.drawn >= 0)
+        points = np.column_stack([column, row]).astype(np.float64)
+        if len(points) < MIN_CORNERS or np.ptp(points, axis=0).min() < 1:
+            return ()
+        seen = map_of(points, places(self.ellipses, self.drawn)[row, column], size, rough=True)
+        across, down = np.arange(float(columns)), np.arange(float(rows))
+        beside = [np.column_stack([across, np.full(columns, at)]) for at in (-1.0, rows)]
+        beside += [np.column_stack([np.full(rows, at), down]) for at in (-1.0, columns)]
+        return tuple(seen.pixels(nodes) for nodes in beside)
+
+    def _leaves(self, beyond: tuple[Array, ...], size: tuple[int, int]) -> bool:
+        """Return whether the next circles beyond a side would lie outside the image."""
+        outside = [((side < 0) | (side > np.array(size) - 1)).any(axis=1) for side in beyond]
+        return any(side.mean() > _OUTSIDE for side in outside)
+
+    def _goes_on(self, beyond: tuple[Array, ...]) -> bool:
+        """Return whether there are ellipses where the next circles beyond a side would be."""
+        row, column = np.nonzero(self.drawn >= 0)
+        radius = np.sqrt(np.median(self.ellipses.areas[self.drawn[row, column]]))
+        tree = KDTree(self.ellipses.centres)
+        return any((tree.query(side)[0] < radius).sum() >= _GOES_ON for side in beyond)
+
+
+def _checkered(gray: Array, count: int) -> bool:
+    """Return whether there is a checker pattern: a small one's dark squares are an asymmetric grid of `count` dots."""
+    found = (~np.isnan(pattern[..., 0]) for copy in proposals(gray) for pattern in copy)
+    return any(corners.sum() >= _CHECKERED * count for corners in found)

@@ -1,7 +1,7 @@
 """Corners as exactly as an image allows: a picture of two crossing edges fitted to every corner's own cell.
 
 Around a corner the image is modelled as
-    (1 + g · (x, y)) · (level + contrast · T(f)),   f the crossing of crossing.py, T the curve of tone.py,
+    (1 + g · (x, y)) · (level + contrast · T(f)),   f the crossing and T the curve of checker_picture.py,
 with both edges' places, directions and blurs, and the gradient g of the light: eleven unknowns a corner. The edges may
 bend as a lens bends them, by a curvature that is given. Only pixels by the edges are looked at, each counted with the
 nearer one, and none that the next edges reach. All corners are fitted at once, by steps in offsets and angles of the
@@ -15,11 +15,8 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.solve.descent import Stopping
 from camcal.solve.independent import Minima, Models, Tried, minimise_each
-from camcal.targets.corners.cell_window import LONGEST_PX, CellWindow, look
-from camcal.targets.corners.cells import Beside, Cells
-from camcal.targets.corners.checker_picture import CheckerPicture, alone, crowded
-from camcal.targets.corners.crossing import PIXEL_VARIANCE
-from camcal.targets.corners.tone import STRONGEST, toned
+from camcal.targets.corners.cells import LONGEST_PX, Beside, Cells, CellWindow, look
+from camcal.targets.corners.checker_picture import PIXEL_VARIANCE, STRONGEST, CheckerPicture, alone, crowded, toned
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
 _BLUR_PX = (0.29, 6.3)  # a pixel's own square is the least; without it an edge between two rows could be anywhere there

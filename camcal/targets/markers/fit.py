@@ -1,10 +1,16 @@
 """Corners of a marker to a hundredth of a pixel: the marker's own drawing fitted to the image.
 
 Which cells of a marker are white is known once it has been read, so that all of its edges say where it is, not its
-border alone. The image is modelled as  level + contrast · f(drawing(u, v)):  the drawing blurred by a Gaussian and
-placed as in marker_map, the level a plane, the contrast a quadratic over the image, and f(t) = t + c t (1 - t), since
-gamma, which acts on what is blurred already, makes white grow. cv2.aruco's ways are off by 0.1 to 0.5 px on the same
-markers (benchmarks/markers.py).
+border alone. The image is modelled as  level + contrast · f(drawing(u, v)):  the drawing blurred by a Gaussian, the
+level a plane, the contrast a quadratic over the image, and f(t) = t + c t (1 - t), since gamma, which acts on what is
+blurred already, makes white grow. cv2.aruco's ways are off by 0.1 to 0.5 px on the same markers
+(benchmarks/markers.py).
+
+The drawing is placed by a homography and by what a lens adds that bends straight lines:
+    (x, y) = H(u, v) + Σ kᵢ Bᵢ(u, v)        u, v from -1 to 1 across the marker, x, y in pixels
+H is h11 … h32 with h33 = 1. B₁ and B₂ are radial distortion of third and fifth order about the middle of the image,
+less what moves the marker's corners, which H does as well. B₃ … B₆ are 1 - u² and 1 - v² along x and along y, times the
+marker's side, for what is not quite radial. All of them vanish at the corners.
 """
 
 from collections.abc import Sequence
@@ -13,13 +19,139 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.geometry.homography import through
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
-from camcal.targets.markers import map as marker_map
-from camcal.targets.markers.drawing import MarkerDrawing
-from camcal.targets.markers.window import Window, look
+from camcal.targets.markers.families import MarkerDrawing
+
+BENDS = 6
+CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])  # clockwise from the top-left
+
+
+@dataclass(frozen=True, eq=False)
+class Straight:
+    """What a homography makes of K places: pixels (K, 2), derivatives (K, 2, 2) by u, v and (K, 2, 8) by h11 … h32."""
+
+    pixels: Array
+    by_place: Array
+    by_entries: Array
+
+    @property
+    def gradients(self) -> Array:
+        """The derivatives (K, 2, 2) of u and v by x and y, 1/px."""
+        (a, b), (c, d) = self.by_place.transpose(1, 2, 0)
+        adjugate = np.stack([d, -b, -c, a], axis=1).reshape(-1, 2, 2)
+        return np.asarray(adjugate / (a * d - b * c)[:, None, None])
+
+
+def homography(corners: Array) -> Array:
+    """Return the entries (8,) of the homography that takes CORNERS to corners (4, 2) px."""
+    rows = []
+    for (u, v), (x, y) in zip(CORNERS, corners, strict=True):
+        rows += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
+    return np.asarray(np.linalg.solve(np.array(rows), corners.ravel()))
+
+
+def straight(entries: Array, places: Array) -> Straight:
+    """Return where a homography (8,) puts places (K, 2), as u, v."""
+    h, (u, v) = entries, places.T
+    one, zero = np.ones_like(u), np.zeros_like(u)
+    w = h[6] * u + h[7] * v + 1
+    pixels = np.stack([h[0] * u + h[1] * v + h[2], h[3] * u + h[4] * v + h[5]], axis=1) / w[:, None]
+    by_place = (h[[0, 1, 3, 4]].reshape(2, 2) - pixels[:, :, None] * h[6:8]) / w[:, None, None]
+    x, y = pixels.T
+    by_x = np.stack([u, v, one, zero, zero, zero, -x * u, -x * v], axis=1)
+    by_y = np.stack([zero, zero, zero, u, v, one, -y * u, -y * v], axis=1)
+    return Straight(pixels, by_place, np.stack([by_x, by_y], axis=1) / w[:, None, None])
+
+
+def places_of(entries: Array, pixels: Array) -> Array:
+    """Return the places (K, 2), as u, v, that a homography (8,) puts at pixels (K, 2)."""
+    inverse = np.linalg.inv(np.append(entries, 1.0).reshape(3, 3))
+    return through(inverse, pixels)
+
+
+def bends_of(entries: Array, places: Array, middle: Array, radius: float) -> Array:
+    """Return B₁ … B₆ at places (K, 2) near a homography (8,) as (K, 2, 6) px.
+
+    middle: (2,) px, of the image. radius: px, where radial distortion is as large as the distance from there.
+    """
+    anywhere, corners = straight(entries, places), straight(entries, CORNERS)
+    moved = _distortion(corners.pixels - middle, radius).reshape(8, 2)
+    followed = anywhere.by_entries @ np.linalg.solve(corners.by_entries.reshape(8, 8), moved)
+    radial = _distortion(anywhere.pixels - middle, radius) - followed
+    free = np.einsum("kp,xy->kxpy", longest_side(corners.pixels) * (1 - places**2), np.eye(2))
+    return np.concatenate([radial, free.reshape(len(places), 2, 4)], axis=2)
+
+
+def longest_side(corners: Array) -> float:
+    """Return the length of the longest side between corners (4, 2)."""
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max())
+
+
+def _distortion(away: Array, radius: float) -> Array:
+    """Return radial displacements (K, 2, 2) of third and fifth order, px, of pixels `away` (K, 2) from the middle."""
+    square = ((away / radius) ** 2).sum(axis=1)[:, None]
+    return np.stack([away * square, away * square**2], axis=2)
+
+
+_MARGIN = 0.6  # cells around a marker that count; the white there is a cell wide or wider
+_BAND_PX = 3.5  # what is farther from an edge says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Pixels (K, 2) from a marker's middle, their gray values (K,), quadratics 1 x y x² xy y² (K, 6) for the light on
+    them, and the bends (K, 2, 6) that a lens may add there.
+    """
+
+    pixels: Array
+    values: Array
+    light: Array
+    bends: Array
+
+
+def look(gray: Array, middle: Array, entries: Array, drawing: MarkerDrawing, most: int) -> Window:
+    """Return the pixels of a marker and its margin, of a large one about `most` by its edges.
+
+    gray: (H, W). middle: (2,) px, whole. entries: (8,) of the homography from the drawing to pixels from there.
+    """
+    corners = straight(entries, CORNERS).pixels
+    side = longest_side(corners)
+    pixels = _all_over(entries, drawing) if side**2 < most else _by_edges(entries, drawing, side, most)
+    size = np.array(gray.shape[::-1])
+    pixels = pixels[((pixels + middle >= 0) & (pixels + middle < size)).all(axis=1)]
+    column, row = (pixels + middle).astype(np.intp).T
+    x, y = pixels.T / side
+    places = places_of(entries, pixels)
+    bends = bends_of(entries, places, (size - 1) / 2 - middle, float(np.linalg.norm(size)) / 2)
+    light = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    return Window(pixels, gray[row, column].astype(np.float64), light, bends)
+
+
+def _all_over(entries: Array, drawing: MarkerDrawing) -> Array:
+    """Return the pixels (K, 2) of a marker and its margin."""
+    reach = 1 + 2 * _MARGIN / len(drawing.ink)
+    outline = straight(entries, reach * CORNERS).pixels
+    low, high = np.floor(outline.min(axis=0)), np.ceil(outline.max(axis=0))
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    return np.asarray(pixels[(np.abs(places_of(entries, pixels)) < reach).all(axis=1)])
+
+
+def _by_edges(entries: Array, drawing: MarkerDrawing, side: float, most: int) -> Array:
+    """Return pixels (K, 2) near the edges of cells, as many by each of them; the same ones every time."""
+    starts, ends = drawing.edges
+    which = np.arange(most) % len(starts)
+    chance = np.random.default_rng(0).random((most, 2))
+    along = (ends - starts)[which]
+    across = along[:, ::-1] / np.linalg.norm(along, axis=1, keepdims=True)
+    band = min(2 * _BAND_PX / side, 2 * _MARGIN / len(drawing.ink))
+    places = starts[which] + along * chance[:, [0]] + across * (2 * chance[:, [1]] - 1) * band
+    return np.unique(np.rint(straight(entries, places).pixels), axis=0)
+
 
 # How many pixels are looked at and how long: first to come near, then in the frame that was found
 _PASSES = (
@@ -39,7 +171,7 @@ _LEVEL, _CONTRAST = slice(16, 19), slice(19, 25)
 _COUNT = 25
 # What may be expected before the image is seen: of radial distortion at the image's corners, of other bends as a share
 # of the marker's side, of the logarithm of the blur (px), and of the tone curve
-_EXPECTED = np.array([0.0] * marker_map.BENDS + [np.log(0.85), 0.0])
+_EXPECTED = np.array([0.0] * BENDS + [np.log(0.85), 0.0])
 _SPREAD = np.array([0.5, 0.5, 1e-3, 1e-3, 1e-3, 1e-3, 0.85, 0.5])
 _EXPECTATIONS = np.arange(8, 16)
 
@@ -66,7 +198,7 @@ def fit_marker(gray: Array, corners: Array, drawing: MarkerDrawing) -> MarkerFit
     """
     middle = np.rint(corners.mean(axis=0))
     parameters = np.zeros(_COUNT)
-    parameters[_ENTRIES], parameters[_EXPECTATIONS] = marker_map.homography(corners - middle), _EXPECTED
+    parameters[_ENTRIES], parameters[_EXPECTATIONS] = homography(corners - middle), _EXPECTED
     for most, stopping in _PASSES:
         window = look(gray, middle, parameters[_ENTRIES], drawing, most)
         if len(window.values) < 2 * _COUNT:
@@ -87,7 +219,7 @@ def looks_alike(gray: Array, corners: Array, drawing: MarkerDrawing) -> float:
     """
     lines = drawing.lines
     middles = np.stack(np.meshgrid(*[(lines[1:] + lines[:-1]) / 2] * 2), axis=-1).reshape(-1, 2)
-    column, row = np.rint(marker_map.straight(marker_map.homography(corners), middles).pixels).astype(np.intp).T
+    column, row = np.rint(straight(homography(corners), middles).pixels).astype(np.intp).T
     if min(column.min(), row.min()) < 0 or column.max() >= gray.shape[1] or row.max() >= gray.shape[0]:
         return 0.0
     values, ink = (each - each.mean() for each in (gray[row, column].astype(np.float64), drawing.ink.ravel()))
@@ -130,8 +262,8 @@ class _MarkerProblem:
     def evaluated(self, parameters: Array) -> tuple[Array, Array]:
         """Return model less image (K,) and the derivatives (K, 25)."""
         window, entries = self.window, parameters[_ENTRIES]
-        places = marker_map.places_of(entries, window.pixels - window.bends @ parameters[_BENDS])
-        placed = marker_map.straight(entries, places)
+        places = places_of(entries, window.pixels - window.bends @ parameters[_BENDS])
+        placed = straight(entries, places)
         seen = self.drawing.blurred(places, placed.gradients, np.exp(parameters[_BLUR]))
         level, contrast = window.light[:, :3] @ parameters[_LEVEL], window.light @ parameters[_CONTRAST]
         bow = seen.value * (1 - seen.value)
@@ -147,7 +279,7 @@ class _MarkerProblem:
 
     def blocks(self, parameters: Array) -> Sequence[Block] | None:
         """Return the image and what is expected beforehand; None for a marker seen edge-on, or a blur beyond reason."""
-        horizon = 1 + marker_map.CORNERS @ parameters[6:8]
+        horizon = 1 + CORNERS @ parameters[6:8]
         if horizon.min() < _HORIZON or parameters[_BLUR] > _BLURRIEST:
             return None
         residuals, jacobian = self.evaluated(parameters)
@@ -191,7 +323,7 @@ def _variance(residuals: Array) -> float:
 
 def _result(problem: _MarkerProblem, solution: Solution[Array], middle: Array) -> MarkerFit:
     residuals = problem.evaluated(solution.state)[0]
-    corners = marker_map.straight(solution.state[_ENTRIES], marker_map.CORNERS)
+    corners = straight(solution.state[_ENTRIES], CORNERS)
     covariance = solution.factors().shared_covariance()[_ENTRIES, _ENTRIES] * (_variance(residuals) / problem.variance)
     return MarkerFit(
         corners.pixels + middle,

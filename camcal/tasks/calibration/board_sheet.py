@@ -11,8 +11,7 @@ from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import refuse_overwriting
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
-from camcal.targets.printing.draw import RULER_MM, Footer, Sheet, encoded, page_of, require_fine
-from camcal.targets.printing.ink import MM, Ink, ink_of
+from camcal.targets.printing.draw import MM, RULER_MM, Footer, Ink, Sheet, encoded, ink_of, page_of, require_fine
 from camcal.targets.printing.page import Page, Paper, paper_named
 from camcal.targets.printing.png import size_in_pixels
 from camcal.tasks.calibration.options import SheetOptions

@@ -13,11 +13,9 @@ from camcal.progress import Progress
 from camcal.raw.options import Reading
 from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
-from camcal.targets.corners.board_edges import seen_cells, signs
-from camcal.targets.corners.second_look import Expected, look_again
-from camcal.targets.detection import Detection
+from camcal.targets.corners.measure import Expected, look_again, seen_cells, signs
+from camcal.targets.detection import Detection, Samples
 from camcal.targets.mixed_sizes import NEAR, size_relation
-from camcal.targets.samples import Samples
 from camcal.tasks.calibration.video_frames import Film
 
 _BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares

@@ -14,8 +14,7 @@ from camcal.progress import Progress
 from camcal.raw.options import Reading
 from camcal.raw.photograph import read_photograph
 from camcal.targets.board import Board
-from camcal.targets.checker.charuco import arrangements
-from camcal.targets.checker.charuco_rows import ends_after, rows_seen
+from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
 from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, is_like, search_charuco
 from camcal.targets.detect import SEED
 from camcal.targets.detection import Detection

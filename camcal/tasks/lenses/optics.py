@@ -11,7 +11,7 @@ from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import refuse_overwriting, split_address
-from camcal.targets.boards.types import BOARD_TYPES
+from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
 from camcal.tasks.lenses.board_plan import BoardPlan, plan_board
 from camcal.tasks.lenses.optics_setup import Setup, set_up
