@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.targets.detection import Detection
-from camcal.targets.mixed_sizes import CLOCKWISE, COUNTER_CLOCKWISE, pixel_map, size_relation, size_words
+from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, Detection, pixel_map, size_relation, size_words
 
 USUAL = (64, 48)
 POINTS = np.array([(10.0, 12.0), (40.5, 20.25), (51.0, 37.0)])  # x, y

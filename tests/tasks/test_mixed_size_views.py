@@ -17,8 +17,7 @@ from camcal.progress import SILENT
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, parse_board
-from camcal.targets.detection import Detection, Detections
-from camcal.targets.mixed_sizes import CLOCKWISE, COUNTER_CLOCKWISE, pixel_map
+from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, Detection, Detections, pixel_map
 from camcal.tasks.calibration.board_views import board_views
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.second_look import _samples

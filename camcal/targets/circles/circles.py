@@ -252,7 +252,7 @@ class OtherGrid:
         across, down = np.arange(float(columns)), np.arange(float(rows))
         beside = [np.column_stack([across, np.full(columns, at)]) for at in (-1.0, rows)]
         beside += [np.column_stack([np.full(rows, at), down]) for at in (-1.0, columns)]
-        return tuple(seen.pixels(nodes) for nodes in beside)
+        return tuple(seen.pixels(side) for side in beside)
 
     def _leaves(self, beyond: tuple[Array, ...], size: tuple[int, int]) -> bool:
         """Return whether the next circles beyond a side would lie outside the image."""

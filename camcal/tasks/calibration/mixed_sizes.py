@@ -19,11 +19,11 @@ from camcal.calibrate.words import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
-from camcal.targets.mixed_sizes import (
+from camcal.targets.detection import (
     CLOCKWISE,
     COUNTER_CLOCKWISE,
     TURNED,
+    Detection,
     PixelMap,
     Size,
     pixel_map,

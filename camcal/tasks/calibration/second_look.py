@@ -14,8 +14,7 @@ from camcal.raw.options import Reading
 from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
 from camcal.targets.corners.measure import Expected, look_again, seen_cells, signs
-from camcal.targets.detection import Detection, Samples
-from camcal.targets.mixed_sizes import NEAR, size_relation
+from camcal.targets.detection import NEAR, Detection, Samples, size_relation
 from camcal.tasks.calibration.video_frames import Film
 
 _BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares

@@ -24,9 +24,9 @@ from camcal.images.load import gray_8bit
 from camcal.images.video import focus, motion, reduced
 from camcal.progress import Progress
 from camcal.targets.board import Board
+from camcal.targets.corners.measure import edge_blur
 from camcal.targets.detect import SEED, detect
 from camcal.targets.detection import Detection
-from camcal.targets.edge_blur import edge_blur
 from camcal.tasks.calibration.options import FrameOptions
 
 COLUMNS = ("frame", "corners", "blur px", "motion px", "order", "reason")
