@@ -32,8 +32,8 @@ from camcal.quality.advise import advise
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.targets.detection import Detection
+from camcal.tasks.calibration.calibrate import name_groups
 from camcal.tasks.calibration.model_selection import select
-from camcal.tasks.calibration.name_groups import name_groups
 
 SIZE, NOISE = (1600, 1200), 0.1
 BOARD = Board("chessboard", 9, 6, 0.030)

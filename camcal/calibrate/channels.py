@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.outliers import CUT, robust_sigma, truncation
+from camcal.calibrate.noise import CUT, robust_sigma, truncation
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.reprojection import linearised, residuals
 from camcal.errors import InsufficientData, NotConverged
@@ -167,7 +167,9 @@ class _LensProblem:
         free = np.array([index for index, name in enumerate(names) if name not in camera.fixed], np.intp)
         spread = camera.model.prior_std(camera.image_size, camera.value("fx"))
         weights = np.ones(int(seen.sum()))
-        problem = cls(camera.model, points[seen], pixels[seen], free, camera.parameters, spread, weights)
+        problem = cls(
+            camera.model, points[seen], pixels[seen], free=free, start=camera.parameters, spread=spread, weights=weights
+        )
         needed = _CORNERS_A_PARAMETER * len(free)
         if len(weights) < needed:
             raise InsufficientData(

@@ -3,15 +3,22 @@
 smooth: a field over the board, whatever its cause (blur, compression, air, a lens that focuses). rolling: the rows of
 the image were exposed one after the other while the camera moved. flex: the board bent out of its own shape.
 A coefficient of variance τ moves the corners of a view by √τ RMS: pixels, for flex the board's unit.
+
+Their variances are those of restricted maximum likelihood (REML), with each view's share in them. With coefficients c ~
+N(0, D) of a view, D diagonal and q_va τ_a for the coefficients of effect a, everything is solved for in standard
+deviations: c = √D z. The derivative of the restricted likelihood by log τ_a is then ½ Σ (z² - m), where m is the part
+of a coefficient's prior variance that the data have used up (1 minus its variance given the data).
+Source: Harville 1977, section 5 (the scores from predicted effects); Patterson & Thompson 1971.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.problem import BoardProblem, Derivatives, State
+from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
+from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
 from camcal.targets.board import Board
 from camcal.targets.surface import CLASSES, basis, normalised
 
@@ -20,6 +27,16 @@ SMOOTH_DEGREE = 3
 # 14 x 10 corners
 _SPECTRUM = (0.0, 1.0, 0.3, 0.12)
 FLEX_TERMS = tuple(term for name in ("twist", "bow", "cubic") for term in CLASSES[name].terms)
+
+_SHARE_DOF = 4.0  # degrees of freedom of the prior by which a view's variance is that of all views
+_LOG_STD = 3.0  # of the prior of log τ about a third of the noise: wide, it only keeps what is not there from zero
+# Scoring steps: the longest, of logarithms; how many in one linearisation; a gain of the log likelihood that is not
+# worth another. Where effects are not seen the likelihood is more curved than expected and full steps overshoot: a step
+# is as long as the likelihood along it is highest. How near to that is near enough, trials, and how much shorter one
+# may be than the one before.
+_LONGEST, _ROUNDS, _MANY_ROUNDS, _SETTLED = 2.0, 4, 30, 1e-3
+_NEAR, _TRIALS, _SHORTEST = 0.75, 5, 0.2
+_NOTHING = 1e-12  # times a variance: as if there were no effect
 
 
 @dataclass(frozen=True)
@@ -111,3 +128,174 @@ def _smooth(board: Board) -> Array:
 def _legendre(degree: int, values: Array) -> Array:
     """Return the Legendre polynomial of unit mean square over [-1, 1]."""
     return np.asarray(np.sqrt(2 * degree + 1) * np.polynomial.legendre.legval(values, np.eye(degree + 1)[degree]))
+
+
+@dataclass(frozen=True, eq=False)
+class EffectScales:
+    """variances: τ (A,) of EFFECTS, px² (of flex the square of the board's unit). shares: q (V, A) of each view.
+    typical: (A,) the variances about which the prior of τ lies.
+    """
+
+    variances: Array
+    shares: Array
+    typical: Array
+
+    @classmethod
+    def start(cls, views: int, sigma: float, side: float) -> "EffectScales":
+        """Return the scales to begin with, for noise of `sigma` px and a board of that longer side."""
+        typical = np.array([(1e-4 * side) ** 2 if effect.of_board else (0.3 * sigma) ** 2 for effect in EFFECTS])
+        return cls(typical, np.ones((views, len(EFFECTS))), typical)
+
+    def moved(self, change: Array) -> "EffectScales":
+        """Return the scales with changed logarithms (1 + V, A) of variances and shares."""
+        factors = np.exp(change)
+        return replace(self, variances=self.variances * factors[0], shares=self.shares * factors[1:])
+
+    def log_prior(self) -> float:
+        """Return the logarithm of their prior density, up to a constant."""
+        offset = np.log(self.variances / self.typical)
+        shares = np.log(self.shares) + 1 / self.shares
+        return float(-0.5 * np.sum(offset**2) / _LOG_STD**2 - 0.5 * _SHARE_DOF * np.sum(shares))
+
+    def prior_slopes(self) -> tuple[Array, Array]:
+        """Return the derivatives of `log_prior` by the logarithms of variances (A,) and of shares (V, A)."""
+        return -np.log(self.variances / self.typical) / _LOG_STD**2, -0.5 * _SHARE_DOF * (1 - 1 / self.shares)
+
+    def prior_curvatures(self) -> tuple[Array, Array]:
+        """Return minus the second derivatives, as `prior_slopes`."""
+        return np.full(len(self.variances), _LOG_STD**-2), 0.5 * _SHARE_DOF / self.shares
+
+    def std(self, effect: Array) -> Array:
+        """Return the standard deviations (V, m) of coefficients; effect: (m,) which effect each belongs to."""
+        return np.asarray(np.sqrt(self.shares * self.variances)[:, effect])
+
+
+def scaled(equations: NormalEquations, std: Array) -> NormalEquations:
+    """Return the equations of coefficients in standard deviations (V, m), with their prior: standard normal.
+
+    The coefficients are the last m parameters of a group.
+    """
+    pose = equations.group_group.shape[-1] - std.shape[1]
+    by = np.concatenate([np.ones((len(std), pose)), std], axis=1)
+    group = equations.group_group * by[:, :, None] * by[:, None, :]
+    diagonal = np.einsum("vii->vi", group)
+    diagonal[:, pose:] += 1.0
+    return replace(
+        equations,
+        gradient=Step(equations.gradient.shared, equations.gradient.groups * by),
+        group_group=group,
+        group_shared=equations.group_shared * by[:, :, None],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What a solution leaves open. shared: (D, D) covariance of the parameters that all views share, but for offsets of
+    single points. spent: (V,) degrees of freedom that the corners of a view have spent on pose, effects and shared
+    parameters; where offsets are among these, what `spent_on_offsets` says is to be added.
+    """
+
+    shared: Array
+    spent: Array
+
+
+def posterior(factors: Factors) -> Posterior:
+    """Return what the factors of scaled equations leave open."""
+    products, reduced, covariance = factors.equations.group_products, factors.reduced, factors.shared_covariance()
+    shared = covariance[: products.shape[-1], : products.shape[-1]]
+    rows = np.concatenate(list(reduced))  # one product is faster than one for each group
+    followed = (rows @ covariance).reshape(reduced.shape)
+    inverse = factors.inverse_group_root()[:, POSE:, POSE:].transpose(0, 2, 1)  # of a lower triangle: zero above
+    # what is left open of the effects: the traces of their covariances
+    coupling, further = inverse @ reduced[:, POSE:], inverse @ followed[:, POSE:]
+    effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling * further, axis=(1, 2))
+    lens = np.sum(products * shared, axis=(1, 2)) - np.sum(reduced * followed, axis=(1, 2))
+    return Posterior(shared, POSE + inverse.shape[-1] - effects + lens)
+
+
+def fit_effects(equations: NormalEquations, columns: EffectColumns, scales: EffectScales) -> EffectScales:
+    """Return the scales under which the residuals of one linearisation are likeliest, or the way there.
+
+    equations: with columns per unit of the coefficients, without their prior.
+    """
+    search = _Search.of(equations, columns)
+    return search.best(scales, _ROUNDS).scales
+
+
+def likelihood_gain(equations: NormalEquations, columns: EffectColumns, start: EffectScales) -> float:
+    """Return the gain of the restricted log likelihood by effects of the likeliest scales, over that of none."""
+    search = _Search.of(equations, columns)
+    best = search.best(start, _MANY_ROUNDS)
+    nothing = search.at(replace(best.scales, variances=_NOTHING * best.scales.variances))
+    return nothing.unlikeliness + nothing.scales.log_prior() - best.unlikeliness - best.scales.log_prior()
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Scales, the factors of their equations, and minus the logarithm of their restricted likelihood and priors."""
+
+    scales: EffectScales
+    factors: Factors
+    unlikeliness: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The search for scales in one linearisation. effect: (m,) which effect each coefficient belongs to."""
+
+    equations: NormalEquations
+    effect: Array
+
+    @classmethod
+    def of(cls, equations: NormalEquations, columns: EffectColumns) -> "_Search":
+        """Return the search; equations: with columns per unit of the coefficients, without their prior."""
+        dense = equations.restricted(np.arange(equations.group_products.shape[-1]))
+        return cls(dense.without_first(POSE), columns.effect)
+
+    def best(self, scales: EffectScales, rounds: int) -> _Point:
+        """Return the likeliest scales, or how far as many scoring steps lead."""
+        here = self.at(scales)
+        for _ in range(rounds):
+            change, promised = self.step(here)
+            if promised < _SETTLED:
+                break
+            share = 1.0
+            for _ in range(_TRIALS):
+                there = self.at(here.scales.moved(share * change))
+                best = lowest_along(promised, share, there.unlikeliness - here.unlikeliness)
+                if best > _NEAR * share:
+                    break
+                share = max(best, _SHORTEST * share)
+            if there.unlikeliness > here.unlikeliness:
+                break
+            here = there
+        return here
+
+    def at(self, scales: EffectScales) -> _Point:
+        factors = factorise(scaled(self.equations, scales.std(self.effect)))
+        likelihood = -self.equations.cost + factors.decrease() - 0.5 * factors.log_determinant()
+        return _Point(scales, factors, -likelihood - scales.log_prior())
+
+    def step(self, point: _Point) -> tuple[Array, float]:
+        """Return the scoring step (1 + V, A) of the logarithms of variances and shares, and what it promises.
+
+        What views say of each other's scales is left out of the information: it is little, and would be a matrix of all
+        views by all views.
+        """
+        values, scales = point.factors.solve().groups, point.scales
+        used = np.eye(len(self.effect)) - point.factors.group_covariances()
+        member = (self.effect == np.arange(len(scales.variances))[:, None]).astype(float)
+        score = 0.5 * (values**2 - np.einsum("vii->vi", used)) @ member.T
+        information = 0.5 * member @ used**2 @ member.T
+        slope, own_slope = scales.prior_slopes()
+        curvature, own_curvature = scales.prior_curvatures()
+        # the shares of a view follow the variances: they are eliminated as poses are from the lens
+        own = information + own_curvature[:, :, None] * np.eye(len(member))
+        right = np.concatenate([information, (score + own_slope)[:, :, None]], axis=2)
+        gone = np.linalg.solve(own, right)
+        reduced = (information - information @ gone[:, :, :-1]).sum(axis=0) + np.diag(curvature)
+        gradient = score.sum(axis=0) + slope
+        change = np.linalg.solve(reduced, gradient - (information @ gone[:, :, -1:]).sum(axis=0)[:, 0])
+        shares = gone[:, :, -1] - gone[:, :, :-1] @ change
+        change = np.clip(np.concatenate([change[None], shares]), -_LONGEST, _LONGEST)
+        return change, 0.5 * float(gradient @ change[0] + np.sum((score + own_slope) * change[1:]))

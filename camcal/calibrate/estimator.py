@@ -12,14 +12,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.corner_noise import PERIODS, CornerNoise, estimate_noise, period_shares
-from camcal.calibrate.effects import EFFECTS, columns_at
-from camcal.calibrate.noise import FINEST, ViewNoise, clipped, corner_weights, count_of, first_noise, lost, view_noise
+from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior, columns_at, fit_effects, posterior, scaled
+from camcal.calibrate.noise import (
+    FINEST,
+    PERIODS,
+    CornerNoise,
+    ViewNoise,
+    clipped,
+    corner_weights,
+    count_of,
+    estimate_noise,
+    first_noise,
+    lost,
+    period_shares,
+    view_noise,
+)
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
-from camcal.calibrate.scales import Scale
-from camcal.calibrate.shape import board_scales, first_scales, offset_std, spent_on_offsets, under, with_terms
-from camcal.calibrate.single_points import AT_ALL_TOGETHER, TOGETHER, point_equations
-from camcal.calibrate.variances import EffectScales, Posterior, fit_effects, posterior, scaled
+from camcal.calibrate.shape import (
+    AT_ALL_TOGETHER,
+    TOGETHER,
+    Scale,
+    board_scales,
+    first_scales,
+    offset_std,
+    point_equations,
+    spent_on_offsets,
+    under,
+    with_terms,
+)
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy

@@ -6,10 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, Effect, columns_at
+from camcal.calibrate.effects import (
+    EFFECTS,
+    FLEX,
+    FLEX_TERMS,
+    ROLLING,
+    Effect,
+    EffectScales,
+    columns_at,
+    likelihood_gain,
+)
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE
-from camcal.calibrate.variances import EffectScales, likelihood_gain
 from camcal.targets.surface import basis
 
 _VIEWS = 40  # effects that so many views do not show need not be modelled

@@ -9,10 +9,16 @@ from camcal.calibrate.averaging import averaged, covariance_of, image_metric, in
 from camcal.calibrate.effects import EFFECTS, SMOOTH
 from camcal.calibrate.estimator import Estimate, Freedom, estimate
 from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
-from camcal.calibrate.initialise import poses_from_pixels, sweep_focal, thinned
-from camcal.calibrate.noise import REJECTED
-from camcal.calibrate.orientation import best_turns, opposed_views, renumbered, turned
-from camcal.calibrate.outliers import CUT, robust_sigma
+from camcal.calibrate.initialise import (
+    best_turns,
+    opposed_views,
+    poses_from_pixels,
+    renumbered,
+    sweep_focal,
+    thinned,
+    turned,
+)
+from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.shape import odd_terms
 from camcal.cameras.catalogue import WIDE_MODEL

@@ -8,21 +8,23 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
-from camcal.calibrate.degeneracy import (
-    MIN_VIEWS,
-    SAME_VIEW_PX,
-    reason_unusable,
-    repeated,
-    require_focal,
-    require_tilts,
-    require_views,
-)
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
-from camcal.calibrate.gross import misfit, require_fit, require_one_camera
 from camcal.calibrate.model_choice import Contender, contender
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
+from camcal.calibrate.refusals import (
+    MIN_VIEWS,
+    SAME_VIEW_PX,
+    misfit,
+    reason_unusable,
+    repeated,
+    require_fit,
+    require_focal,
+    require_one_camera,
+    require_tilts,
+    require_views,
+)
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records

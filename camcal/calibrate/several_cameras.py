@@ -17,8 +17,8 @@ from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.noise import FINEST
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.calibrate.view_quadratics import ViewQuadratics, view_quadratics
-from camcal.calibrate.words import names_of, px_words
+from camcal.calibrate.single_views import ViewQuadratics, view_quadratics
+from camcal.calibrate.view_records import names_of, px_words
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise

@@ -1,18 +1,99 @@
-"""The board's shape: the scale of every class of it, and the record of what was estimated."""
+"""The board's shape: the scale of every class of it, the offsets of its points, the record of what was estimated.
+
+A class has k coefficients x ~ N(0, τ² I) of which the data say N(Λ⁻¹ g, Λ⁻¹). Its scale τ is 0 with probability ½, else
+log-normal. Averaged over what the data leave of τ, each coefficient shrinks continuously from the data's value towards
+zero; nothing is kept or dropped by a test of significance. The averaged shrinkage is that of one effective scale, which
+is the prior under which the coefficients are then estimated.
+Source: Mitchell & Beauchamp 1988 (spike and slab); MacKay 1992 (evidence of a scale).
+
+The offsets of a large board's points are solved for each with everything else held. Solving for all of them together
+takes memory and time that grow with the square and the cube of their number. Offsets act on each other only through
+lens, poses and the board's smooth shape; of a large board each point has a small part in these, so that solving in turn
+for the points and for everything else soon leads to the same minimum.
+"""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
-from camcal.calibrate.scales import Scale, scale_of
 from camcal.solve.steps import Factors
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, TERMS, Surface, basis, scale_unit
 
+_POINTS, _REACH = 65, 4.0  # of the grid of scales, and how many standard deviations of their logarithm it holds
+_WITHIN = np.linspace(-_REACH, _REACH, _POINTS)
+# logarithms of τ over the median, among which the effective scale is looked for, and in how many parts of each step
+_COARSE, _PARTS = np.linspace(-14.0, 6.0, 21), 20
+
 _NARROWEST = 1e-4  # of a class's median: a prior this narrow leaves nothing of it
 _AXES = {IN_PLANE: (0, 1), OUT_OF_PLANE: (2,)}
+
+# Points at most that are solved for together with everything else: in every pass, and in a last one.
+TOGETHER, AT_ALL_TOGETHER = 60, 400
+
+
+@dataclass(frozen=True)
+class Scale:
+    """effective: the scale whose shrinkage is the averaged one. mean, std: of the scale itself, given the data.
+    present: the probability that there is anything at all.
+    """
+
+    effective: float
+    mean: float
+    std: float
+    present: float
+
+
+def scale_of(information: Array, vector: Array, median: float, spread: float) -> Scale:
+    """Return the scale of k coefficients.
+
+    information: Λ (k, k) or, where coefficients are independent, its diagonal (k,). vector: g (k,). median, spread: of
+    the log-normal distribution.
+    """
+    if information.ndim == 2:
+        values, vectors = np.linalg.eigh(information)
+        vector = vectors.T @ vector
+    else:
+        values = information
+    values = np.maximum(values, 1e-300)
+    scales = median * np.exp(spread * _WITHIN)
+    weights = np.exp(-0.5 * _WITHIN**2)
+    weights /= weights.sum()
+    evidence = _evidence(values, vector, scales)
+    top = max(float(evidence.max()), 0.0)
+    slab = weights * np.exp(evidence - top)
+    spike = np.exp(-top)
+    share = slab / (slab.sum() + spike)
+    present = float(share.sum())
+    mean = float(share @ scales)
+    std = float(np.sqrt(max(share @ scales**2 - mean**2, 0.0)))
+    length = float(np.linalg.norm(vector))
+    direction = vector / length if length > 0 else np.ones_like(vector)  # shrinkage does not depend on the length
+    wanted = float(np.sum(values * (_estimates(values, direction, scales) @ share) ** 2))
+    reached = _fitted(values, direction, median * np.exp(_COARSE))
+    step = int(np.clip(np.searchsorted(reached, wanted), 1, len(_COARSE) - 1))
+    trial = median * np.exp(np.linspace(_COARSE[step - 1], _COARSE[step], _PARTS + 1))
+    reached = np.maximum(_fitted(values, direction, trial), 1e-300)
+    effective = np.interp(np.log(max(wanted, 1e-300)), np.log(reached), np.log(trial))
+    return Scale(float(np.exp(effective)), mean, std, present)
+
+
+def _evidence(values: Array, vector: Array, scales: Array) -> Array:
+    """Return the log likelihood of scales (n,) against no effect."""
+    squared = scales**2 * values[:, None]
+    return np.asarray(0.5 * np.sum(vector[:, None] ** 2 * scales**2 / (1 + squared) - np.log1p(squared), axis=0))
+
+
+def _fitted(values: Array, vector: Array, scales: Array) -> Array:
+    """Return the squares (n,) that the estimates under scales (n,) take from the data; they grow with the scale."""
+    return np.asarray(np.sum(values[:, None] * _estimates(values, vector, scales) ** 2, axis=0))
+
+
+def _estimates(values: Array, vector: Array, scales: Array) -> Array:
+    """Return the coefficients (k, n) under scales (n,)."""
+    return np.asarray(vector[:, None] * scales**2 / (1 + scales**2 * values[:, None]))
 
 
 def first_scales() -> dict[str, Scale]:
@@ -150,3 +231,57 @@ def _over_plane(problem: BoardProblem, heights: Array) -> Array:
     drawn = problem.board.points()
     plane = np.column_stack([np.ones(problem.board.count), drawn[:, :2] / problem.board.pitch])
     return np.asarray(heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class PointEquations:
+    """What the data say of every point: information (C, 3, 3) and vector (C, 3), of its offset in the board's unit.
+
+    by_corner: (V, P, 3, 3) what single corners add to the information. ids: (V, P) the points that these are.
+    """
+
+    information: Array
+    vector: Array
+    by_corner: Array
+    ids: Array
+
+    def offsets(self, std: Array) -> Array:
+        """Return the offsets (C, 3) under a prior of standard deviations (3,)."""
+        return np.asarray(np.linalg.solve(self.information + np.diag(std**-2), self.vector[..., None])[..., 0])
+
+    def spent(self, std: Array) -> Array:
+        """Return the degrees of freedom (V,) that the corners of each view spend on offsets under this prior."""
+        covariance = np.linalg.inv(self.information + np.diag(std**-2))
+        return np.asarray(np.sum(self.by_corner * covariance[self.ids], axis=(1, 2, 3)))
+
+    def scales(self, side: float, left: float) -> dict[str, Scale]:
+        """Return the scales of the two classes of offsets, for a board of the longer side `side`.
+
+        left: the share of the information that is not spent on lens, poses and effects.
+        """
+        result = {}
+        for name, axes in ((IN_PLANE, slice(0, 2)), (OUT_OF_PLANE, slice(2, 3))):
+            values, vectors = np.linalg.eigh(left * side**2 * self.information[:, axes, axes])
+            turned = np.einsum("cki,ck->ci", vectors, left * side * self.vector[:, axes])
+            prior = CORNER_CLASSES[name]
+            result[name] = scale_of(values.ravel(), turned.ravel(), prior.median, prior.spread)
+        return result
+
+
+def point_equations(problem: BoardProblem, state: State, derivatives: Derivatives, field: Array) -> PointEquations:
+    """Return the equations of all points at a state; field: (2, V, P) px by which effects move the corners."""
+    freed = replace(problem, offsets=True)
+    moved = replace(derivatives, residuals=derivatives.residuals + field.reshape(2, -1))
+    block = freed.data(state, moved)
+    jacobian, weights = block.shared[-1].values, block.weights
+    assert weights is not None
+    points, ids = problem.board.count, problem.observations.ids.ravel()
+    weighted = jacobian * weights[:, None, None]
+    by_corner = np.einsum("mda,mdb->abm", weighted, jacobian)
+    products = by_corner.reshape(9, -1)
+    slopes = np.einsum("mda,md->am", weighted, block.residuals)
+    information = np.stack([np.bincount(ids, row, points) for row in products], axis=-1).reshape(points, 3, 3)
+    gradient = np.stack([np.bincount(ids, row, points) for row in slopes], axis=-1)
+    vector = np.einsum("cij,cj->ci", information, state.offsets) - gradient
+    by_corner = by_corner.transpose(2, 0, 1).reshape(*problem.observations.ids.shape, 3, 3)
+    return PointEquations(information, vector, by_corner, problem.observations.ids)

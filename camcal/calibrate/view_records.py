@@ -8,9 +8,10 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.calibrate.fit import Fit
 from camcal.calibrate.noise import median_limit
-from camcal.calibrate.words import px_words
 from camcal.geometry.pose import Pose
 from camcal.targets.detection import Detection
+
+_NAMED = 5  # images in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,3 +114,14 @@ def rejected_corners(
         )
         for view, point in np.argwhere(lost)
     )
+
+
+def px_words(distance: float) -> str:
+    """Return a distance in pixels at two digits or more, never in exponents."""
+    return f"{distance:.0f} px" if distance >= 10 else f"{distance:.2g} px"
+
+
+def names_of(images: Sequence[str], most: int = _NAMED) -> str:
+    """Return the names of images in a sentence, `most` of them."""
+    more = f" and {len(images) - most} more" if len(images) > most else ""
+    return ", ".join(images[:most]) + more

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.words import names_of
+from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.quality.criteria import CRITERIA, Finding, between_views, finding
 from camcal.targets.board_types import BOARD_TYPES

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.calibrate.between_views import BetweenViews, Change
-from camcal.calibrate.degeneracy import tilt_spread
 from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.words import names_of
+from camcal.calibrate.refusals import tilt_spread
+from camcal.calibrate.view_records import names_of
 
 _SETS = "24 real sets, halves of them, and simulations"
 _RULE = "usual practice"

@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camcal.calibrate.effects import EffectColumns
-from camcal.calibrate.variances import EffectScales
+from camcal.calibrate.effects import EffectColumns, EffectScales
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian
 

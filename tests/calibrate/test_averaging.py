@@ -13,8 +13,8 @@ from camcal.calibrate.averaging import (
     influence,
     weights_of,
 )
+from camcal.calibrate.effects import posterior, scaled
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.calibrate.variances import posterior, scaled
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian, factorise

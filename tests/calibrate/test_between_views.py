@@ -11,7 +11,7 @@ from camcal.calibrate import between_views
 from camcal.calibrate.between_views import BetweenViews
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.view_offsets import ViewOffsets
+from camcal.calibrate.single_views import ViewOffsets
 from camcal.targets.surface import normalised
 
 COUNT = 16

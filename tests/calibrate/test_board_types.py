@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from observed import make_scene, turned
 
-from camcal.calibrate.degeneracy import reason_unusable
+from camcal.calibrate.initialise import opposed_views
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.orientation import opposed_views
+from camcal.calibrate.refusals import reason_unusable
 from camcal.simulate import render
 from camcal.targets.board import parse_board
 from camcal.targets.detection import Detection

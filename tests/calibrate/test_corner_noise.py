@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camcal.calibrate import corner_noise
-from camcal.calibrate.corner_noise import CornerNoise, estimate_noise, period_shares
+from camcal.calibrate.noise import CornerNoise, estimate_noise, period_shares
 
 AMPLITUDE = 0.087  # px, as of a real camera that interpolates its colours
 EDGE = 40.0  # px
@@ -144,7 +143,7 @@ def test_the_amplitude_of_a_period_is_recovered_from_aligned_and_unaligned_views
 
 
 def test_two_periods_are_told_apart(monkeypatch):
-    monkeypatch.setattr(corner_noise, "PERIODS", (2, 8))
+    monkeypatch.setattr("camcal.calibrate.noise.PERIODS", (2, 8))
     rng = np.random.default_rng(9)
     claimed, shares = claims(rng, 20000, 0.01), period_shares(turned(rng.uniform(-15, 15, 20000)))
     added = 0.03**2 + 0.06**2 * shares[..., 0] + 0.1**2 * shares[..., 1]
@@ -249,7 +248,7 @@ def test_the_start_changes_nothing():
 def test_a_good_start_saves_steps(monkeypatch):
     data = sample()
     found = estimate_noise(*data)
-    monkeypatch.setattr(corner_noise, "_ITERATIONS", 1)
+    monkeypatch.setattr("camcal.calibrate.noise._ITERATIONS", 1)
     again = estimate_noise(*data, found)
     assert again.floor_px == pytest.approx(found.floor_px, rel=1e-5)
     assert again.period_px[2] == pytest.approx(found.period_px[2], rel=1e-5)
@@ -322,7 +321,7 @@ def test_a_period_that_fades_vanishes_without_a_leap():
 
 @pytest.mark.parametrize("iterations", [1, 50])  # on the way as at the end
 def test_units_do_not_matter(iterations, monkeypatch):
-    monkeypatch.setattr(corner_noise, "_ITERATIONS", iterations)
+    monkeypatch.setattr("camcal.calibrate.noise._ITERATIONS", iterations)
     residuals, claimed, shares, weights, freedom = sample()
     found = estimate_noise(residuals, claimed, shares, weights, freedom)
     scaled = estimate_noise(1e3 * residuals, 1e6 * claimed, shares, weights, freedom)

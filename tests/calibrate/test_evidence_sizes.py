@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from camcal.calibrate import evidence
-from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH
+from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH, EffectScales
 from camcal.calibrate.estimator import Freedom
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.noise import ViewNoise
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.calibrate.variances import EffectScales
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations
 from camcal.targets.board import Board

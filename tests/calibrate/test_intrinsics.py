@@ -8,10 +8,10 @@ import pytest
 from observed import PARAMETERS, make_scene
 from scipy.stats import chi2
 
-from camcal.calibrate.degeneracy import require_focal, require_tilts
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.refusals import require_focal, require_tilts
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from camcal.calibrate.noise import REJECTED, ViewNoise, corner_weights, lost, median_limit, view_noise
-from camcal.calibrate.outliers import CUT, truncation
+from camcal.calibrate.noise import CUT, REJECTED, ViewNoise, corner_weights, lost, median_limit, truncation, view_noise
 
 RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 CORNERS = 40

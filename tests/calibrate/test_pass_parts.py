@@ -8,13 +8,11 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
-from camcal.calibrate.corner_noise import CornerNoise
-from camcal.calibrate.effects import EFFECTS
+from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior
 from camcal.calibrate.estimator import Freedom
-from camcal.calibrate.noise import ViewNoise
+from camcal.calibrate.noise import CornerNoise, ViewNoise
 from camcal.calibrate.problem import BoardProblem
-from camcal.calibrate.single_points import point_equations
-from camcal.calibrate.variances import EffectScales, Posterior
+from camcal.calibrate.shape import point_equations
 from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

@@ -8,11 +8,11 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
+from camcal.calibrate.effects import Posterior
 from camcal.calibrate.estimator import Freedom
 from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import first_scales
-from camcal.calibrate.variances import Posterior
 from camcal.cameras.observations import Observations
 from camcal.targets.board import Board
 from camcal.targets.surface import TERMS

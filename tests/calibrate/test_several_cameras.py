@@ -11,12 +11,12 @@ import pytest
 from observed import make_scene, turned
 from scipy.stats import norm
 
-from camcal.calibrate import several_cameras, view_quadratics
+from camcal.calibrate import several_cameras
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.gross import require_one_camera
 from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.refusals import require_one_camera
 from camcal.calibrate.several_cameras import TwoCameras
-from camcal.calibrate.view_quadratics import ViewQuadratics
+from camcal.calibrate.single_views import ViewQuadratics
 from camcal.cameras.catalogue import model_named
 from camcal.errors import InsufficientData
 from camcal.quality.advise import advise
@@ -177,7 +177,7 @@ def test_a_large_board_of_many_views_is_taken_in_parts(monkeypatch):
     board = Board("chessboard", 9, 6, 0.040)
     views = mixed(12, 5, 1250.0)
     whole = found_in(views, board=board).two_cameras
-    monkeypatch.setattr(view_quadratics, "_CHUNK", 4)
+    monkeypatch.setattr("camcal.calibrate.single_views._CHUNK", 4)
     parts = found_in(views, board=board).two_cameras
     assert parts.groups == whole.groups
     assert parts.ratio == pytest.approx(whole.ratio, rel=1e-9)

@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 from observed import make_scene, true_state
 
+from camcal.calibrate.effects import posterior
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.calibrate.scales import Scale, scale_of
 from camcal.calibrate.shape import (
+    Scale,
     board_scales,
     first_scales,
     odd_terms,
     offset_std,
+    scale_of,
     spent_on_offsets,
     surface_of,
     under,
     with_terms,
 )
-from camcal.calibrate.variances import posterior
 from camcal.cameras.observations import Observations
 from camcal.solve.steps import factorise
 from camcal.targets.board import Board

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import multivariate_normal
 
-from camcal.calibrate.scales import scale_of
+from camcal.calibrate.shape import scale_of
 
 MEDIAN, SPREAD = 2e-3, 1.2
 

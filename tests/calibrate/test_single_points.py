@@ -8,8 +8,7 @@ from observed import make_scene, true_state
 from scipy.linalg import block_diag
 
 from camcal.calibrate.problem import BoardProblem
-from camcal.calibrate.scales import scale_of
-from camcal.calibrate.single_points import PointEquations, point_equations
+from camcal.calibrate.shape import PointEquations, point_equations, scale_of
 from camcal.cameras.observations import Observations
 from camcal.targets.board import Board
 from camcal.targets.surface import CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE

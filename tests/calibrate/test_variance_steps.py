@@ -8,8 +8,8 @@ import pytest
 from mixed_model import VIEWS, columns_of, mixed, moved, scales, slope_and_information, unlikeliness
 from scipy.stats import invgamma, norm
 
-from camcal.calibrate import variances
-from camcal.calibrate.variances import EffectScales, fit_effects, likelihood_gain
+from camcal.calibrate import effects
+from camcal.calibrate.effects import EffectScales, fit_effects, likelihood_gain
 
 COUNT = 3 + 3 * VIEWS
 
@@ -66,7 +66,7 @@ def promise(model, start):
 def test_a_step_promises_half_of_the_slope_along_it_also_where_it_is_cut():
     model, typical = mixed(), np.full(3, 1e-12)
     far = EffectScales(typical * np.exp(10.0), np.ones((VIEWS, 3)), typical)  # of effects that are not seen
-    search = variances._Search.of(model.equations(), columns_of(model))
+    search = effects._Search.of(model.equations(), columns_of(model))
     for start, cut in ((scales(), False), (far, True)):
         change, promised = search.step(search.at(start))
         assert (np.abs(change).max() == 2.0) == cut
@@ -89,15 +89,15 @@ def test_another_step_is_taken_where_it_promises_a_thousandth_of_a_logarithm():
 
 @pytest.mark.parametrize("factor", [8.0, -1.0])
 def test_a_step_that_leads_too_far_is_shortened_and_one_that_leads_astray_is_not_taken(monkeypatch, factor):
-    model, start, step = mixed(seed=3), scales(), variances._Search.step
+    model, start, step = mixed(seed=3), scales(), effects._Search.step
 
     def too_far(self, point):
         change, promised = step(self, point)
         return factor * change, abs(factor) * promised
 
-    monkeypatch.setattr(variances, "_ROUNDS", 1)
+    monkeypatch.setattr(effects, "_ROUNDS", 1)
     straight = fit_effects(model.equations(), columns_of(model), start)
-    monkeypatch.setattr(variances._Search, "step", too_far)
+    monkeypatch.setattr(effects._Search, "step", too_far)
     found = fit_effects(model.equations(), columns_of(model), start)
     change, whole = (np.log(end.variances / start.variances) for end in (found, straight))
     if factor < 0:
@@ -121,10 +121,10 @@ class Way:
 def gone(monkeypatch, cost):
     """The share of a step that one round goes where the unlikeliness along it is a cost of slope -2."""
     monkeypatch.setattr(
-        variances._Search, "at", lambda self, way: SimpleNamespace(scales=way, unlikeliness=cost(way.share))
+        effects._Search, "at", lambda self, way: SimpleNamespace(scales=way, unlikeliness=cost(way.share))
     )
-    monkeypatch.setattr(variances._Search, "step", lambda self, here: (1.0, 1.0))
-    return variances._Search(None, None).best(Way(0.0), 1).scales.share
+    monkeypatch.setattr(effects._Search, "step", lambda self, here: (1.0, 1.0))
+    return effects._Search(None, None).best(Way(0.0), 1).scales.share
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_a_linearisation_is_used_for_four_steps(monkeypatch):
     model = mixed(seed=3)
     start = EffectScales(np.full(3, 1e-4), np.ones((VIEWS, 3)), np.full(3, 0.1))
     found = fit_effects(model.equations(), columns_of(model), start)
-    monkeypatch.setattr(variances, "_ROUNDS", 1)
+    monkeypatch.setattr(effects, "_ROUNDS", 1)
     steps = [start]
     for _ in range(5):
         steps.append(fit_effects(model.equations(), columns_of(model), steps[-1]))
@@ -163,7 +163,7 @@ def test_the_gain_does_not_depend_on_where_the_search_begins():
 def test_equal_scales_gain_the_same_whatever_their_priors():
     model, typical = mixed(seed=3), np.full(3, 0.1)
     start = EffectScales(typical, np.ones((VIEWS, 3)), typical)
-    search = variances._Search.of(model.equations(), columns_of(model))
+    search = effects._Search.of(model.equations(), columns_of(model))
     best = search.best(start, 100).scales
     nothing = replace(best, variances=1e-14 * best.variances)
     expected = model.restricted(best) - model.restricted(nothing)

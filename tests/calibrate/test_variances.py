@@ -17,15 +17,15 @@ from mixed_model import (
 )
 from scipy.optimize import minimize
 
-from camcal.calibrate import variances
-from camcal.calibrate.variances import EffectScales, fit_effects, likelihood_gain, posterior, scaled
+from camcal.calibrate import effects
+from camcal.calibrate.effects import EffectScales, fit_effects, likelihood_gain, posterior, scaled
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian, factorise
 
 
 @pytest.fixture
 def one_round(monkeypatch):
-    monkeypatch.setattr(variances, "_ROUNDS", 1)
+    monkeypatch.setattr(effects, "_ROUNDS", 1)
 
 
 def test_scales_start_at_a_third_of_the_noise_and_a_ten_thousandth_of_the_board():

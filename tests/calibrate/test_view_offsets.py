@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from camcal.calibrate.view_offsets import Found, ViewOffsets, followed
+from camcal.calibrate.single_views import Found, ViewOffsets, followed
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Jacobian
 

@@ -10,7 +10,7 @@ from observed import make_scene
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.noise import REJECTED, ViewNoise, corner_weights, median_limit
-from camcal.calibrate.words import px_words
+from camcal.calibrate.view_records import px_words
 from camcal.cameras.catalogue import model_named
 
 FLAT = ShapeOptions(smooth=False, offsets=False)

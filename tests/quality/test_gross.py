@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.gross import Misfit, misfit, require_fit, roughness
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.refusals import Misfit, misfit, require_fit, roughness
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from camcal.calibrate.gross import Misfit, misfit, require_fit, roughness
 from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.refusals import Misfit, misfit, require_fit, roughness
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.gross import Misfit, require_fit
 from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.refusals import Misfit, require_fit
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData

@@ -7,7 +7,7 @@ import pytest
 
 from camcal.targets.board import parse_board
 from camcal.targets.detection import Detection
-from camcal.tasks.calibration.board_remarks import OtherBoard, nothing_found, remarks
+from camcal.tasks.calibration.which_board import OtherBoard, nothing_found, remarks
 
 NOTHING = Detection("a.png", (640, 480), reason="nothing seen")
 

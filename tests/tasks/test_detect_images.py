@@ -17,9 +17,9 @@ from camcal.formats import detections
 from camcal.targets.board import Board, parse_board
 from camcal.targets.detection import Detection
 from camcal.tasks.calibration import which_board
-from camcal.tasks.calibration.board_remarks import nothing_found
 from camcal.tasks.calibration.detect import detect_images, document
 from camcal.tasks.calibration.options import DetectOptions
+from camcal.tasks.calibration.which_board import nothing_found
 
 BOARD = Board("chessboard", 6, 5, 0.03)
 CHARUCO = parse_board("charuco:6x4:40mm:30mm:DICT_4X4_50")

@@ -1,8 +1,13 @@
-"""`camcal calibrate`: images or a detections file in, one camera file out."""
+"""`camcal calibrate`: images or a detections file in, one camera file out.
 
-from collections.abc import Mapping, Sequence
+The names of images may tell of several cameras: groups of them are passed on, to be looked at where views disagree.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Any
 
@@ -28,11 +33,14 @@ from camcal.targets.detection import Detection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
-from camcal.tasks.calibration.name_groups import name_groups
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.second_look import second_look
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
+
+_LEAST = 3  # images of a group and outside of it
+_MOST = 4  # values that tell cameras; what has more of them counts images
+_TOKENS = re.compile(r"[^\W\d_]+|\d+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,3 +328,36 @@ def _image(view: View) -> dict[str, Any]:
     path = Path(view.image)
     digest = view.sha256 or (files.sha256(path) if path.is_file() else None)
     return view_record(view) | ({} if digest is None else {"sha256": digest})
+
+
+def name_groups(images: Sequence[str]) -> tuple[frozenset[str], ...]:
+    """Return groups of images, each of which may be another camera's than all the rest, by their paths.
+
+    Images are alike in the letters and numbers of their names but for one that takes two to four values (left and
+    right, cam0 and cam1, L and R), in their folder, or in the kind of their names (IMG_0001, scan-3-b).
+    """
+    groups: dict[frozenset[str], None] = {}
+    for keys in _partitions(images):
+        counts = Counter(keys)
+        if not 1 < len(counts) <= _MOST:
+            continue
+        for value, count in counts.items():
+            group = frozenset(image for image, key in zip(images, keys, strict=True) if key == value)
+            rest = len(images) - count
+            if min(count, rest) >= _LEAST and frozenset(images) - group not in groups:
+                groups[group] = None
+    return tuple(groups)
+
+
+def _partitions(images: Sequence[str]) -> Iterator[list[str]]:
+    """Yield what may tell cameras: a key of every image."""
+    paths = [PurePath(image) for image in images]
+    depth = max((len(path.parts) for path in paths), default=0)
+    for level in range(2, depth + 1):  # the folder itself and those above it
+        yield [path.parts[-level] if len(path.parts) >= level else "" for path in paths]
+    tokens = [_TOKENS.findall(path.name.lower()) for path in paths]
+    kinds = [" ".join("0" if token.isdigit() else token for token in name) for name in tokens]
+    yield kinds
+    longest = max(map(len, tokens), default=0)
+    for place in range(longest):
+        yield [name[place] if place < len(name) else "" for name in tokens]

@@ -15,10 +15,8 @@ from camcal.run.paths import Media, find_images, find_media, refuse_overwriting,
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import Detection, Detections
-from camcal.tasks.calibration.board_remarks import nothing_found, remarks
-from camcal.tasks.calibration.corner_drawing import draw, pictures
+from camcal.tasks.calibration.drawing import draw, pictures
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, with_circle
-from camcal.tasks.calibration.image_detection import detect_file, require_colours, search
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import (
@@ -31,7 +29,16 @@ from camcal.tasks.calibration.video_frames import (
     summary,
     survey,
 )
-from camcal.tasks.calibration.which_board import Material, arranged, other_board
+from camcal.tasks.calibration.which_board import (
+    Material,
+    arranged,
+    detect_file,
+    nothing_found,
+    other_board,
+    remarks,
+    require_colours,
+    search,
+)
 
 SUFFIXES = (".csv", ".vnl")
 MIXED = (

@@ -15,7 +15,7 @@ import numpy as np
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.words import names_of
+from camcal.calibrate.view_records import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.targets.board import Board

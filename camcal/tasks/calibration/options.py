@@ -1,4 +1,4 @@
-"""The options of the commands that calibrate, look for boards, and use cameras."""
+"""The options of the commands that calibrate, look for boards, undistort, and use cameras."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,10 +33,31 @@ from camcal.tasks.options import (
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
+from dataclasses import field
+
+from camcal.images.options import JPEG_QUALITY, ViewOptions
+from camcal.options import NUMBERS
+from camcal.tasks.options import CameraName
 
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
 SHEET = "Sheet"
+
+Parts = Annotated[
+    bool,
+    Option("Use parts of a chessboard too where they show which part they are.", group=BOARD, names="--partial"),
+]
+MixedSizes = Annotated[
+    bool | None,
+    Option(
+        "Use images of another size than most too: of half or twice the size, turned by 90 degrees, or a pixel or two "
+        "off.",
+        group=INPUT,
+        names="--mixed-sizes",
+    ),
+]
+
+FORMATS = ("jpg", "png", "tiff", "npy")
 
 
 @dataclass(frozen=True)
@@ -65,20 +86,6 @@ class FrameOptions(OptionsRecord):
 
 
 BEST_FRAMES = FrameOptions()
-
-Parts = Annotated[
-    bool,
-    Option("Use parts of a chessboard too where they show which part they are.", group=BOARD, names="--partial"),
-]
-MixedSizes = Annotated[
-    bool | None,
-    Option(
-        "Use images of another size than most too: of half or twice the size, turned by 90 degrees, or a pixel or two "
-        "off.",
-        group=INPUT,
-        names="--mixed-sizes",
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -303,3 +310,70 @@ class DemoOptions(OptionsRecord):
     views: Annotated[int, Option("Number of photographs.", metavar="N", group=INPUT)] = 20
     seed: Annotated[int, Option("Another seed gives other poses and noise.", metavar="N", group=INPUT, least=0)] = 0
     jobs: Jobs = None
+
+
+@dataclass(frozen=True)
+class UndistortOptions(OptionsRecord):
+    """What to undistort and how; see `camcal undistort --help`.
+
+    camera: a camera file or FILE#NAME. output: a folder; of points a CSV file, or a folder for one of the same name.
+    border: one number, or one for each channel. format: one of FORMATS, None keeps the type of the source. mask: write
+    which pixels have a source, too. rescale: fit the camera to images that were resized. align_channels: draw the
+    colours of colour images through their own lenses, where the camera file has them. points: a CSV file with columns
+    u, v and any others, in place of images. distort: from pixels of the view to pixels of the image the camera took.
+    """
+
+    camera: Annotated[str, Argument("A camera file, or FILE#NAME for one of several.", metavar="CAMERA")]
+    output: Output
+    inputs: Annotated[tuple[str, ...], Argument("Images, videos, folders, globs.", metavar="IMAGES…")] = ()
+    camera_name: CameraName = None
+    points: Annotated[
+        Path | None,
+        Option(
+            "Undistort pixels, not images: columns u, v and any others, which are kept.", metavar="CSV", group=INPUT
+        ),
+    ] = None
+    distort: Annotated[bool, Option("With --points: from the undistorted image back to the camera's.")] = False
+    view: ViewOptions = field(default_factory=ViewOptions)
+    interpolation: Annotated[
+        str,
+        Option(
+            "nearest-truncate (as textbooks print it), nearest (rounded), linear, cubic, lanczos. "
+            "Linear places the image best: cubic and lanczos are off by up to 0.06 and 0.03 px in OpenCV.",
+            metavar="NAME",
+        ),
+    ] = "linear"
+    border: Annotated[
+        tuple[float, ...],
+        Option("Pixels without a source: a number, or one for each channel: B,G,R.", metavar="VALUE", type=NUMBERS),
+    ] = (0.0,)
+    rescale: Annotated[bool, Option("Fit the camera to images that were resized (not cropped).")] = False
+    align_channels: Annotated[
+        bool,
+        Option(
+            "Draw red and blue of colour images through their own lenses, if the camera file has channels "
+            "('camcal calibrate --channels'), so that the colours coincide."
+        ),
+    ] = True
+    mask: Annotated[
+        bool, Option("Write valid_mask.png too: 255 where a pixel has a source.", group=OUTPUT, recorded=False)
+    ] = False
+    format: Annotated[
+        str | None,
+        Option(
+            "jpg, png, tiff or npy; by default as the image (video: jpg).",
+            metavar="NAME",
+            group=OUTPUT,
+            choices=FORMATS,
+        ),
+    ] = None
+    quality: Annotated[int, Option("Of JPEG.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
+    recursive: Recursive = False
+    jobs: Jobs = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.points is not None and self.inputs:
+            raise InvalidInput(f"--points takes no images, found {self.inputs[0]}")
+        if self.points is None and self.distort:
+            raise InvalidInput("--distort is for --points")

@@ -31,7 +31,7 @@ from camcal.run.paths import (
     split_address,
 )
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
-from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.calibration.options import UndistortOptions
 
 _COMMAND = "camcal undistort"
 

@@ -16,8 +16,8 @@ from camcal.images.views import make_view
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import refuse_overwriting
+from camcal.tasks.calibration.options import UndistortOptions
 from camcal.tasks.calibration.undistort import read_source, require_own, write_view
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 _PIXEL = ("u", "v")
 _DIGITS = 12

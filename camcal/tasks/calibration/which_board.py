@@ -1,7 +1,10 @@
-"""Which ChArUco board images show: the arrangement of the one that is given, or another one where that does not fit."""
+"""Which board images show: what one of them shows of it, many at a time, and what is to be said of them all.
+
+Of a ChArUco board also its arrangement, or another board where the one that is given does not fit.
+"""
 
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -10,24 +13,156 @@ from typing import TypeVar
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.progress import Progress
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats.boards import short_form
+from camcal.formats.tables import require_cell
+from camcal.progress import Outcome, Progress
 from camcal.raw.options import Reading
 from camcal.raw.photograph import read_photograph
-from camcal.targets.board import Board
+from camcal.run.fanout import fan_out
+from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
 from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, is_like, search_charuco
-from camcal.targets.detect import SEED
+from camcal.targets.corners.measure import measure
+from camcal.targets.detect import SEED, detect
 from camcal.targets.detection import Detection
-from camcal.tasks.calibration.board_remarks import OtherBoard
-from camcal.tasks.calibration.image_detection import detect_file, search
 from camcal.tasks.calibration.video_frames import Film, Frame, detect_frame
+
+_UNKNOWN_SIZE = {
+    CHESSBOARD: "the size of a square is not given: lengths are in squares",
+    CHARUCO: "the size of a square is not given: lengths are in squares",
+    APRILGRID: "the size of a tag is not given: lengths are in squares, 1 from tag to tag",
+    CIRCLES: "the distance of the circles is not given: lengths are in squares, 1 from circle to circle",
+    ASYMMETRIC_CIRCLES: "the distance of the circles is not given: lengths are in squares, 1 from row to row",
+}
+_TO_CHECK = {
+    CHESSBOARD: "the size (inner corners, one less than squares each way)",
+    CHARUCO: "squares, dictionary, marker size and first marker",
+    APRILGRID: "the number of tags, their family and the first one's id",
+    CIRCLES: "the number of circles each way",
+    ASYMMETRIC_CIRCLES: "the number of circles (those in one row, then the rows)",
+}
 
 SAMPLE = 6  # images on which it is found out
 TRYING, SEARCHING = "trying patterns", "trying other boards"
 _ENDING = 1 / 3  # of the images that are tried, that show where a board ends: in others something may hide it
 _OFTEN = 0.5  # of the images, in which a board that is the right one is found
-
 Item = TypeVar("Item")
+
+TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
+Source = TypeVar("Source")
+Shown = TypeVar("Shown")
+
+
+def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[str, ...]:
+    """Return what a person should know of a set of views, a line each; board: as found, stated: as asked for."""
+    notes = []
+    if board.columns != stated.columns:
+        notes.append(f"the board has {_squares(board)} squares, not {_squares(stated)}: taken as it is")
+    if board.legacy != stated.legacy and (board.rows + 1) % 2 == 0:
+        name = "legacy pattern (OpenCV before 4.6)" if board.legacy else "current pattern (OpenCV since 4.6)"
+        notes.append(f"the board has the {name}")
+    if board.square is None:
+        notes.append(_UNKNOWN_SIZE[board.type])
+    if (looks := len(board.symmetries())) > 1:
+        turn = "half a turn" if looks == 2 else "a quarter turn"
+        notes.append(f"a {board.columns}x{board.rows} board looks the same after {turn}: numbering may differ by views")
+    turned = sum(view.orientation != 1 for view in views)
+    if turned:
+        notes.append(f"the EXIF orientation of {turned} images is noted and not applied")
+    return tuple(notes)
+
+
+def nothing_found(views: Sequence[Detection], board: Board, *, parts: bool = False) -> InsufficientData | None:
+    """Return the error that says why the board is in no image, None where it is in some.
+
+    Images may show other boards instead. One that is larger than the board and in more images than the board means that
+    a part of another board was taken for it; a smaller one may be a part of the board, which counts only if parts do.
+    """
+    found = sum(view.found for view in views)
+    others = (view.other for view in views)
+    counts = Counter(other for other in others if other is not None and (not found or _larger(other, board)))
+    common = max(counts, key=lambda other: counts[other], default=None)
+    if found and (common is None or counts[common] <= found):
+        return None
+    if common is None:
+        advice = f"check {_TO_CHECK[board.type]}, or look at the images"
+        return InsufficientData(f"no {board.words} in any of {len(views)} images{_reasons(views)}; {advice}")
+    squares = (common.columns + 1, common.rows + 1) == (board.columns, board.rows)
+    checker = board.type == CHESSBOARD
+    why = "sizes count inner corners, not squares: " if checker and squares else ""
+    part = not (parts or squares or not checker or _larger(common, board))
+    hidden = ", or --partial if the rest is out of sight" if part else ""
+    article = "an" if common.type == ASYMMETRIC_CIRCLES else "a"
+    what = f"a checker pattern of {common.columns}x{common.rows}" if checker else f"{article} {common.words}"
+    return InsufficientData(
+        f"no {board.words} in {len(views) - found} of {len(views)} images, but {what} "
+        f"in {counts[common]}; {why}use --board {short_form(common)}{hidden}"
+    )
+
+
+@dataclass(frozen=True)
+class OtherBoard:
+    """A ChArUco board that images show in place of the one that was asked for, in `shown` of `tried` images."""
+
+    board: Board
+    shown: int
+    tried: int
+
+    def error(self, views: Sequence[Detection], asked: Board) -> InsufficientData:
+        """Return the error that says so; views: what was found of the board that was asked for."""
+        missing = sum(not view.found for view in views)
+        lacking = f"no {asked.words}" + (f" in {missing} of {len(views)} images" if missing else "")
+        return InsufficientData(
+            f"{lacking}: {self.shown} of {self.tried} images that were tried show "
+            f"{', '.join(_differences(self.board, asked))}; use --board {_stated(self.board)}"
+        )
+
+
+def _differences(board: Board, asked: Board) -> list[str]:
+    """Return what a ChArUco board has that was not asked for, in words."""
+    size = (board.columns, board.rows)
+    pairs = [
+        (f"{_squares(board)} squares", _squares(asked), size != (asked.columns, asked.rows)),
+        (f"{board.dictionary}", f"{asked.dictionary}", board.dictionary != asked.dictionary),
+        (f"markers of {_marker(board)}", _marker(asked), board.marker != asked.marker),
+        (f"marker ids from {board.first_marker}", f"{asked.first_marker}", board.first_marker != asked.first_marker),
+        (_pattern(board), _pattern(asked), board.legacy is not None and board.legacy != asked.legacy),
+    ]
+    return [f"{has}, not {wanted}" for has, wanted, differs in pairs if differs]
+
+
+def _marker(board: Board) -> str:
+    marker = board.marker or 0.0
+    return f"{marker:.3g} of a square" if board.square is None else f"{1e3 * marker:.4g} mm"
+
+
+def _pattern(board: Board) -> str:
+    return "the legacy pattern (OpenCV before 4.6)" if board.legacy else "the current pattern (OpenCV since 4.6)"
+
+
+def _stated(board: Board) -> str:
+    """Return how a board is given to --board; a first marker other than 0 takes a board file."""
+    if not board.first_marker:
+        return short_form(board)
+    form = short_form(replace(board, first_marker=0))
+    return f"with a board file: {form}, first_marker_id: {board.first_marker}"
+
+
+def _larger(other: Board, board: Board) -> bool:
+    (long, short), (longest, shortest) = (
+        (max(each.columns, each.rows), min(each.columns, each.rows)) for each in (other, board)
+    )
+    return long > longest or short > shortest
+
+
+def _reasons(views: Sequence[Detection]) -> str:
+    reason, count = Counter(view.reason for view in views).most_common(1)[0]
+    return f" ({count} times: {reason})"
+
+
+def _squares(board: Board) -> str:
+    return f"{board.columns + 1}x{board.rows + 1}"
 
 
 @dataclass(frozen=True)
@@ -157,3 +292,39 @@ def _with_fewer_rows(asked: Board, board: Board, found: Sequence[Detection], mat
 def _ends_in(task: tuple[str, Path | Frame, Detection], reading: Reading, board: Board, rows: int) -> bool:
     _, source, view = task
     return ends_after(_gray(source, reading), board, rows, view.ids, view.pixels)
+
+
+def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Detection:
+    """Return what an image file shows of a board, also in each colour if the reading asks for them.
+
+    Raises FileError or InvalidInput if it cannot be read.
+    """
+    path, board = task
+    require_cell(path)
+    photograph = read_photograph(path, reading)
+    found = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
+    colours = {
+        colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
+        for colour, samples in photograph.colours.items()
+    }
+    return replace(
+        found,
+        image=path.as_posix(),
+        orientation=photograph.orientation,
+        colours=colours,
+        sha256=photograph.sha256,
+    )
+
+
+def require_colours(board: Board, reading: Reading) -> None:
+    """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
+    if reading.colours and not board.checker:
+        raise InvalidInput(f"colours are measured at the corners of checker patterns, which no {board.words} has")
+
+
+def search(
+    work: Callable[[Source], Shown], tasks: Iterable[Source], jobs: int | None, what: str, progress: Progress
+) -> Iterator[Outcome[Source, Shown]]:
+    """Return an iterator with the outcome of every task in their order; one that hangs or crashes costs itself only."""
+    timeout = None if jobs == 1 else TIMEOUT_S
+    return fan_out(work, tasks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout)

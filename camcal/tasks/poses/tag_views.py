@@ -25,8 +25,8 @@ from camcal.targets.detect import detect, require_findable
 from camcal.targets.detection import Detection, Detections
 from camcal.targets.markers.markers import Markers, detect_markers
 from camcal.targets.markers.tags import TagObjects
-from camcal.tasks.calibration.board_remarks import remarks
 from camcal.tasks.calibration.board_views import BoardViews
+from camcal.tasks.calibration.which_board import remarks
 
 _TIMEOUT_S = 600.0  # for one image; the slowest take seconds
 _LISTED = 8  # ids in a reason
