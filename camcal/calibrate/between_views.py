@@ -84,20 +84,20 @@ class BetweenViews:
     blurred: tuple[Blur, ...] = ()
 
 
-def between_views(estimates: Sequence[Estimate], present: Array, images: Sequence[str]) -> BetweenViews:
+def between_views(estimates: Sequence[Estimate], images: Sequence[str]) -> BetweenViews:
     """Return what differs between views by the estimate that takes errors within views for noise, the first one, and
     the one that models most of them, the last one.
 
-    present: (V, P) the points that there are. images: the names of the views.
+    images: the names of the views.
     """
     count = len(images)
     if count < _LEAST_VIEWS:
         return BetweenViews(tuple(images))
     chosen = np.unique(np.linspace(0, count - 1, min(count, _VIEWS)).astype(np.intp))
-    names, present = tuple(images[index] for index in chosen), present[chosen]
-    plain = full = _Linearised.of(estimates[0], chosen, present)
+    names = tuple(images[index] for index in chosen)
+    plain = full = _Linearised.of(estimates[0], chosen)
     if len(estimates) > 1:
-        full = _Linearised.of(estimates[-1], chosen, present)
+        full = _Linearised.of(estimates[-1], chosen)
     boards = _two_boards(plain, names)
     try:
         focal, proportions = full.offsets()
@@ -135,7 +135,7 @@ class _Linearised:
     field: Array
 
     @classmethod
-    def of(cls, estimate: Estimate, chosen: Array, present: Array) -> "_Linearised":
+    def of(cls, estimate: Estimate, chosen: Array) -> "_Linearised":
         problem = replace(
             estimate.problem,
             observations=estimate.problem.observations.take(chosen),
@@ -145,12 +145,12 @@ class _Linearised:
         state = estimate.state.take(chosen)
         estimate = replace(estimate, problem=problem, state=state, coefficients=estimate.coefficients[chosen])
         derivatives = problem.derivatives(state)
-        columns = columns_at(problem, state, derivatives, present, estimate.freedom.effects)
+        columns = columns_at(problem, state, derivatives, estimate.freedom.effects)
         std = np.zeros((len(chosen), 0))
         if estimate.effect_scales is not None:
             std = estimate.effect_scales.std(columns.effect)[chosen]
         explained = (columns.values.transpose(0, 2, 3, 1) @ estimate.coefficients[:, :, None])[..., 0]
-        return cls(estimate, present, derivatives, columns.values, std, explained)
+        return cls(estimate, problem.observations.present, derivatives, columns.values, std, explained)
 
     @property
     def residuals(self) -> Array:

@@ -71,10 +71,9 @@ class EffectColumns:
         return EffectColumns(np.ascontiguousarray(self.values[:, chosen]), self.effect[chosen])
 
 
-def columns_at(
-    problem: BoardProblem, state: State, derivatives: Derivatives, present: Array, names: Sequence[str]
-) -> EffectColumns:
+def columns_at(problem: BoardProblem, state: State, derivatives: Derivatives, names: Sequence[str]) -> EffectColumns:
     """Return the columns of the effects of some names at a state; at states nearby they differ by scale alone."""
+    present = problem.observations.present
     if not names:
         return EffectColumns(np.zeros((2, 0, *present.shape)), np.zeros(0, np.intp))
     columns = effect_columns(

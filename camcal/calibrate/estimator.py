@@ -137,7 +137,7 @@ class _Passes:
         self.problem = replace(problem, loss=None, offsets=together)
         self.present, self.claimed, self.freedom = present, claimed, freedom
         derivatives = self.problem.derivatives(state)
-        self.columns = columns_at(self.problem, state, derivatives, present, freedom.effects)
+        self.columns = columns_at(self.problem, state, derivatives, freedom.effects)
         self.place = _Place(state, derivatives, np.zeros((len(present), len(self.columns.effect))))
         self.shares = self._shares()
         residuals = self._residuals(self.place)

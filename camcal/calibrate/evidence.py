@@ -69,12 +69,12 @@ def evidence_of_effects(plain: Estimate) -> Evidence:
         noise=plain.noise.views[chosen],
         offsets=False,
     )
-    state, present = plain.state.take(chosen), table.present[chosen]
+    state = plain.state.take(chosen)
     derivatives = some.derivatives(state)
     start = EffectScales.start(len(chosen), plain.noise.sigma, max(some.board.extent))
 
     def gain(names: Sequence[str]) -> float:
-        columns = columns_at(some, state, derivatives, present, names)
+        columns = columns_at(some, state, derivatives, names)
         return likelihood_gain(some.equations(state, derivatives, columns.values), columns, start)
 
     everything = gain(_NAMES)
@@ -88,8 +88,8 @@ def evidence_of_effects(plain: Estimate) -> Evidence:
 def within_views(evidence: Evidence, everything: Estimate, height: int) -> WithinViews:
     """Return what the errors within views are, by the estimate that models all effects; height: of the image, px."""
     problem, state = everything.problem, everything.state
-    own, present = everything.freedom.effects, everything.problem.observations.present
-    columns = columns_at(problem, state, problem.derivatives(state), present, own)
+    present = problem.observations.present
+    columns = columns_at(problem, state, problem.derivatives(state), everything.freedom.effects)
     rolling_px = flex = None
     if evidence.rolling >= NAMED:
         moved = columns.of([EFFECTS.index(ROLLING)]).values

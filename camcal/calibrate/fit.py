@@ -254,8 +254,7 @@ def _oriented(
     """Return problem and state with every view of a symmetric board numbered from the end that fits its shape best, the
     symmetries (V,) by which they were turned, and the estimate that says so.
     """
-    present = problem.observations.present
-    turns = np.zeros(len(present), np.intp)
+    turns = np.zeros(len(problem.observations.present), np.intp)
     symmetries = len(problem.board.symmetries())
     if not shape.smooth or symmetries == 1:
         return problem, state, turns, None
@@ -265,10 +264,10 @@ def _oriented(
         sorted_apart = opposed * (symmetries // 2)
         trial = _first(*turned(found.problem, found.state, sorted_apart), shape)
         sigma = found.noise.sigma
-        if _chi_square(found, present, sigma) - _chi_square(trial, present, sigma) > len(turns):
+        if _chi_square(found, sigma) - _chi_square(trial, sigma) > len(turns):
             found, turns = trial, sorted_apart
     for _ in range(_ROUNDS):
-        better, state = best_turns(found.problem, found.state, present)
+        better, state = best_turns(found.problem, found.state)
         if not better.any():
             break
         found = _first(renumbered(found.problem, better), state, shape)
@@ -282,9 +281,9 @@ def _first(problem: BoardProblem, state: State, shape: ShapeOptions) -> Estimate
     return estimate(problem, state, shape.freedom, brief=True)
 
 
-def _chi_square(result: Estimate, present: Array, sigma: float) -> float:
+def _chi_square(result: Estimate, sigma: float) -> float:
     """Return χ² of all present points, rejected ones counted at the cut, so that solutions can be compared."""
     squared = (
         np.nan_to_num(result.problem.distances(result.problem.residuals(result.state)), nan=np.inf) ** 2 / sigma**2
     )
-    return float(np.minimum(squared[present], CUT**2).sum())
+    return float(np.minimum(squared[result.problem.observations.present], CUT**2).sum())

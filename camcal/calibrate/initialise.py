@@ -146,13 +146,14 @@ def _motion(board: Board, permutation: Array) -> tuple[Array, Array]:
     return rotation, centre - rotation @ centre
 
 
-def best_turns(problem: BoardProblem, state: State, present: Array) -> tuple[Array, State]:
+def best_turns(problem: BoardProblem, state: State) -> tuple[Array, State]:
     """Return for every view the symmetry (V,) under which the board's shape fits it best, 0 where none is better, and
     the state with the poses of the views so turned.
 
     Every present point (V, P) has its say: a view may have been rejected because it was numbered from another end.
     """
     poses, bare = problem.poses_only(state)
+    present = problem.observations.present
     observations = replace(poses.observations, weights=present.astype(float))
     poses = replace(poses, observations=observations, loss=Cauchy(CUT))
     states, costs = [bare], [_view_costs(poses, bare)]

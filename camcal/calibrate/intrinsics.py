@@ -128,8 +128,7 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
             "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"
         ) from error
-    present, images = observations.present, [view.image for view in usable]
-    cameras = two_cameras(plain, images, size, options.shape, options.named_groups)
+    cameras = two_cameras(plain, [view.image for view in usable], size, options.shape, options.named_groups)
     if not result.plain.converged:
         # the likeliest causes, and better things to say
         require_one_camera(cameras)
@@ -138,7 +137,7 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
             f"the calibration did not settle in {result.plain.passes} passes: use a --model with fewer coefficients, "
             "add views, or give a --guess"
         )
-    return _record(result, detections, reasons=reasons, size=size, options=options, present=present, cameras=cameras)
+    return _record(result, detections, reasons=reasons, size=size, options=options, cameras=cameras)
 
 
 def compare_models(
@@ -165,7 +164,7 @@ def compare_models(
                 shape=options.shape,
                 brief=True,
             )
-            result.append(contender(model.name, plain, observations.present))
+            result.append(contender(model.name, plain))
         except (SingularError, np.linalg.LinAlgError):
             result.append(Contender(model.name, reason="the views leave some of its parameters undetermined"))
         except (InsufficientData, InvalidInput) as error:
@@ -219,7 +218,6 @@ def _record(
     reasons: list[str | None],
     size: tuple[int, int],
     options: Options,
-    present: Array,
     cameras: TwoCameras | None,
 ) -> Calibration:
     problem, state, plain = result.problem, result.state, result.plain
@@ -228,7 +226,7 @@ def _record(
     kept = (problem.observations.weights >= REJECTED) & np.isfinite(residuals).all(axis=0)
     used = np.asarray(kept.any(axis=1))
     images = [view.image for view, reason in zip(detections, reasons, strict=True) if reason is None]
-    found = misfit(problem, state, residuals, present)
+    found = misfit(problem, state, residuals)
     if used.sum() >= MIN_VIEWS:
         require_tilts(state.rotations[used])
     require_fit(found, images, options.max_rejected, options.model.name, cameras)
@@ -252,7 +250,7 @@ def _record(
         problem.board,
         surface=surface_of(problem, state, plain.board, covariance),
         views=views,
-        rejected=rejected_corners(result, detections, reasons, present & ~kept, residuals),
+        rejected=rejected_corners(result, detections, reasons, problem.observations.present & ~kept, residuals),
         sigma_px=plain.noise.sigma,
         freedom=max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
         rms_px=float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
@@ -265,7 +263,7 @@ def _record(
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
         within_views=result.errors,
-        between_views=between_views(result.estimates, present, images),
+        between_views=between_views(result.estimates, images),
         two_cameras=cameras,
     )
 

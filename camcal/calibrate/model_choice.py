@@ -46,9 +46,10 @@ class Contender:
         return float(self.scores.sum()) / self.corners if self.scores is not None else -np.inf
 
 
-def contender(name: str, plain: Estimate, present: Array) -> Contender:
-    """Return how well an estimate predicts views; present: (V, P) the corners that there are."""
-    distances = _left_out(plain, present)[present]
+def contender(name: str, plain: Estimate) -> Contender:
+    """Return how well an estimate predicts the corners (V, P) that there are."""
+    present = plain.problem.observations.present
+    distances = _left_out(plain)[present]
     sigma, density = _likeliest(distances)
     scores = np.zeros(present.shape)
     scores[present] = density
@@ -76,12 +77,12 @@ def _beats(one: Contender, other: Contender, margins: Sequence[tuple[float, floa
     return any(gains.sum() > max(least * one.corners, errors * error) for least, errors in margins)
 
 
-def _left_out(plain: Estimate, present: Array) -> Array:
+def _left_out(plain: Estimate) -> Array:
     """Return the distances (V, P) px between corners and where the other views predict them; inf where they have no
     image.
     """
     problem, state = plain.problem, plain.state
-    views, points = present.shape
+    views, points = problem.observations.present.shape
     derivatives = problem.derivatives(state)
     residuals = np.nan_to_num(problem.residuals(state), nan=np.inf)
     # in pixels, all corners alike: covariances belong to the noise, not to how well a lens predicts

@@ -73,24 +73,25 @@ class Misfit:
         return max(_MEDIAN_PX, _MEDIAN_SHARE * float(np.median(np.repeat(self.sides, self.present.sum(axis=1)))))
 
 
-def misfit(problem: BoardProblem, state: State, residuals: Array, present: Array) -> Misfit:
+def misfit(problem: BoardProblem, state: State, residuals: Array) -> Misfit:
     """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image."""
+    present = problem.observations.present
     axes = problem.board.pitch * problem.derivatives(state).by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
     if found.median_px > found.median_limit_px:
         smooth = smoothness(problem, state, present.astype(float))
-        return replace(found, roughness=roughness(problem, present), smoothness=smooth)
+        return replace(found, roughness=roughness(problem), smoothness=smooth)
     return found
 
 
-def roughness(problem: BoardProblem, present: Array) -> float:
+def roughness(problem: BoardProblem) -> float:
     """Return how far corners are from a polynomial map of degree 3, in squares: the median over views, NaN if none has
     enough corners. No lens matters here, only whether neighbours on the board are neighbours in the image.
     """
     points, seen = problem.board.points()[:, :2] / problem.board.pitch, problem.observations
-    found = []
+    present, found = seen.present, []
     for view in np.flatnonzero(present.sum(axis=1) >= _FEW):
         places, pixels = points[seen.ids[view, present[view]]], seen.pixels[:, view, present[view]].T
         terms = polynomial_terms((places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1.0), _DEGREE)

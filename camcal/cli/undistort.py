@@ -7,8 +7,7 @@ from camcal.cli.command import ImageCall
 from camcal.tasks.calibration.options import UndistortOptions
 
 if TYPE_CHECKING:
-    from camcal.tasks.calibration.undistort import UndistortReport
-    from camcal.tasks.calibration.undistort_points import PointsReport
+    from camcal.tasks.calibration.undistort import PointsReport, UndistortReport
 
 
 def undistort(options: UndistortOptions, call: ImageCall) -> None:
@@ -35,11 +34,11 @@ def _undistort_images(options: UndistortOptions, call: ImageCall) -> None:
 
 
 def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
-    from camcal.tasks.calibration.undistort_points import document
-    from camcal.tasks.calibration.undistort_points import undistort_points as run
+    from camcal.tasks.calibration.undistort import points_document
+    from camcal.tasks.calibration.undistort import undistort_points as run
 
     report = run(options, call.progress)
-    call.give(lambda: document(report), lambda: _show_points(report))
+    call.give(lambda: points_document(report), lambda: _show_points(report))
 
 
 def _show_points(report: "PointsReport") -> None:

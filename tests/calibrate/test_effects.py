@@ -40,8 +40,8 @@ def seen():
     return problem, state, observations.weights > 0
 
 
-def columns_of(problem, state, present, effects=NAMES):
-    return columns_at(problem, state, problem.derivatives(state), present, effects)
+def columns_of(problem, state, effects=NAMES):
+    return columns_at(problem, state, problem.derivatives(state), effects)
 
 
 def slope(problem, moved, length):
@@ -69,7 +69,7 @@ def fine_field(board):
 
 
 def test_every_effect_has_its_columns(seen):
-    columns = columns_of(*seen)
+    columns = columns_of(*seen[:2])
     views, points = seen[2].shape
     assert [SMOOTH.columns, ROLLING.columns, FLEX.columns] == [18, 6, 7]
     assert [effect.of_board for effect in EFFECTS] == [False, False, True]
@@ -78,7 +78,7 @@ def test_every_effect_has_its_columns(seen):
 
 
 def test_effects_may_be_taken_by_themselves(seen):
-    columns = columns_of(*seen)
+    columns = columns_of(*seen[:2])
     np.testing.assert_array_equal(columns.of([1]).values, columns.values[:, 18:24])
     assert columns.of([1]).values.flags.c_contiguous
     two = columns.of([0, 2])
@@ -89,7 +89,7 @@ def test_effects_may_be_taken_by_themselves(seen):
 
 
 def test_corners_that_are_not_there_are_not_moved(seen):
-    columns, present = columns_of(*seen), seen[2]
+    columns, present = columns_of(*seen[:2]), seen[2]
     assert not present.all()
     assert (columns.values[:, :, ~present] == 0).all()
     assert np.abs(columns.values[:, :, present]).max(axis=(0, 2)).min() > 0
@@ -126,7 +126,7 @@ def test_the_spectrum_of_a_smooth_field_falls_with_its_degree():
 
 def test_a_smooth_field_belongs_to_points_of_the_board_wherever_they_are_listed(seen):
     problem, state, present = seen
-    values = columns_of(problem, state, present, ("smooth",)).values
+    values = columns_of(problem, state, ("smooth",)).values
     ids = problem.observations.ids
     full = values[:, :, 3]
     assert present[3].all()
@@ -138,7 +138,7 @@ def test_a_smooth_field_belongs_to_points_of_the_board_wherever_they_are_listed(
 
 def test_rolling_is_a_pose_that_moves_with_the_row(seen):
     problem, state, present = seen
-    values = columns_of(problem, state, present, ("rolling",)).values
+    values = columns_of(problem, state, ("rolling",)).values
     rows = problem.observations.pixels[1]
     time = (rows - rows[present].mean()) / rows[present].std()
     for parameter in range(6):
@@ -156,10 +156,10 @@ def posed(problem, state, parameter, length):
 
 
 def test_noise_of_measured_corners_is_not_in_the_columns_that_shall_explain_it(seen):
-    problem, state, present = seen
+    problem, state, _ = seen
     noise = np.random.default_rng(4).normal(size=problem.observations.pixels.shape)
     noisy = replace(problem, observations=replace(problem.observations, pixels=problem.observations.pixels + noise))
-    found, expected = (columns_of(own, state, present).values for own in (noisy, problem))
+    found, expected = (columns_of(own, state).values for own in (noisy, problem))
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -197,7 +197,7 @@ def test_a_view_without_corners_has_columns_of_zeros():
 
 def test_flex_moves_points_out_of_the_board(seen):
     problem, state, present = seen
-    values = columns_of(problem, state, present, ("flex",)).values
+    values = columns_of(problem, state, ("flex",)).values
     heights = basis(problem.board, OUT_OF_PLANE)[:, 2]
     drawn = problem.board.points()
     for term in range(len(OUT_OF_PLANE)):
@@ -218,7 +218,7 @@ def test_columns_are_derivatives_of_the_residuals_weighed_and_whitened_like_them
     noise = np.array([1.0, 3.0, 0.5, 2.0])
     observations = replace(observations, pixels=observations.pixels + rng.normal(size=(2, *present.shape)))
     problem = replace(problem, observations=replace(observations, weights=weights), sigma=0.7, noise=noise)
-    columns = columns_of(problem, state, present)
+    columns = columns_of(problem, state)
     derivatives = problem.derivatives(state)
     equations = assemble([problem.data(state, derivatives, columns.values)], problem.shared, 4, 37)
     coefficients = rng.normal(size=(4, 31)) * np.where(columns.effect == 2, 1e-3, 1.0)

@@ -94,7 +94,7 @@ def test_one_step_predicts_a_left_out_view_as_solving_without_it_does(name, tole
     views = [*views[:3], replace(views[3], ids=ids, pixels=pixels), *views[4:]]
     plain, present = plain_estimate(name, views, scene.board)
     before = np.hypot(*plain.problem.residuals(plain.state))
-    predicted = model_choice._left_out(plain, present)
+    predicted = model_choice._left_out(plain)
     # beyond a leverage of 2/3 the step is shortened, see averaging.influence
     free = np.flatnonzero(leverages(plain) < 2 / 3)
     assert len(free) >= 19
@@ -111,8 +111,8 @@ def test_views_are_scored_by_the_density_of_their_predicted_corners():
     scene = make_scene(board=Board("chessboard", 7, 5, 0.040), count=12, partial=True)
     plain, present = plain_estimate("opencv5", scene.observe(1, noise_px=0.1), scene.board)
     assert not present.all()
-    found = contender("some name", plain, present)
-    distances = model_choice._left_out(plain, present)
+    found = contender("some name", plain)
+    distances = model_choice._left_out(plain)
     for view, score in enumerate(found.scores):
         assert score == pytest.approx(log_density(distances[view, present[view]], found.sigma_px).sum(), rel=1e-9)
     assert (found.name, found.corners, found.reason) == ("some name", present.sum(), None)
@@ -122,10 +122,10 @@ def test_views_are_scored_by_the_density_of_their_predicted_corners():
 def test_a_view_that_the_lens_cannot_take_costs_the_floor_of_all_its_corners():
     scene = make_scene(board=Board("chessboard", 7, 5, 0.040), count=12)
     plain, present = plain_estimate("opencv5", scene.observe(1, noise_px=0.1), scene.board)
-    before = contender("opencv5", plain, present)
+    before = contender("opencv5", plain)
     translations = plain.state.translations.copy()
     translations[4] *= -1  # behind the camera
-    after = contender("opencv5", replace(plain, state=replace(plain.state, translations=translations)), present)
+    after = contender("opencv5", replace(plain, state=replace(plain.state, translations=translations)))
     assert after.scores[4] == pytest.approx(present[4].sum() * np.log(FLOOR), rel=1e-9)
     others = np.arange(12) != 4
     np.testing.assert_allclose(after.scores[others], before.scores[others], rtol=1e-3, atol=0.5)  # sigma hardly moves

@@ -65,8 +65,7 @@ def upright(distance, tilt=0.0):
 
 def test_the_side_of_a_square_is_in_pixels_of_every_view():
     problem, state = seen_by([upright(0.5), upright(2.0), upright(50.0, np.radians(60))])
-    present = problem.observations.weights > 0
-    sides = misfit(problem, state, problem.residuals(state), present).sides
+    sides = misfit(problem, state, problem.residuals(state)).sides
     assert sides[:2] == pytest.approx(FOCAL * 0.040 / np.array([0.5, 2.0]), rel=1e-9)
     # seen from afar at 60° it is half as wide: a square of its area has sides smaller by √2
     assert sides[2] == pytest.approx(FOCAL * 0.040 / 50 / np.sqrt(2), rel=0.01)
@@ -76,7 +75,8 @@ def test_the_side_of_a_square_is_that_of_the_corners_that_were_seen():
     problem, state = seen_by([upright(0.5, np.radians(60))] * 2)
     columns = np.arange(BOARD.count) % BOARD.columns
     present = np.stack([columns < 4, columns > 4])  # the right half is nearer
-    sides = misfit(problem, state, problem.residuals(state), present).sides
+    problem = replace(problem, observations=replace(problem.observations, present=present))
+    sides = misfit(problem, state, problem.residuals(state)).sides
     assert sides[1] > 1.5 * sides[0]
 
 
@@ -85,8 +85,7 @@ def test_distances_are_those_of_the_corners_and_infinite_without_an_image():
     residuals = np.zeros((2, 2, BOARD.count))
     residuals[:, 0, 7] = 3.0, -4.0
     residuals[:, 1, 8] = np.nan, 1.0
-    present = problem.observations.weights > 0
-    fit = misfit(problem, state, residuals, present)
+    fit = misfit(problem, state, residuals)
     assert fit.distances[0, 7] == 5.0
     assert fit.distances[1, 8] == np.inf
     assert np.count_nonzero(fit.distances) == 2
@@ -97,8 +96,9 @@ def test_rows_of_the_table_without_a_corner_do_not_count():
     problem, state = seen_by([upright(0.5), upright(2.0)])
     present = np.ones((2, BOARD.count), bool)
     present[0, 20:] = False
+    problem = replace(problem, observations=replace(problem.observations, present=present))
     residuals = np.where(present, 0.1, 500.0) * np.ones((2, 1, 1))
-    fit = misfit(problem, state, residuals, present)
+    fit = misfit(problem, state, residuals)
     assert not fit.gross.any()
     assert fit.median_px == pytest.approx(np.hypot(0.1, 0.1))  # most are in the second view
     assert fit.sides[0] == pytest.approx(96)
@@ -241,7 +241,7 @@ def test_how_smooth_views_are_says_whether_corners_are_numbered_for_the_board(se
     def rough_on(board):
         problem, _ = seen_by([upright(0.5)] * len(seen))
         problem = replace(problem, board=board, observations=Observations.of(seen))
-        return roughness(problem, problem.observations.weights > 0)
+        return roughness(problem)
 
     assert rough_on(BOARD) < 0.01  # of noise of 0.1 px, and what a cubic leaves of a perspective
     assert rough_on(BOARD.transposed()) > 1
@@ -250,10 +250,10 @@ def test_how_smooth_views_are_says_whether_corners_are_numbered_for_the_board(se
 
 def test_how_smooth_views_are_is_asked_where_the_median_is_too_large():
     problem, state = seen_by([upright(0.5)] * 3)
-    present = problem.observations.weights > 0
-    near, far = (misfit(problem, state, np.full((2, *present.shape), px), present) for px in (0.1, 20.0))
+    shape = problem.observations.weights.shape
+    near, far = (misfit(problem, state, np.full((2, *shape), px)) for px in (0.1, 20.0))
     assert np.isnan(near.roughness)
-    assert far.roughness == roughness(problem, present)
+    assert far.roughness == roughness(problem)
 
 
 def test_a_wide_lens_that_is_called_a_pinhole_is_refused_for_its_model():

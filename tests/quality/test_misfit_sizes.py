@@ -15,8 +15,8 @@ BOARD = Board("chessboard", 9, 6, 0.040)
 PLACES = BOARD.points()[:, :2] / 0.040  # in squares
 
 
-def seen(count, pixels=None):
-    """Problem, state and present corners of a board that is seen askew from near by, in views one as the other."""
+def seen(count, pixels=None, present=None):
+    """Problem and state of a board that is seen askew from near by, in views one as the other, all of it or in part."""
     turn = so3.exp(np.array([0.3, 0.9, 0.1]))
     state = State(
         np.array([1000.0, 1000.0, 800.0, 600.0]),
@@ -26,14 +26,16 @@ def seen(count, pixels=None):
         np.zeros((BOARD.count, 3)),
     )
     pixels = np.zeros((2, count, BOARD.count)) if pixels is None else pixels
-    table = Observations(np.tile(np.arange(BOARD.count), (count, 1)), pixels, np.ones((count, BOARD.count)))
-    present = np.ones((count, BOARD.count), bool)
-    return BoardProblem(model_named("pinhole"), BOARD, table, np.arange(4)), state, present
+    present = np.ones((count, BOARD.count), bool) if present is None else present
+    ids = np.tile(np.arange(BOARD.count), (count, 1))
+    table = Observations(ids, pixels, np.ones((count, BOARD.count)), present=present)
+    return BoardProblem(model_named("pinhole"), BOARD, table, np.arange(4)), state
 
 
 def test_the_side_of_a_square_is_the_root_of_the_median_area_in_the_view():
-    problem, state, present = seen(1)
+    present = np.ones((1, BOARD.count), bool)
     present[0, ::5] = False
+    problem, state = seen(1, present=present)
     turn, shift = state.rotations[0], state.translations[0]
 
     def image(points):
@@ -43,7 +45,7 @@ def test_the_side_of_a_square_is_the_root_of_the_median_area_in_the_view():
     drawn, length = BOARD.points(), 1e-6
     ways = [(image(drawn + way) - image(drawn - way)) / (2 * length) * 0.040 for way in length * np.eye(3)[:2]]
     areas = np.abs(ways[0][:, 0] * ways[1][:, 1] - ways[0][:, 1] * ways[1][:, 0])
-    found = misfit(problem, state, np.zeros((2, *present.shape)), present)
+    found = misfit(problem, state, np.zeros((2, *present.shape)))
     assert found.sides[0] == pytest.approx(np.sqrt(np.median(areas[present[0]])), rel=1e-6)
     assert np.ptp(np.sqrt(areas)) > 0.3 * found.sides[0]
 
@@ -63,8 +65,8 @@ def test_the_median_of_every_view_is_that_of_its_own_corners():
 
 def rough(pixels, present=None):
     """The roughness of views (V, P, 2) of the board."""
-    problem, _, every = seen(len(pixels), np.moveaxis(pixels, 2, 0))
-    return roughness(problem, every if present is None else present)
+    problem, _ = seen(len(pixels), np.moveaxis(pixels, 2, 0), present)
+    return roughness(problem)
 
 
 def powers(degree):

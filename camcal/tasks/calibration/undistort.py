@@ -1,4 +1,7 @@
-"""`camcal undistort`: images and videos to straight lines, and the camera file that fits what was written."""
+"""`camcal undistort`: images and videos to straight lines, and the camera file that fits what was written.
+
+With --points, a table of pixels of the distorted image to pixels of the view, and the reverse.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Verdict
+from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.load import load
 from camcal.images.options import PINHOLE
 from camcal.images.remap import align_channels, build_maps
@@ -34,6 +39,13 @@ from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, sa
 from camcal.tasks.calibration.options import UndistortOptions
 
 _COMMAND = "camcal undistort"
+CAMERA_FILE = "camera.yaml"
+MASK_FILE = "valid_mask.png"
+_OTHERWISE = {".pfm": ".tiff"}  # of the types that are read and not written; all others become PNG
+_FRAME_SUFFIX = ".jpg"
+_SHRUNK = 0.25  # of the size it had: below that, the middle of an image is worth a warning
+_PIXEL = ("u", "v")
+_DIGITS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +58,6 @@ class SourceCamera:
     channels: Mapping[str, Camera] = field(default_factory=dict)
     circle: ImageCircle | None = None
     verdict: Verdict | None = None
-
-
-CAMERA_FILE = "camera.yaml"
-MASK_FILE = "valid_mask.png"
-
-_OTHERWISE = {".pfm": ".tiff"}  # of the types that are read and not written; all others become PNG
-_FRAME_SUFFIX = ".jpg"
-_SHRUNK = 0.25  # of the size it had: below that, the middle of an image is worth a warning
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,3 +248,83 @@ def _same(one: Camera, other: Camera) -> bool:
     same_kind = one.model == other.model and one.image_size == other.image_size
     # 12 digits are written
     return same_kind and np.allclose(one.parameters, other.parameters, rtol=1e-10, atol=1e-10)
+
+
+@dataclass(frozen=True, eq=False)
+class PointsReport:
+    """What was written: moved points, and how many of them have no place on the other side.
+
+    camera_file: the camera of the view, None for the way back.
+    """
+
+    output: Path
+    camera_file: Path | None
+    count: int
+    lost: int
+
+
+def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> PointsReport:
+    """Return what was written to options.output: the table with other u and v, empty where a point has no place.
+
+    Raises InvalidInput for a table without u and v, or with something else than numbers in them; FileError.
+    """
+    if options.points is None:
+        raise InvalidInput("no points are given; name a table with --points")
+    source = read_source(options.camera, options.camera_name, progress)
+    output = options.output if options.output.suffix else options.output / options.points.name
+    camera_file = None if options.distort else output.with_suffix(".camera.yaml")
+    outputs = [output] if camera_file is None else [output, camera_file]
+    refuse_overwriting(outputs, [source.path, options.points])
+    if camera_file is not None:
+        require_own(camera_file)
+    view = make_view(source.camera, options.view, source.circle)
+    table = _read_points(options.points)
+    pixels = np.column_stack([table.numbers_or_empty(name) for name in _PIXEL])
+    if options.distort:
+        moved = _lit(move_pixels(view, source.camera, pixels), source.circle)
+    else:
+        moved = move_pixels(source.camera, view, _lit(pixels, source.circle))
+    files.write_text(output, _points_text(table, moved))
+    if camera_file is not None:
+        write_view(camera_file, source, view, command_line("undistort", options), progress)
+    return PointsReport(output, camera_file, len(moved), int(np.isnan(moved[:, 0]).sum()))
+
+
+def move_pixels(source: Camera, target: Camera, pixels: Array) -> Array:
+    """Return the pixels (N, 2) of `target` that look along the rays of pixels (N, 2) of `source`; NaN where none do."""
+    return target.project(source.unproject(pixels).directions).pixels
+
+
+def _lit(pixels: Array, circle: ImageCircle | None) -> Array:
+    """Return the pixels (N, 2) with NaN for those outside of the image circle."""
+    return pixels if circle is None else np.where(circle.contains(pixels)[:, None], pixels, np.nan)
+
+
+def _read_points(path: Path) -> Table:
+    lines = [(number, line) for number, line in numbered_lines(path) if not line.startswith("#")]
+    rows = csv_rows(str(path), lines)
+    names = [name.strip() for name in rows[0]] if rows else []
+    if any(names.count(name) != 1 for name in _PIXEL):
+        raise InvalidInput(f"the first row names the columns, u and v once among them; found {names}", where=str(path))
+    if len(set(names)) < len(names):
+        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=str(path))
+    return Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
+
+
+def _points_text(table: Table, pixels: Array) -> str:
+    """Return a table as CSV with other pixels (N, 2); a point without a place has empty cells."""
+    columns = dict(table.columns)
+    for name, values in zip(_PIXEL, pixels.T, strict=True):
+        columns[name] = ["" if np.isnan(value) else f"{value:.{_DIGITS}g}" for value in values]
+    rows = [list(columns), *zip(*columns.values(), strict=True)]
+    return "".join(",".join(map(cell, row)) + "\n" for row in rows)
+
+
+def points_document(report: PointsReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    return {
+        "output": report.output,
+        "camera_file": report.camera_file,
+        "points": report.count,
+        "without_place": report.lost,
+    }
