@@ -195,7 +195,15 @@ class _Frames:
         depth = cells.depth * height.min(axis=1)[:, None, None] - prints
         band = np.minimum(max(_BAND * blur_px, _LEAST_BAND_PX), _OWN * height[:, ::-1])
         tangents = (cells.steps / np.maximum(lengths, 1e-9)[:, None]).swapaxes(1, 2)
-        return cls(corners, tangents, cells.bends, limits, band, np.maximum(depth, _LEAST_PX), np.sign(turn))
+        return cls(
+            corners,
+            tangents,
+            bends=cells.bends,
+            limits=limits,
+            band=band,
+            depth=np.maximum(depth, _LEAST_PX),
+            handed=np.sign(turn),
+        )
 
     def strip(self, edge: int) -> tuple[Array, Array]:
         """Return whole offsets x, y (N, K) that cover the band beside an edge."""
