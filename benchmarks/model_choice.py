@@ -33,7 +33,7 @@ from scipy.spatial import Delaunay
 from split_halves import CLIP, MODELS, held_out, make_table, numbered, read_views, table_of
 
 from camcal.calibrate.intrinsics import Calibration, Options, calibrate, compare_models
-from camcal.calibrate.model_choice import chosen
+from camcal.calibrate.jackknife import chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.run.fanout import fan_out

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.averaging import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.effects import EFFECTS, SMOOTH
 from camcal.calibrate.estimator import Estimate, Freedom, estimate
 from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
@@ -18,6 +17,7 @@ from camcal.calibrate.initialise import (
     thinned,
     turned,
 )
+from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.shape import odd_terms

@@ -10,7 +10,7 @@ from camcal.arrays import Array, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
-from camcal.calibrate.model_choice import Contender, contender
+from camcal.calibrate.jackknife import Contender, contender
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (

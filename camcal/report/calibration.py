@@ -6,7 +6,7 @@ from typing import Any
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
-from camcal.calibrate.model_choice import Contender
+from camcal.calibrate.jackknife import Contender
 from camcal.formats import boards
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.uncertain import held_by_prior_words, value_and_std

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from camcal.calibrate.averaging import covariance_of, weights_of
+from camcal.calibrate.jackknife import covariance_of, weights_of
 from camcal.calibrate.problem import BoardProblem, State
 
 VIEWS, LENS = 30, 3

@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camcal.calibrate.averaging import (
+from camcal.calibrate.effects import posterior, scaled
+from camcal.calibrate.jackknife import (
     averaged,
     covariance_of,
     image_metric,
     influence,
     weights_of,
 )
-from camcal.calibrate.effects import posterior, scaled
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import assemble

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from camcal.calibrate import model_choice
-from camcal.calibrate.model_choice import Contender, chosen
+from camcal.calibrate import jackknife
+from camcal.calibrate.jackknife import Contender, chosen
 
 
 def test_prediction_errors_have_a_scale_of_at_most_20_px():
-    sigma, densities = model_choice._likeliest(np.full(50, 500.0))
+    sigma, densities = jackknife._likeliest(np.full(50, 500.0))
     assert sigma == pytest.approx(20.0, rel=1e-3)
     assert np.isfinite(densities).all()
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camcal.calibrate.averaging import covariance_of
+from camcal.calibrate.jackknife import covariance_of
 from camcal.calibrate.problem import State
 
 LENS = 2

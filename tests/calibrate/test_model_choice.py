@@ -13,10 +13,10 @@ from observed import PARAMETERS, SIZE, make_scene
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
-from camcal.calibrate import model_choice
+from camcal.calibrate import jackknife
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate, compare_models
-from camcal.calibrate.model_choice import GAIN, Contender, chosen, contender
+from camcal.calibrate.jackknife import GAIN, Contender, chosen, contender
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.directions import in_hull
 from camcal.cameras.model import Camera
@@ -94,8 +94,8 @@ def test_one_step_predicts_a_left_out_view_as_solving_without_it_does(name, tole
     views = [*views[:3], replace(views[3], ids=ids, pixels=pixels), *views[4:]]
     plain, present = plain_estimate(name, views, scene.board)
     before = np.hypot(*plain.problem.residuals(plain.state))
-    predicted = model_choice._left_out(plain)
-    # beyond a leverage of 2/3 the step is shortened, see averaging.influence
+    predicted = jackknife._left_out(plain)
+    # beyond a leverage of 2/3 the step is shortened, see jackknife.influence
     free = np.flatnonzero(leverages(plain) < 2 / 3)
     assert len(free) >= 19
     for view in free:
@@ -112,7 +112,7 @@ def test_views_are_scored_by_the_density_of_their_predicted_corners():
     plain, present = plain_estimate("opencv5", scene.observe(1, noise_px=0.1), scene.board)
     assert not present.all()
     found = contender("some name", plain)
-    distances = model_choice._left_out(plain)
+    distances = jackknife._left_out(plain)
     for view, score in enumerate(found.scores):
         assert score == pytest.approx(log_density(distances[view, present[view]], found.sigma_px).sum(), rel=1e-9)
     assert (found.name, found.corners, found.reason) == ("some name", present.sum(), None)
@@ -149,7 +149,7 @@ def drawn(rng, sigma, count):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_likeliest_sigma_is_that_of_which_distances_were_drawn(sigma, seed):
     distances = drawn(np.random.default_rng(seed), sigma, 4000)
-    found, densities = model_choice._likeliest(distances)
+    found, densities = jackknife._likeliest(distances)
     # Fisher's information of log sigma is 2 d nu / (d + nu + 2) = 2 a corner: 1.1 % for 4000; 3.5 of these
     assert np.log(found / sigma) == pytest.approx(0, abs=3.5 / np.sqrt(2 * 4000))
     np.testing.assert_allclose(densities, log_density(distances, found), rtol=1e-9)
@@ -159,7 +159,7 @@ def test_the_likeliest_sigma_is_that_of_which_distances_were_drawn(sigma, seed):
 
 def test_the_density_integrates_to_one():
     radii = np.geomspace(1e-5, 20, 4001)  # half of them below 0.014 px, so that sigma is small
-    sigma, densities = model_choice._likeliest(radii)
+    sigma, densities = jackknife._likeliest(radii)
     assert sigma < 0.1
     total = np.trapezoid(2 * np.pi * radii**2 * np.exp(densities), np.log(radii))
     # the trapezoids of a logarithmic step of 0.0036; (1 + (20 / 2 sigma)²)⁻² lies beyond
@@ -168,14 +168,14 @@ def test_the_density_integrates_to_one():
 
 def test_corners_without_image_cost_the_logarithm_of_the_floor():
     distances = np.append(drawn(np.random.default_rng(1), 0.1, 500), [np.inf, 1e9])
-    sigma, densities = model_choice._likeliest(distances)
+    sigma, densities = jackknife._likeliest(distances)
     np.testing.assert_allclose(densities[-2:], np.log(FLOOR), rtol=1e-9)
     assert densities.min() >= np.log(FLOOR)
-    assert sigma == pytest.approx(model_choice._likeliest(distances[:-2])[0], rel=1e-4)
+    assert sigma == pytest.approx(jackknife._likeliest(distances[:-2])[0], rel=1e-4)
 
 
 def test_noise_free_corners_have_a_finite_density():
-    sigma, densities = model_choice._likeliest(np.zeros(50))
+    sigma, densities = jackknife._likeliest(np.zeros(50))
     assert sigma == pytest.approx(1e-4, rel=1e-3)
     assert np.isfinite(densities).all()
 

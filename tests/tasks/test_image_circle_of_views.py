@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.intrinsics import Options
-from camcal.calibrate.model_choice import Contender
+from camcal.calibrate.jackknife import Contender
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, folds_inside

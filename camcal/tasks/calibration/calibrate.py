@@ -16,7 +16,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
-from camcal.calibrate.model_choice import Contender
+from camcal.calibrate.jackknife import Contender
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged

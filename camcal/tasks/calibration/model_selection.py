@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.calibrate import intrinsics
 from camcal.calibrate.intrinsics import Calibration, compare_models
-from camcal.calibrate.model_choice import GAIN, Contender, chosen
+from camcal.calibrate.jackknife import GAIN, Contender, chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
