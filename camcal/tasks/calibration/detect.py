@@ -1,4 +1,4 @@
-"""`camcal detect`: the points of a board in images and frames of videos, on all cores there are, and pictures of them."""
+"""`camcal detect`: the points of a board in images and frames of videos, on all cores there are, and their pictures."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
