@@ -104,6 +104,7 @@ def test_the_right_image_gets_its_exposure_and_its_vertical_error(run, tmp_path)
     assert bad[1:] == pytest.approx(0.5 * good[:-1] ** 1.2 + 3 / 255, abs=2 / 65535)  # counts of 16 bits
 
 
+@pytest.mark.slow
 def test_the_same_options_give_the_same_bytes_whatever_the_jobs(run, two_pairs, tmp_path):
     assert run("simulate", "-o", tmp_path / "again", *SMALL, "--pairs", "2", "--jobs", "2") == (0, "", "")
     run("simulate", "-o", tmp_path / "other", *SMALL, "--seed", "1")

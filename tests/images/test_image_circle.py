@@ -92,6 +92,7 @@ def test_the_circle_is_found_where_it_was_drawn(size, centre, radius):
     assert circle.rms < 0.004 * radius
 
 
+@pytest.mark.slow
 def test_a_reduced_pixel_is_centred_on_the_pixels_that_it_was_made_of():
     size, centre, radius = (4000, 3000), (2003.0, 1490.0), 1300.0
     circle = find_image_circle(gray(240 * disc(size, centre, radius)))

@@ -46,7 +46,7 @@ def slow(*values):
         slow("7x6:30mm:22mm:DICT_5X5_100", "7x9:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
         slow("7x6:30mm:22mm:DICT_5X5_100", "6x5:30mm:22mm:DICT_5X5_100", "7x6:30mm:22mm:DICT_5X5_100"),
         ("7x6:0.73:DICT_5X5_100:legacy", "8x6:0.6:DICT_6X6_250:current", "7x6:0.73:DICT_5X5_50:legacy"),
-        ("7x5:0.8:DICT_4X4_50", "5x5:0.5:DICT_7X7_50:legacy", "7x5:0.8:DICT_4X4_50"),
+        slow("7x5:0.8:DICT_4X4_50", "5x5:0.5:DICT_7X7_50:legacy", "7x5:0.8:DICT_4X4_50"),
     ],
 )
 def test_another_board_is_told_by_its_squares_markers_and_dictionary(drawn, asked, proposed):
@@ -98,6 +98,7 @@ def test_most_layouts_make_the_common_one_and_the_largest_says_how_many_rows():
     assert common_layout([]) is None
 
 
+@pytest.mark.slow
 def test_nothing_is_proposed_where_there_is_no_such_board():
     rng = np.random.default_rng(0)
     noise = cv2.GaussianBlur(rng.integers(0, 256, SIZE[::-1]).astype(np.uint8), (0, 0), 2)
