@@ -51,7 +51,15 @@ def thinned(observations: Observations, corners: int = _CORNERS) -> Observations
     first_use = np.column_stack([np.ones(len(pick), bool), np.diff(pick, axis=1) > 0])
     rows = np.arange(len(columns))[:, None]
     weights = observations.weights[rows, columns] * first_use
-    return Observations(observations.ids[rows, columns], observations.pixels[:, rows, columns], weights)
+    return replace(
+        observations,
+        ids=observations.ids[rows, columns],
+        pixels=observations.pixels[:, rows, columns],
+        weights=weights,
+        whitening=None,
+        present=weights > 0,
+        covariance=None,
+    )
 
 
 def poses_from_rays(rays: Array, board: Board, observations: Observations) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
+from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
 from camcal.calibrate.jackknife import Contender, contender
@@ -110,18 +111,8 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
     """
     size, reasons = _usable(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
-    held, guess = _held(options, size)
-    observations = Observations.of(usable)
     try:
-        plain, turns = fit_plain(
-            options.model,
-            board,
-            observations=observations,
-            image_size=size,
-            held=held,
-            guess=guess,
-            shape=options.shape,
-        )
+        plain, turns = _plain(Observations.of(usable), board, size, options)
         result = fit(plain, turns, size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
@@ -153,23 +144,30 @@ def compare_models(
     result = []
     for model in models:
         try:
-            held, guess = _held(replace(options, model=model), size)
-            plain, _ = fit_plain(
-                model,
-                board,
-                observations=observations,
-                image_size=size,
-                held=held,
-                guess=guess,
-                shape=options.shape,
-                brief=True,
-            )
+            plain, _ = _plain(observations, board, size, replace(options, model=model), brief=True)
             result.append(contender(model.name, plain))
         except (SingularError, np.linalg.LinAlgError):
             result.append(Contender(model.name, reason="the views leave some of its parameters undetermined"))
         except (InsufficientData, InvalidInput) as error:
             result.append(Contender(model.name, reason=error.message))
     return tuple(result)
+
+
+def _plain(
+    observations: Observations, board: Board, size: tuple[int, int], options: Options, *, brief: bool = False
+) -> tuple[Estimate, Array]:
+    """Return what `fit_plain` makes of the observations under the options."""
+    held, guess = _held(options, size)
+    return fit_plain(
+        options.model,
+        board,
+        observations=observations,
+        image_size=size,
+        held=held,
+        guess=guess,
+        shape=options.shape,
+        brief=brief,
+    )
 
 
 def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, int], list[str | None]]:

@@ -52,13 +52,15 @@ class Observations:
 
     def __post_init__(self) -> None:
         count = len(self.ids)
-        if self.present.shape != self.weights.shape:
-            object.__setattr__(self, "present", self.weights > 0)
-        for name in ("camera", "body"):
-            if len(getattr(self, name)) != count:
-                object.__setattr__(self, name, np.zeros(count, np.intp))
-        if len(self.time) != count:
-            object.__setattr__(self, "time", np.full(count, np.nan))
+        columns = {
+            "present": self.weights > 0,
+            "camera": np.zeros(count, np.intp),
+            "body": np.zeros(count, np.intp),
+            "time": np.full(count, np.nan),
+        }
+        for name, default in columns.items():
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, default)
 
     @classmethod
     def of(cls, views: Sequence[Seen | None], unknown: Array | None = None) -> "Observations":

@@ -34,13 +34,13 @@ _PACKED = 100  # a compressed array has fewer times the bytes of its file, or is
 _SMALL = 256 << 20  # bytes
 
 
-def read_npy(path: Path, kinds: str = "uif") -> Array:
+def read_npy(path: Path, kinds: str = "uif", content: bytes | None = None) -> Array:
     """Return the array of a .npy file in this machine's byte order; floating point comes as float32.
 
-    kinds: NumPy's letters of the kinds of numbers that will do.
+    kinds: NumPy's letters of the kinds of numbers that will do. content: of the file, where it has been read already.
     Raises FileError if the file is missing, empty, truncated, of another kind or holds no numbers.
     """
-    content = read_bytes(path)
+    content = read_bytes(path) if content is None else content
     try:
         values = array_of(content)
     except ValueError as error:

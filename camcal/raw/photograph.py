@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
-from camcal.files import read_bytes, sha256
+from camcal.files import read_bytes
 from camcal.images.image import RAW_SUFFIXES, Image
 from camcal.images.load import gray_8bit, gray_levels, load
 from camcal.raw.colour import balance_in_place
@@ -31,7 +31,6 @@ _CHANNELS = {"blue": 0, "green": 1, "red": 2}  # of colour images
 _GRAY_LEVELS, _ROUNDING = 255.0, 1e-6
 _BRIGHTEST = 0.999  # of the samples; what is above may be a lamp
 _USED_CELLS = 1 << 17
-_READ_IN_PARTS = HEADERLESS_SUFFIXES | {".npy"}
 _CLIPPED = 0.98
 
 
@@ -40,7 +39,7 @@ class Photograph:
     """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
 
     measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
-    sha256: of the file.
+    sha256: of the file, if asked for and where the file was read as a whole.
     """
 
     gray: Array
@@ -55,20 +54,21 @@ class Photograph:
         return self.measured or Samples(self.gray)
 
 
-def read_photograph(path: Path, reading: Reading = AS_IMAGES) -> Photograph:
+def read_photograph(path: Path, reading: Reading = AS_IMAGES, *, hashed: bool = False) -> Photograph:
     """Return what detectors look at in an image, a camera raw file, a bare mosaic or a header-less file.
 
-    Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the colours asked for.
+    hashed: with its hash. Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the
+    colours asked for.
     """
     suffix = path.suffix.lower()
-    content = None if suffix in _READ_IN_PARTS else read_bytes(path)
+    content = None if suffix in HEADERLESS_SUFFIXES else read_bytes(path)  # those may be far longer than a frame
     with Located(path):
         if is_raw(path, reading):
             layout = reading.layout if suffix in HEADERLESS_SUFFIXES else NO_LAYOUT
             found = photograph_of(read_mosaic(path, reading.pattern, layout, content), reading)
         else:
             found = _of_image(load(path, content=content), reading)
-    return replace(found, sha256=sha256(path) if content is None else hashlib.sha256(content).hexdigest())
+    return replace(found, sha256=hashlib.sha256(content).hexdigest()) if hashed and content is not None else found
 
 
 def is_raw(path: Path, reading: Reading) -> bool:

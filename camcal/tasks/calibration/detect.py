@@ -178,7 +178,7 @@ def _seen(
     images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress
 ) -> tuple[list[Detection], list[CamcalError]]:
     """Return what images show, and why others could not be read."""
-    work = partial(detect_file, reading=options.reading, parts=options.parts)
+    work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True)
     tasks = [(path, board) for path in images]
     outcomes = list(search(work, tasks, options.jobs, "detecting", progress)) if images else []
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]

@@ -294,14 +294,15 @@ def _ends_in(task: tuple[str, Path | Frame, Detection], reading: Reading, board:
     return ends_after(_gray(source, reading), board, rows, view.ids, view.pixels)
 
 
-def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False) -> Detection:
-    """Return what an image file shows of a board, also in each colour if the reading asks for them.
+def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False, hashed: bool = False) -> Detection:
+    """Return what an image file shows of a board, also in each colour if the reading asks for them; hashed: with the
+    hash of the file.
 
     Raises FileError or InvalidInput if it cannot be read.
     """
     path, board = task
     require_cell(path)
-    photograph = read_photograph(path, reading)
+    photograph = read_photograph(path, reading, hashed=hashed)
     found = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
     colours = {
         colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
