@@ -1,4 +1,7 @@
-"""The array alias of the house and the two checks that every record uses."""
+"""The types of arrays, and the two checks that every record uses.
+
+Array is an array of any kind; what users receive has the type of its elements. Images are PixelArray.
+"""
 
 from typing import Any
 
@@ -8,6 +11,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from camcal.errors import InvalidInput
 
 Array = NDArray[Any]
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+PixelArray = NDArray[np.uint8 | np.uint16 | np.float32]
 Shape = tuple[int | None, ...]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
@@ -85,14 +85,14 @@ class Calibration:
     sigma_px: float
     freedom: int
     rms_px: float
-    residuals: Array
-    pixels: Array
+    residuals: FloatArray
+    pixels: FloatArray
     iterations: int
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     floor_px: float | None = None
     model_error_px: float | None = None
     held_by_prior: tuple[str, ...] = ()
-    noise_covariance: Array | None = None
+    noise_covariance: FloatArray | None = None
     within_views: WithinViews = field(default_factory=WithinViews)
     between_views: BetweenViews = field(default_factory=BetweenViews)
     two_cameras: TwoCameras | None = None

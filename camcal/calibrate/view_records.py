@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.fit import Fit
 from camcal.calibrate.noise import median_limit
 from camcal.geometry.pose import Pose
@@ -26,7 +26,7 @@ class View:
     kept: int = 0
     rms_px: float | None = None
     camera_T_board: Pose | None = None
-    pose_covariance: Array | None = None
+    pose_covariance: FloatArray | None = None
     turned: int = 0
     reason: str | None = None
     rejected: bool = False
@@ -43,8 +43,8 @@ class RejectedCorner:
 
     image: str
     id: int
-    pixel: Array
-    residual: Array
+    pixel: FloatArray
+    residual: FloatArray
 
     @property
     def distance(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.model import Parameter
+from camcal.cameras.model import OPENCV, Parameter
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
 
 # In OpenCV's order. The typical barrel stays one-to-one at any field of view.
@@ -69,10 +69,10 @@ class Brown(PlaneModel):
 
 
 MODELS = (
-    Brown("pinhole", (), "perspective, without distortion"),
-    Brown("opencv4", COEFFICIENTS[:4], "two radial terms, two tangential", ("radtan",)),
-    Brown("opencv5", COEFFICIENTS[:5], "three radial terms, two tangential", ("plumb_bob",)),
-    Brown("opencv8", COEFFICIENTS[:8], "rational in the radius", ("rational_polynomial",)),
-    Brown("opencv12", COEFFICIENTS[:12], "with thin prism terms"),
-    Brown("opencv14", COEFFICIENTS[:14], "with a tilted sensor"),
+    Brown("pinhole", (), "perspective, without distortion", opencv=OPENCV),
+    Brown("opencv4", COEFFICIENTS[:4], "two radial terms, two tangential", ("radtan",), opencv=OPENCV),
+    Brown("opencv5", COEFFICIENTS[:5], "three radial terms, two tangential", ("plumb_bob",), opencv=OPENCV),
+    Brown("opencv8", COEFFICIENTS[:8], "rational in the radius", ("rational_polynomial",), opencv=OPENCV),
+    Brown("opencv12", COEFFICIENTS[:12], "with thin prism terms", opencv=OPENCV),
+    Brown("opencv14", COEFFICIENTS[:14], "with a tilted sensor", opencv=OPENCV),
 )

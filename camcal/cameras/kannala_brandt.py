@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.model import Parameter
+from camcal.cameras.model import FISHEYE, Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
 
 SERIES_ANGLE = 1e-4
@@ -83,6 +83,8 @@ class KannalaBrandt(PlaneModel):
 
 
 MODELS = (
-    KannalaBrandt("kannala_brandt4", RADIAL[:4], "wide lenses, beyond 180° as well", ("fisheye", "equidistant")),
+    KannalaBrandt(
+        "kannala_brandt4", RADIAL[:4], "wide lenses, beyond 180° as well", ("fisheye", "equidistant"), FISHEYE
+    ),
     KannalaBrandt("kannala_brandt5t", (*RADIAL, *TANGENTIAL), "wide lenses with decentred elements"),
 )

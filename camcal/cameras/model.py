@@ -7,20 +7,22 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly, require_shape
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 
 LAST = 3
+OPENCV, FISHEYE = "cv2", "cv2.fisheye"
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
     """Pixels (N, 2), NaN where not valid, and the mask (N,) of points inside the model's domain."""
 
-    pixels: Array
-    valid: Array
+    pixels: FloatArray
+    valid: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,19 +34,19 @@ class ProjectionJacobians:
     Both are views of arrays laid out (2, 3, N) and (2, K, N), the fast order for the solver's sums over points.
     """
 
-    pixels: Array
-    valid: Array
-    d_point: Array
-    d_parameters: Array
-    columns: Array | None = None
+    pixels: FloatArray
+    valid: BoolArray
+    d_point: FloatArray
+    d_parameters: FloatArray
+    columns: IntArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
     """Unit directions (N, 3) in the camera frame, NaN where not valid, and the mask (N,)."""
 
-    directions: Array
-    valid: Array
+    directions: FloatArray
+    valid: BoolArray
 
 
 @dataclass(frozen=True)
@@ -62,10 +64,11 @@ class CameraModel(Protocol):
     """A lens model: a frozen value without state, so that one instance serves every camera of its kind.
 
     It owns all that is known of its kind. aliases: other names people have for it. summary: what it is, in a few words.
-    is_view: whether images are undistorted to it, rather than taken with it. stages: which parameters a calibration
-    frees first, which then; colour_stages: in which parameters the colours of one lens are let differ first, and then.
-    prior_std, prior_mean: the weak priors, inf for none; `start` has the same means. typical: the parameters that are
-    not zero in an ordinary lens. limits: what values a parameter may have in a file.
+    is_view: whether images are undistorted to it, rather than taken with it. opencv: the part of OpenCV that has this
+    model, its coefficients in the same order, "cv2" or "cv2.fisheye"; empty for none. stages: which parameters a
+    calibration frees first, which then; colour_stages: in which parameters the colours of one lens are let differ
+    first, and then. prior_std, prior_mean: the weak priors, inf for none; `start` has the same means. typical: the
+    parameters that are not zero in an ordinary lens. limits: what values a parameter may have in a file.
 
     Points are in the camera frame (x right, y down, z forward, any unit); pixels have (0, 0) at the centre of the
     top-left pixel. Nothing raises on a point it cannot take: it is marked invalid and its numbers are NaN.
@@ -82,13 +85,15 @@ class CameraModel(Protocol):
     @property
     def is_view(self) -> bool: ...
     @property
+    def opencv(self) -> str: ...
+    @property
     def parameter_names(self) -> tuple[str, ...]: ...
     @property
     def stages(self) -> tuple[tuple[str, ...], ...]: ...
     @property
     def colour_stages(self) -> tuple[tuple[str, ...], ...]: ...
     @property
-    def prior_mean(self) -> Array: ...
+    def prior_mean(self) -> FloatArray: ...
     @property
     def typical(self) -> Mapping[str, float]: ...
     @property
@@ -101,9 +106,9 @@ class CameraModel(Protocol):
     def unproject(self, parameters: Array, pixels: Array) -> Rays: ...
     def domain(self, parameters: Array) -> Domain: ...
     def is_pinhole(self, parameters: Array) -> bool: ...
-    def rescale(self, parameters: Array, scale: tuple[float, float], offset: tuple[float, float]) -> Array: ...
-    def start(self, image_size: tuple[int, int], focal: float) -> Array: ...
-    def prior_std(self, image_size: tuple[int, int], focal: float) -> Array: ...
+    def rescale(self, parameters: Array, scale: tuple[float, float], offset: tuple[float, float]) -> FloatArray: ...
+    def start(self, image_size: tuple[int, int], focal: float) -> FloatArray: ...
+    def prior_std(self, image_size: tuple[int, int], focal: float) -> FloatArray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +120,8 @@ class Camera:
 
     model: CameraModel
     image_size: tuple[int, int]
-    parameters: Array
-    covariance: Array | None = None
+    parameters: FloatArray
+    covariance: FloatArray | None = None
     fixed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -128,13 +133,54 @@ class Camera:
         if unknown:
             raise InvalidInput(f"{self.model.name} has no parameter {min(unknown)!r}")
 
-    def project(self, points: Array) -> Projection:
-        """Return the pixels of points (N, 3) in the camera frame."""
-        return self.model.project(self.parameters, points)
+    @classmethod
+    def from_opencv(
+        cls, K: ArrayLike, dist: ArrayLike | None, size: tuple[int, int], *, fisheye: bool = False
+    ) -> "Camera":
+        """Return the camera of OpenCV's camera matrix K (3, 3), pixels, and distortion coefficients.
 
-    def unproject(self, pixels: Array) -> Rays:
+        dist: as many coefficients as OpenCV takes (0, 4, 5, 8, 12 or 14; of cv2.fisheye 4), None for none. size: width
+        and height of the images. Raises InvalidInput for a matrix with skew, or another number of coefficients.
+        """
+        from camcal.cameras.catalogue import MODELS
+
+        matrix = require_shape(K, (3, 3), "the camera matrix")
+        coefficients = np.zeros(0) if dist is None else np.asarray(dist, np.float64).ravel()
+        fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+        if not (np.isfinite(matrix).all() and fx > 0 and fy > 0):
+            raise InvalidInput(f"a camera matrix has positive focal lengths, found fx = {fx:g}, fy = {fy:g}")
+        if not np.array_equal(matrix, [(fx, 0, cx), (0, fy, cy), (0, 0, 1)]):
+            raise InvalidInput("a camera matrix is (fx 0 cx, 0 fy cy, 0 0 1); skew is not supported")
+        module = FISHEYE if fisheye else OPENCV
+        known = {len(model.parameter_names) - 4: model for model in MODELS.values() if model.opencv == module}
+        if len(coefficients) not in known:
+            counts = ", ".join(map(str, sorted(known)))
+            raise InvalidInput(f"{module} takes {counts} distortion coefficients, found {len(coefficients)}")
+        return cls(known[len(coefficients)], size, np.concatenate([(fx, fy, cx, cy), coefficients]))
+
+    @property
+    def K(self) -> FloatArray:  # noqa: N802 - its name everywhere
+        """The camera matrix (3, 3): fx 0 cx, 0 fy cy, 0 0 1, pixels."""
+        fx, fy, cx, cy = self.parameters[:4].tolist()
+        return np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
+
+    @property
+    def dist(self) -> FloatArray:
+        """The distortion coefficients (N,) as OpenCV takes them; of cv2.fisheye for a fisheye lens.
+
+        Raises InvalidInput for a lens model that OpenCV does not have.
+        """
+        if not self.model.opencv:
+            raise InvalidInput(f"OpenCV has no lens model {self.model.name}: it has no distortion coefficients for it")
+        return self.parameters[4:].copy()
+
+    def project(self, points: ArrayLike) -> Projection:
+        """Return the pixels of points (N, 3) in the camera frame."""
+        return self.model.project(self.parameters, require_shape(points, (None, 3), "points"))
+
+    def unproject(self, pixels: ArrayLike) -> Rays:
         """Return the unit rays of pixels (N, 2)."""
-        return self.model.unproject(self.parameters, pixels)
+        return self.model.unproject(self.parameters, require_shape(pixels, (None, 2), "pixels"))
 
     def value(self, name: str) -> float:
         """Return one parameter by its name, such as 'fx'."""

@@ -69,6 +69,7 @@ class PlaneModel(ABC):
     coefficients: tuple[Parameter, ...] = ()
     summary: str = ""
     aliases: tuple[str, ...] = ()
+    opencv: str = ""
 
     plane_parameters: ClassVar[tuple[Parameter, ...]] = ()
     is_view: ClassVar[bool] = False

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray
 from camcal.cameras.model import Camera
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
@@ -27,12 +27,12 @@ class ImageCircle:
     centre: tuple[float, float]
     radius: float
 
-    def contains(self, pixels: Array) -> Array:
+    def contains(self, pixels: Array) -> BoolArray:
         """Return the mask (...) of pixels (..., 2) inside the circle; those that are NaN are not."""
         apart = pixels - np.array(self.centre)
         return np.asarray(np.hypot(apart[..., 0], apart[..., 1]) <= self.radius)
 
-    def clipped(self, start: Array, ends: Array) -> Array:
+    def clipped(self, start: Array, ends: Array) -> BoolArray:
         """Return ends (N, 2) of lines from `start` (2,), px, those outside of the circle moved along their line to it.
 
         All stay where they are if the start itself is outside.

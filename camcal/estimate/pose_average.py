@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -36,10 +36,10 @@ class PoseAverage:
     """
 
     pose: Pose
-    covariance: Array
-    weights: Array
-    offsets: Array
-    angles: Array
+    covariance: FloatArray
+    weights: FloatArray
+    offsets: FloatArray
+    angles: FloatArray
     chi_square: float | None
     freedom: int
 

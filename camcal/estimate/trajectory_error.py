@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
@@ -42,8 +42,8 @@ class ErrorFigures:
 class Similarity:
     """A rotation (3, 3), a translation (3,) and a scale: p' = scale R p + t."""
 
-    rotation: Array
-    translation: Array
+    rotation: FloatArray
+    translation: FloatArray
     scale: float = 1.0
 
     def apply(self, trajectory: Trajectory) -> Trajectory:

@@ -58,12 +58,12 @@ def write(path: Path, board: Board) -> None:
     files.write_text(path, emit.document(block(board), "camcal board file"))
 
 
-def load_board(text: str) -> Board:
+def load_board(text: str | Path) -> Board:
     """Return the board that `text` means: the path of a YAML file, or a short form such as chessboard:9x6:25mm."""
     path = Path(text)
     if path.suffix.lower() in SUFFIXES or path.is_file():
         return read(path)
-    return parse_board(text)
+    return parse_board(str(text))
 
 
 def _check_file(data: Any, path: str) -> Iterator[Fault]:

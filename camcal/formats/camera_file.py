@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import FloatArray, readonly
 from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
@@ -28,7 +28,7 @@ class ValidRegion:
 
     max_theta: float | None = None
     max_radius_px: float | None = None
-    polygon: Array | None = None
+    polygon: FloatArray | None = None
     image_circle: ImageCircle | None = None
 
     def __post_init__(self) -> None:
@@ -109,7 +109,7 @@ class Transform:
     """A pose a_T_b in metres and its covariance (6, 6), order tx ty tz rx ry rz, m and rad."""
 
     pose: Pose
-    covariance: Array | None = None
+    covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.covariance is not None:
@@ -121,7 +121,7 @@ class JointCovariance:
     """The covariance (N, N) of parameters of several cameras and transforms, such as left.fx and right_T_left.tx."""
 
     names: tuple[str, ...]
-    matrix: Array
+    matrix: FloatArray
 
     def __post_init__(self) -> None:
         count = len(self.names)

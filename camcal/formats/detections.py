@@ -52,20 +52,22 @@ MAX_SIDE = 1_000_000
 Placed = tuple[int, Detection]  # with the line on which the file first names the image
 
 
-def read(path: Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
+def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
     """Return the detections in a file, views in the order in which it first names them.
 
     board: what was looked for; it takes the place of the board a CSV names, and a .vnl names none. image_size: of the
     images of a .vnl, one (width, height) or a function of the image's name; a CSV has its own.
     Raises InvalidInput with file and line for the first row that breaks a rule, FileError if the file cannot be read.
     """
+    path = Path(path)
     if path.suffix.lower() == vnl.SUFFIX:
         return vnl.read(path, board, image_size)
     return read_csv(path, board)
 
 
-def write(path: Path, detections: Detections) -> None:
+def write(path: str | Path, detections: Detections) -> None:
     """Write detections in the form the file's suffix says; raises InvalidInput for what the form cannot hold."""
+    path = Path(path)
     form = vnl.text if path.suffix.lower() == vnl.SUFFIX else _csv_text
     files.write_text(path, form(detections))
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, Float32Array, readonly
 from camcal.errors import FileError, InvalidInput
 from camcal.files import natural_key, read_bytes, replacing
 from camcal.formats import disparity_sidecar
@@ -48,7 +48,7 @@ class DisparityMap:
     and what is zero or negative. sidecar: what stands beside the file, None if nothing does.
     """
 
-    values: Array
+    values: Float32Array
     scale: float
     invalid: str = ZERO
     sidecar: Sidecar | None = None
@@ -56,7 +56,7 @@ class DisparityMap:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", readonly(self.values, (None, None), "disparity", np.float32))
 
-    def matched(self) -> Array:
+    def matched(self) -> Float32Array:
         """Return the disparity (H, W), float32 pixels, NaN wherever there is no match."""
         known = np.isfinite(self.values)
         if self.invalid == ZERO:
@@ -79,7 +79,7 @@ class Written:
     remark: str | None = None
 
 
-def read(path: Path, scale: float | None = None, invalid: str | None = None) -> DisparityMap:
+def read(path: str | Path, scale: float | None = None, invalid: str | None = None) -> DisparityMap:
     """Return the disparity map of a file.
 
     scale, invalid: as in `DisparityMap`; without them what the sidecar says, and without one 256 for unsigned and 16
@@ -87,6 +87,7 @@ def read(path: Path, scale: float | None = None, invalid: str | None = None) -> 
     Raises FileError if the file cannot be read, InvalidInput if it is in colour, holds several arrays, the scale is not
     positive or the code is unknown.
     """
+    path = Path(path)
     values = _gray(_read_values(path), path)
     sidecar = disparity_sidecar.read(path)
     if scale is None:
@@ -112,7 +113,7 @@ def maps_in(folder: Path) -> list[Path]:
     return sorted(maps, key=lambda path: natural_key(path.name))
 
 
-def write(path: Path, values: Array, *, scale: float | None = None) -> Written:
+def write(path: str | Path, values: Array, *, scale: float | None = None) -> Written:
     """Write a disparity map (H, W), pixels, in the form that the suffix names; return how.
 
     values: what is not finite means "no match". PFM, TIFF, EXR and NumPy files hold them as float32. A PNG holds
@@ -120,6 +121,7 @@ def write(path: Path, values: Array, *, scale: float | None = None) -> Written:
     0. scale: of a PNG.
     Raises InvalidInput if the type of file is unknown or cannot hold the values, FileError if it cannot be written.
     """
+    path = Path(path)
     require_suffix(path)
     suffix = path.suffix.lower()
     if suffix == ".png":

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.arrays import Array, readonly
+from camcal.arrays import FloatArray, readonly
 from camcal.errors import InvalidInput, Located
 from camcal.formats.documents import Fault, parse_json
 from camcal.formats.emit import rounded
@@ -56,7 +56,7 @@ class Sidecar:
     searched: tuple[int, int] | None = None
     matcher: Mapping[str, Any] = field(default_factory=dict)
     inputs: Mapping[str, SourceFile] = field(default_factory=dict)
-    camera_R_rectified: Array | None = None
+    camera_R_rectified: FloatArray | None = None
     relative_sigma: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:

@@ -75,11 +75,12 @@ class LooseTransform:
         return NamedTransform(target, source, pose, self.covariance, self.where)
 
 
-def read(path: Path) -> tuple[NamedTransform, ...]:
+def read(path: str | Path) -> tuple[NamedTransform, ...]:
     """Return the transforms of a file, in its order; poses of a pose file all have one name, `where` has the image.
 
     Raises FileError if it cannot be read or is of another type, InvalidInput with the line of every fault.
     """
+    path = Path(path)
     if path.suffix.lower() == ".csv":
         return _of_poses(path)
     document = load_either(path)
@@ -217,11 +218,12 @@ def _covariance(data: Mapping[str, Any]) -> Array | None:
     return np.array(data["covariance"], dtype=float) if "covariance" in data else None
 
 
-def write(path: Path, transforms: Sequence[NamedTransform], form: Form | None = None) -> None:
+def write(path: str | Path, transforms: Sequence[NamedTransform], form: Form | None = None) -> None:
     """Write transforms as YAML or JSON by the file's suffix, rotations as `block` does.
 
     Raises InvalidInput for two transforms of one name, and as `block` does.
     """
+    path = Path(path)
     names = [transform.name for transform in transforms]
     if len(set(names)) < len(names):
         raise InvalidInput(f"two transforms are named {max(names, key=names.count)!r}", where=str(path))

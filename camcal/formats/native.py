@@ -31,7 +31,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InvalidInput
 from camcal.formats import covariance, documents, emit, native_entry, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
+from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform, ValidRegion
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import Fault, child
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
@@ -72,12 +72,13 @@ _FILE = mapping(
 )
 
 
-def read(path: Path, progress: Progress = SILENT) -> CameraFile:
+def read(path: str | Path, progress: Progress = SILENT) -> CameraFile:
     """Return the content of a camera file, with warnings about what looks wrong in it and of cameras that are not to be
     trusted; progress is told of them.
 
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is no YAML.
     """
+    path = Path(path)
     file = from_document(documents.load(path, check), path.parent)
     for warning in file.warnings:
         progress.warn(warning)
@@ -104,11 +105,12 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
     return replace(file, warnings=tuple(map(document.message, findings)))
 
 
-def read_camera(path: Path, name: str | None = None) -> Camera:
+def read_camera(path: str | Path, name: str | None = None) -> Camera:
     """Return one camera of a file; the name may be left out where there is only one.
 
     Raises InvalidInput if it is not clear which one is meant.
     """
+    path = Path(path)
     return select(read(path), name, str(path)).camera
 
 
@@ -123,11 +125,15 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
     return file.cameras[name or names[0]]
 
 
-def write(path: Path, file: CameraFile) -> None:
-    """Write a camera file: the same content gives the same bytes, and what is written passes `check`.
+def write(path: str | Path, file: CameraFile | Camera) -> None:
+    """Write a camera file, or a camera alone, under the name `camera`: the same content gives the same bytes, and what
+    is written passes `check`.
 
     Raises InvalidInput if the content breaks a rule, FileError if the file cannot be written.
     """
+    path = Path(path)
+    if isinstance(file, Camera):
+        file = CameraFile({"camera": CameraEntry(file, valid=ValidRegion.of(file))})
     comment = COMMENT + TRANSFORMS if file.transforms else COMMENT
     content = emit.document(_block(file, path), comment)
     documents.parse(content, str(path), check)

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from camcal import files
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import emit
 from camcal.geometry import rotation as so3
@@ -75,8 +75,8 @@ class LoosePose:
     last row against 0 0 0 1, or of a dual quaternion's real part along its dual one.
     """
 
-    matrix: Array
-    translation: Array
+    matrix: FloatArray
+    translation: FloatArray
     norm: float | None = None
     strays: float = 0.0
 
@@ -112,7 +112,7 @@ class Form:
         words = {"quat": f":{self.quaternion}", "rvec": f":{self.unit}"}
         return self.kind + words.get(self.kind, "")
 
-    def numbers(self, pose: Pose) -> Array:
+    def numbers(self, pose: Pose) -> FloatArray:
         """Return a pose as numbers, translation and rotation."""
         if self.kind in {"matrix", "kitti"}:
             return pose.matrix()[: 3 if self.kind == "kitti" else 4].ravel()

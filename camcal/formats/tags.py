@@ -67,12 +67,12 @@ def write(path: Path, tags: TagObjects) -> None:
     files.write_text(path, emit.document(block(tags), "camcal tag file"))
 
 
-def load_tags(text: str) -> TagObjects:
+def load_tags(text: str | Path) -> TagObjects:
     """Return the tags that `text` means: the path of a YAML file, or a short form such as tag36h11:53mm:0,1,5."""
     path = Path(text)
     if path.suffix.lower() in SUFFIXES or path.is_file():
         return read(path)
-    return parse_tags(text)
+    return parse_tags(str(text))
 
 
 def parse_tags(text: str) -> TagObjects:

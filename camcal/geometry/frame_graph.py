@@ -11,7 +11,7 @@ from functools import reduce
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import FloatArray
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
@@ -43,7 +43,7 @@ class Loop:
 
     names: tuple[str, ...]
     residual: Pose
-    covariance: Array | None
+    covariance: FloatArray | None
 
     @property
     def offset(self) -> float:

@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 
@@ -19,8 +19,8 @@ Key = TypeVar("Key")
 class Pose:
     """A rotation (3, 3) and a translation (3,): p_a = rotation @ p_b + translation."""
 
-    rotation: Array
-    translation: Array
+    rotation: FloatArray
+    translation: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rotation", readonly(self.rotation, (3, 3), "rotation"))
@@ -47,15 +47,15 @@ class Pose:
         """Return b_T_a from a_T_b."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation)
 
-    def apply(self, points: Array) -> Array:
+    def apply(self, points: Array) -> FloatArray:
         """Return points (..., 3) given in b in the coordinates of a."""
         return np.asarray(points @ self.rotation.T + self.translation)
 
-    def vector(self) -> Array:
+    def vector(self) -> FloatArray:
         """Return the rotation vector (3,) in radians."""
         return so3.log(self.rotation)
 
-    def matrix(self) -> Array:
+    def matrix(self) -> FloatArray:
         """Return the homogeneous matrix (4, 4)."""
         result = np.eye(4)
         result[:3, :3], result[:3, 3] = self.rotation, self.translation
@@ -116,12 +116,12 @@ class Trajectory:
     """
 
     frames: str
-    stamps: Array
-    rotations: Array
-    translations: Array
-    covariances: Array | None = None
-    velocities: Array | None = None
-    segments: Array | None = None
+    stamps: FloatArray
+    rotations: FloatArray
+    translations: FloatArray
+    covariances: FloatArray | None = None
+    velocities: FloatArray | None = None
+    segments: IntArray | None = None
 
     def __post_init__(self) -> None:
         count = len(self.stamps)
@@ -170,7 +170,7 @@ class NamedTransform:
     target: str
     source: str
     pose: Pose
-    covariance: Array | None = None
+    covariance: FloatArray | None = None
     where: str = ""
 
     def __post_init__(self) -> None:
@@ -219,7 +219,7 @@ class Derived(Generic[Key]):
     """
 
     pose: Pose
-    by: Mapping[Key, Array]
+    by: Mapping[Key, FloatArray]
 
     @classmethod
     def of(cls, key: Key, pose: Pose) -> "Derived[Key]":
@@ -239,7 +239,7 @@ class Derived(Generic[Key]):
         jacobian = inverse_jacobian(self.pose)
         return Derived(self.pose.inverse(), {key: jacobian @ own for key, own in self.by.items()})
 
-    def covariance(self, covariances: Mapping[Key, Array | None]) -> Array | None:
+    def covariance(self, covariances: Mapping[Key, Array | None]) -> FloatArray | None:
         """Return the covariance (6, 6), to first order, from those of the poses it is made of, which are independent.
 
         None counts as exact; where no pose has a covariance, the result has none.

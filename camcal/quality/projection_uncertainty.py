@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, BoolArray, FloatArray, readonly
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
@@ -26,10 +26,10 @@ class ProjectionUncertainty:
     image. inside: (N,) pixels in the convex hull of the corners that were seen, None where they are not known.
     """
 
-    u: Array
-    v: Array
-    covariances: Array
-    inside: Array | None = None
+    u: FloatArray
+    v: FloatArray
+    covariances: FloatArray
+    inside: BoolArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "u", readonly(self.u, (None,), "u"))
@@ -40,17 +40,17 @@ class ProjectionUncertainty:
             object.__setattr__(self, "inside", readonly(self.inside, (count,), "inside", bool))
 
     @property
-    def pixels(self) -> Array:
+    def pixels(self) -> FloatArray:
         """The pixels (N, 2) of the grid, row by row."""
         return _pixels(self.u, self.v)
 
     @property
-    def std_rms(self) -> Array:
+    def std_rms(self) -> FloatArray:
         """The RMS over all image directions of the standard deviation (N,), px."""
         return np.asarray(np.sqrt(np.trace(self.covariances, axis1=1, axis2=2) / 2))
 
     @property
-    def std_worst(self) -> Array:
+    def std_worst(self) -> FloatArray:
         """The standard deviation (N,) in the image direction in which it is largest, px."""
         a, b, c = self.covariances[:, 0, 0], self.covariances[:, 0, 1], self.covariances[:, 1, 1]
         return np.asarray(np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b)))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, PixelArray
 from camcal.errors import InvalidInput
 from camcal.raw.dng import dng_bytes
 from camcal.raw.linear_filters import bilinear, edge_aware, green, half, malvar
@@ -59,7 +59,7 @@ def demosaic(
     white: float | None = None,
     linear: bool | None = None,
     each: Each = one_by_one,
-) -> Array:
+) -> PixelArray:
     """Return what the algorithm makes of a mosaic (H, W), in its type: colour (H, W, 3) or, see ALGORITHMS, another.
 
     values: uint8, uint16 or float32; white balance belongs before this step. white: by default the full scale of the

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
@@ -40,9 +40,9 @@ class Corrections:
     dark: counts without light, float32. bad: true where a pixel is to be replaced. flat: what light is divided by.
     """
 
-    dark: Array | None = None
-    bad: Array | None = None
-    flat: Array | None = None
+    dark: Float32Array | None = None
+    bad: BoolArray | None = None
+    flat: Float32Array | None = None
 
     @property
     def change_light(self) -> bool:
@@ -69,7 +69,7 @@ class Picture:
     filter took the counts for linear light. clipped: share of the samples at or above white, by place of the cell.
     """
 
-    pixels: Array
+    pixels: PixelArray
     gains: Gains | None
     linear: bool
     clipped: tuple[float, ...]

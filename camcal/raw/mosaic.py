@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, PixelArray, readonly
 from camcal.errors import InvalidInput
 from camcal.raw.options import MONO, PATTERNS
 
@@ -39,12 +39,12 @@ class Mosaic:
     orientation: the EXIF tag 1 … 8, how to turn the image for looking at it; never applied.
     """
 
-    values: Array
+    values: PixelArray
     pattern: str
-    black: Array
+    black: FloatArray
     white: float
-    camera_gains: Array | None = None
-    camera_M_xyz: Array | None = None
+    camera_gains: FloatArray | None = None
+    camera_M_xyz: FloatArray | None = None
     orientation: int = 1
     capture: Capture = Capture()
 

@@ -25,7 +25,7 @@ from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO, NO_LAYO
 
 
 def read_mosaic(
-    path: Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT, content: bytes | None = None
+    path: str | Path, pattern: str | None = None, layout: GivenLayout = NO_LAYOUT, content: bytes | None = None
 ) -> Mosaic:
     """Return the raw frame of a camera raw file, a bare mosaic (PNG, TIFF, PGM, NPY), or a header-less file.
 
@@ -36,6 +36,7 @@ def read_mosaic(
     missing (with the layouts that fit the file), or if the pattern contradicts the file, or a layout is given for one
     that says its own.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     with Located(path):
         if suffix in HEADERLESS_SUFFIXES:

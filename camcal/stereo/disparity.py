@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Float32Array, readonly
 
 
 class Confidence(IntEnum):
@@ -29,9 +30,9 @@ class Disparity:
     and at the upper end of it, whether it is believed or not.
     """
 
-    values: Array
-    sigma: Array
-    confidence: Array
+    values: Float32Array
+    sigma: Float32Array
+    confidence: NDArray[np.uint8]
     searched: tuple[int, int]
     at_ends: tuple[float, float] = (0.0, 0.0)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray, IntArray
 from camcal.errors import InvalidInput
 from camcal.targets.board_types import (
     APRILGRID,
@@ -128,7 +128,7 @@ class Board:
         size = f"{self.columns + kind.border}x{self.rows + kind.border}"
         return kind.words.format(size=size) + (" and three dots" if self.dots else "")
 
-    def points(self) -> Array:
+    def points(self) -> FloatArray:
         """Return the points (count, 3) in `unit`, in the order of their ids, as drawn (z = 0)."""
         return np.column_stack([self._flat(), np.zeros(self.count)])
 
@@ -152,7 +152,7 @@ class Board:
         dots = self.dots and bool(dotted_squares(columns, rows))
         return replace(self, columns=columns, rows=rows, dots=dots)
 
-    def symmetries(self) -> tuple[Array, ...]:
+    def symmetries(self) -> tuple[IntArray, ...]:
         """Return the permutations of ids, the identity first, that a detector cannot tell from each other.
 
         permutation[id] is the id that a turned board shows where `id` is expected. A chessboard with columns + rows

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.cameras.validity import ImageCircle
 from camcal.targets.board import Board
 
@@ -32,9 +32,9 @@ class Detection:
 
     image: str = ""
     size: tuple[int, int] = (0, 0)
-    ids: Array = field(default_factory=lambda: np.zeros(0, np.intp))
-    pixels: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    covariance: Array | None = None
+    ids: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
+    pixels: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    covariance: FloatArray | None = None
     camera: str = ""
     reason: str | None = None
     orientation: int = 1

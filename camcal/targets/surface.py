@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.targets.board import Board
 
 
@@ -72,9 +72,9 @@ class Surface:
     board: Board
     tiers: tuple[str, ...] = ()
     terms: tuple[str, ...] = ()
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    offsets: Array | None = None
+    coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    offsets: FloatArray | None = None
     deflection: float = 0.0
     deflection_std: float = 0.0
     classes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -91,11 +91,11 @@ class Surface:
         """Return the board as drawn."""
         return cls(board)
 
-    def coefficients_std(self) -> Array:
+    def coefficients_std(self) -> FloatArray:
         """Return the standard deviations (S,) of the coefficients."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def points(self) -> Array:
+    def points(self) -> FloatArray:
         """Return the points (C, 3) of the board as it is, in its unit."""
         points = self.board.points() + basis(self.board, self.terms) @ self.coefficients
         return np.asarray(points if self.offsets is None else points + self.offsets)

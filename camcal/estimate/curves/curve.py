@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray, FloatArray
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.curves.expressions import Expression, parse
 
@@ -59,8 +59,8 @@ class Data:
     """
 
     columns: Columns
-    target: Array | None = None
-    sigma: Array | None = None
+    target: FloatArray | None = None
+    sigma: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.target is None else len(self.target)
@@ -143,7 +143,7 @@ class CurveFit:
     parameters: Mapping[str, Estimate]
     derived: Mapping[str, Estimate]
     free: tuple[str, ...]
-    covariance: Array
+    covariance: FloatArray
     goodness: Goodness
     condition: float
     combinations: tuple[Mapping[str, float], ...]
@@ -151,13 +151,13 @@ class CurveFit:
     runs: int
     converged: bool
     reason: str
-    residuals: Array
-    weights: Array
-    leverage: Array
-    bounds: tuple[Array, Array]
+    residuals: FloatArray
+    weights: FloatArray
+    leverage: FloatArray
+    bounds: tuple[FloatArray, FloatArray]
 
     @property
-    def values(self) -> Array:
+    def values(self) -> FloatArray:
         """The parameters (K,)."""
         return np.array([estimate.value for estimate in self.parameters.values()])
 
@@ -167,11 +167,11 @@ class CurveFit:
         return tuple(name for name, estimate in self.parameters.items() if estimate.held == "bound")
 
     @property
-    def outliers(self) -> Array:
+    def outliers(self) -> BoolArray:
         """Which rows (N,) a robust loss leaves less than half of their weight."""
         return np.asarray(self.weights < IGNORED)
 
-    def correlations(self) -> Array:
+    def correlations(self) -> FloatArray:
         """Return the correlations (L, L) of the free parameters."""
         std = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
 from camcal.parsing import did_you_mean
 
@@ -34,8 +34,8 @@ _HINTS: Mapping[type, str] = {
 class Dual:
     """A value (N,) or scalar, and its derivatives (K, N) or (K, 1); None for those of a constant."""
 
-    value: Array
-    slopes: Array | None = None
+    value: FloatArray
+    slopes: FloatArray | None = None
 
     def __add__(self, other: "Dual") -> "Dual":
         return Dual(self.value + other.value, _sum(self.slopes, other.slopes))
@@ -132,7 +132,7 @@ class Expression:
     names: frozenset[str]
     tree: ast.expr
 
-    def value(self, values: Mapping[str, Array | float]) -> Array:
+    def value(self, values: Mapping[str, Array | float]) -> FloatArray:
         """Return the value (N,) where every name has one; complex values are taken too."""
         return self.with_derivatives(values, ()).value
 

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, carried, inverse_jacobian
 
@@ -27,9 +27,9 @@ class Correspondences:
     """
 
     image: str
-    points: Array
-    pixels: Array
-    covariance: Array | None = None
+    points: FloatArray
+    pixels: FloatArray
+    covariance: FloatArray | None = None
     camera: str | None = None
     object: str = ""
     time: float | None = None
@@ -45,7 +45,7 @@ class Correspondences:
                 raise InvalidInput("the covariance of a pixel is not positive", where=self.image)
 
     @property
-    def ids(self) -> Array:
+    def ids(self) -> IntArray:
         """The numbers (N,) of the points, in their order."""
         return np.arange(len(self.points))
 
@@ -69,7 +69,7 @@ class PosePrior:
     """What is known of the pose beforehand: a pose and the covariance (6, 6) of its steps, order tx ty tz rx ry rz."""
 
     pose: Pose
-    covariance: Array
+    covariance: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "the prior's covariance"))
@@ -138,8 +138,8 @@ class Alternative:
     transform: Pose
     chi_square_difference: float
     probability: float
-    covariance: Array | None = None
-    noise_covariance: Array | None = None
+    covariance: FloatArray | None = None
+    noise_covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("covariance", "noise_covariance"):
@@ -178,10 +178,10 @@ class PoseEstimate:
 
     frames: str
     transform: Pose
-    covariance: Array
-    noise_covariance: Array
-    residuals: Array
-    inliers: Array
+    covariance: FloatArray
+    noise_covariance: FloatArray
+    residuals: FloatArray
+    inliers: BoolArray
     sigma_px: float
     noise_scale: float
     freedom: int | None

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray, FloatArray
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.estimate.smoothing.kalman import Consistency, consistency, gate, successive
 from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, Smoothed, kalman_filter, rts
@@ -266,9 +266,9 @@ class MeasurementFit:
     filter's innovations. Smoothed robustly, the last three are those without the outliers.
     """
 
-    weights: Array
-    outliers: Array
-    nis: Array
+    weights: FloatArray
+    outliers: BoolArray
+    nis: FloatArray
     log_likelihood: float
     consistency: Consistency
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InvalidInput
 
 _LOG_2PI = float(np.log(2 * np.pi))
@@ -42,8 +42,8 @@ _ALTERNATING = {
 class Gaussian:
     """A mean (n,) and a covariance (n, n), in the units of the state."""
 
-    mean: Array
-    covariance: Array
+    mean: FloatArray
+    covariance: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", readonly(self.mean, (None,), "mean"))
@@ -63,8 +63,8 @@ class Updated:
     state: Gaussian
     nis: float
     log_likelihood: float
-    innovation_covariance: Array
-    whitened: Array
+    innovation_covariance: FloatArray
+    whitened: FloatArray
 
 
 def predict(state: Gaussian, F: Array, Q: Array, control: Array | None = None) -> Gaussian:
@@ -253,13 +253,13 @@ class ExtendedModel:
     measurement (m,). H(x): its Jacobian (m, n). R: (m, m). difference(y, expected): (m,) their difference as a vector.
     """
 
-    f: Callable[[Array, float], Array]
-    F: Callable[[Array, float], Array]
-    Q: Callable[[Array, float], Array]
-    h: Callable[[Array], Array]
-    H: Callable[[Array], Array]
-    R: Array
-    difference: Callable[[Array, Array], Array] = np.subtract
+    f: Callable[[FloatArray, float], FloatArray]
+    F: Callable[[FloatArray, float], FloatArray]
+    Q: Callable[[FloatArray, float], FloatArray]
+    h: Callable[[FloatArray], FloatArray]
+    H: Callable[[FloatArray], FloatArray]
+    R: FloatArray
+    difference: Callable[[FloatArray, FloatArray], FloatArray] = np.subtract
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +272,7 @@ class ExtendedRun:
     predicted: tuple[Gaussian, ...]
     states: tuple[Gaussian, ...]
     updates: tuple[Updated | None, ...]
-    transitions: Array
+    transitions: FloatArray
 
     @property
     def log_likelihood(self) -> float:

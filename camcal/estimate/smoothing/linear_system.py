@@ -20,7 +20,7 @@ from math import factorial
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InsufficientData
 from camcal.estimate.smoothing.kalman import Gaussian, Updated, predict, smooth_back, update
 
@@ -281,7 +281,7 @@ class MotionModel:
         """The names of what is estimated along an axis, position first."""
         return MODELS[self.name]
 
-    def transition(self, steps: Array) -> Array:
+    def transition(self, steps: Array) -> FloatArray:
         """Return F (K, n, n) of steps (K,) in seconds: what Taylor makes of the state."""
         size = len(self.states)
         result = np.zeros((len(steps), size, size))
@@ -290,7 +290,7 @@ class MotionModel:
                 result[:, row, column] = steps ** (column - row) / factorial(column - row)
         return result
 
-    def noise(self, steps: Array) -> Array:
+    def noise(self, steps: Array) -> FloatArray:
         """Return the covariance (K, n, n) that noise of q = 1 adds in steps (K,) of seconds."""
         return self._held(steps) if self.form == "discrete" else self._integrated(steps)
 

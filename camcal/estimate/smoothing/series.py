@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.batch import MeasurementFit, require_size, smooth_system
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
@@ -20,10 +20,10 @@ class Series:
     """
 
     names: tuple[str, ...]
-    stamps: Array
-    values: Array
-    sigma: Array | None = None
-    controls: Array | None = None
+    stamps: FloatArray
+    values: FloatArray
+    sigma: FloatArray | None = None
+    controls: FloatArray | None = None
 
     def __post_init__(self) -> None:
         shape = (len(self.stamps), len(self.names))
@@ -60,8 +60,8 @@ class SmoothedSeries(MeasurementFit):
 
     series: Series
     motion: MotionModel
-    states: Array
-    covariances: Array
+    states: FloatArray
+    covariances: FloatArray
     q: float
     sigma: float | None
 

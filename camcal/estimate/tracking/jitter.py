@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.geometry import rotation as so3
 
 _START = 2e-3  # rad, or share of the distance: first guess
@@ -63,7 +63,7 @@ class Shaking:
         """Whether anything shakes."""
         return max(self.camera_turn, self.object_shift, self.object_turn) > 0
 
-    def covariance(self, translations: Array) -> Array:
+    def covariance(self, translations: Array) -> FloatArray:
         """Return the covariances (N, 6, 6) of the shakes of poses; translations: (N, 3) m."""
         return np.asarray(sum(self._parts(translations)))
 

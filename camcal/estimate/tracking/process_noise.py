@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.free_motion import FreeMotion, MotionState, difference
@@ -61,7 +61,7 @@ class ProcessNoise:
                 raise InvalidInput(f"the process noise of {name} must be more than 0, found {value:g}")
 
     @property
-    def densities(self) -> Array:
+    def densities(self) -> FloatArray:
         """Both as (2,)."""
         return np.array([self.translation, self.rotation])
 

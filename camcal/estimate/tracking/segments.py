@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.estimate.smoothing.kalman import gate
@@ -40,9 +40,9 @@ class FramePose(Protocol):
     @property
     def transform(self) -> Pose: ...
     @property
-    def covariance(self) -> Array: ...
+    def covariance(self) -> FloatArray: ...
     @property
-    def noise_covariance(self) -> Array: ...
+    def noise_covariance(self) -> FloatArray: ...
     @property
     def alternatives(self) -> tuple[Alternative, ...]: ...
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
 from camcal.estimate.tracking.jitter import Jitter, Shaking, jitter
@@ -53,21 +53,21 @@ class Track:
     """
 
     frames: str
-    stamps: Array
+    stamps: FloatArray
     states: tuple[str, ...]
-    segments: Array
-    rotations: Array
-    translations: Array
-    velocities: Array
-    covariances: Array
-    nis: Array
-    candidates: Array
+    segments: IntArray
+    rotations: FloatArray
+    translations: FloatArray
+    velocities: FloatArray
+    covariances: FloatArray
+    nis: FloatArray
+    candidates: IntArray
     noise: ProcessNoise
     jerks: tuple[int, ...]
     consistency: Consistency | None
     before: Jitter
     after: Jitter
-    p_wrong: Array
+    p_wrong: FloatArray
     shaking: Shaking | None = None
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ class Track:
             object.__setattr__(self, name, readonly(getattr(self, name), (count,), name, np.int64))
 
     @property
-    def posed(self) -> Array:
+    def posed(self) -> BoolArray:
         """The mask (N,) of the frames with a pose."""
         return np.isfinite(self.translations[:, 0])
 

@@ -37,22 +37,24 @@ SUFFIXES = tuple(_FORMATS)
 LASER_SUFFIXES = (".las", ".laz")
 
 
-def write(path: Path, stream: VertexStream, *, ascii_text: bool = False) -> None:
+def write(path: str | Path, stream: VertexStream, *, ascii_text: bool = False) -> None:
     """Write a cloud as its suffix says, in one step; ascii_text: as text, where the format can be either.
 
     Raises InvalidInput as `require_suffix` does, FileError if the file cannot be written.
     """
+    path = Path(path)
     require_suffix(path, ascii_text=ascii_text)
     form = _FORMATS[path.suffix.lower()]
     with replacing(path) as temporary, temporary.open("wb") as file:
         (form.write_text if ascii_text and form.write_text else form.write)(file, stream)
 
 
-def read(path: Path) -> PointCloudFile:
+def read(path: str | Path) -> PointCloudFile:
     """Return what a file holds of a point cloud, told by its suffix.
 
     Raises InvalidInput for another suffix, FileError if the file is missing, empty, truncated or not of that format.
     """
+    path = Path(path)
     require_suffix(path)
     content = read_bytes(path)
     with Located(path):

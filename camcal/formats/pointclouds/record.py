@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camcal.arrays import Array
 from camcal.errors import FileError
@@ -48,7 +49,7 @@ class PointCloudFile:
     row; None otherwise.
     """
 
-    vertices: Array
+    vertices: NDArray[np.void]
     unit: str = METRES
     frame: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)

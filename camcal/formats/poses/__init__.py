@@ -26,19 +26,21 @@ def require_suffix(path: Path) -> None:
         raise InvalidInput(f"poses are written as {', '.join(SUFFIXES)}", where=str(path))
 
 
-def read(path: Path) -> Poses:
+def read(path: str | Path) -> Poses:
     """Return the poses in a file.
 
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is of another kind.
     """
+    path = Path(path)
     require_suffix(path)
     if path.suffix.lower() == ".csv":
         return table.read(path)
     return plain.from_document(load_either(path, plain.check, _MAX_VALUES))
 
 
-def write(path: Path, poses: Poses) -> None:
+def write(path: str | Path, poses: Poses) -> None:
     """Write poses in the form the file's suffix says."""
+    path = Path(path)
     require_suffix(path)
     if path.suffix.lower() == ".csv":
         text = "".join(f"{line}\n" for line in table.lines(poses))

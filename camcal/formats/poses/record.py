@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import FloatArray, readonly
 from camcal.estimate.poses.records import Alternative
 from camcal.geometry.pose import Pose, inverse_jacobian
 
@@ -35,8 +35,8 @@ class PoseRecord:
     """
 
     transform: Pose
-    covariance: Array
-    noise_covariance: Array
+    covariance: FloatArray
+    noise_covariance: FloatArray
     status: str
     rms_px: float
     max_px: float
@@ -57,7 +57,7 @@ class PoseRecord:
             object.__setattr__(self, name, readonly(getattr(self, name), (6, 6), name))
 
     @property
-    def std(self) -> Array:
+    def std(self) -> FloatArray:
         """The standard deviations (6,) of the pose's steps."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
@@ -105,7 +105,7 @@ class Poses:
         """Whether the transforms take points of the object to the camera or rig, not the other way."""
         return self.frames.endswith("_T_object")
 
-    def position(self, record: PoseRecord) -> Array:
+    def position(self, record: PoseRecord) -> FloatArray:
         """Return where the camera or rig stands (3,) in the object's frame."""
         return record.transform.inverse().translation if self.of_object else record.transform.translation
 

@@ -50,12 +50,13 @@ def kind_of(path: Path, kind: str | None = None) -> str:
     return kind
 
 
-def read(path: Path, frames: str | None = None) -> Trajectory:
+def read(path: str | Path, frames: str | None = None) -> Trajectory:
     """Return the trajectory in a file; stamps of KITTI files are the numbers of their lines, from 0.
 
     frames: what the poses are, such as world_T_camera, where the file does not say.
     Raises FileError if it cannot be read, InvalidInput with file and line for anything wrong in it.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".csv":
         return table.read(path, frames)
@@ -78,6 +79,7 @@ def read_reference(path: Path) -> tuple[Trajectory, int]:
     return read(path), 0
 
 
-def write(path: Path, trajectory: Trajectory, kind: str | None = None) -> None:
+def write(path: str | Path, trajectory: Trajectory, kind: str | None = None) -> None:
     """Write a trajectory in the form of its suffix, or in one of KINDS; what that form cannot hold is left out."""
+    path = Path(path)
     _WRITERS[kind_of(path, kind)](path, trajectory)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
 from camcal.stereo.points.depth import StereoImage, row_blocks, widened
@@ -93,7 +93,7 @@ class CloudMaker:
     """
 
     image: StereoImage
-    kept: Array
+    kept: BoolArray
     frame: Frame = field(default_factory=Frame)
     normals: bool = False
     sigma: bool = False

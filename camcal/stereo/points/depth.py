@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.errors import InvalidInput
 from camcal.stereo.geometry import StereoGeometry
 
@@ -28,12 +29,12 @@ class StereoImage:
     Raises InvalidInput if a picture has another size than the map.
     """
 
-    disparity: Array
+    disparity: Float32Array
     geometry: StereoGeometry
     signed: bool = False
-    pixels: Array | None = None
-    sigma: Array | float | None = None
-    confidence: Array | None = None
+    pixels: PixelArray | None = None
+    sigma: Float32Array | float | None = None
+    confidence: NDArray[np.uint8] | None = None
     calibration_sigma: float = 0.0
 
     def __post_init__(self) -> None:
@@ -47,23 +48,23 @@ class StereoImage:
         height, width = self.disparity.shape
         return height, width
 
-    def matched(self, rows: slice) -> Array:
+    def matched(self, rows: slice) -> BoolArray:
         """Return where in some rows there is a match before the cameras, (N, W) bool."""
         return self._matched(rows, self._shifted_as_is(rows))
 
-    def shifted(self, rows: slice) -> Array:
+    def shifted(self, rows: slice) -> Float32Array:
         """Return d + doffs of some rows (N, W), float32 pixels, NaN where there is no match before the cameras."""
         shifted = self._shifted_as_is(rows)
         return np.where(self._matched(rows, shifted), shifted, np.float32(np.nan))
 
-    def depth(self, rows: slice) -> Array:
+    def depth(self, rows: slice) -> Float32Array:
         """Return the depth along the optical axis of some rows (N, W), float32 metres, NaN where there is no match.
 
         z = f b / (d + doffs): Hartley & Zisserman, 2nd ed., ch. 9.
         """
         return np.asarray(np.float32(self._scale) / self.shifted(rows))
 
-    def depth_of_matches(self, rows: slice) -> Array:
+    def depth_of_matches(self, rows: slice) -> Float32Array:
         """Return the same as `depth`, but any number where there is no match: for who knows where that is."""
         with np.errstate(divide="ignore", over="ignore"):
             return np.asarray(np.float32(self._scale) / self._shifted_as_is(rows))
@@ -82,7 +83,7 @@ class StereoImage:
     def _scale(self) -> float:
         return self.geometry.fx * self.geometry.baseline
 
-    def relative_sigma(self, rows: slice) -> Array:
+    def relative_sigma(self, rows: slice) -> Float32Array:
         """Return the standard deviation of the depth of some rows as a share of it, (N, W), NaN where not known.
 
         (sigma_z / z)² = (sigma_d / (d + doffs))² + (sigma_fb / fb)². Raises InvalidInput if sigma is not known at all.

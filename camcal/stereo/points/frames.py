@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
@@ -71,7 +72,7 @@ class VertexStream:
 
     count: int
     type: np.dtype[np.void]
-    blocks: Iterable[Array]
+    blocks: Iterable[NDArray[np.void]]
     unit: str = METRES
     frame: str = LEFT_CAMERA
     notes: dict[str, str] = field(default_factory=dict)

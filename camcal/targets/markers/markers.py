@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.markers.families import FAMILIES, Family, family_named
 from camcal.targets.markers.fit import MarkerFit, fit_marker, looks_alike
@@ -30,9 +30,9 @@ class Markers:
     like, which OpenCV draws upside down. covariance: (M, 4, 2, 2) px². notes: what was left out, and why.
     """
 
-    ids: Array
-    corners: Array
-    covariance: Array
+    ids: IntArray
+    corners: FloatArray
+    covariance: FloatArray
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

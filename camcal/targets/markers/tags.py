@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.markers.families import Family, family_named
 
@@ -40,7 +40,7 @@ class TagObjects:
     size: float | None = None
     ids: tuple[int, ...] | None = None
     sizes: Mapping[int, float] = field(default_factory=dict)
-    bundles: Mapping[str, Mapping[int, Array]] = field(default_factory=dict)
+    bundles: Mapping[str, Mapping[int, FloatArray]] = field(default_factory=dict)
     tag_frame: str = OPENCV
 
     def __post_init__(self) -> None:
@@ -61,7 +61,7 @@ class TagObjects:
             {name: {tag: _tag(tag, corners) for tag, corners in tags.items()} for name, tags in self.bundles.items()},
         )
 
-    def find(self, tag: int) -> tuple[str, Array] | None:
+    def find(self, tag: int) -> tuple[str, FloatArray] | None:
         """Return the name of the object a tag is on and its corners (4, 3) in that object's frame, None if on none."""
         for name, tags in self.bundles.items():
             if tag in tags:

@@ -1,0 +1,149 @@
+# The public names of camcal and where they are: the one list, for type checkers and for `import camcal`.
+
+from camcal.calibrate.intrinsics import Calibration as Calibration
+from camcal.calibrate.intrinsics import Options as CalibrationOptions
+from camcal.calibrate.intrinsics import calibrate as calibrate_camera
+from camcal.cameras.catalogue import MODELS as MODELS
+from camcal.cameras.catalogue import model_named as model_named
+from camcal.cameras.model import Camera as Camera
+from camcal.cameras.model import CameraModel as CameraModel
+from camcal.cameras.model import Rig as Rig
+from camcal.errors import CamcalError as CamcalError
+from camcal.errors import FileError as FileError
+from camcal.errors import InsufficientData as InsufficientData
+from camcal.errors import InvalidInput as InvalidInput
+from camcal.errors import NotConverged as NotConverged
+from camcal.estimate.curves.curve import Curve as Curve
+from camcal.estimate.curves.curve import Data as CurveData
+from camcal.estimate.curves.fit import fit_curve as fit_curve
+from camcal.estimate.pnp import estimate_poses as estimate_poses
+from camcal.estimate.pnp import estimate_rig_poses as estimate_rig_poses
+from camcal.estimate.pose_average import average_poses as average_poses
+from camcal.estimate.poses.records import Correspondences as Correspondences
+from camcal.estimate.poses.records import PoseEstimate as PoseEstimate
+from camcal.estimate.poses.records import PoseOptions as PoseOptions
+from camcal.estimate.poses.records import PosePrior as PosePrior
+from camcal.estimate.smoothing.kalman import ExtendedModel as ExtendedModel
+from camcal.estimate.smoothing.kalman import Gaussian as Gaussian
+from camcal.estimate.smoothing.kalman import extended_filter as extended_filter
+from camcal.estimate.smoothing.kalman import extended_smoother as extended_smoother
+from camcal.estimate.smoothing.poses import smooth_poses as smooth_poses
+from camcal.estimate.smoothing.series import Series as Series
+from camcal.estimate.smoothing.series import smooth_series as smooth_series
+from camcal.estimate.tracking.track import TrackOptions as TrackOptions
+from camcal.estimate.tracking.track import track_poses as track_poses
+from camcal.estimate.trajectory_error import trajectory_error as trajectory_error
+from camcal.formats.boards import load_board as load_board
+from camcal.formats.camera_file import CameraFile as CameraFile
+from camcal.formats.detections import read as read_detections
+from camcal.formats.detections import write as write_detections
+from camcal.formats.disparity import read as read_disparity
+from camcal.formats.disparity import write as write_disparity
+from camcal.formats.frames import read as read_frames
+from camcal.formats.frames import write as write_frames
+from camcal.formats.native import read as read_camera_file
+from camcal.formats.native import read_camera as read_camera
+from camcal.formats.native import write as write_camera_file
+from camcal.formats.pointclouds import read as read_point_cloud
+from camcal.formats.pointclouds import write as write_point_cloud
+from camcal.formats.poses import read as read_poses
+from camcal.formats.poses import write as write_poses
+from camcal.formats.tags import load_tags as load_tags
+from camcal.formats.trajectories import read as read_trajectory
+from camcal.formats.trajectories import write as write_trajectory
+from camcal.geometry.frame_graph import FrameGraph as FrameGraph
+from camcal.geometry.pose import NamedTransform as NamedTransform
+from camcal.geometry.pose import Pose as Pose
+from camcal.geometry.pose import Trajectory as Trajectory
+from camcal.raw.demosaic import demosaic as demosaic
+from camcal.raw.develop import develop as develop
+from camcal.raw.mosaic import Mosaic as Mosaic
+from camcal.raw.options import Development as Development
+from camcal.raw.reading import read_mosaic as read_mosaic
+from camcal.stereo.disparity import Confidence as Confidence
+from camcal.stereo.disparity import Disparity as Disparity
+from camcal.stereo.geometry import StereoGeometry as StereoGeometry
+from camcal.stereo.matching.match import match as match_pair
+from camcal.stereo.options import MatchOptions as MatchOptions
+from camcal.stereo.points.cloud import CloudMaker as CloudMaker
+from camcal.stereo.points.depth import StereoImage as StereoImage
+from camcal.targets.board import Board as Board
+from camcal.targets.detection import Detection as Detection
+from camcal.targets.detection import Detections as Detections
+from camcal.targets.markers.markers import detect_markers as detect_markers
+
+__all__ = [
+    "MODELS",
+    "Board",
+    "Calibration",
+    "CalibrationOptions",
+    "CamcalError",
+    "Camera",
+    "CameraFile",
+    "CameraModel",
+    "CloudMaker",
+    "Confidence",
+    "Correspondences",
+    "Curve",
+    "CurveData",
+    "Detection",
+    "Detections",
+    "Development",
+    "Disparity",
+    "ExtendedModel",
+    "FileError",
+    "FrameGraph",
+    "Gaussian",
+    "InsufficientData",
+    "InvalidInput",
+    "MatchOptions",
+    "Mosaic",
+    "NamedTransform",
+    "NotConverged",
+    "Pose",
+    "PoseEstimate",
+    "PoseOptions",
+    "PosePrior",
+    "Rig",
+    "Series",
+    "StereoGeometry",
+    "StereoImage",
+    "TrackOptions",
+    "Trajectory",
+    "average_poses",
+    "calibrate_camera",
+    "demosaic",
+    "detect_markers",
+    "develop",
+    "estimate_poses",
+    "estimate_rig_poses",
+    "extended_filter",
+    "extended_smoother",
+    "fit_curve",
+    "load_board",
+    "load_tags",
+    "match_pair",
+    "model_named",
+    "read_camera",
+    "read_camera_file",
+    "read_detections",
+    "read_disparity",
+    "read_frames",
+    "read_mosaic",
+    "read_point_cloud",
+    "read_poses",
+    "read_trajectory",
+    "smooth_poses",
+    "smooth_series",
+    "track_poses",
+    "trajectory_error",
+    "write_camera_file",
+    "write_detections",
+    "write_disparity",
+    "write_frames",
+    "write_point_cloud",
+    "write_poses",
+    "write_trajectory",
+]
+
+__version__: str
