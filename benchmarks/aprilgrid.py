@@ -85,22 +85,22 @@ def rendered(views: int) -> None:
         + "|---" * 9
         + "|"
     )
-    for pitch, blur, tilt in product(PITCHES, BLURS, TILTS):
+    for spacing, blur, tilt in product(PITCHES, BLURS, TILTS):
         tags, corners = (
-            np.concatenate([errors(board, pitch, blur, tilt, view) for view in range(views)])
+            np.concatenate([errors(board, spacing, blur, tilt, view) for view in range(views)])
             for board in (APRILGRID, CHESSBOARD)
         )
         ours, theirs = (np.sqrt(np.mean(part[:, :2] ** 2)) for part in (tags, corners))
-        gap = pitch * GAP * np.cos(tilt) / np.hypot(blur, np.sqrt(1 / 12))
+        gap = spacing * GAP * np.cos(tilt) / np.hypot(blur, np.sqrt(1 / 12))
         print(
-            f"| {pitch} | {blur} | {tilt} | {gap:.1f} | {len(tags)}/{views * APRILGRID.count} | {ours:.4f} "
+            f"| {spacing} | {blur} | {tilt} | {gap:.1f} | {len(tags)}/{views * APRILGRID.count} | {ours:.4f} "
             f"| {theirs:.4f} | {ours / theirs:.2f} | {tags[:, 2].mean():.2f} |"
         )
 
 
-def errors(board, pitch: float, blur: float, tilt: float, view: int) -> np.ndarray:
+def errors(board, spacing: float, blur: float, tilt: float, view: int) -> np.ndarray:
     """Return the errors x, y in px and the normalised squared error of the corners (N, 3) found in one view."""
-    pose = placed(board, pitch, tilt, view)
+    pose = placed(board, spacing, tilt, view)
     image = render(
         CAMERA, board, pose, rng=np.random.default_rng(view), exposure=Exposure(blur_px=blur, noise_dn=NOISE_DN)
     )
@@ -111,13 +111,13 @@ def errors(board, pitch: float, blur: float, tilt: float, view: int) -> np.ndarr
     return np.column_stack([off, np.einsum("ni,nij,nj->n", off, np.linalg.inv(detection.covariance), off) / 2])
 
 
-def placed(board, pitch: float, tilt: float, view: int) -> Pose:
+def placed(board, spacing: float, tilt: float, view: int) -> Pose:
     """Return the pose of a board in the middle of the image, tilted about an axis of its own in every view."""
     axis = 2 * np.pi * view * 0.618
     lean, spin = np.array([np.cos(axis), np.sin(axis), 0.0]) * tilt, np.array([0.0, 0.0, 0.2])
-    rotation = so3.exp(lean) @ so3.exp(spin) @ np.diag([1.0, board.inward, board.inward])
+    rotation = so3.exp(lean) @ so3.exp(spin) @ np.diag([1.0, board.z_sign, board.z_sign])
     middle = np.array([*board.extent, 0.0]) / 2
-    return Pose(rotation, np.array([0, 0, CAMERA.value("fx") * board.pitch / pitch]) - rotation @ middle)
+    return Pose(rotation, np.array([0, 0, CAMERA.value("fx") * board.spacing / spacing]) - rotation @ middle)
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
-from camcal.targets.detection import Detection
-from camcal.tasks.calibration.second_look import second_look
+from camcal.targets.detection import BoardDetection
+from camcal.tasks.calibration.corner_refinement import refine_corners
 
 SIZE, BOARD = (1280, 960), Board("chessboard", 9, 6, 0.04)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([960.0, 964, 645, 472, -0.12, 0.06, 5e-4, -3e-4, 0.01]))
@@ -76,23 +76,23 @@ def one_set(seed: int, count: int, gamma: float) -> dict[str, tuple[float, float
             save(Path(name), image)
         first = [seen(name, image) for name, image in zip(names, images, strict=True)]
         calibration = calibrate(first, BOARD, HOW)
-        second = second_look(calibration, first, (), AS_IMAGES, 1, SILENT).views
+        second = refine_corners(calibration, first, (), AS_IMAGES, 1, SILENT).views
     result["camcal, first look"] = judged(first, truth)
     result["camcal, second look"] = judged(second, truth)
     peers = {"SB": [], "SB accurate": [], "cornerSubPix": []}
     for name, image, corners in zip(names, images, truth, strict=True):
         for way, pixels in opencv_corners(image, corners).items():
-            peers[way].append(Detection(name, SIZE, np.arange(BOARD.count), pixels))
+            peers[way].append(BoardDetection(name, SIZE, np.arange(BOARD.count), pixels))
     for way, found in peers.items():
         result[f"{way}, camcal's solver"] = judged(found, truth)
         result[f"{way}, calibrateCamera"] = judged(found, truth, solver="OpenCV")
     return result
 
 
-def seen(name: str, image: np.ndarray) -> Detection:
+def seen(name: str, image: np.ndarray) -> BoardDetection:
     """Return what camcal sees in an image."""
     detection = detect(image, BOARD)
-    return Detection(name, SIZE, detection.ids, detection.pixels, detection.covariance)
+    return BoardDetection(name, SIZE, detection.ids, detection.pixels, detection.covariance)
 
 
 def opencv_corners(image: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray]:
@@ -113,7 +113,7 @@ def _ordered(pixels: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def judged(
-    found: Sequence[Detection], truth: Sequence[np.ndarray], solver: str = "camcal"
+    found: Sequence[BoardDetection], truth: Sequence[np.ndarray], solver: str = "camcal"
 ) -> tuple[float, float, float]:
     """Return the corners' error, NEES / 2 and the lens's error."""
     by_image = {Path(view.image).stem: view for view in found}
@@ -126,7 +126,7 @@ def judged(
     return float(np.sqrt((off**2).mean())), nees, float(np.sqrt(np.nanmean(errors**2)))
 
 
-def solved(found: Sequence[Detection], solver: str) -> Camera:
+def solved(found: Sequence[BoardDetection], solver: str) -> Camera:
     """Return the camera that a solver makes of the views."""
     if solver == "camcal":
         return calibrate(found, BOARD, HOW).camera

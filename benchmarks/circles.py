@@ -139,7 +139,7 @@ def held(scene, rng):
     tilt = np.radians(scene.tilt_deg)
     turn = so3.exp(np.array([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
     turn = turn @ so3.exp(np.array([0.0, 0.0, rng.uniform(-0.3, 0.3)]))
-    distance = FOCAL * scene.board.pitch / scene.spacing_px
+    distance = FOCAL * scene.board.spacing / scene.spacing_px
     middle = np.array([*scene.board.extent, 0.0]) / 2
     aside = np.append(rng.uniform(-20, 20, 2), 0.0) * distance / FOCAL
     return Pose(turn, np.array([0, 0, distance]) + aside - turn @ middle)

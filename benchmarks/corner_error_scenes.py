@@ -19,7 +19,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 NOISE = 0.08  # px, the typical standard deviation of a coordinate
 SPREAD = 2.0  # the variance of a corner differs from the typical one by at most this factor
@@ -112,7 +112,7 @@ class Scene:
 
     truth: Camera
     board: Board
-    views: tuple[Detection, ...]
+    views: tuple[BoardDetection, ...]
     known: Known | None
 
 
@@ -126,7 +126,7 @@ def as_drawn(board: Board, _: np.random.Generator) -> np.ndarray:
 def corner_print_errors(board: Board, rng: np.random.Generator, share: float) -> np.ndarray:
     """Return a board with independent errors of all corners in its plane, in shares of a square."""
     points = board.points()
-    points[:, :2] += rng.normal(0, share * board.pitch, (board.count, 2))
+    points[:, :2] += rng.normal(0, share * board.spacing, (board.count, 2))
     return points
 
 
@@ -217,7 +217,7 @@ def independent(_: Shot, noise: np.ndarray, std: np.ndarray) -> tuple[np.ndarray
 
 def correlated(shot: Shot, noise: np.ndarray, std: np.ndarray, rms: float) -> tuple[np.ndarray, np.ndarray]:
     """Return noise and a smooth field in u and v, of this RMS in px and the correlation exp(-distance / 4 squares)."""
-    places = shot.board.points()[:, :2] / shot.board.pitch
+    places = shot.board.points()[:, :2] / shot.board.spacing
     distance = np.linalg.norm(places[:, None] - places, axis=2)
     covariance = rms**2 * np.exp(-distance / 4)
     field = np.linalg.cholesky(covariance) @ shot.rng.normal(size=(len(std), 2))
@@ -303,7 +303,7 @@ def scene(name: str, count: int, seed: int, cameras: tuple[str, ...] = tuple(CAM
         pixels = exact + errors
         stated = (scenario.claimed * claimed * std[ids, None, None]) ** 2 * np.eye(2)
         seen = pixels + _outliers(board.count, scenario.outliers, np.random.default_rng([seed, _OUTLIER, index]))
-        views.append(Detection(f"{index:03d}.png", setting.camera.image_size, ids, seen[ids], stated))
+        views.append(BoardDetection(f"{index:03d}.png", setting.camera.image_size, ids, seen[ids], stated))
         shots.append(shot)
         corners.append(pixels[ids])
         rows = np.column_stack([2 * ids, 2 * ids + 1]).ravel()

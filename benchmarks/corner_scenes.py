@@ -77,9 +77,9 @@ def scene(cell: Cell, rng: np.random.Generator) -> Scene:
     camera = lens(size, cell.distortion)
     tilt, azimuth, roll = np.radians(cell.tilt_deg), rng.uniform(0, 2 * np.pi), rng.uniform(-np.pi / 6, np.pi / 6)
     rotation = so3.exp(tilt * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])) @ so3.exp(np.array([0, 0, roll]))
-    distance = camera.value("fx") * BOARD.pitch / cell.spacing_px
+    distance = camera.value("fx") * BOARD.spacing / cell.spacing_px
     middle = np.array([*BOARD.extent, 0.0]) / 2
-    aim = np.array([*(rng.uniform(-0.5, 0.5, 2) * BOARD.pitch), distance])
+    aim = np.array([*(rng.uniform(-0.5, 0.5, 2) * BOARD.spacing), distance])
     pose = Pose(rotation, aim - rotation @ middle)
     direction = rng.uniform(0, 2 * np.pi)
     shown = evenly_lit(camera, BOARD, pose, cell.exposure) * light(size, cell.exposure, direction)
@@ -131,14 +131,14 @@ def bound(view: Scene) -> Array:
     )
     maps = np.stack([difference(0), difference(1), (wider - narrower) / (2 * SHIFT_PX), image])
     places = board_places(view)
-    step = 1e-3 * BOARD.pitch
+    step = 1e-3 * BOARD.spacing
     ahead = [
         view.camera.project(view.camera_T_board.apply(BOARD.points() + step * axis)).pixels for axis in np.eye(3)[:2]
     ]
     variance = cell.noise_dn**2 + (ROUNDING if cell.depth == 8 else 0.0)
     result = np.empty((BOARD.count, 2, 2))
     for index, (corner, point) in enumerate(zip(view.corners, BOARD.points(), strict=True)):
-        near = (np.abs(places - point[:2] / BOARD.pitch) < 0.5).all(axis=-1)
+        near = (np.abs(places - point[:2] / BOARD.spacing) < 0.5).all(axis=-1)
         row, column = np.nonzero(near)
         along = [(end[index] - corner) / np.linalg.norm(end[index] - corner) for end in ahead]
         jacobian = _derivatives(maps[:, row, column], np.column_stack([column, row]) - corner, along)
@@ -164,7 +164,7 @@ def board_places(view: Scene) -> Array:
     rays = view.camera.unproject(pixels).directions @ view.camera_T_board.rotation
     eye = -view.camera_T_board.rotation.T @ view.camera_T_board.translation
     hits = eye + rays * (-eye[2] / rays[:, 2])[:, None]
-    return np.asarray(hits[:, :2].reshape(height, width, 2) / BOARD.pitch)
+    return np.asarray(hits[:, :2].reshape(height, width, 2) / BOARD.spacing)
 
 
 def scenes(cell: Cell, count: int, seed: int) -> Iterator[Scene]:

@@ -28,7 +28,7 @@ from camcal.images.load import gray_8bit, gray_levels
 from camcal.run.fanout import fan_out
 from camcal.simulate.render import piece_length
 from camcal.targets.detect import detect
-from camcal.targets.detection import Samples
+from camcal.targets.detection import MaskedImage
 
 WINDOWS = (2, 3, 4, 5, 7, 9, 11)
 PEERS = (*SECTOR_BASED, "cornerSubPix")
@@ -93,10 +93,10 @@ def renderer_error() -> None:
         cell = Cell(blur, 0.0, 80, 30, 0.1, depth=16)
         view = next(scenes(cell, 1, SEED))
         least = np.sqrt(np.trace(bound(replace(view, cell=replace(cell, noise_dn=1.0))), axis1=1, axis2=2).min() / 2)
-        usual = detect(gray_8bit(view.image), BOARD, samples=Samples(view.image))
+        usual = detect(gray_8bit(view.image), BOARD, samples=MaskedImage(view.image))
         with mock.patch("camcal.simulate.render.piece_length", lambda blur_px: piece_length(blur_px) / FINER):
             finer = next(scenes(cell, 1, SEED)).image
-        moved = detect(gray_8bit(finer), BOARD, samples=Samples(finer)).pixels - usual.pixels
+        moved = detect(gray_8bit(finer), BOARD, samples=MaskedImage(finer)).pixels - usual.pixels
         rms = np.sqrt((moved**2).mean())
         print(f"blur {blur}: {1e3 * rms:.3f} of {1e3 * least:.2f} mpx, the bound of noise 1 DN: {rms / least:.3f}")
 
@@ -137,7 +137,7 @@ def score(cell: Cell, count: int, peers: bool) -> Score:
     errors: dict[str, list[Array]] = {name: [] for name in PEERS}
     windows: dict[int, list[Array]] = {window: [] for window in WINDOWS}
     for view in scenes(cell, count, SEED):
-        detection = detect(gray_8bit(view.image), BOARD, samples=Samples(gray_levels(view.image)))
+        detection = detect(gray_8bit(view.image), BOARD, samples=MaskedImage(gray_levels(view.image)))
         seen += len(detection.ids)
         limits = bound(view)
         if detection.found:

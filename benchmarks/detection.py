@@ -42,7 +42,7 @@ from camcal.targets.board import CHARUCO, Board, parse_board
 from camcal.targets.checker.charuco import find_charuco
 from camcal.targets.checker.chessboard import find_chessboard
 from camcal.targets.detect import detect
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 CHESSBOARD = parse_board("chessboard:10x10:20mm")
 CHARUCO_BOARDS = tuple(parse_board(f"charuco:10x8:20mm:15mm:DICT_4X4_100:{kind}") for kind in ("current", "legacy"))
@@ -156,7 +156,7 @@ def ways(board: Board, *, quick: bool) -> dict[str, Finder]:
 
 
 def camcal(
-    gray: np.ndarray, board: Board, find: Callable[[np.ndarray, Board], Detection] = detect
+    gray: np.ndarray, board: Board, find: Callable[[np.ndarray, Board], BoardDetection] = detect
 ) -> np.ndarray | None:
     detection = find(gray, board)
     enough = 1 if board.type == CHARUCO else LEAST * board.count

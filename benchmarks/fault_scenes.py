@@ -16,7 +16,7 @@ from corner_error_scenes import Setting, Shot
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 NOISE = (0.03, 0.3)  # px
 BOARDS = (
@@ -57,7 +57,7 @@ class Case:
 
     truth: Camera
     board: Board
-    views: tuple[Detection, ...]
+    views: tuple[BoardDetection, ...]
 
 
 Image = Callable[[Shot], np.ndarray]
@@ -100,7 +100,9 @@ def case(fault: Fault, count: int, seed: int) -> Case:
     return fault.table(found, np.random.default_rng([seed, _FAULT]))
 
 
-def _view(fault: Fault, setting: Setting, board: Board, noise: float, seed: int, index: int, place: float) -> Detection:
+def _view(
+    fault: Fault, setting: Setting, board: Board, noise: float, seed: int, index: int, place: float
+) -> BoardDetection:
     camera = setting.camera
     cut = index % 5 in (1, 3)
     rotation, translation = scenes.held_by_hand(
@@ -119,7 +121,7 @@ def _view(fault: Fault, setting: Setting, board: Board, noise: float, seed: int,
     errors, _ = fault.errors(shot, rng.normal(size=(board.count, 2)), std)
     ids = np.flatnonzero(scenes.inside(camera, exact))
     covariance = None if seed % 3 == 2 else std[ids, None, None] ** 2 * np.eye(2) * (1.0, 0.5)[seed % 3]
-    return Detection(f"{index:03d}.png", camera.image_size, ids, (exact + errors)[ids], covariance)
+    return BoardDetection(f"{index:03d}.png", camera.image_size, ids, (exact + errors)[ids], covariance)
 
 
 # what a view shows
@@ -156,7 +158,7 @@ def two_boards(shot: Shot, stretch: float = 0.0, corners: float = 0.0, bow: floa
     second = shot.index % 2 == 1 if mixed else shot.place > 0.5
     points = shot.points * [1 + stretch * second, 1, 1]
     if second and corners:
-        points = points + shot.board.pitch * np.random.default_rng(5).normal(0, corners, points.shape) * [1, 1, 0]
+        points = points + shot.board.spacing * np.random.default_rng(5).normal(0, corners, points.shape) * [1, 1, 0]
     if second and bow:
         half = np.array(shot.board.extent) / 2
         x, y = ((shot.points[:, :2] - half) / half).T
@@ -176,7 +178,7 @@ def two_cameras(shot: Shot) -> np.ndarray:
 # what is done to detections
 
 
-def _changed(case: Case, change: Callable[[int, Detection], Detection]) -> Case:
+def _changed(case: Case, change: Callable[[int, BoardDetection], BoardDetection]) -> Case:
     return replace(case, views=tuple(change(index, view) for index, view in enumerate(case.views)))
 
 
@@ -184,7 +186,7 @@ def rows_rolled(case: Case, _: np.random.Generator) -> Case:
     """Return a case whose ids are one row off in two views."""
     columns, rows = case.board.columns, case.board.rows
 
-    def rolled(index: int, view: Detection) -> Detection:
+    def rolled(index: int, view: BoardDetection) -> BoardDetection:
         if index not in (3, 8):
             return view
         ids = (view.ids + columns) % (columns * rows)
@@ -201,7 +203,7 @@ def view_scaled(case: Case, _: np.random.Generator, ratio: float = 1.03) -> Case
     """Return a case with one view that was scaled, more so along its rows."""
     middle, scale = np.array(case.truth.image_size) / 2, ratio * np.array([1, 0.94])
 
-    def scaled(index: int, view: Detection) -> Detection:
+    def scaled(index: int, view: BoardDetection) -> BoardDetection:
         return view if index != 5 else replace(view, pixels=middle + scale * (view.pixels - middle))
 
     return _changed(case, scaled)
@@ -220,7 +222,7 @@ def in_metres(case: Case, _: np.random.Generator) -> Case:
 
 
 def gross(case: Case, rng: np.random.Generator, share: float) -> Case:
-    def moved(_: int, view: Detection) -> Detection:
+    def moved(_: int, view: BoardDetection) -> BoardDetection:
         hit = rng.random(len(view.ids)) < share
         return replace(view, pixels=view.pixels + hit[:, None] * rng.normal(0, 25, view.pixels.shape))
 

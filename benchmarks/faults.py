@@ -34,7 +34,7 @@ COUNTS = (5, 7, 10, 15, 20, 30, 50, 100)  # views of clean sets
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SetVerdict:
     """What became of a set. error: px, inf where it was refused. words: of the refusal."""
 
     error: float
@@ -47,20 +47,20 @@ class Verdict:
         return any(name in self.codes or (self.words and name in self.words) for name in fault.names)
 
 
-def verdict(found: Case) -> Verdict:
+def verdict(found: Case) -> SetVerdict:
     """Return what the program says of a set."""
     start = time.process_time()
     try:
         calibration = calibrate(found.views, found.board, Options(found.truth.model))
     except CamcalError as error:
-        return Verdict(np.inf, False, (), str(error), time.process_time() - start)
+        return SetVerdict(np.inf, False, (), str(error), time.process_time() - start)
     seconds = time.process_time() - start
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # lenses that do not hold in the whole frame
         errors = projection_errors(found.truth, calibration.camera)[1]
     advice = advise(calibration)
     codes = tuple(finding.code for finding in advice.findings)
-    return Verdict(float(np.sqrt(np.nanmean(errors**2))), advice.trustworthy, codes, "", seconds)
+    return SetVerdict(float(np.sqrt(np.nanmean(errors**2))), advice.trustworthy, codes, "", seconds)
 
 
 def faults(names: list[str], seeds: int, views: int) -> None:

@@ -38,7 +38,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.errors import CamcalError
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.model_selection import select
 
 COMPARED = ("opencv5", "kannala_brandt4", "kannala_brandt5t", "opencv8")
@@ -121,7 +121,7 @@ def choices(folder: Path, splits: int, name: str) -> list[Choice]:
     """Return the choices from parts of one set."""
     board, views = read_views(folder, name)
     whole = calibrate(views, board, replace(DEFAULT, model=model_named(MODELS[name]), max_rejected=1.0))
-    views = numbered(board, views, [view.turned for view in whole.views])
+    views = numbered(board, views, [view.symmetry for view in whole.views])
     rng, result = np.random.default_rng(1), []
     for _ in range(splits):
         order = rng.permutation(len(views))
@@ -138,7 +138,7 @@ def choices(folder: Path, splits: int, name: str) -> list[Choice]:
     return result
 
 
-def choice(kind: str, board: Board, views: Sequence[Detection], others: Sequence[Detection]) -> Choice:
+def choice(kind: str, board: Board, views: Sequence[BoardDetection], others: Sequence[BoardDetection]) -> Choice:
     """Return the choice from some views, judged by other ones."""
     model, found, failure = calibrations(board, views)
     distances = {
@@ -150,7 +150,7 @@ def choice(kind: str, board: Board, views: Sequence[Detection], others: Sequence
     return Choice(kind, model, errors, failure)
 
 
-def calibrations(board: Board, views: Sequence[Detection]) -> tuple[str, dict[str, Calibration], str]:
+def calibrations(board: Board, views: Sequence[BoardDetection]) -> tuple[str, dict[str, Calibration], str]:
     """Return the chosen model, the calibrations by model, and why no model was chosen."""
     found, model, failure = {}, "", ""
     try:
@@ -165,7 +165,7 @@ def calibrations(board: Board, views: Sequence[Detection]) -> tuple[str, dict[st
     return model, found, failure
 
 
-def solved(board: Board, views: Sequence[Detection], model: str) -> Calibration | None:
+def solved(board: Board, views: Sequence[BoardDetection], model: str) -> Calibration | None:
     try:
         return calibrate(views, board, replace(DEFAULT, model=model_named(model), max_rejected=1.0))
     except CamcalError:
@@ -189,7 +189,7 @@ class Lens:
     tangential: np.ndarray
     widest: float
 
-    def project(self, points: np.ndarray) -> "Seen":
+    def project(self, points: np.ndarray) -> "LensPoints":
         """Return the pixels (N, 2) of points (N, 3), NaN beyond the widest angle."""
         angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
         radius = np.where(angle <= self.widest, self.radius(np.minimum(angle, self.widest)), np.nan)
@@ -197,9 +197,9 @@ class Lens:
         x, y = (points[:, :2] * (radius / across)[:, None]).T
         p1, p2 = self.tangential
         shift = np.column_stack([2 * p1 * x * y + p2 * (3 * x**2 + y**2), p1 * (x**2 + 3 * y**2) + 2 * p2 * x * y])
-        return Seen(pixels=self.parameters[0] * (np.column_stack([x, y]) + shift) + self.centre)
+        return LensPoints(pixels=self.parameters[0] * (np.column_stack([x, y]) + shift) + self.centre)
 
-    def unproject(self, pixels: np.ndarray) -> "Seen":
+    def unproject(self, pixels: np.ndarray) -> "LensPoints":
         """Return the unit directions (N, 3) of pixels (N, 2), NaN beyond the widest angle."""
         table = np.linspace(0, self.widest, 4001)
         goal = (pixels - self.centre) / self.parameters[0]
@@ -216,7 +216,7 @@ class Lens:
             slope = (self.radius(angle + 1e-6) - self.radius(angle - 1e-6)) / 2e-6
             angle = angle - (self.radius(angle) - radius) / slope
         across = plane * (np.sin(angle) / np.maximum(radius, 1e-300))[:, None]
-        return Seen(directions=np.column_stack([across, np.cos(angle)]))
+        return LensPoints(directions=np.column_stack([across, np.cos(angle)]))
 
     def radius(self, angle: np.ndarray) -> np.ndarray:
         profiles = (
@@ -230,7 +230,7 @@ class Lens:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class LensPoints:
     pixels: np.ndarray | None = None
     directions: np.ndarray | None = None
 
@@ -286,13 +286,13 @@ def simulated(seed: int) -> list[tuple[int, float, str, dict[str, float]]]:
     return result
 
 
-def view_of(lens: Lens, board: Board, setting: Setting, seed: int, index: int) -> Detection:
+def view_of(lens: Lens, board: Board, setting: Setting, seed: int, index: int) -> BoardDetection:
     rotation, translation = held_by_hand(setting, board, index % 5 in (1, 3), np.random.default_rng([seed, 2, index]))
     exact = lens.project(board.points() @ rotation.T + translation).pixels
     inside = ((exact >= 2) & (exact <= np.array(SIZE) - 3)).all(axis=1)
     ids = np.flatnonzero(inside)
     noise = np.random.default_rng([seed, 3, index]).normal(0, NOISE, (len(ids), 2))
-    return Detection(f"{index:03d}.png", SIZE, ids, exact[ids] + noise)
+    return BoardDetection(f"{index:03d}.png", SIZE, ids, exact[ids] + noise)
 
 
 def map_error(lens: Lens, found: Calibration, seen: Delaunay) -> float:

@@ -59,8 +59,8 @@ class Errors:
     errors: np.ndarray
     stds: np.ndarray
     nees: float = np.nan
-    freedom: int = 0
-    noise_freedom: int = 0
+    degrees_of_freedom: int = 0
+    noise_dof: int = 0
 
 
 def main() -> None:
@@ -86,11 +86,13 @@ def show(board: str, row: str, results: Sequence[Errors]) -> None:
     """Print one row of the table; runs without a NEES have no say in its mean."""
     errors, stds = (np.stack([getattr(result, key) for result in results]) for key in ("errors", "stds"))
     print(f"{board:14} {row:12} {len(results):5d} ", end="")
-    table = np.array([(each.nees, each.freedom, each.noise_freedom) for each in results if np.isfinite(each.nees)])
+    table = np.array(
+        [(each.nees, each.degrees_of_freedom, each.noise_dof) for each in results if np.isfinite(each.nees)]
+    )
     if len(table):
-        sums, freedom, noise_freedom = table.T
-        low, high = interval_of_poses(sums / freedom) if row == "poses" else interval(freedom, noise_freedom)
-        print(f"{freedom.mean():6.1f} {sums.sum() / freedom.sum():9.4f} {low:7.4f} {high:7.4f} ", end="")
+        sums, dof, noise_dof = table.T
+        low, high = interval_of_poses(sums / dof) if row == "poses" else interval(dof, noise_dof)
+        print(f"{dof.mean():6.1f} {sums.sum() / dof.sum():9.4f} {low:7.4f} {high:7.4f} ", end="")
     else:
         print(f"{'-':>6} {'-':>9} {'-':>15} ", end="")
     ratios = np.sqrt((stds**2).mean(axis=0)) / errors.std(axis=0, ddof=1)
@@ -98,10 +100,10 @@ def show(board: str, row: str, results: Sequence[Errors]) -> None:
     print(f"{np.exp(np.log(ratios).mean()):10.3f} {100 * coverage:7.2f} %", flush=True)
 
 
-def interval(freedom: np.ndarray, noise_freedom: np.ndarray) -> tuple[float, float]:
+def interval(dof: np.ndarray, noise_dof: np.ndarray) -> tuple[float, float]:
     """Return where the sum of a NEES over many runs lies, per degree of freedom, if the covariances are right."""
-    mean = (freedom * fisher.mean(freedom, noise_freedom)).sum() / freedom.sum()
-    std = np.sqrt((freedom**2 * fisher.var(freedom, noise_freedom)).sum()) / freedom.sum()
+    mean = (dof * fisher.mean(dof, noise_dof)).sum() / dof.sum()
+    std = np.sqrt((dof**2 * fisher.var(dof, noise_dof)).sum()) / dof.sum()
     return mean - HALF_WIDTH * std, mean + HALF_WIDTH * std
 
 
@@ -134,7 +136,7 @@ def run(shape: str, seed: int) -> dict[str, Errors]:
 def lens_errors(result: Calibration) -> Errors:
     errors, covariance = result.camera.parameters - TRUTH.parameters, result.camera.covariance
     nees = float(errors @ np.linalg.solve(covariance, errors))
-    return Errors(errors, np.sqrt(np.diag(covariance)), nees, len(errors), result.freedom)
+    return Errors(errors, np.sqrt(np.diag(covariance)), nees, len(errors), result.degrees_of_freedom)
 
 
 def pose_errors(result: Calibration, shape: render.Shape) -> np.ndarray:
@@ -155,7 +157,7 @@ def poses_alone(result: Calibration, errors: np.ndarray) -> Errors:
     covariances = np.stack([view.pose_covariance for view in result.views])
     nees = float(np.einsum("vi,vi->", errors, np.linalg.solve(covariances, errors[:, :, None])[..., 0]))
     stds = np.sqrt(np.einsum("vii->vi", covariances))
-    return Errors(errors.ravel(), stds.ravel(), nees, errors.size, result.freedom)
+    return Errors(errors.ravel(), stds.ravel(), nees, errors.size, result.degrees_of_freedom)
 
 
 def all_errors(result: Calibration, detections: Detections, steps: np.ndarray, shape: render.Shape) -> Errors:
@@ -171,7 +173,7 @@ def all_errors(result: Calibration, detections: Detections, steps: np.ndarray, s
     bend = result.surface.coefficients - [true.get(term, 0.0) for term in result.surface.terms]
     step = Step(np.concatenate([lens.errors, bend]), steps)
     nees = quadratic(equations(result, detections), step)
-    return Errors(errors, stds, nees, len(step.shared) + steps.size, result.freedom)
+    return Errors(errors, stds, nees, len(step.shared) + steps.size, result.degrees_of_freedom)
 
 
 def equations(result: Calibration, detections: Detections) -> NormalEquations:

@@ -36,10 +36,10 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, Rig
 from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.judgement import region_quantile
+from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
+from camcal.estimate.poses.pose_quality import region_quantile
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseEstimate, PoseOptions
-from camcal.estimate.poses.sightings import Sightings
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
@@ -105,7 +105,7 @@ def trial(rng: np.random.Generator, points: np.ndarray, noise: float, distance: 
 def references(trials: Sequence[Trial], noise: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors (T, 6) of the fits started at the truth, and the inverse covariances (T, 6, 6)."""
     views = [each.view for each in trials]
-    problems = PoseProblems.of((Sightings.of(CAMERA, views, Pose.identity()),))
+    problems = PoseProblems.of((PackedCorrespondences.of(CAMERA, views, Pose.identity()),))
     minima = problems.minimise(se3.of_poses([each.truth for each in trials]), np.arange(len(trials)))
     found = [Pose(so3.nearest(state[:, :3]), state[:, 3]) for state in minima.states]
     errors = [each.error(pose) for each, pose in zip(trials, found, strict=True)]
@@ -167,7 +167,7 @@ def coverage(trials: int) -> None:
         nees = distances(made, known)[sure]
         inside = nees < region_quantile(0.95, None)
         alone = estimates(CAMERA, made, None, together=False)
-        own = distances(made, alone)[sure] < region_quantile(0.95, alone[0].freedom)
+        own = distances(made, alone)[sure] < region_quantile(0.95, alone[0].degrees_of_freedom)
         name = f"{'plane' if flat else '3-D':6}n={count}"
         print(f"{name:16}{nees.mean() / 6:8.3f}{100 * inside.mean():8.1f}%{100 * own.mean():10.1f}%", flush=True)
 

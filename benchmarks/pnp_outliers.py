@@ -24,7 +24,7 @@ import pnp as clean
 from peers.pose_solvers import Solver, robust_solvers
 
 from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses.judgement import region_quantile
+from camcal.estimate.poses.pose_quality import region_quantile
 from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseEstimate, PoseOptions
 from camcal.geometry.pose import Pose
 
@@ -108,7 +108,7 @@ def _judged(
     if found is None:
         return False, 0.0, True, True
     error = made.error(found.transform)
-    inside = error @ np.linalg.solve(found.covariance, error) <= region_quantile(0.95, found.freedom)
+    inside = error @ np.linalg.solve(found.covariance, error) <= region_quantile(0.95, found.degrees_of_freedom)
     gross = error @ information @ error / 6 > GROSS
     return bool(inside), found.p_wrong, bool(gross), not found.inliers[bad:].all()
 

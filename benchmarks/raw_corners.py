@@ -26,17 +26,17 @@ from camcal.cameras.model import Camera
 from camcal.images.load import gray_8bit
 from camcal.raw.colour import balance_in_place
 from camcal.raw.demosaic import demosaic
+from camcal.raw.detection_image import agreeing_gains, detection_image_of
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import Reading
-from camcal.raw.photograph import agreeing_gains, photograph_of
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit, light
 from camcal.simulate.scene import views
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
-from camcal.targets.detection import Samples
+from camcal.targets.detection import MaskedImage
 
 SIZE, PATTERN, BLACK, WHITE = (1280, 960), "RGGB", 64.0, 4095.0
 BOARD = Board("chessboard", 9, 6, 0.04)
@@ -108,7 +108,7 @@ def counts(brightness: np.ndarray, noisy: bool, rng: np.random.Generator) -> np.
     return np.clip(np.rint(BLACK + electrons * (WHITE - BLACK) / WELL_E), 0, WHITE).astype(np.uint16)
 
 
-def corners(gray: np.ndarray, samples: Samples | None = None) -> np.ndarray:
+def corners(gray: np.ndarray, samples: MaskedImage | None = None) -> np.ndarray:
     """Return all corners (N, 2) of the board in an image."""
     detection = detect(gray, BOARD, samples=samples)
     if len(detection.ids) != BOARD.count:
@@ -120,8 +120,8 @@ def read_as(algorithm: str) -> Callable[[Mosaic, Mosaic], np.ndarray]:
     """Return the way that `camcal detect --algorithm` goes."""
 
     def find(mosaic: Mosaic, _mono: Mosaic) -> np.ndarray:
-        photograph = photograph_of(mosaic, Reading(algorithm=algorithm))
-        return corners(photograph.gray, photograph.samples)
+        image = detection_image_of(mosaic, Reading(algorithm=algorithm))
+        return corners(image.gray, image.samples)
 
     return find
 

@@ -35,7 +35,7 @@ from camcal.run.fanout import fan_out
 from camcal.run.paths import find_images
 from camcal.targets.board import Board, parse_board
 from camcal.targets.detect import detect
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 WAYS = ("camcal", *SECTOR_BASED, "cornerSubPix")
 HALF_WINDOW = 5
@@ -44,10 +44,10 @@ NEAREST = 0.5  # of a step, by which the same corner may differ between two ways
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ImageDetections:
     """The corners of an image in every way that found them, numbered as camcal numbers them; which ways found it."""
 
-    views: Mapping[str, Detection]
+    views: Mapping[str, BoardDetection]
     found: frozenset[str]
 
 
@@ -81,7 +81,7 @@ def row(name: str, jobs: int | None) -> str:
     return f"| {name} | {counts} of {len(images)} | {' / '.join(rms)} | {' / '.join(halves)} |"
 
 
-def look(path: Path, board: Board) -> Seen:
+def look(path: Path, board: Board) -> ImageDetections:
     """Return what an image shows in every way."""
     gray = gray_8bit(load(path).pixels)
     detection = detect(gray, board)
@@ -95,14 +95,14 @@ def look(path: Path, board: Board) -> Seen:
             starts["cornerSubPix"] = refined(gray, starts["SB"], HALF_WINDOW)
     found = frozenset(starts) | ({"camcal"} if detection.found else frozenset())
     if not detection.found:
-        return Seen({}, found)
+        return ImageDetections({}, found)
     shape = (gray.shape[1], gray.shape[0])
-    views = {"camcal": Detection(path.name, shape, detection.ids, detection.pixels)}
+    views = {"camcal": BoardDetection(path.name, shape, detection.ids, detection.pixels)}
     for way, pixels in starts.items():
         ids, places = matched(detection.ids, detection.pixels, pixels)
-        views[way] = Detection(path.name, shape, ids, places)
+        views[way] = BoardDetection(path.name, shape, ids, places)
     common = set.intersection(*(set(view.ids.tolist()) for view in views.values()))
-    return Seen({way: only(view, common) for way, view in views.items()}, found)
+    return ImageDetections({way: only(view, common) for way, view in views.items()}, found)
 
 
 def matched(ids: Array, known: Array, pixels: Array) -> tuple[Array, Array]:
@@ -114,13 +114,13 @@ def matched(ids: Array, known: Array, pixels: Array) -> tuple[Array, Array]:
     return ids[near], pixels[nearest[near]]
 
 
-def only(view: Detection, ids: set[int]) -> Detection:
+def only(view: BoardDetection, ids: set[int]) -> BoardDetection:
     """Return a view with some of its corners."""
     kept = np.isin(view.ids, list(ids))
-    return Detection(view.image, view.size, view.ids[kept], view.pixels[kept])
+    return BoardDetection(view.image, view.size, view.ids[kept], view.pixels[kept])
 
 
-def solved(views: Sequence[Detection], board: Board, model: str) -> Calibration | None:
+def solved(views: Sequence[BoardDetection], board: Board, model: str) -> Calibration | None:
     """Return the calibration from views, None if they do not hold one."""
     how = Options(model_named(model), shape=ShapeOptions(offsets=False), max_rejected=1.0)
     try:

@@ -31,7 +31,7 @@ from camcal.geometry.pose import Pose
 from camcal.quality.advise import advise
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.calibrate import name_groups
 from camcal.tasks.calibration.model_selection import select
 
@@ -61,17 +61,19 @@ class Set:
     corners. max_rejected: as of the command.
     """
 
-    views: tuple[Detection, ...]
+    views: tuple[BoardDetection, ...]
     camera: Camera = LENS
     board: Board = BOARD
     model: str | None = None
     max_rejected: float = 0.1
     right_board: Board = BOARD
-    sharp: tuple[Detection, ...] = ()
+    sharp: tuple[BoardDetection, ...] = ()
     cameras: tuple[Camera, ...] = ()
 
 
-def shots(camera: Camera, count: int, seed: int, folder: str = "a", noise: float = NOISE, **how) -> list[Detection]:
+def shots(
+    camera: Camera, count: int, seed: int, folder: str = "a", noise: float = NOISE, **how
+) -> list[BoardDetection]:
     """Views of the board as a careful person takes them, unless told otherwise."""
     rng = np.random.default_rng(seed)
     poses = how.pop("poses", None) or views(camera, BOARD, count, rng=rng, **how)
@@ -88,7 +90,7 @@ def wrong_corners(seed: int, share: float) -> Set:
     )
 
 
-def parallel(seed: int, tilt_deg: float, count: int) -> list[Detection]:
+def parallel(seed: int, tilt_deg: float, count: int) -> list[BoardDetection]:
     """Views of a board that is tilted against the image plane by so much at most, all over the image."""
     rng = np.random.default_rng(seed)
     centre, poses = np.array([*BOARD.extent, 0.0]) / 2, []
@@ -98,7 +100,7 @@ def parallel(seed: int, tilt_deg: float, count: int) -> list[Detection]:
     return shots(LENS, count, seed, poses=poses)
 
 
-def far(seed: int, count: int, tilt_deg: float) -> list[Detection]:
+def far(seed: int, count: int, tilt_deg: float) -> list[BoardDetection]:
     """Views of a board that is far away in the middle of the image."""
     rng = np.random.default_rng(seed)
     poses = []

@@ -60,7 +60,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import point_jacobian, retract
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.calibrate import calibrate as calibrate_files
 from camcal.tasks.calibration.options import CalibrateOptions
 
@@ -111,13 +111,13 @@ class Work:
 class Estimate:
     """The lens (K,) with its covariance, if known, and the board's points (C, 3), or why there are none.
 
-    turned: for each view, the symmetry of the board by which camcal exchanged its ids.
+    symmetries: for each view, the symmetry of the board by which camcal exchanged its ids.
     """
 
     lens: np.ndarray | None = None
     points: np.ndarray | None = None
     covariance: np.ndarray | None = None
-    turned: tuple[int, ...] = ()
+    symmetries: tuple[int, ...] = ()
     failure: str = ""
     seconds: float = np.nan
 
@@ -165,7 +165,7 @@ class Figures:
     seconds: float
 
 
-Solver = Callable[[Sequence[Detection]], Estimate]
+Solver = Callable[[Sequence[BoardDetection]], Estimate]
 
 
 def main() -> None:
@@ -234,7 +234,7 @@ def make_table(folder: Path, name: str) -> None:
             print(f"# {name}: {error}", file=sys.stderr)  # the corners are there, only the camera is not
 
 
-def read_views(folder: Path, name: str) -> tuple[Board, list[Detection]]:
+def read_views(folder: Path, name: str) -> tuple[Board, list[BoardDetection]]:
     """Return the views of the most frequent image size that have enough corners."""
     table = detections.read(table_of(folder, name))
     found = [view for view in table.views if view.found]
@@ -252,7 +252,7 @@ def run(work: Work, name: str) -> Outcome:
     reference = solve_by_base(work.base, board, model, views) if work.base else solve(board, model, views)
     if reference.lens is None:
         return Outcome(name, len(views), {}, f"{work.reference} on all views: {reference.failure}")
-    views = numbered(board, views, reference.turned)
+    views = numbered(board, views, reference.symmetries)
     solvers = dict(solvers_of(work, board, model, float(reference.lens[0])))
     judge = Judge.of(model, reference.lens, views)
     splits: dict[str, list[Split]] = {program: [] for program in solvers}
@@ -263,13 +263,15 @@ def run(work: Work, name: str) -> Outcome:
     return Outcome(name, len(views), splits)
 
 
-def numbered(board: Board, views: Sequence[Detection], turned: Sequence[int]) -> list[Detection]:
+def numbered(board: Board, views: Sequence[BoardDetection], symmetries: Sequence[int]) -> list[BoardDetection]:
     """Return the views with the ids that a calibration of all of them gave to their corners."""
     turns = board.symmetries()
-    return [replace(view, ids=turns[turn][view.ids]) for view, turn in zip(views, turned, strict=True)]
+    return [replace(view, ids=turns[turn][view.ids]) for view, turn in zip(views, symmetries, strict=True)]
 
 
-def divisions(views: Sequence[Detection], count: int) -> Iterator[tuple[list[Detection], list[Detection]]]:
+def divisions(
+    views: Sequence[BoardDetection], count: int
+) -> Iterator[tuple[list[BoardDetection], list[BoardDetection]]]:
     rng = np.random.default_rng(0)
     for _ in range(count):
         order = rng.permutation(len(views))
@@ -296,7 +298,7 @@ def solvers_of(work: Work, board: Board, model: CameraModel, focal: float) -> It
             yield name, every[name]
 
 
-def solve(board: Board, model: CameraModel, views: Sequence[Detection], *, plain: bool = False) -> Estimate:
+def solve(board: Board, model: CameraModel, views: Sequence[BoardDetection], *, plain: bool = False) -> Estimate:
     """Return the estimate of camcal; plain: with the board as drawn."""
     options = plain_options(model) if plain else Options(model, max_rejected=1.0)
     start = time.perf_counter()
@@ -305,10 +307,10 @@ def solve(board: Board, model: CameraModel, views: Sequence[Detection], *, plain
     except FAILURES as error:
         return failed(error, start)
     seconds = time.perf_counter() - start
-    turned = tuple(view.turned for view in result.views)
+    symmetries = tuple(view.symmetry for view in result.views)
     # the numbers of the half are those that most of its views came with
-    points = result.surface.points()[board.symmetries()[Counter(turned).most_common(1)[0][0]]]
-    return Estimate(result.camera.parameters, points, result.camera.covariance, turned, seconds=seconds)
+    points = result.surface.points()[board.symmetries()[Counter(symmetries).most_common(1)[0][0]]]
+    return Estimate(result.camera.parameters, points, result.camera.covariance, symmetries, seconds=seconds)
 
 
 def plain_options(model: CameraModel) -> Options | None:
@@ -326,7 +328,7 @@ def failed(error: Exception, start: float) -> Estimate:
     return Estimate(failure=words, seconds=time.perf_counter() - start)
 
 
-def solve_by_base(folder: Path, board: Board, model: CameraModel, views: Sequence[Detection]) -> Estimate:
+def solve_by_base(folder: Path, board: Board, model: CameraModel, views: Sequence[BoardDetection]) -> Estimate:
     """Return the estimate of the camcal in a folder, from a process that serves all calls of this one."""
     stated = {item.name: getattr(board, item.name) for item in fields(board)}
     defaults = {item.name: item.default for item in fields(board)}
@@ -346,7 +348,8 @@ def solve_by_base(folder: Path, board: Board, model: CameraModel, views: Sequenc
     }
     answer = answer_of(Path(__file__), folder, json.dumps(request))
     arrays = {key: answer[key] and np.array(answer[key]) for key in ("lens", "points", "covariance")}
-    return Estimate(**arrays, turned=tuple(answer["turned"]), failure=answer["failure"], seconds=answer["seconds"])
+    symmetries = tuple(answer["symmetries"])
+    return Estimate(**arrays, symmetries=symmetries, failure=answer["failure"], seconds=answer["seconds"])
 
 
 def serve() -> None:
@@ -355,7 +358,7 @@ def serve() -> None:
     print(Path(camcal.__file__).resolve().parent.parent, flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        views = [Detection(**{**view, "size": tuple(view["size"])}) for view in map(with_arrays, request["views"])]
+        views = [BoardDetection(**{**view, "size": tuple(view["size"])}) for view in map(with_arrays, request["views"])]
         estimate = solve(Board(**request["board"]), model_named(request["model"]), views)
         values = {item.name: getattr(estimate, item.name) for item in fields(estimate)}
         listed = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
@@ -366,7 +369,7 @@ def with_arrays(view: dict) -> dict:
     return {key: np.array(value) if isinstance(value, list) and key != "size" else value for key, value in view.items()}
 
 
-def opencv(board: Board, model: CameraModel, views: Sequence[Detection]) -> Estimate:
+def opencv(board: Board, model: CameraModel, views: Sequence[BoardDetection]) -> Estimate:
     """Return the estimate of OpenCV, with the board as drawn."""
     points = board.points().astype(np.float32)
     objects = [points[view.ids][None] for view in views]
@@ -389,7 +392,7 @@ def opencv(board: Board, model: CameraModel, views: Sequence[Detection]) -> Esti
 
 
 def peer(
-    name: str, interpreter: str, board: Board, model: CameraModel, focal: float, views: Sequence[Detection]
+    name: str, interpreter: str, board: Board, model: CameraModel, focal: float, views: Sequence[BoardDetection]
 ) -> Estimate:
     """Return the estimate that a peer's script prints; see peers/."""
     scale = UNKNOWN_SQUARE if board.square is None else 1.0
@@ -425,7 +428,7 @@ class Judge:
     slopes: np.ndarray
 
     @classmethod
-    def of(cls, model: CameraModel, lens: np.ndarray, views: Sequence[Detection]) -> "Judge":
+    def of(cls, model: CameraModel, lens: np.ndarray, views: Sequence[BoardDetection]) -> "Judge":
         """Return the judge of a set, from a lens of the whole set."""
         pixels = grid_within(np.concatenate([view.pixels for view in views]))
         return cls(model, pixels, map_slopes(model, lens, pixels))
@@ -477,9 +480,9 @@ def displacement(model: CameraModel, first: np.ndarray, second: np.ndarray, pixe
     rotation = np.eye(3)
     off = np.zeros((0, 2))
     for _ in range(8):
-        turned = directions @ rotation.T
-        projected = model.project_with_jacobians(second, turned, within_domain=False)
-        by_turn = np.einsum("nij,njk->nik", projected.d_point, -so3.hat(turned))
+        symmetries = directions @ rotation.T
+        projected = model.project_with_jacobians(second, symmetries, within_domain=False)
+        by_turn = np.einsum("nij,njk->nik", projected.d_point, -so3.hat(symmetries))
         off = pixels - projected.pixels
         held = np.isfinite(off).all(axis=1) & projected.valid
         off = off[held]
@@ -489,7 +492,7 @@ def displacement(model: CameraModel, first: np.ndarray, second: np.ndarray, pixe
     return off
 
 
-def judged(judge: Judge, halves: tuple[list[Detection], list[Detection]], solver: Solver) -> Split:
+def judged(judge: Judge, halves: tuple[list[BoardDetection], list[BoardDetection]], solver: Solver) -> Split:
     """Return what one program makes of two halves."""
     first, second = (solver(half) for half in halves)
     seconds = float(np.mean([first.seconds, second.seconds]))
@@ -531,7 +534,7 @@ class Corners:
     present: np.ndarray
 
     @classmethod
-    def of(cls, points: np.ndarray, views: Sequence[Detection]) -> "Corners":
+    def of(cls, points: np.ndarray, views: Sequence[BoardDetection]) -> "Corners":
         """Return the corners of views; absent ones repeat the first of their view."""
         most = max(len(view.ids) for view in views)
         counts = np.array([len(view.ids) for view in views])
@@ -556,7 +559,7 @@ STEPS = 30
 FAR = 1e8  # px², what a corner without an image costs
 
 
-def held_out(model: CameraModel, lens: np.ndarray, points: np.ndarray, views: Sequence[Detection]) -> np.ndarray:
+def held_out(model: CameraModel, lens: np.ndarray, points: np.ndarray, views: Sequence[BoardDetection]) -> np.ndarray:
     """Return the distances (N,) of the views' corners from where lens and points put them, NaN where nowhere.
 
     The pose of each view is that of least robust cost over its corners.

@@ -47,7 +47,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import point_jacobian, retract
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 TABLES = ("accuracy", "coverage")
 PROGRAMS = ("camcal", "base")
@@ -163,7 +163,7 @@ def run(
 # estimates
 
 
-def solve(views: Sequence[Detection], board: Board, options: Options) -> Estimate:
+def solve(views: Sequence[BoardDetection], board: Board, options: Options) -> Estimate:
     """Return the camera by camcal."""
     start = time.perf_counter()
     try:
@@ -207,7 +207,7 @@ def serve() -> None:
         ends = np.cumsum(table["counts"])[:-1]
         parts = (np.split(table[key], ends) for key in ("ids", "pixels", "covariance"))
         size = tuple(table["size"].tolist())
-        views = [Detection(f"{i:03d}.png", size, *part) for i, part in enumerate(zip(*parts, strict=True))]
+        views = [BoardDetection(f"{i:03d}.png", size, *part) for i, part in enumerate(zip(*parts, strict=True))]
         board = Board("chessboard", *table["board"].tolist(), float(table["square"]))
         options = Options(model_named(str(table["model"])), max_rejected=float(table["max_rejected"]))
         estimate = solve(views, board, options)

@@ -68,13 +68,14 @@ from camcal.stereo.options import MatchOptions as MatchOptions
 from camcal.stereo.points.cloud import CloudMaker as CloudMaker
 from camcal.stereo.points.depth import StereoImage as StereoImage
 from camcal.targets.board import Board as Board
-from camcal.targets.detection import Detection as Detection
+from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
 from camcal.targets.markers.markers import detect_markers as detect_markers
 
 __all__ = [
     "MODELS",
     "Board",
+    "BoardDetection",
     "Calibration",
     "CalibrationOptions",
     "CamcalError",
@@ -86,7 +87,6 @@ __all__ = [
     "Correspondences",
     "Curve",
     "CurveData",
-    "Detection",
     "Detections",
     "Development",
     "Disparity",

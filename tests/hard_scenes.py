@@ -95,7 +95,7 @@ def view(scene: Scene, board: Board, rng: np.random.Generator) -> tuple[Camera, 
         lean = Pose.from_vector(tilt * np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.zeros(3)).rotation
         roll = Pose.from_vector(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]), np.zeros(3)).rotation
         rotation = lean @ roll
-        distance = focal * board.pitch / square_px
+        distance = focal * board.spacing / square_px
         ray = (rng.uniform(0.2, 0.8, 2) * scene.size - np.array(scene.size) / 2) / focal
         middle = np.array([*board.extent, 0.0]) / 2
         pose = Pose(rotation, distance * np.array([*ray, 1.0]) - rotation @ middle)
@@ -116,7 +116,7 @@ def outline(camera: Camera, board: Board, pose: Pose, squares: float) -> np.ndar
     ramp, low, high = np.linspace(0, 1, 9), np.zeros(9), np.ones(9)
     sides = [np.column_stack(side) for side in ((ramp, low), (high, ramp), (ramp[::-1], high), (low, ramp[::-1]))]
     loop = np.concatenate(sides)
-    reach = squares * board.pitch
+    reach = squares * board.spacing
     flat = loop * (np.array(board.extent) + 2 * reach) - reach
     return camera.project(pose.apply(np.column_stack([flat, np.zeros(len(flat))]))).pixels
 

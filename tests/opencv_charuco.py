@@ -11,7 +11,7 @@ def opencv_board(board):
     squares = (board.columns + 1, board.rows + 1)
     markers = board.first_marker + np.arange(squares[0] * squares[1] // 2)
     result = cv2.aruco.CharucoBoard(
-        squares, 1.0, board.marker / board.pitch, marker_dictionary(board.dictionary), markers
+        squares, 1.0, board.marker / board.spacing, marker_dictionary(board.dictionary), markers
     )
     result.setLegacyPattern(bool(board.legacy))
     return result

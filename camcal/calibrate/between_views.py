@@ -145,7 +145,7 @@ class _Linearised:
         state = estimate.state.take(chosen)
         estimate = replace(estimate, problem=problem, state=state, coefficients=estimate.coefficients[chosen])
         derivatives = problem.derivatives(state)
-        columns = columns_at(problem, state, derivatives, estimate.freedom.effects)
+        columns = columns_at(problem, state, derivatives, estimate.additional.effects)
         std = np.zeros((len(chosen), 0))
         if estimate.effect_scales is not None:
             std = estimate.effect_scales.std(columns.effect)[chosen]

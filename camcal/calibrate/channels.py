@@ -25,7 +25,7 @@ from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Cauchy, Loss
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 _CORNERS_A_PARAMETER = 5
 _LOSS = Cauchy(3.0)
@@ -66,7 +66,7 @@ class Aberration:
     largest_at: Array
 
 
-def fit_colour(calibration: Calibration, views: Sequence[Detection], colour: str) -> ColourLens:
+def fit_colour(calibration: Calibration, views: Sequence[BoardDetection], colour: str) -> ColourLens:
     """Return the lens of a colour in which the views of a calibration were measured again.
 
     views: one for each of calibration.views, numbered as their detections were; of their colours, views and corners may
@@ -81,8 +81,8 @@ def fit_colour(calibration: Calibration, views: Sequence[Detection], colour: str
             f"the lens of a colour did not settle ({solution.reason}): add views, or leave out --channels"
         )
     kept = problem.weights > 0
-    freedom = 2 * int(kept.sum()) - problem.shared
-    sigma = float(np.sqrt(np.sum(problem.distances(solution.state)[kept] ** 2) / freedom / truncation()))
+    dof = 2 * int(kept.sum()) - problem.shared
+    sigma = float(np.sqrt(np.sum(problem.distances(solution.state)[kept] ** 2) / dof / truncation()))
     inverse = problem.inverse(solution)
     covariance = calibration.camera.covariance
     if covariance is not None:  # fewer corners than green has would otherwise seem to know more than green
@@ -123,7 +123,7 @@ def aberration(main: Camera, lens: ColourLens) -> Aberration:
     )
 
 
-def _pairs(calibration: Calibration, views: Sequence[Detection], colour: str) -> tuple[Array, Array]:
+def _pairs(calibration: Calibration, views: Sequence[BoardDetection], colour: str) -> tuple[Array, Array]:
     """Return points (N, 3) in the camera frame as the calibration has them, and pixels (N, 2) of the colour.
 
     Corners that were rejected in the calibration stay out.
@@ -135,7 +135,7 @@ def _pairs(calibration: Calibration, views: Sequence[Detection], colour: str) ->
         own = view.colours.get(colour)
         if record.camera_T_board is None or own is None or not own.found:
             continue
-        ids = calibration.board.symmetries()[record.turned][own.ids]
+        ids = calibration.board.symmetries()[record.symmetry][own.ids]
         kept = np.array([(view.image, int(index)) not in rejected for index in ids])
         points.append(record.camera_T_board.apply(board_points[ids[kept]]))
         pixels.append(own.pixels[kept])
@@ -252,11 +252,11 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
     share = problem.sigma**2 / (problem.sigma**2 + main_sigma**2)
     for stage in problem.model.colour_stages:
         free = np.array([index for index in problem.free if names[index] in stage], np.intp)
-        freedom = len(problem.free) - len(free)
-        if not len(free) or not freedom:
+        dof = len(problem.free) - len(free)
+        if not len(free) or not dof:
             continue
         trial = replace(problem, free=free)
         solution = minimise(trial, problem.start)
-        if solution.converged and chi2.sf(2 * share * (solution.cost - full.cost), freedom) > _SIGNIFICANCE:
+        if solution.converged and chi2.sf(2 * share * (solution.cost - full.cost), dof) > _SIGNIFICANCE:
             return trial, solution
     return problem, full

@@ -66,7 +66,7 @@ _LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for
 
 
 @dataclass(frozen=True)
-class Freedom:
+class AdditionalParameters:
     """What is estimated besides lens and poses: the board's smooth shape, its single points, effects within views (the
     names of EFFECTS).
     """
@@ -88,7 +88,7 @@ class Estimate:
 
     problem: BoardProblem
     state: State
-    freedom: Freedom
+    additional: AdditionalParameters
     noise: ViewNoise
     corners: CornerNoise | None
     board: Mapping[str, Scale]
@@ -104,7 +104,7 @@ class Estimate:
 def estimate(
     problem: BoardProblem,
     state: State,
-    freedom: Freedom,
+    additional: AdditionalParameters,
     start: Estimate | None = None,
     *,
     brief: bool = False,
@@ -114,7 +114,7 @@ def estimate(
     start: an estimate of the same problem with no more freedom, whose noise and scales are taken over. brief: with few
     passes, to look at. Raises SingularError where the data leave parameters undetermined.
     """
-    return _Passes(problem, state, freedom, start).run(brief=brief)
+    return _Passes(problem, state, additional, start).run(brief=brief)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +129,17 @@ class _Place:
 class _Passes:
     """The alternation; its attributes are what a pass leaves for the next."""
 
-    def __init__(self, problem: BoardProblem, state: State, freedom: Freedom, start: Estimate | None) -> None:
+    def __init__(
+        self, problem: BoardProblem, state: State, additional: AdditionalParameters, start: Estimate | None
+    ) -> None:
         present, claimed = problem.observations.present, problem.observations.covariance
-        if freedom.smooth:
+        if additional.smooth:
             problem, state = with_terms(problem, state)
-        together = freedom.points and problem.board.count <= TOGETHER
+        together = additional.points and problem.board.count <= TOGETHER
         self.problem = replace(problem, loss=None, offsets=together)
-        self.present, self.claimed, self.freedom = present, claimed, freedom
+        self.present, self.claimed, self.additional = present, claimed, additional
         derivatives = self.problem.derivatives(state)
-        self.columns = columns_at(self.problem, state, derivatives, freedom.effects)
+        self.columns = columns_at(self.problem, state, derivatives, additional.effects)
         self.place = _Place(state, derivatives, np.zeros((len(present), len(self.columns.effect))))
         self.shares = self._shares()
         residuals = self._residuals(self.place)
@@ -156,7 +158,7 @@ class _Passes:
 
     def _take_effects(self, start: Estimate, scales: EffectScales) -> None:
         """Begin with the effects of an estimate that has some of them."""
-        known = np.array([effect.name in start.freedom.effects for effect in EFFECTS])
+        known = np.array([effect.name in start.additional.effects for effect in EFFECTS])
         self.effect_scales = replace(
             self.effect_scales,
             variances=np.where(known, scales.variances, self.effect_scales.variances),
@@ -166,7 +168,7 @@ class _Passes:
 
     def run(self, *, brief: bool) -> Estimate:
         number, moved, settled = 0, np.inf, False
-        apart = self.freedom.points and not self.problem.offsets and self.problem.board.count <= AT_ALL_TOGETHER
+        apart = self.additional.points and not self.problem.offsets and self.problem.board.count <= AT_ALL_TOGETHER
         while number < (_BRIEF if brief else _MOST) and not settled:
             number, before = number + 1, moved
             factors, left, moved = self._pass(first=self.fresh and number == 1)
@@ -177,11 +179,11 @@ class _Passes:
         return Estimate(
             self.problem,
             self.place.state,
-            freedom=self.freedom,
+            additional=self.additional,
             noise=self.noise,
             corners=self.corners,
             board=self.board,
-            effect_scales=self.effect_scales if self.freedom.effects else None,
+            effect_scales=self.effect_scales if self.additional.effects else None,
             coefficients=self.place.coefficients,
             factors=factors,
             posterior=left,
@@ -197,7 +199,7 @@ class _Passes:
         before = self.place.state.parameters
         self._judge(first=first)
         offsets = np.zeros(len(self.present))
-        if self.freedom.points and not self.problem.offsets and not first:
+        if self.additional.points and not self.problem.offsets and not first:
             offsets = self._move_points()
         here = self.place
         factors, end = self._move()
@@ -272,9 +274,9 @@ class _Passes:
     def _shares(self) -> Array:
         """Return the shares (V, P, 2, n) that errors of each period have in the corners, in u and in v."""
         board, shape = self.problem.board, self.present.shape
-        if self.claimed is None or not board.crossed:
+        if self.claimed is None or not board.has_saddle_corners:
             return np.zeros((*shape, 2, len(PERIODS)))
-        side = board.pitch if board.checker else (board.marker or board.pitch)
+        side = board.spacing if board.checker else (board.marker or board.spacing)
         axes = side * self.place.derivatives.by_board(self.place.state.rotations)[..., :2]
         return period_shares(axes.reshape(-1, 2, 2)).reshape(*shape, 2, -1)
 
@@ -301,9 +303,9 @@ class _Passes:
         """Solve for everything that is linear, and go as much of the way as the cost falls; return the factors and the
         state at the end of the whole way, which is their minimum.
         """
-        here, effects = self.place, self.columns.values if self.freedom.effects else None
+        here, effects = self.place, self.columns.values if self.additional.effects else None
         equations = self.problem.equations(here.state, here.derivatives, effects)
-        if self.freedom.effects:
+        if self.additional.effects:
             self.effect_scales = fit_effects(equations, self.columns, self.effect_scales)
         std = self.effect_scales.std(self.columns.effect)
         factors = factorise(scaled(equations, std))

@@ -89,7 +89,7 @@ def within_views(evidence: Evidence, everything: Estimate, height: int) -> Withi
     """Return what the errors within views are, by the estimate that models all effects; height: of the image, px."""
     problem, state = everything.problem, everything.state
     present = problem.observations.present
-    columns = columns_at(problem, state, problem.derivatives(state), everything.freedom.effects)
+    columns = columns_at(problem, state, problem.derivatives(state), everything.additional.effects)
     rolling_px = flex = None
     if evidence.rolling >= NAMED:
         moved = columns.of([EFFECTS.index(ROLLING)]).values

@@ -6,16 +6,16 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, SMOOTH
-from camcal.calibrate.estimator import Estimate, Freedom, estimate
+from camcal.calibrate.estimator import AdditionalParameters, Estimate, estimate
 from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
 from camcal.calibrate.initialise import (
+    apply_symmetries,
     best_turns,
     opposed_views,
     poses_from_pixels,
     renumbered,
     sweep_focal,
     thinned,
-    turned,
 )
 from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
@@ -55,13 +55,13 @@ class ShapeOptions:
     offsets: bool = True
 
     @property
-    def freedom(self) -> Freedom:
+    def additional(self) -> AdditionalParameters:
         """What an estimate that takes errors within views for noise is free to do."""
-        return Freedom(self.smooth, self.smooth and self.offsets)
+        return AdditionalParameters(self.smooth, self.smooth and self.offsets)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CalibrationFit:
     """A solution: lens, poses and board of all views.
 
     estimates: one that takes errors within views for noise, first, and those that model them. weights: of the
@@ -88,7 +88,7 @@ class Fit:
         return self.plain.problem
 
 
-def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> Fit:
+def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> CalibrationFit:
     """Return the solution that goes on from the two results of `fit_plain`."""
     estimates = [plain]
     found = evidence_of_effects(plain) if plain.converged and len(plain.problem.free) else Evidence()
@@ -96,7 +96,7 @@ def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> Fit:
         following = _with_effects(estimates[-1], effects)
         estimates += [following] if following is not None and following.converged else []
     errors = WithinViews(found.share)
-    if estimates[-1].freedom.effects == _EFFECTS[-1]:
+    if estimates[-1].additional.effects == _EFFECTS[-1]:
         errors = within_views(found, estimates[-1], image_size[1])
     return _averaged(tuple(estimates), errors, turns, image_size)
 
@@ -134,23 +134,25 @@ def fit_plain(
     spread = model.prior_std(image_size, float(state.parameters[0]))
     problem = replace(problem, observations=observations, lens_spread=spread)
     problem, state, turns, first = _oriented(problem, state, shape)
-    return estimate(problem, state, shape.freedom, first, brief=brief), turns
+    return estimate(problem, state, shape.additional, first, brief=brief), turns
 
 
 def _with_effects(start: Estimate, effects: tuple[str, ...]) -> Estimate | None:
     """Return the estimate that models errors within views as `effects`, None where the data do not hold it."""
     try:
-        return estimate(start.problem, start.state, replace(start.freedom, effects=effects), start)
+        return estimate(start.problem, start.state, replace(start.additional, effects=effects), start)
     except SingularError:
         return None
 
 
-def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array, image_size: tuple[int, int]) -> Fit:
+def _averaged(
+    estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array, image_size: tuple[int, int]
+) -> CalibrationFit:
     """Return the solution by estimates, of which those that model effects count as far as these are believed in."""
     plain = estimates[0]
     moved = _displacements(plain, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
     if not len(moved):  # the lens is held, or holds nowhere, as that of a wrong board may
-        return Fit(
+        return CalibrationFit(
             plain.state,
             (plain,),
             weights=np.ones(1),
@@ -167,7 +169,7 @@ def _averaged(estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array
         state = averaged([own.state for own in estimates], weights)
         state = replace(state, **_posed_again(plain.problem, state))
     covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
-    return Fit(
+    return CalibrationFit(
         state,
         estimates,
         weights=weights,
@@ -262,7 +264,7 @@ def _oriented(
     opposed = opposed_views(*odd_terms(found.problem, found.state, found.factors))
     if opposed.any():
         sorted_apart = opposed * (symmetries // 2)
-        trial = _first(*turned(found.problem, found.state, sorted_apart), shape)
+        trial = _first(*apply_symmetries(found.problem, found.state, sorted_apart), shape)
         sigma = found.noise.sigma
         if _chi_square(found, sigma) - _chi_square(trial, sigma) > len(turns):
             found, turns = trial, sorted_apart
@@ -278,7 +280,7 @@ def _oriented(
 def _first(problem: BoardProblem, state: State, shape: ShapeOptions) -> Estimate:
     """Return a first estimate of the board's shape, good enough to tell its ends apart; its points start anew."""
     state = replace(state, offsets=0 * state.offsets)
-    return estimate(problem, state, shape.freedom, brief=True)
+    return estimate(problem, state, shape.additional, brief=True)
 
 
 def _chi_square(result: Estimate, sigma: float) -> float:

@@ -1,9 +1,9 @@
-"""Which frames of a film of a board to calibrate from: sharp ones that tell most about the lens and are not alike.
+"""Which frames of a video of a board to calibrate from: sharp ones that tell most about the lens and are not alike.
 
 What a view tells about the lens, its pose unknown, is the Schur complement of its normal matrix: a Fisher information.
 Informations add up, and each frame chosen is the one that lets the determinant of the sum grow most, as a D-optimal
 design does. That brings the corners of the image, tilts and distances by itself, since a lens is not known without
-them. Designs repeat their best points, and films do too; frames alike share the errors that are no noise, so a frame
+them. Designs repeat their best points, and videos do too; frames alike share the errors that are no noise, so a frame
 near a chosen one waits until there are no others. Without a first guess of the lens no frame tells more than another,
 and they follow in order.
 Source: Fedorov, Theory of Optimal Experiments, 1972; Nemhauser, Wolsey, Fisher, An Analysis of Approximations for
@@ -22,7 +22,7 @@ from camcal.cameras.catalogue import WIDE_MODEL, model_named
 from camcal.cameras.observations import Observations
 from camcal.solve.least_squares import linearise
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 NOISE = 0.1  # px of error per px of blur; its bound grows with the root of the blur, what reaches in from beside faster
 SKEW = 0.05  # px of error per pixel a frame that things move: rows of most sensors are not exposed at one time
@@ -58,7 +58,7 @@ class FrameChoice:
         return self.why == CHOSEN
 
 
-def choose_frames(views: Sequence[Detection], board: Board, limit: int) -> tuple[FrameChoice, ...]:
+def choose_frames(views: Sequence[BoardDetection], board: Board, limit: int) -> tuple[FrameChoice, ...]:
     """Return what becomes of every frame when at most `limit` are chosen; the same for the same views.
 
     All views have points and are of one size. Where blur or motion is not known (NaN), it is taken to be as in the
@@ -72,7 +72,7 @@ def choose_frames(views: Sequence[Detection], board: Board, limit: int) -> tuple
     return tuple(chosen.get(index) or FrameChoice(why, float(errors[index])) for index, why in enumerate(whys))
 
 
-def _errors(views: Sequence[Detection]) -> Array:
+def _errors(views: Sequence[BoardDetection]) -> Array:
     """Return the errors (2, V) px to be expected of a point: by the blur, and by rows that see things move.
 
     Where most frames cannot be followed they are pictures taken one by one, and nothing is known of their motion.
@@ -84,7 +84,9 @@ def _errors(views: Sequence[Detection]) -> Array:
     return np.stack([NOISE * np.maximum(blur, 1.0), SKEW * motion])
 
 
-def _chosen(views: Sequence[Detection], good: Array, errors: Array, board: Board, limit: int) -> dict[int, FrameChoice]:
+def _chosen(
+    views: Sequence[BoardDetection], good: Array, errors: Array, board: Board, limit: int
+) -> dict[int, FrameChoice]:
     """Return what becomes of the good frames (their indices), the first ones chosen where several tell the same."""
     views = [views[index] for index in good.tolist()]
     informations = lens_information(views, board, errors)
@@ -160,7 +162,7 @@ def _apart(one: Array, others: Array, board: Board) -> Array:
     return nearest
 
 
-def _table(views: Sequence[Detection], board: Board) -> Array:
+def _table(views: Sequence[BoardDetection], board: Board) -> Array:
     """Return the points of views (V, C, 2), NaN where a point was not found."""
     table = np.full((len(views), board.count, 2), np.nan)
     for row, view in zip(table, views, strict=True):
@@ -168,7 +170,7 @@ def _table(views: Sequence[Detection], board: Board) -> Array:
     return table
 
 
-def lens_information(views: Sequence[Detection], board: Board, errors: Array) -> Array:
+def lens_information(views: Sequence[BoardDetection], board: Board, errors: Array) -> Array:
     """Return what every view tells about the lens alone, (V, K, K), beside a first guess whose information is 1.
 
     errors: (V,) px, standard deviations of the points of each view. Zero where there is no first guess of a lens.

@@ -136,7 +136,7 @@ def renumbered(problem: BoardProblem, turns: Array) -> BoardProblem:
     return replace(problem, observations=replace(problem.observations, ids=ids))
 
 
-def turned(problem: BoardProblem, state: State, turns: Array) -> tuple[BoardProblem, State]:
+def apply_symmetries(problem: BoardProblem, state: State, turns: Array) -> tuple[BoardProblem, State]:
     """Return problem and state with view v numbered by symmetry turns[v] of the board, the poses turned along."""
     motions = [_motion(problem.board, permutation) for permutation in problem.board.symmetries()]
     rotations = np.stack([motion[0] for motion in motions])[turns]
@@ -170,7 +170,7 @@ def best_turns(problem: BoardProblem, state: State) -> tuple[Array, State]:
             states.append(bare)
             costs.append(costs[0])
             continue
-        trial, start = turned(poses, bare, np.full(len(present), index))
+        trial, start = apply_symmetries(poses, bare, np.full(len(present), index))
         states.append(minimise(trial.within_domain(start), start, _POSES).state)
         costs.append(_view_costs(trial, states[-1]))
     gains = costs[0] - np.stack(costs)

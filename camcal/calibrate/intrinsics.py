@@ -10,7 +10,7 @@ from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
-from camcal.calibrate.fit import Fit, ShapeOptions, fit, fit_plain
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions, fit, fit_plain
 from camcal.calibrate.jackknife import Contender, contender
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
@@ -34,7 +34,7 @@ from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import Surface
 
 __all__ = ["Calibration", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
@@ -65,11 +65,11 @@ class Options:
 class Calibration:
     """A camera with its covariance, the board's shape, and the record of every view and rejected corner.
 
-    sigma_px: the noise of one pixel coordinate, freed from the fit's own parameters. freedom: degrees of freedom.
+    sigma_px: standard deviation of one pixel coordinate, estimated with these degrees_of_freedom (parameters deducted).
     rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px.
     correlations: between the board's in-plane terms and fx, fy, where the former are in use.
-    floor_px: the error of every coordinate beyond the covariance that its image gives it, None where none was given;
-    model_error_px: that of a typical corner, errors that repeat with the pixels included.
+    model_error_px: the error of a typical coordinate beyond the covariance that its image gives it, errors that repeat
+    with the pixels included; None where no covariance was given.
     held_by_prior: lens parameters that the data hardly determine: their prior does.
     noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
     covariance counts the errors within views as well. within_views: what these errors are. two_cameras: the groups
@@ -83,13 +83,12 @@ class Calibration:
     views: tuple[View, ...]
     rejected: tuple[RejectedCorner, ...]
     sigma_px: float
-    freedom: int
+    degrees_of_freedom: int
     rms_px: float
     residuals: FloatArray
     pixels: FloatArray
     iterations: int
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    floor_px: float | None = None
     model_error_px: float | None = None
     held_by_prior: tuple[str, ...] = ()
     noise_covariance: FloatArray | None = None
@@ -103,7 +102,7 @@ class Calibration:
         return tuple(view for view in self.views if view.used)
 
 
-def calibrate(detections: Sequence[Detection], board: Board, options: Options) -> Calibration:
+def calibrate(detections: Sequence[BoardDetection], board: Board, options: Options) -> Calibration:
     """Return the camera that saw a board in `detections`.
 
     Raises InsufficientData when the views cannot hold a calibration (too few, alike, fronto-parallel, too many
@@ -132,7 +131,7 @@ def calibrate(detections: Sequence[Detection], board: Board, options: Options) -
 
 
 def compare_models(
-    detections: Sequence[Detection], board: Board, options: Options, models: Sequence[CameraModel]
+    detections: Sequence[BoardDetection], board: Board, options: Options, models: Sequence[CameraModel]
 ) -> tuple[Contender, ...]:
     """Return how well lens models predict views, in their order; options.model does not matter.
 
@@ -170,7 +169,7 @@ def _plain(
     )
 
 
-def _usable(detections: Sequence[Detection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
+def _usable(detections: Sequence[BoardDetection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
     """Return the image size of the majority and, for every view, why it cannot be used (None if it can)."""
     reasons = [reason_unusable(view, board) for view in detections]
     sizes = Counter(view.size for view, reason in zip(detections, reasons, strict=True) if reason is None)
@@ -211,8 +210,8 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
 
 
 def _record(
-    result: Fit,
-    detections: Sequence[Detection],
+    result: CalibrationFit,
+    detections: Sequence[BoardDetection],
     reasons: list[str | None],
     size: tuple[int, int],
     options: Options,
@@ -250,13 +249,12 @@ def _record(
         views=views,
         rejected=rejected_corners(result, detections, reasons, problem.observations.present & ~kept, residuals),
         sigma_px=plain.noise.sigma,
-        freedom=max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
+        degrees_of_freedom=max(int(2 * kept.sum() - plain.posterior.spent.sum()), 1),
         rms_px=float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
         residuals=readonly(residuals[:, kept].T, (None, 2), "residuals"),
         pixels=readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
         iterations=sum(own.passes for own in result.estimates),
         correlations=_correlations(problem.shared_names, covariance),
-        floor_px=None if plain.corners is None else plain.corners.floor_px,
         model_error_px=plain.model_error_px,
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
@@ -266,7 +264,7 @@ def _record(
     )
 
 
-def _pose_covariances(result: Fit) -> Array:
+def _pose_covariances(result: CalibrationFit) -> Array:
     """Return the covariances (V, 6, 6) of the poses: weighted means over the estimates, each under the lens's own."""
     own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
@@ -282,7 +280,7 @@ def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
     return tuple(np.array(problem.shared_names[: len(problem.free)])[held].tolist())
 
 
-def _camera(result: Fit, size: tuple[int, int], covariance: Array) -> Camera:
+def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) -> Camera:
     problem = result.problem
     names, free = problem.model.parameter_names, problem.free
     full = np.zeros((len(names), len(names)))

@@ -159,10 +159,11 @@ def _view_weight(variances: Array) -> Array:
 class CornerNoise:
     """Standard deviations in each coordinate beyond the claimed covariance, px.
 
-    floor_px: of every corner. period_px: of the errors of each of PERIODS, where edges are aligned with the pixel grid.
+    constant_px: of every corner. period_px: of the errors of each of PERIODS, where edges are aligned with the
+    pixel grid.
     """
 
-    floor_px: float
+    constant_px: float
     period_px: Mapping[int, float] = field(default_factory=lambda: dict.fromkeys(PERIODS, 0.0))
 
     def towards(self, other: "CornerNoise", share: float) -> "CornerNoise":
@@ -171,11 +172,11 @@ class CornerNoise:
             period: float(np.sqrt((1 - share) * self.period_px[period] ** 2 + share * other.period_px[period] ** 2))
             for period in PERIODS
         }
-        return CornerNoise(float(np.sqrt((1 - share) * self.floor_px**2 + share * other.floor_px**2)), periods)
+        return CornerNoise(float(np.sqrt((1 - share) * self.constant_px**2 + share * other.constant_px**2)), periods)
 
     def typical(self, shares: Array) -> float:
         """Return what is typically added, px: the geometric mean over all coordinates; shares: (N, 2, n)."""
-        added = self.floor_px**2 + shares @ np.square([self.period_px[period] for period in PERIODS])
+        added = self.constant_px**2 + shares @ np.square([self.period_px[period] for period in PERIODS])
         most = added.max(initial=0.0)
         return float(np.sqrt(np.exp(np.mean(np.log(np.maximum(added, _NOTHING * most)))))) if most > 0 else 0.0
 
@@ -185,7 +186,7 @@ class CornerNoise:
         shares: (N, 2, n) as of `period_shares`.
         """
         total = np.array(claimed, dtype=np.float64)
-        added = self.floor_px**2 + shares @ np.square([self.period_px[period] for period in PERIODS])
+        added = self.constant_px**2 + shares @ np.square([self.period_px[period] for period in PERIODS])
         total[:, [0, 1], [0, 1]] += added
         return total
 
@@ -214,24 +215,24 @@ def estimate_noise(
     claimed: Array,
     shares: Array,
     weights: Array,
-    freedom: float | Array,
+    dof: float | Array,
     start: CornerNoise | None = None,
 ) -> CornerNoise:
     """Return the noise under which the residuals of a calibration are likeliest.
 
     residuals: (N, 2) px. claimed: (N, 2, 2) px², of which only the variances count. shares: (N, 2, n) as of
-    `period_shares`. weights: (N,) 0…1, how much a corner counts; at 0 it may be NaN. freedom: degrees of freedom per
+    `period_shares`. weights: (N,) 0…1, how much a corner counts; at 0 it may be NaN. dof: degrees of freedom per
     coordinate, below 1 as residuals of a fit are too small; one for all or (N,). start: saves time, changes nothing.
 
     Each a_p² has an exponential prior with the mean squared residual as its mean. Where corners tell of a_p² it does
     not matter; where they do not, as on boards that no view shows aligned with the pixels, it keeps a_p² small.
     """
-    data = _Data.of(residuals, claimed, shares, weights, freedom)
+    data = _Data.of(residuals, claimed, shares, weights, dof)
     if data.scale == 0:
         return CornerNoise(0.0)
     variances = data.scale * np.eye(1, 1 + len(PERIODS))[0]
     if start is not None:
-        variances = np.square([start.floor_px, *(start.period_px[period] for period in PERIODS)])
+        variances = np.square([start.constant_px, *(start.period_px[period] for period in PERIODS)])
     misfit = data.misfit(variances)
     for _ in range(_ITERATIONS):
         step, descent = data.step(variances)
@@ -262,9 +263,9 @@ class _Data:
     scale: float
 
     @classmethod
-    def of(cls, residuals: Array, claimed: Array, shares: Array, weights: Array, freedom: float | Array) -> "_Data":
+    def of(cls, residuals: Array, claimed: Array, shares: Array, weights: Array, dof: float | Array) -> "_Data":
         counts = weights > 0
-        free = np.broadcast_to(freedom, weights.shape)[counts]
+        free = np.broadcast_to(dof, weights.shape)[counts]
         squared = (residuals[counts] ** 2 / free[:, None]).T.ravel()
         variances = np.diagonal(claimed, axis1=1, axis2=2)[counts].T.ravel()
         design = np.ones((1 + len(PERIODS), len(squared)))
@@ -303,15 +304,15 @@ class _Data:
         return step, float((wanted - information @ variances) @ step)
 
 
-def robust_sigma(distances: Array, present: Array, freedom: float = 1.0) -> float:
+def robust_sigma(distances: Array, present: Array, dof: float = 1.0) -> float:
     """Return σ per coordinate from the median of distances (V, P) of present points.
 
-    freedom: degrees of freedom per coordinate, < 1 as fitted residuals are too small. Distances of two Gaussian
+    dof: degrees of freedom per coordinate, < 1 as fitted residuals are too small. Distances of two Gaussian
     coordinates have the median σ √(2 ln 2).
     """
     values = distances[present]
     median = float(np.median(np.where(np.isnan(values), np.inf, values))) if len(values) else 0.0
-    return max(float(median / RAYLEIGH_MEDIAN / np.sqrt(freedom)), _LEAST_ROBUST)
+    return max(float(median / RAYLEIGH_MEDIAN / np.sqrt(dof)), _LEAST_ROBUST)
 
 
 def truncation(cut: float = CUT) -> float:

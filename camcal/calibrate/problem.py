@@ -13,7 +13,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import CameraModel
 from camcal.cameras.observations import Observations
-from camcal.cameras.reprojection import by_pose, linearised, residuals, turned, whitened
+from camcal.cameras.reprojection import by_pose, linearised, residuals, rotated_points, whitened
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
@@ -212,7 +212,7 @@ class BoardProblem:
 
     def _points(self, state: State) -> tuple[Array, Array]:
         """Return the board's points rotated and in the camera frame, both (3, V, P)."""
-        rotated = turned(state.rotations, self.board_points(state).T[:, self.observations.ids])
+        rotated = rotated_points(state.rotations, self.board_points(state).T[:, self.observations.ids])
         return rotated, rotated + state.translations.T[:, :, None]
 
     def _shape_jacobians(self, by_point: Array, rotations: Array) -> list[Jacobian]:

@@ -18,7 +18,7 @@ from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.errors import InsufficientData
 from camcal.targets.board import Board
 from camcal.targets.board_map import polynomial_terms
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 # A corner is wrong if it is off by more than this many pixels and this share of a square; a board, if the median corner
 # is.
@@ -76,7 +76,7 @@ class Misfit:
 def misfit(problem: BoardProblem, state: State, residuals: Array) -> Misfit:
     """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image."""
     present = problem.observations.present
-    axes = problem.board.pitch * problem.derivatives(state).by_board(state.rotations)[..., :2]
+    axes = problem.board.spacing * problem.derivatives(state).by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
@@ -90,7 +90,7 @@ def roughness(problem: BoardProblem) -> float:
     """Return how far corners are from a polynomial map of degree 3, in squares: the median over views, NaN if none has
     enough corners. No lens matters here, only whether neighbours on the board are neighbours in the image.
     """
-    points, seen = problem.board.points()[:, :2] / problem.board.pitch, problem.observations
+    points, seen = problem.board.points()[:, :2] / problem.board.spacing, problem.observations
     present, found = seen.present, []
     for view in np.flatnonzero(present.sum(axis=1) >= _FEW):
         places, pixels = points[seen.ids[view, present[view]]], seen.pixels[:, view, present[view]].T
@@ -159,20 +159,20 @@ def require_fit(
     )
 
 
-def reason_unusable(view: Detection, board: Board) -> str | None:
+def reason_unusable(view: BoardDetection, board: Board) -> str | None:
     """Return why a view's points cannot give a pose, or None if they can."""
     if not view.found:
         return view.reason or "no board found"
     if len(view.ids) < MIN_CORNERS:
         return f"only {len(view.ids)} corners, {MIN_CORNERS} are needed: show more of the board"
-    places = board.points()[view.ids, :2] / board.pitch
+    places = board.points()[view.ids, :2] / board.spacing
     x, y = (places - places.mean(axis=0)).T
     if (x @ x) * (y @ y) - (x @ y) ** 2 < 1e-6:
         return "all corners are on one line of the board: show more of it"
     return None
 
 
-def repeated(views: Sequence[Detection]) -> dict[int, int]:
+def repeated(views: Sequence[BoardDetection]) -> dict[int, int]:
     """Return for each view (by index) that repeats an earlier one the index of that one."""
     tables: dict[bytes, list[tuple[int, Array]]] = {}
     for index, view in enumerate(views):

@@ -229,7 +229,7 @@ def surface_of(problem: BoardProblem, state: State, scales: Mapping[str, Scale],
 def _over_plane(problem: BoardProblem, heights: Array) -> Array:
     """Return heights of the points (C,) or (C, n) over the plane that fits them best: a pose can take it."""
     drawn = problem.board.points()
-    plane = np.column_stack([np.ones(problem.board.count), drawn[:, :2] / problem.board.pitch])
+    plane = np.column_stack([np.ones(problem.board.count), drawn[:, :2] / problem.board.spacing])
     return np.asarray(heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0])
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.calibrate.fit import Fit
+from camcal.calibrate.fit import CalibrationFit
 from camcal.calibrate.noise import median_limit
 from camcal.geometry.pose import Pose
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 _NAMED = 5  # images in a sentence
 
@@ -17,7 +17,7 @@ _NAMED = 5  # images in a sentence
 @dataclass(frozen=True, eq=False)
 class View:
     """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it does
-    not fit the other views. turned: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
+    not fit the other views. symmetry: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
     rms_px is over the kept corners, per point. sha256: of the file, where it was read.
     """
 
@@ -27,7 +27,7 @@ class View:
     rms_px: float | None = None
     camera_T_board: Pose | None = None
     pose_covariance: FloatArray | None = None
-    turned: int = 0
+    symmetry: int = 0
     reason: str | None = None
     rejected: bool = False
     sha256: str | None = None
@@ -53,8 +53,8 @@ class RejectedCorner:
 
 
 def view_records(
-    result: Fit,
-    detections: Sequence[Detection],
+    result: CalibrationFit,
+    detections: Sequence[BoardDetection],
     reasons: list[str | None],
     covariances: Array,
     residuals: Array,
@@ -79,7 +79,7 @@ def view_records(
             rms_px=float(np.sqrt(squared[row].sum() / count)) if count else None,
             camera_T_board=Pose(result.state.rotations[row], result.state.translations[row]),
             pose_covariance=readonly(covariances[row], (6, 6), "pose covariance"),
-            turned=int(result.turns[row]),
+            symmetry=int(result.turns[row]),
             sha256=detection.sha256,
         )
         if not count:
@@ -100,7 +100,11 @@ def _misfit_words(median_px: float, limit_px: float) -> str:
 
 
 def rejected_corners(
-    result: Fit, detections: Sequence[Detection], reasons: list[str | None], lost: Array, residuals: Array
+    result: CalibrationFit,
+    detections: Sequence[BoardDetection],
+    reasons: list[str | None],
+    lost: Array,
+    residuals: Array,
 ) -> tuple[RejectedCorner, ...]:
     """Return the corners (V, P) that are `lost`, with their residuals (2, V, P) px."""
     images = [detection.image for detection, reason in zip(detections, reasons, strict=True) if reason is None]

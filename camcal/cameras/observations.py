@@ -10,7 +10,7 @@ from camcal.arrays import Array
 from camcal.cameras.reprojection import whitening_of
 
 
-class Seen(Protocol):
+class DetectedPoints(Protocol):
     """What one image shows of one body: points ids (N,) at pixels (N, 2), with covariances (N, 2, 2) px² or None."""
 
     @property
@@ -63,7 +63,7 @@ class Observations:
                 object.__setattr__(self, name, default)
 
     @classmethod
-    def of(cls, views: Sequence[Seen | None], unknown: Array | None = None) -> "Observations":
+    def of(cls, views: Sequence[DetectedPoints | None], unknown: Array | None = None) -> "Observations":
         """Return the table of the points in `views`, a row of the table for each, all points counting the same.
 
         None is a view of nothing. unknown: (2, 2) px², the covariance of points whose view gives none where another one

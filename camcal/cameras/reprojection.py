@@ -48,7 +48,7 @@ def linearised(
     return Reprojection(left, by_point, by_lens, projected.valid.reshape(shape))
 
 
-def turned(rotations: Array, points: Array) -> Array:
+def rotated_points(rotations: Array, points: Array) -> Array:
     """Return points (3, V, P), or (3, 1, P) for all alike, turned by rotations (V, 3, 3)."""
     return np.ascontiguousarray((rotations @ points.transpose(1, 0, 2)).transpose(1, 0, 2))
 

@@ -140,8 +140,8 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
 
 def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bool) -> None:
-    filmed = {record.view.image for record in report.frames}
-    views = [view for view in report.detections.views if view.image not in filmed]
+    from_videos = {record.view.image for record in report.frames}
+    views = [view for view in report.detections.views if view.image not in from_videos]
     shown = views if verbose or len(views) <= IMAGES_LISTED else [view for view in views if not view.found]
     rows = [[view.image, len(view.ids), view.reason or ""] for view in shown]
     if views:

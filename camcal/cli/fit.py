@@ -48,7 +48,11 @@ def _show(report: "FitReport", options: FitOptions, verbose: bool) -> None:
 
 def _lines(found: "CurveFit") -> list[str]:
     good = found.goodness
-    scatter = "" if good.sigma is None else f", standard deviation {good.sigma:.6g} ({good.freedom} degrees of freedom)"
+    scatter = (
+        ""
+        if good.sigma is None
+        else f", standard deviation {good.sigma:.6g} ({good.degrees_of_freedom} degrees of freedom)"
+    )
     lines = [f"residuals: RMS {good.rms:.6g}{scatter}"]
     if good.chi_square is not None and good.p_value is not None:
         lines.append(f"chi-square {good.chi_square:.6g}, p {good.p_value:.3g}")

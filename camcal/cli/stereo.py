@@ -212,10 +212,10 @@ def _counted(path: Path, scale: float) -> str:
 
 
 def view(options: ViewOptions, call: ImageCall) -> None:
-    """Look at a point cloud or a disparity map: a page that turns and measures, a picture, or a film.
+    """Look at a point cloud or a disparity map: a page that turns and measures, a picture, or a video.
 
     A page is one file that opens offline in any browser: drag to turn, wheel or pinch to zoom, click two points to
-    measure. Pictures and films need no screen. A map without a geometry beside it is shown as it is, as a .png.
+    measure. Pictures and videos need no screen. A map without a geometry beside it is shown as it is, as a .png.
     """
     from camcal.tasks.stereo.view import document
     from camcal.tasks.stereo.view import view as run

@@ -16,7 +16,7 @@ from camcal.tasks.frames.options import (
 )
 
 if TYPE_CHECKING:
-    from camcal.tasks.frames.transform import Made
+    from camcal.tasks.frames.transform import TransformResult
     from camcal.tasks.frames.transform_convert import Converted
     from camcal.tasks.frames.transform_points import MovedPoints
     from camcal.tasks.frames.transform_quality import Averaged, Checked
@@ -60,13 +60,13 @@ def invert(options: PosesOptions, call: Call) -> None:
     _give(run(options, call.progress), options.output, call)
 
 
-def _give(made: "Made", output: Output, call: Call) -> None:
+def _give(made: "TransformResult", output: Output, call: Call) -> None:
     from camcal.tasks.frames.transform import document
 
     call.give(lambda: document(made, output), lambda: _show_made(made, output, verbose=call.verbose))
 
 
-def _show_made(made: "Made", output: Output, *, verbose: bool) -> None:
+def _show_made(made: "TransformResult", output: Output, *, verbose: bool) -> None:
     """Print transforms and what they were made of; beside bare numbers only where ways differ, as remarks."""
     from camcal.report.transform import lines, loop_lines
 

@@ -13,9 +13,10 @@ import numpy as np
 
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
-from camcal.estimate.poses.fits import Fit, agreement_of, fits_of, points_needed, pooled
-from camcal.estimate.poses.judgement import Judgement
+from camcal.estimate.poses.fits import PoseFit, criterion_of, fits_of, points_needed, pooled
 from camcal.estimate.poses.moments import SINGULAR, scaled_eigenvalues
+from camcal.estimate.poses.packed_correspondences import Group, alike
+from camcal.estimate.poses.pose_quality import PoseQuality
 from camcal.estimate.poses.problem import lowest
 from camcal.estimate.poses.records import (
     CAMERA_T_OBJECT,
@@ -24,7 +25,6 @@ from camcal.estimate.poses.records import (
     PoseEstimate,
     PoseOptions,
 )
-from camcal.estimate.poses.sightings import Group, alike
 from camcal.geometry.pose import Pose
 from camcal.progress import Outcome
 
@@ -110,18 +110,18 @@ def estimates(
     fits, noise = fits_of([group for group in sound if len(group.items)], options)
     fits = [_fixed(fit, options, found) for fit in fits]
     noise = noise or pooled(fits)
-    agreement = agreement_of(options, noise.sigma) if options.outliers == "many" else None
+    criterion = criterion_of(options, noise.sigma) if options.outliers == "many" else None
     for fit in fits:
-        judgement = Judgement(
+        quality = PoseQuality(
             fit.problems,
             fit.minima,
             centres=fit.group.centres,
             noise=noise,
             extents=fit.extents,
             intrinsics=options.intrinsics,
-            agreement=agreement,
+            criterion=criterion,
         )
-        for item, estimate in zip(fit.group.items, judgement.estimates(frames, fit.group.counts()), strict=True):
+        for item, estimate in zip(fit.group.items, quality.estimates(frames, fit.group.counts()), strict=True):
             found[int(item)] = estimate
     return found
 
@@ -134,7 +134,7 @@ def _sound(group: Group, options: PoseOptions, found: Found) -> Group:
     return group.take(np.setdiff1d(np.arange(len(group.items)), list(obstacles))) if obstacles else group
 
 
-def _fixed(fit: Fit, options: PoseOptions, found: Found) -> Fit:
+def _fixed(fit: PoseFit, options: PoseOptions, found: Found) -> PoseFit:
     """Return the fit of the items that have a minimum which is a point; the errors of the others go to `found`."""
     best = lowest(fit.minima)
     least = np.full(len(fit.group.items), np.nan)

@@ -32,7 +32,7 @@ class PoseAverage:
 
     covariance: (6, 6) of the mean's step: from the estimates' covariances, otherwise from their scatter (its diagonal
     alone below 7 estimates). weights: (N,) up to 1 by the robust loss. offsets: (N,) m. angles: (N,) rad.
-    chi_square: of the steps against the covariances, None without; freedom: its degrees of freedom.
+    chi_square: of the steps against the covariances, None without; degrees_of_freedom: its degrees of freedom.
     """
 
     pose: Pose
@@ -41,7 +41,7 @@ class PoseAverage:
     offsets: FloatArray
     angles: FloatArray
     chi_square: float | None
-    freedom: int
+    degrees_of_freedom: int
 
     @property
     def unique(self) -> bool:
@@ -81,7 +81,7 @@ def average_poses(
         offsets=np.linalg.norm(steps[:, :3], axis=1),
         angles=np.linalg.norm(steps[:, 3:], axis=1),
         chi_square=None if covariances is None else float(squared.sum()),
-        freedom=6 * (len(poses) - 1),
+        degrees_of_freedom=6 * (len(poses) - 1),
     )
 
 

@@ -59,7 +59,7 @@ class ProjectionStd:
 
 
 @dataclass(frozen=True)
-class Noise:
+class CalibrationNoise:
     """The standard deviation of one measured pixel coordinate, and the degrees of freedom it was estimated with.
 
     model_error_px: the part of it that board and lens model leave beyond what detection says of a typical corner.
@@ -71,7 +71,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CalibrationVerdict:
     """Whether a calibration may be trusted, and why not."""
 
     trustworthy: bool
@@ -91,8 +91,8 @@ class CameraEntry:
     valid: ValidRegion | None = None
     projection: tuple[ProjectionStd, ...] = ()
     quality: Mapping[str, float] = field(default_factory=dict)
-    noise: Noise | None = None
-    verdict: Verdict | None = None
+    noise: CalibrationNoise | None = None
+    verdict: CalibrationVerdict | None = None
     sensor: Mapping[str, float] = field(default_factory=dict)
     channels: Mapping[str, Camera] = field(default_factory=dict)
     held_by_prior: tuple[str, ...] = ()

@@ -38,7 +38,7 @@ from camcal.formats.tables import (
 )
 from camcal.parsing import parse_integer
 from camcal.targets.board import Board, parse_board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 
 MAGIC = "# camcal-detections"
 VERSION = "1"
@@ -49,7 +49,7 @@ OPTIONAL = ("camera", "orientation", *COVARIANCE)
 MAX_COUNT = 1_000_000
 MAX_SIDE = 1_000_000
 
-Placed = tuple[int, Detection]  # with the line on which the file first names the image
+Placed = tuple[int, BoardDetection]  # with the line on which the file first names the image
 
 
 def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
@@ -112,7 +112,7 @@ def _named_board(path: str, words: dict[str, str]) -> Board:
             raise InvalidInput("first_marker_id is not a whole number") from error
 
 
-def _nothing(path: str, number: int, line: str) -> Detection:
+def _nothing(path: str, number: int, line: str) -> BoardDetection:
     """Return the view of a '# none' line."""
     cells = csv_rows(path, [(number, line.removeprefix(NONE))])[0]
     if not 4 <= len(cells) <= 6:
@@ -121,7 +121,7 @@ def _nothing(path: str, number: int, line: str) -> Detection:
     names = ("image", "width", "height", "reason", "camera", "orientation")
     table = Table(path, {name: [text] for name, text in zip(names, cells, strict=True)}, [number])
     size, orientation = _sizes(table)[0], int(table.integers("orientation", 1, 8)[0])
-    view = Detection(cells[0], (int(size[0]), int(size[1])), reason=cells[3] or "nothing found")
+    view = BoardDetection(cells[0], (int(size[0]), int(size[1])), reason=cells[3] or "nothing found")
     return replace(view, camera=cells[4], orientation=orientation)
 
 
@@ -169,7 +169,7 @@ def _views(table: Table, board: Board | None) -> list[Placed]:
     return [
         (
             table.lines[group[0]],
-            Detection(
+            BoardDetection(
                 image,
                 (int(sizes[group[0], 0]), int(sizes[group[0], 1])),
                 ids[group],
@@ -290,7 +290,7 @@ def _circle_line(camera: str, circle: ImageCircle) -> str:
     return CIRCLE + numbers + (f",{cell(camera)}" if camera else "")
 
 
-def _rows(view: Detection, tail: str, *, measured: bool) -> Iterator[str]:
+def _rows(view: BoardDetection, tail: str, *, measured: bool) -> Iterator[str]:
     start = f"{cell(view.image)},{view.size[0]},{view.size[1]}"
     points = [f"{start},{i},{u!r},{v!r}{tail}" for i, (u, v) in zip(view.ids, view.pixels.tolist(), strict=True)]
     if not measured:
@@ -301,7 +301,7 @@ def _rows(view: Detection, tail: str, *, measured: bool) -> Iterator[str]:
     return (f"{point},{suu!r},{suv!r},{svv!r}" for point, (suu, suv, svv) in zip(points, parts, strict=True))
 
 
-def _none_line(view: Detection) -> str:
+def _none_line(view: BoardDetection) -> str:
     reason = " ".join((view.reason or "nothing found").split())
     cells = [cell(view.image), str(view.size[0]), str(view.size[1]), cell(reason)]
     if view.camera or view.orientation != 1:

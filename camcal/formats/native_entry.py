@@ -34,7 +34,7 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
-from camcal.formats.camera_file import CameraEntry, Noise, ProjectionStd, ValidRegion, Verdict
+from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, CameraEntry, ProjectionStd, ValidRegion
 from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text, unchecked
 from camcal.parsing import did_you_mean, nearest
@@ -138,7 +138,7 @@ def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str,
         valid=_read_valid(data["valid"], size) if "valid" in data else None,
         projection=tuple(map(_read_projection, data.get("uncertainty", {}).get("projection", ()))),
         quality=data.get("quality", {}),
-        noise=Noise(**data["noise"]) if "noise" in data else None,
+        noise=CalibrationNoise(**data["noise"]) if "noise" in data else None,
         verdict=_read_verdict(data["verdict"]) if "verdict" in data else None,
         sensor=data.get("sensor", {}),
         channels=channels,
@@ -162,8 +162,8 @@ def _read_projection(data: Mapping[str, Any]) -> ProjectionStd:
     return ProjectionStd(figures, data.get("range_m"))
 
 
-def _read_verdict(data: Mapping[str, Any]) -> Verdict:
-    return Verdict(data["trustworthy"], tuple(data.get("reasons", ())))
+def _read_verdict(data: Mapping[str, Any]) -> CalibrationVerdict:
+    return CalibrationVerdict(data["trustworthy"], tuple(data.get("reasons", ())))
 
 
 def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:

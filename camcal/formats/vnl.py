@@ -17,7 +17,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.formats.tables import Lines, Table, numbered_lines
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 
 SUFFIX = ".vnl"
 MISSING = "-"
@@ -69,13 +69,13 @@ def _refuse_scattered(table: Table, groups: Sequence[Sequence[int]]) -> None:
         seen.add(name)
 
 
-def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> Detection:
+def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> BoardDetection:
     """Return the view of one image's rows."""
     where = f"{rows.path}:{rows.lines[0]}"
     weights = rows.columns.get("level", rows.columns.get("weight", ["0"] * len(rows)))
     seen = np.array([MISSING not in cells for cells in zip(rows.columns["x"], rows.columns["y"], weights, strict=True)])
     if len(rows) == 1 and not seen[0]:
-        return Detection(name, size, reason="listed without corners")
+        return BoardDetection(name, size, reason="listed without corners")
     if len(rows) != board.count:
         found = f"image {name!r} has {len(rows)} rows"
         raise InvalidInput(f"{found}; the board has {board.count} points ({board.words})", where=where)
@@ -85,9 +85,9 @@ def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> Detect
     std = _relative_std(rows)
     kept = (pixels >= 0).all(axis=1) & np.isfinite(std)
     if not kept.any():
-        return Detection(name, size, reason="listed without corners")
+        return BoardDetection(name, size, reason="listed without corners")
     covariance = None if np.all(std[kept] == 1) else std[kept, None, None] ** 2 * np.eye(2)
-    return Detection(name, size, ids[kept], pixels[kept], covariance)
+    return BoardDetection(name, size, ids[kept], pixels[kept], covariance)
 
 
 def _relative_std(rows: Table) -> Array:
@@ -118,14 +118,14 @@ def text(detections: Detections) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _std(view: Detection) -> Array | None:
+def _std(view: BoardDetection) -> Array | None:
     """Return the standard deviation (N,) of one coordinate, px; None if it is not known."""
     if view.covariance is None or not view.found:
         return None
     return np.asarray(np.sqrt(np.trace(view.covariance, axis1=1, axis2=2) / 2))
 
 
-def _rows(view: Detection, board: Board, best: float) -> Iterator[str]:
+def _rows(view: BoardDetection, board: Board, best: float) -> Iterator[str]:
     std = _std(view)
     levels = np.zeros(len(view.ids)) if std is None else np.rint(np.log2(std / best))
     cells = [f"{MISSING} {MISSING} {MISSING}"] * board.count

@@ -7,7 +7,7 @@ from camcal.arrays import Array
 _LEAST_SIZE = 1e-12  # of points that lie in one place, so that nothing is divided by 0
 
 
-def through(homography: Array, points: Array) -> Array:
+def apply_homography(homography: Array, points: Array) -> Array:
     """Return where a homography (3, 3) takes points (N, 2)."""
     moved = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(moved[:, :2] / moved[:, 2:])
@@ -20,7 +20,7 @@ def homography_of(points: Array, seen: Array) -> Array:
     Source: Hartley, In Defense of the Eight-Point Algorithm, 1997 (why both are normalised).
     """
     onto, back = _normalising(points), _normalising(seen)
-    (x, y), (u, v) = through(onto, points).T, through(back, seen).T
+    (x, y), (u, v) = apply_homography(onto, points).T, apply_homography(back, seen).T
     one, zero = np.ones_like(x), np.zeros_like(x)
     upper = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
     lower = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)

@@ -180,7 +180,7 @@ def _best_of_triplets(points: Array, shape: tuple[int, ...]) -> Array | None:
     scoring = rng.permutation(points)[:_SCORED]
     best, most = None, 0
     for _ in range(_TRIPLETS // _BATCH):
-        circles = _through(points[rng.integers(len(points), size=(_BATCH, 3))])
+        circles = _circles_through(points[rng.integers(len(points), size=(_BATCH, 3))])
         circles = circles[_is_possible(circles, shape)]
         counts = (np.abs(_deviations(scoring, circles)) < _TOLERANCE).sum(axis=1)
         if counts.size and counts.max() > most:
@@ -188,7 +188,7 @@ def _best_of_triplets(points: Array, shape: tuple[int, ...]) -> Array | None:
     return best
 
 
-def _through(triplets: Array) -> Array:
+def _circles_through(triplets: Array) -> Array:
     """Return the circles (N, 3) x, y, radius through three points each (N, 3, 2); not finite for points on a line."""
     first, second, third = np.moveaxis(triplets, 1, 0)
     (ax, ay), (bx, by) = (second - first).T, (third - first).T

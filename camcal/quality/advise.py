@@ -93,13 +93,13 @@ def _cameras(calibration: Calibration) -> Iterator[Finding]:
     if found is None:
         return
     code = "several_cameras_by_name" if found.by_name else "several_cameras"
-    if found.ratio > _limit(code) and found.other_px > CRITERIA[code].floor_px:
+    if found.ratio > _limit(code) and found.other_px > CRITERIA[code].minimum_px:
         yield finding(code, f"the views are of {found.words}", found.ratio, found.groups[1])
 
 
 def _lens_model(calibration: Calibration) -> Iterator[Finding]:
     trend, name = radial_trend(calibration), calibration.camera.model.name
-    least = max(_limit("lens_model") * calibration.sigma_px, CRITERIA["lens_model"].floor_px)
+    least = max(_limit("lens_model") * calibration.sigma_px, CRITERIA["lens_model"].minimum_px)
     if trend.chance < _CHANCE and abs(trend.largest_px) > least:
         way = "outwards" if trend.largest_px > 0 else "inwards"
         others = [other for other in ("opencv8", "kannala_brandt4", "kannala_brandt5t") if other != name]

@@ -23,7 +23,7 @@ _FOCALS = ("fx", "fy")
 class Criterion:
     """One rule of the verdict.
 
-    limit: beyond which it applies, in `unit`. floor_px: however small the noise, less than this is not worth a word.
+    limit: beyond which it applies, in `unit`. minimum_px: however small the noise, less than this is not worth a word.
     source: where the limit is from.
     """
 
@@ -33,7 +33,7 @@ class Criterion:
     unit: str
     means: str
     source: str
-    floor_px: float = 0.0
+    minimum_px: float = 0.0
 
 
 _ALL = (
@@ -53,7 +53,7 @@ _ALL = (
         "the mean residual of a ring about the principal point points outwards or inwards by more than this, beyond "
         "chance (1e-6)",
         _SETS,
-        floor_px=0.02,
+        minimum_px=0.02,
     ),
     Criterion("focal_length", True, 0.01, "focal length", "the standard deviation of the focal length", _SETS),
     Criterion(
@@ -73,7 +73,7 @@ _ALL = (
         "errors of corners with one lens over those with two, each for a group of views of its own, less a standard "
         "error",
         "24 real sets of one camera (at most 1.31), 23 mixtures of similar cameras (19 above 1.5), and simulations",
-        floor_px=0.02,
+        minimum_px=0.02,
     ),
     Criterion(
         "several_cameras_by_name",
@@ -82,7 +82,7 @@ _ALL = (
         "ratio",
         "the same with groups that the file names suggest, which are not chosen to make it large",
         "the same sets, split by the order of their views (at most 1.07)",
-        floor_px=0.02,
+        minimum_px=0.02,
     ),
     Criterion(
         "focal_change",
@@ -92,7 +92,7 @@ _ALL = (
         "the focal length changes from one view on, or drifts: how far beyond chance; the floor is the change in the "
         "corner of the image",
         _SETS,
-        floor_px=0.5,
+        minimum_px=0.5,
     ),
     Criterion(
         "parallel_views",
@@ -135,7 +135,7 @@ _ALL = (
         "the focal length of single views differs, or varies from view to view, or a change of it is less clear than "
         "that of focal_change",
         _SETS,
-        floor_px=2.5,
+        minimum_px=2.5,
     ),
     Criterion(
         "two_boards",
@@ -145,7 +145,7 @@ _ALL = (
         "the board changes from one view on: how far beyond chance; the floor is the RMS distance of its corners where "
         "they, not its proportions, show it",
         _SETS,
-        floor_px=0.08,
+        minimum_px=0.08,
     ),
     Criterion(
         "motion_blur",
@@ -155,7 +155,7 @@ _ALL = (
         "corners of a view scatter in one direction by more than this against across, and against a typical view; the "
         "floor is their standard deviation",
         _SETS,
-        floor_px=0.1,
+        minimum_px=0.1,
     ),
     Criterion("board_size", False, 3.0, "m", "the longer side of the board: was it given in mm?", _RULE),
     Criterion(
@@ -208,7 +208,7 @@ def between_views(calibration: Calibration) -> Iterator[Finding]:
 
 
 def _beyond(code: str, clear: float, px: float = np.inf) -> bool:
-    return clear > CRITERIA[code].limit and px > CRITERIA[code].floor_px
+    return clear > CRITERIA[code].limit and px > CRITERIA[code].minimum_px
 
 
 def _focal_length(calibration: Calibration) -> Iterator[Finding]:

@@ -21,7 +21,7 @@ from camcal.geometry.pose import Pose
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import SingularError, factorise
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ def forecast_pose(camera: Camera, points: Array, camera_T_object: Pose, noise_px
 
 
 def calibration_std(
-    camera: Camera, board: Board, views: Sequence[Detection], poses: Sequence[Pose], noise_px: float
+    camera: Camera, board: Board, views: Sequence[BoardDetection], poses: Sequence[Pose], noise_px: float
 ) -> Array:
     """Return the standard deviations (K,) that the parameters of a calibration from these views will have.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData
-from camcal.raw.level import ROUNDING, Level, Noise, before_counting, root, squared
+from camcal.raw.level import ROUNDING, DarkSignal, Level, before_counting, root, squared
 
 _FITTED = 0.7  # of the signal of the largest variance: as EMVA 1288 has it
 _CLIPPED = 1e-3  # share of samples at 0 or at white that makes a level useless for its variance
@@ -49,7 +49,7 @@ class Curve:
     variance: Array
     exposure_s: Array
     fitted: Array
-    noise: Noise
+    noise: DarkSignal
     gain: Figure
     intercept: float
     saturation: float | None
@@ -113,7 +113,7 @@ def _usable(flats: Sequence[Level], phase: int, signal: Array, variance: Array) 
     return np.asarray(below if below.any() else whole & (signal <= peak))
 
 
-def _fit(signal: Array, variance: Array, degrees: Array, noise: Noise) -> tuple[Figure, float]:
+def _fit(signal: Array, variance: Array, degrees: Array, noise: DarkSignal) -> tuple[Figure, float]:
     """Return the gain and the intercept of variance = gain · signal + intercept through flats and darks.
 
     Weights are those of the variance of a variance, 2 σ⁴ / degrees, of what the fit before expects: weights from the

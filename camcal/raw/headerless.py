@@ -171,7 +171,7 @@ def _read_span(path: Path, start: int, count: int) -> Array:
         raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
-class Fit(NamedTuple):
+class CandidateLayout(NamedTuple):
     """A layout that has exactly the length of a file: all the formats that share it, the most likely first."""
 
     formats: tuple[PixelFormat, ...]
@@ -185,7 +185,7 @@ class Fit(NamedTuple):
 
 def fitting_layouts(
     length: int, pixel_format: PixelFormat | None = None, size: tuple[int, int] | None = None
-) -> list[Fit]:
+) -> list[CandidateLayout]:
     """Return what a frame of `length` bytes may be, the most likely first; a given format or size is kept.
 
     Sizes are COMMON_SIZES. Rows without padding come before rows padded to 16, 32 or 64 bytes, which only drivers of
@@ -198,7 +198,7 @@ def fitting_layouts(
         for each in formats:
             for stride in _strides_that_fit(length, each, candidate):
                 found.setdefault((stride, candidate), []).append(each)
-    fits = [Fit(tuple(sharing), candidate, stride) for (stride, candidate), sharing in found.items()]
+    fits = [CandidateLayout(tuple(sharing), candidate, stride) for (stride, candidate), sharing in found.items()]
     return sorted(fits, key=lambda fit: (fit.stride is not None, sizes.index(fit.size)))
 
 

@@ -36,7 +36,7 @@ _FEWEST = 2 * _BOX  # samples of a phase along a side
 
 
 @dataclass(frozen=True)
-class Noise:
+class DarkSignal:
     """A dark signal before it was counted, in counts: mean, standard deviation in time, and of the pixels' own means.
 
     limited: the noise is too small against a count to be measured well.
@@ -61,7 +61,7 @@ class Counted:
     spatial_std: float
 
 
-def before_counting(measured: Counted) -> Noise:
+def before_counting(measured: Counted) -> DarkSignal:
     """Return the Gaussian signals whose counts, rounded and cut off at 0, have these variances.
 
     Below the limit of EMVA 1288 rounding is undone as well, and the uncertainty grows as that fails; where all counts
@@ -72,10 +72,10 @@ def before_counting(measured: Counted) -> Noise:
     if measured.temporal < _SILENT:
         if measured.mean < _SILENT:
             raise InsufficientData("all dark counts are 0: the camera cuts its noise off; raise its black level")
-        return Noise(measured.mean, HIDDEN, HIDDEN, spread, spread_uncertainty, limited=True)
+        return DarkSignal(measured.mean, HIDDEN, HIDDEN, spread, spread_uncertainty, limited=True)
     std, std_uncertainty = root(max(measured.temporal - ROUNDING, ROUNDING), measured.temporal_std)
     if std > _COARSE and measured.mean > _REACH * hypot(std, spread):
-        return Noise(measured.mean, std, std_uncertainty, spread, spread_uncertainty, limited=False)
+        return DarkSignal(measured.mean, std, std_uncertainty, spread, spread_uncertainty, limited=False)
     return _undone(measured, (measured.mean, std, max(spread, _SMALLEST)))
 
 
@@ -93,7 +93,7 @@ def squared(value: float, std: float) -> tuple[float, float]:
     return value**2, max(2 * value * std, std**2)
 
 
-def _undone(measured: Counted, guess: tuple[float, float, float]) -> Noise:
+def _undone(measured: Counted, guess: tuple[float, float, float]) -> DarkSignal:
     """Return the mean, noise and spread whose counts are as measured, by least squares from a guess."""
     target = np.array([measured.mean, measured.temporal, measured.spatial])
 
@@ -116,7 +116,7 @@ def _undone(measured: Counted, guess: tuple[float, float, float]) -> Noise:
     uncertainty = hypot(inverse[1, 1] * measured.temporal_std, inverse[1, 2] * measured.spatial_std)
     uncertainty = min(float(uncertainty), HIDDEN)  # where rounding hides the noise, it is below that at least
     limited = std < HIDDEN or uncertainty > _VAGUE * std or measured.temporal < LIMIT
-    return Noise(mean, std, uncertainty, spread, spread_uncertainty, limited)
+    return DarkSignal(mean, std, uncertainty, spread, spread_uncertainty, limited)
 
 
 def _inverse(jacobian: Array) -> Array:

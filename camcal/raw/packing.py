@@ -64,7 +64,7 @@ def _constant(value: int, dtype: np.dtype[Any]) -> Array:
     return np.array(value, dtype)
 
 
-def _through(stages: Sequence[Stage], words: Array, spare: Sequence[Array], out: Array) -> None:
+def _apply_stages(stages: Sequence[Stage], words: Array, spare: Sequence[Array], out: Array) -> None:
     """Fill `out` with `words` after all the stages; `words` and the two arrays of `spare` are overwritten."""
     for stage in stages[:-1]:
         stage.apply(words, spare, words)
@@ -105,12 +105,12 @@ class WordPacking:
         """
         out, (words, *spare) = lanes.view(f"u{self.reach}"), scratch.view(f"u{self.reach}")
         np.copyto(words, np.ndarray(out.shape, f"{self.order}u{self.reach}", data, 0, (step, self.size)))
-        _through(self.stages, words, spare, out)
+        _apply_stages(self.stages, words, spare, out)
 
     def pack(self, lanes: Array) -> Array:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · pixels) uint16."""
         words = lanes.copy().view(f"u{self.reach}")
-        _through(_backwards(self.stages), words, [np.empty_like(words), np.empty_like(words)], words)
+        _apply_stages(_backwards(self.stages), words, [np.empty_like(words), np.empty_like(words)], words)
         content = words.astype(f"{self.order}u{self.reach}").view(np.uint8)
         return content.reshape(*words.shape, self.reach)[:, :, : self.size].reshape(len(words), -1)
 
@@ -153,13 +153,13 @@ class HighBytesFirst:
         np.copyto(lanes, high.view(np.uint8))
         np.left_shift(out, _constant(self.low_bits, out.dtype), out)
         np.copyto(low, np.ndarray(out.shape, self._low_word, data, 4, (step, self.size)))
-        _through(self.stages, low, spare, low)
+        _apply_stages(self.stages, low, spare, low)
         np.bitwise_or(out, low, out)
 
     def pack(self, lanes: Array) -> Array:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · 4) uint16."""
         low = lanes.copy().view(np.uint64)
-        _through(_backwards(self.stages), low, [np.empty_like(low), np.empty_like(low)], low)
+        _apply_stages(_backwards(self.stages), low, [np.empty_like(low), np.empty_like(low)], low)
         low_bytes = low.view(np.uint8).reshape(*low.shape, 8)[:, :, : self.size - 4]
         high = (lanes >> self.low_bits).astype(np.uint8).reshape(*low.shape, 4)
         return np.concatenate([high, low_bytes], axis=2).reshape(len(low), -1)

@@ -30,7 +30,7 @@ _TILE = (64, 512)  # cells; smaller than other filters', for more planes are in 
 _Step = tuple[int, int]  # rows down and columns to the right of the sample
 
 
-class _Way(NamedTuple):
+class _GradientDirection(NamedTuple):
     """A direction: the pairs of samples whose differences, each with its weight, make its gradient; what is seen there.
 
     seen: samples, those of one colour next to each other; their mean is that colour in this direction.
@@ -39,17 +39,17 @@ class _Way(NamedTuple):
     changes: tuple[tuple[_Step, _Step, float], ...]
     seen: tuple[_Step, ...]
 
-    def turned(self) -> "_Way":
+    def turned(self) -> "_GradientDirection":
         """Return the way after a quarter turn."""
         changes = tuple((_turned(one), _turned(other), weight) for one, other, weight in self.changes)
-        return _Way(changes, tuple(map(_turned, self.seen)))
+        return _GradientDirection(changes, tuple(map(_turned, self.seen)))
 
 
 def _turned(step: _Step) -> _Step:
     return step[1], -step[0]
 
 
-def _all_around(*ways: _Way) -> list[_Way]:
+def _all_around(*ways: _GradientDirection) -> list[_GradientDirection]:
     """Return the ways and what three quarter turns make of them."""
     found = list(ways)
     for _ in range(3):
@@ -75,12 +75,12 @@ _GREEN_UP_RIGHT = (
 _COLOURS_UP_RIGHT = (((-2, 1), (0, -1), 1.0), ((-1, 2), (1, 0), 1.0))
 
 _AROUND_COLOUR = _all_around(
-    _Way(_UP, ((-2, 0), (0, 0), (-1, 0), (-1, -1), (-1, 1))),
-    _Way(_UP_RIGHT + _GREEN_UP_RIGHT, ((-2, 2), (0, 0), (-1, 1), (-2, 1), (-1, 2), (-1, 0), (0, 1))),
+    _GradientDirection(_UP, ((-2, 0), (0, 0), (-1, 0), (-1, -1), (-1, 1))),
+    _GradientDirection(_UP_RIGHT + _GREEN_UP_RIGHT, ((-2, 2), (0, 0), (-1, 1), (-2, 1), (-1, 2), (-1, 0), (0, 1))),
 )
 _AROUND_GREEN = _all_around(
-    _Way(_UP, ((-2, 0), (0, 0), (-1, 0), (-2, -1), (-2, 1), (0, -1), (0, 1))),
-    _Way(_UP_RIGHT + _COLOURS_UP_RIGHT, ((-1, 1), (-1, 0), (-1, 2), (-2, 1), (0, 1))),
+    _GradientDirection(_UP, ((-2, 0), (0, 0), (-1, 0), (-2, -1), (-2, 1), (0, -1), (0, 1))),
+    _GradientDirection(_UP_RIGHT + _COLOURS_UP_RIGHT, ((-1, 1), (-1, 0), (-1, 2), (-2, 1), (0, 1))),
 )
 
 
@@ -157,7 +157,7 @@ def _found(tile: Tile, around: _Surroundings) -> dict[str, Plane]:
     return sums
 
 
-def _gradient(tile: Tile, around: _Surroundings, way: _Way) -> Plane:
+def _gradient(tile: Tile, around: _Surroundings, way: _GradientDirection) -> Plane:
     result, change = tile.take(), tile.take()
     result.image.fill(0)
     for one, other, weight in way.changes:

@@ -70,19 +70,19 @@ def summary(calibration: Calibration) -> list[str]:
     return [
         residuals,
         *held,
-        *_floor_lines(calibration),
+        *_noise_lines(calibration),
         *_within_views_lines(calibration),
         *_board_lines(calibration),
     ]
 
 
-def _floor_lines(calibration: Calibration) -> list[str]:
+def _noise_lines(calibration: Calibration) -> list[str]:
     """Return what the noise is made of, where the images say how well they show the corners."""
-    floor = calibration.floor_px
-    if floor is None:
+    model_error = calibration.model_error_px
+    if model_error is None:
         return []
-    images = max(calibration.sigma_px**2 - floor**2, 0.0) ** 0.5
-    parts = f"{images:.3f} corner detection, {floor:.3f} board and lens model"
+    images = max(calibration.sigma_px**2 - model_error**2, 0.0) ** 0.5
+    parts = f"{images:.3f} corner detection, {model_error:.3f} board and lens model"
     return [f"Residual noise {calibration.sigma_px:.3f} px: {parts}"]
 
 
@@ -147,8 +147,8 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "two_cameras": _two_cameras(calibration),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
-        "floor_px": calibration.floor_px,
-        "degrees_of_freedom": calibration.freedom,
+        "model_error_px": calibration.model_error_px,
+        "degrees_of_freedom": calibration.degrees_of_freedom,
         "board": boards.block(calibration.board),
         "board_shape": {
             "unit": calibration.board.unit,
@@ -161,7 +161,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
             "free_corners": surface.offsets is not None,
             "correlations": {f"{term}, {focal}": share for (term, focal), share in calibration.correlations.items()},
         },
-        "views": [view_record(view) | {"turned": view.turned} for view in calibration.views],
+        "views": [view_record(view) | {"symmetry": view.symmetry} for view in calibration.views],
         "rejected": [
             {
                 "image": corner.image,

@@ -1,7 +1,7 @@
-"""Pictures of point clouds for machines without a screen: one view, four beside each other, or a film of a turn.
+"""Pictures of point clouds for machines without a screen: one view, four beside each other, or a video of a turn.
 
 Points are drawn as small discs, near ones over far ones, with numpy alone. Over them stand a caption, a scale bar and
-the legend of their colours. Films are GIF for any page, MP4 for longer ones.
+the legend of their colours. Videos are GIF for any page, MP4 for longer ones.
 """
 
 from collections.abc import Iterator, Sequence
@@ -53,7 +53,7 @@ _BACKGROUND = (228, 231, 235)  # white walls stand out from it
 _LINE = 2  # pixels between the pictures of a montage
 _LIMITS = (32, 8192)  # pixels of a side
 
-# films
+# videos
 _PER_SECOND = 20  # a GIF counts in hundredths of a second
 _CODEC = "mp4v"  # the one that every build of OpenCV can write into an MP4
 
@@ -235,7 +235,7 @@ def _angles(view: View) -> str:
     return f"azimuth {azimuth}°, elevation {elevation}°"
 
 
-def film_frames(
+def video_frames(
     scene: CloudScene, paint: Paint, views: Sequence[View], size: tuple[int, int], point_size: float = 1.0
 ) -> Iterator[Array]:
     """Yield the pictures (H, W, 3) of some views, red, green, blue, uint8, with the legend of their colours."""
@@ -244,8 +244,8 @@ def film_frames(
         yield write_labels(pixels, labels_of(scene, paint, view, size, "camera")) if paint.scale else pixels
 
 
-def write_film(path: Path, pictures: Iterator[Array]) -> None:
-    """Write pictures of one size as a film, .gif (endless) or .mp4. Raises FileError if it cannot be written."""
+def write_video(path: Path, pictures: Iterator[Array]) -> None:
+    """Write pictures of one size as a video, .gif (endless) or .mp4. Raises FileError if it cannot be written."""
     with replacing(path) as temporary:
         if path.suffix.lower() == ".gif":
             _write_gif(temporary, pictures)
@@ -255,10 +255,10 @@ def write_film(path: Path, pictures: Iterator[Array]) -> None:
 
 def _write_gif(path: Path, pictures: Iterator[Array]) -> None:
     """Write with the same 256 colours for all pictures, so that what stands still does not flicker."""
-    films = list(pictures)
-    sample = Image.fromarray(np.vstack(films[:: max(1, len(films) // 6)]))
+    videos = list(pictures)
+    sample = Image.fromarray(np.vstack(videos[:: max(1, len(videos) // 6)]))
     palette = sample.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    first, *rest = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in films)
+    first, *rest = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in videos)
     first.save(path, "GIF", save_all=True, append_images=rest, duration=1000 // _PER_SECOND, loop=0, optimize=False)
 
 

@@ -12,7 +12,7 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.report.colour_scale import turbo
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 Colour = tuple[int, int, int]  # blue, green, red
 Place = tuple[int, int]  # in the picture, as OpenCV takes it: multiples of 2⁻⁴ px
@@ -218,7 +218,7 @@ def _draw_points(canvas: Canvas, each: Posed, enlarged: int) -> None:
         canvas.line(start, canvas.place(end), _ARROW, canvas.thickness)
 
 
-def corner_overlay(gray: Array, view: Detection) -> Array:
+def corner_overlay(gray: Array, view: BoardDetection) -> Array:
     """Return a picture (H', W', 3) blue, green, red, uint8, of what was found in an image (H, W) uint8.
 
     A line through the points runs from id to id, blue at the first and red at the last; a green square is around the

@@ -60,16 +60,14 @@ def noise(poses: Poses) -> str:
     How far the residuals are from what the pixels came with is said only where that is more than chance and habit.
     """
     found = poses.noise
-    size, freedom = f"noise {found.sigma_px:.3g} px", f"{found.degrees_of_freedom} degrees of freedom"
+    size, dof = f"noise {found.sigma_px:.3g} px", f"{found.degrees_of_freedom} degrees of freedom"
     if found.degrees_of_freedom is None:
         return f"{size}, as given"
     if found.scale is None:
-        return f"{size}, from the residuals, {freedom}"
+        return f"{size}, from the residuals, {dof}"
     if 1 / _NEAR <= found.scale <= _NEAR:
         return f"{size}, by the corner standard deviations, with which the residuals agree"
-    return (
-        f"{size}: the residuals are {found.scale:.3g} x the corner standard deviations (a-posteriori scale, {freedom})"
-    )
+    return f"{size}: the residuals are {found.scale:.3g} x the corner standard deviations (a-posteriori scale, {dof})"
 
 
 def caption(poses: Poses, sight: Sight, record: PoseRecord) -> str:

@@ -77,9 +77,8 @@ def average_line(mean: PoseAverage, *, weighted: bool) -> str:
     how = "weighted by their covariances" if weighted else "all alike"
     if mean.chi_square is None:
         return f"the mean of {len(mean.weights)} poses, {how}; ± from their scatter"
-    return (
-        f"the mean of {len(mean.weights)} poses, {how}; χ² = {mean.chi_square:.4g}, {mean.freedom} degrees of freedom"
-    )
+    consistency = f"χ² = {mean.chi_square:.4g}, {mean.degrees_of_freedom} degrees of freedom"
+    return f"the mean of {len(mean.weights)} poses, {how}; {consistency}"
 
 
 def estimate_rows(estimates: Sequence[NamedTransform], mean: PoseAverage) -> list[list[object]]:

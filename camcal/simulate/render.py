@@ -160,7 +160,7 @@ def evenly_lit(camera: Camera, board: Board, camera_T_board: Pose, exposure: Exp
     edges, jumps = outlines(pattern_of(board), exposure)
     ends = _project(camera, camera_T_board, shape.apply(board, edges))
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-    drawn, steps = _walk(edges, board.inward * jumps, 1 + (lengths / piece_length(exposure.blur_px)).astype(np.intp))
+    drawn, steps = _walk(edges, board.z_sign * jumps, 1 + (lengths / piece_length(exposure.blur_px)).astype(np.intp))
     path = _project(camera, camera_T_board, shape.apply(board, drawn))
     return exposure.background + draw(camera.image_size, path, steps, exposure.blur_px)
 

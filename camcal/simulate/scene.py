@@ -15,7 +15,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import FLAT, Shape
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.targets.pattern import QUIET, ink_reach
 
 ROUNDS = 30  # attempts for a view that does not fit, each with a smaller board
@@ -54,7 +54,7 @@ class _Outline:
 
     @classmethod
     def of(cls, board: Board) -> "_Outline":
-        centre, upright = np.array([*board.extent, 0.0]) / 2, np.diag([1.0, board.inward, board.inward])
+        centre, upright = np.array([*board.extent, 0.0]) / 2, np.diag([1.0, board.z_sign, board.z_sign])
         return cls(_loop(board, RIM), _loop(board, QUIET), centre, board.points(), upright)
 
 
@@ -62,7 +62,7 @@ def _loop(board: Board, squares: float) -> Array:
     """Return points (K, 3) on a rectangle that many squares outside the drawing."""
     ramp, low, high = np.linspace(0, 1, 7), np.zeros(7), np.ones(7)
     sides = [np.column_stack(side) for side in ((ramp, low), (ramp, high), (low, ramp), (high, ramp))]
-    reach = ink_reach(board) + squares * board.pitch
+    reach = ink_reach(board) + squares * board.spacing
     flat = np.concatenate(sides) * (np.array(board.extent) + 2 * reach) - reach
     return np.column_stack([flat, np.zeros(len(flat))])
 
@@ -90,7 +90,7 @@ def views(
             return [found[index] for index in range(count)]
         attempts = _draw(camera, missing, rng, partial, max_tilt)
         attempts = replace(attempts, fill=ease * attempts.fill)
-        rotations, translations = _settle(camera, outline, attempts)
+        rotations, translations = _fitted_into_image(camera, outline, attempts)
         for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
             found[int(missing[slot])] = Pose(rotations[slot], translations[slot])
     raise InvalidInput(
@@ -121,7 +121,7 @@ def _spread(rng: np.random.Generator, count: int) -> Array:
     return np.asarray((rng.permutation(count) + rng.random(count)) / count)
 
 
-def _settle(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
+def _fitted_into_image(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
     """Return rotations (V, 3, 3) and translations (V, 3) of boards brought to their size and into the image."""
     size = np.asarray(camera.image_size)
     middle = (size - 1) / 2
@@ -236,10 +236,10 @@ def in_image(camera: Camera, pixels: Array) -> Array:
     return np.asarray(((pixels >= -0.5) & (pixels <= np.array(camera.image_size) - 0.5)).all(axis=-1))
 
 
-def _detection(camera: Camera, index: int, seen: Array, pixels: Array) -> Detection:
+def _detection(camera: Camera, index: int, seen: Array, pixels: Array) -> BoardDetection:
     if not seen.any():
-        return Detection(view_name(index), camera.image_size, reason="no corner of the board is in the image")
-    return Detection(view_name(index), camera.image_size, np.flatnonzero(seen), pixels[seen])
+        return BoardDetection(view_name(index), camera.image_size, reason="no corner of the board is in the image")
+    return BoardDetection(view_name(index), camera.image_size, np.flatnonzero(seen), pixels[seen])
 
 
 def make_camera(

@@ -37,7 +37,7 @@ _FINE_LENGTH = 1 / (CELLS * FINE)
 
 
 @dataclass(frozen=True, eq=False)
-class Eye:
+class StereoCamera:
     """A pinhole that looks along z: its place (3,), metres, size (width, height), focal length and centre in pixels.
 
     row_shift: by how many pixels its image lies too low; row_tilt: by how much more at the right border than at the
@@ -206,11 +206,13 @@ def render_pair(scene: Scene | PairOptions, rng: np.random.Generator) -> StereoT
     )
 
 
-def _eyes(options: PairOptions) -> tuple[Eye, Eye]:
+def _eyes(options: PairOptions) -> tuple[StereoCamera, StereoCamera]:
     x, y = (options.size[0] - 1) / 2, (options.size[1] - 1) / 2
-    left = Eye(np.zeros(3), options.size, options.focal, (x, y))
+    left = StereoCamera(np.zeros(3), options.size, options.focal, (x, y))
     place = np.array([options.baseline, 0.0, 0.0])
-    return left, Eye(place, options.size, options.focal, (x + options.doffs, y), options.row_shift, options.row_tilt)
+    return left, StereoCamera(
+        place, options.size, options.focal, (x + options.doffs, y), options.row_shift, options.row_tilt
+    )
 
 
 def _counts(brightness: Array, options: PairOptions, rng: np.random.Generator) -> Array:
@@ -223,7 +225,7 @@ def _counts(brightness: Array, options: PairOptions, rng: np.random.Generator) -
     return np.asarray(values, dtype=np.uint8 if options.depth == 8 else np.uint16)
 
 
-def picture(surfaces: Sequence[Surface], eye: Eye, blur: float) -> Array:
+def picture(surfaces: Sequence[Surface], eye: StereoCamera, blur: float) -> Array:
     """Return the picture (H, W, 3), BGR, 0 … 1, that an eye sees; blur: of the Gaussian, pixels."""
     width, height = eye.size
     margin = math.ceil(REACH * blur)  # pixels beside a pixel that its spread reaches into
@@ -273,7 +275,7 @@ def _edges(surface: Array) -> Array:
 
 
 def _add_edges(
-    image: Array, surfaces: Sequence[Surface], eye: Eye, grid: tuple[Array, Array], edge: Array, blur: float
+    image: Array, surfaces: Sequence[Surface], eye: StereoCamera, grid: tuple[Array, Array], edge: Array, blur: float
 ) -> None:
     """Add to an image (H, W, 3) what its pixels gather of the edge cells (R, C); grid: the middles of all cells."""
     x, y = _places()
@@ -321,7 +323,7 @@ def _product(rows: Array, columns: Array) -> Array:
     return np.asarray(rows[..., :, None] * columns[..., None, :])
 
 
-def disparity(surfaces: Sequence[Surface], eye: Eye, other: Eye) -> tuple[Array, Array]:
+def disparity(surfaces: Sequence[Surface], eye: StereoCamera, other: StereoCamera) -> tuple[Array, Array]:
     """Return the disparity (H, W), float32 pixels, at the pixels of an eye, and which of them (H, W) the other sees.
 
     The disparity is the column of the left eye less that of the right one; NaN where nothing is seen.
@@ -342,13 +344,13 @@ def disparity(surfaces: Sequence[Surface], eye: Eye, other: Eye) -> tuple[Array,
     return result, visible
 
 
-def _hidden(surfaces: Sequence[Surface], eye: Eye, points: Array) -> Array:
+def _hidden(surfaces: Sequence[Surface], eye: StereoCamera, points: Array) -> Array:
     """Return which points (N, 3) another surface hides from an eye."""
     x, y, z = (points - eye.place).T
     return np.asarray(first_hits(surfaces, eye.place, x / z, y / z)[1] < z * (1 - SAME))
 
 
-def seen(surfaces: Sequence[Surface], eye: Eye, columns: Array, rows: Array) -> tuple[Array, Array]:
+def seen(surfaces: Sequence[Surface], eye: StereoCamera, columns: Array, rows: Array) -> tuple[Array, Array]:
     """Return which surface an eye sees at pixels (N,), and which point (N, 3) of it, NaN if none."""
     x, y = eye.rays(columns, rows)
     surface, depths = first_hits(surfaces, eye.place, x, y)

@@ -49,7 +49,7 @@ class Sight:
         return np.asarray(self.focal / z * np.linalg.norm(moved, axis=0))
 
 
-class Coat(NamedTuple):
+class Texture(NamedTuple):
     """A tile to be painted with, (T, T), and the colours (3,) of its darkest and its brightest texels."""
 
     tile: Array
@@ -153,7 +153,7 @@ def _box(sight: Sight, rng: np.random.Generator) -> list[Surface]:
         others = [(number + 1) % 3, (number + 2) % 3]
         for outward in (turn[:, number], -turn[:, number]):
             light = 0.75 + 0.25 * outward @ LIGHT
-            lit = Coat(coat.tile, light * coat.dark, light * coat.bright)
+            lit = Texture(coat.tile, light * coat.dark, light * coat.bright)
             place, axes = centre + sides[number] * outward, turn.T[others]
             spots = place + np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)]) * sides[others] @ axes
             faces.append(Facet(place, axes, tuple(sides[others]), _paint(sight, lit, spots, axes)))
@@ -184,22 +184,22 @@ def _facet(
     return Facet(centre, axes, reach, _paint(sight, coat, spots, axes), elliptic)
 
 
-def _coat(extent: float, rng: np.random.Generator) -> Coat:
+def _coat(extent: float, rng: np.random.Generator) -> Texture:
     """Return a coat for a surface that is `extent` pixels long."""
     smallest, largest = TILES
     tile = paint_tile(int(np.clip(2 ** np.ceil(np.log2(extent)), smallest, largest)), rng)
     tint = 1 - 0.35 * rng.random(3) ** 2
-    return Coat(tile, rng.uniform(0.02, 0.15) * tint[::-1], rng.uniform(0.5, 1) * tint)
+    return Texture(tile, rng.uniform(0.02, 0.15) * tint[::-1], rng.uniform(0.5, 1) * tint)
 
 
-def _paint(sight: Sight, coat: Coat, spots: Array, axes: Array) -> Paint:
+def _paint(sight: Sight, coat: Texture, spots: Array, axes: Array) -> Paint:
     """Return the paint of a surface seen at spots (K, 3): a texel a pixel where it is far, larger where it is near."""
     densities = [sight.density(spots, axis) for axis in axes]
     texels = [min(float(np.median(density)), FINEST * float(density.min())) for density in densities]
     return Paint(coat.tile, np.array(texels)[:, None] * axes, coat.dark, coat.bright)
 
 
-Texture = Callable[[int, np.random.Generator], Array]
+TextureGenerator = Callable[[int, np.random.Generator], Array]
 
 _WEAK_SHARE = 0.25  # of an area whose contrast is lowered
 
@@ -282,7 +282,7 @@ def _plaster(size: int, rng: np.random.Generator) -> Array:
     return 0.015 * cloud(size, 0.5, rng) + 0.05 * cloud(size, 2.5, rng)
 
 
-KINDS: tuple[tuple[Texture, float], ...] = (
+KINDS: tuple[tuple[TextureGenerator, float], ...] = (
     (_leaves, 0.4),
     (_grain, 0.25),
     (_stripes, 0.1),

@@ -86,17 +86,17 @@ class Board:
         return self.type in (CHESSBOARD, CHARUCO)
 
     @property
-    def crossed(self) -> bool:
+    def has_saddle_corners(self) -> bool:
         """Whether two edges cross at every point."""
         return self.checker or self.type == APRILGRID
 
     @property
-    def coded(self) -> bool:
+    def has_ids(self) -> bool:
         """Whether every point of a part of the board can be told from the others."""
         return self.type in (CHARUCO, APRILGRID) or self.dots
 
     @property
-    def inward(self) -> int:
+    def z_sign(self) -> int:
         """1 if z points into the board, away from who looks at its printed side; -1 if out of it (AprilGrid)."""
         return -1 if self.type == APRILGRID else 1
 
@@ -111,7 +111,7 @@ class Board:
         return "squares" if self.square is None else "m"
 
     @property
-    def pitch(self) -> float:
+    def spacing(self) -> float:
         """The distance of neighbouring corners, tags or circles (rows of asymmetric ones) in `unit`."""
         return 1.0 if self.square is None else self.square
 
@@ -134,9 +134,9 @@ class Board:
 
     def _flat(self) -> Array:
         if self.type == APRILGRID:
-            return tag_corners(self.columns, self.rows, (self.marker or 0.0) / self.pitch) * self.pitch
+            return tag_corners(self.columns, self.rows, (self.marker or 0.0) / self.spacing) * self.spacing
         layout = staggered if self.type == ASYMMETRIC_CIRCLES else grid_points
-        return layout(self.columns, self.rows) * self.pitch
+        return layout(self.columns, self.rows) * self.spacing
 
     def transposed(self) -> "Board":
         """Return the same board with columns and rows exchanged."""
@@ -159,7 +159,7 @@ class Board:
         even looks the same turned by 180°, a square one by 90°, so does any plain grid of circles; an asymmetric one
         of an even number of rows turned by 180°. Markers, tags and dots leave no doubt.
         """
-        if self.coded:
+        if self.has_ids:
             return unchanged(self.count)
         if self.type == ASYMMETRIC_CIRCLES:
             return unchanged(self.count) if self.rows % 2 else half_turns(self.count)
@@ -191,7 +191,7 @@ def _require_lengths(board: Board) -> None:
     kind = BOARD_TYPES[board.type]
     if kind.needs and (board.marker is None or board.dictionary is None):
         raise InvalidInput(kind.needs)
-    if max(board.marker or 0.0, board.diameter or 0.0) >= kind.nearest * board.pitch:
+    if max(board.marker or 0.0, board.diameter or 0.0) >= kind.nearest * board.spacing:
         raise InvalidInput(kind.crowded)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.geometry.homography import homography_of, through
+from camcal.geometry.homography import apply_homography, homography_of
 
 _DEGREE = 5  # of the polynomial at most
 _POINTS_PER_TERM = 3
@@ -67,7 +67,7 @@ class BoardMap:
         """Return the pixels (..., 2) of points (..., 2) of the board."""
         flat = points.reshape(-1, 2)
         moved = flat + polynomial_terms((flat - self.middle) / self.scale, self.degree) @ self.coefficients
-        return self.radial.bent(through(self.homography, moved)).reshape(points.shape)
+        return self.radial.bent(apply_homography(self.homography, moved)).reshape(points.shape)
 
 
 def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool = False) -> BoardMap:
@@ -81,7 +81,7 @@ def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool =
     homography = homography_of(points, straight)
     middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
     degree = _degree(points)
-    moved = through(np.linalg.inv(homography), straight) - points
+    moved = apply_homography(np.linalg.inv(homography), straight) - points
     terms = polynomial_terms((points - middle) / scale, degree)
     return BoardMap(np.linalg.lstsq(terms, moved, rcond=None)[0], degree, middle, scale, homography, radial)
 
@@ -120,7 +120,7 @@ def _moved(radial: Radial, step: Array) -> Radial:
 
 def _residuals(points: Array, pixels: Array, radial: Radial) -> Array:
     straight = radial.straight(pixels)
-    return np.asarray((straight - through(homography_of(points, straight), points)).ravel())
+    return np.asarray((straight - apply_homography(homography_of(points, straight), points)).ravel())
 
 
 def _degree(points: Array) -> int:

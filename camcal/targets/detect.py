@@ -7,7 +7,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.corners.measure import measure
-from camcal.targets.detection import Detection, Samples
+from camcal.targets.detection import BoardDetection, MaskedImage
 
 SEED = 0  # of OpenCV's random numbers, set anew for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them
@@ -15,8 +15,8 @@ LEAST_SIDE = 3  # corners along a side of a chessboard; fewer may be anything
 
 
 def detect(
-    gray: Array, board: Board, *, seed: int = SEED, partial: bool = False, samples: Samples | None = None
-) -> Detection:
+    gray: Array, board: Board, *, seed: int = SEED, partial: bool = False, samples: MaskedImage | None = None
+) -> BoardDetection:
     """Return the points of a board in an image with their covariances, or the reason why there are none.
 
     gray: (H, W) uint8, in which the board is found. partial: a part of a chessboard will do that shows which part it
@@ -31,9 +31,9 @@ def detect(
     return replace(_found(gray, board, seed, samples, partial=partial), size=gray.shape[::-1])
 
 
-def _found(gray: Array, board: Board, seed: int, samples: Samples | None, *, partial: bool) -> Detection:
+def _found(gray: Array, board: Board, seed: int, samples: MaskedImage | None, *, partial: bool) -> BoardDetection:
     if min(gray.shape) < MIN_PIXELS:
-        return Detection.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
+        return BoardDetection.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
     with opencv.repeatable(seed):  # each detector is imported when it is needed
         if board.type == APRILGRID:
             from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
@@ -51,7 +51,7 @@ def _found(gray: Array, board: Board, seed: int, samples: Samples | None, *, par
             from camcal.targets.checker.chessboard import find_chessboard
 
             found = find_chessboard(gray, board, partial=partial or board.dots)
-    return measure(samples or Samples(gray), board, found)
+    return measure(samples or MaskedImage(gray), board, found)
 
 
 def require_findable(board: Board, *, partial: bool = False) -> None:

@@ -19,7 +19,7 @@ MIN_CORNERS = 4  # as many as a homography needs
 
 
 @dataclass(frozen=True, eq=False)
-class Detection:
+class BoardDetection:
     """Points ids (N,) at pixels (N, 2) with their covariance (N, 2, 2) px² where it is known, or none and the reason.
 
     image: the name of the file, or of a frame of a video. size: (width, height). camera, body: the names of the one
@@ -41,7 +41,7 @@ class Detection:
     body: str = ""
     time: float | None = None
     other: Board | None = None
-    colours: "Mapping[str, Detection]" = field(default_factory=dict)
+    colours: "Mapping[str, BoardDetection]" = field(default_factory=dict)
     blur_px: float = float("nan")
     motion_px: float = float("nan")
     sha256: str | None = None
@@ -53,12 +53,12 @@ class Detection:
             object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.ids), 2, 2), "covariance"))
 
     @classmethod
-    def nothing(cls, reason: str, other: Board | None = None) -> "Detection":
+    def nothing(cls, reason: str, other: Board | None = None) -> "BoardDetection":
         """Return the record of an image without points to use."""
         return cls(reason=reason, other=other)
 
     @classmethod
-    def of(cls, grid: Array, covariance: Array | None = None) -> "Detection":
+    def of(cls, grid: Array, covariance: Array | None = None) -> "BoardDetection":
         """Return the points of a grid (rows, columns, 2), NaN where none; none if too few for a pose.
 
         covariance: (rows, columns, 2, 2) px² of the grid's points.
@@ -77,14 +77,14 @@ class Detection:
         """Whether there are points."""
         return len(self.ids) > 0
 
-    def without_points(self, reason: str) -> "Detection":
+    def without_points(self, reason: str) -> "BoardDetection":
         """Return the record of the same image without its points, and why."""
-        nothing = Detection()
+        nothing = BoardDetection()
         return replace(
             self, ids=nothing.ids, pixels=nothing.pixels, covariance=None, colours=nothing.colours, reason=reason
         )
 
-    def renumbered(self, numbers: Array) -> "Detection":
+    def renumbered(self, numbers: Array) -> "BoardDetection":
         """Return the points with other ids: numbers (C,) holds the new one of every point of the board."""
         colours = {colour: view.renumbered(numbers) for colour, view in self.colours.items()}
         return replace(self, ids=numbers[self.ids], colours=colours)
@@ -98,12 +98,12 @@ class Detections:
     """
 
     board: Board | None
-    views: tuple[Detection, ...]
+    views: tuple[BoardDetection, ...]
     circles: Mapping[str, ImageCircle] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class MaskedImage:
     """Values (H, W), uint8 or any other kind of number, and the mask (H, W) of those that count, None: all.
 
     The samples of one colour of a mosaic are such a mask.
@@ -156,7 +156,7 @@ class PixelMap:
     offset: Array
     size: Size
 
-    def apply(self, view: Detection) -> Detection:
+    def apply(self, view: BoardDetection) -> BoardDetection:
         """Return a view with its points as an image of the other size would show them."""
         covariance = None if view.covariance is None else self.linear @ view.covariance @ self.linear.T
         pixels = view.pixels @ self.linear.T + self.offset

@@ -56,8 +56,8 @@ def pattern_of(board: Board) -> Pattern:
 def ink_reach(board: Board) -> float:
     """Return how far the drawing reaches beyond the bounding box of a board's points, in its unit."""
     if board.checker:
-        return board.pitch
-    return board.pitch - (board.marker or 0.0) if board.type == APRILGRID else (board.diameter or 0.0) / 2
+        return board.spacing
+    return board.spacing - (board.marker or 0.0) if board.type == APRILGRID else (board.diameter or 0.0) / 2
 
 
 def _chessboard(board: Board) -> Pattern:
@@ -65,8 +65,8 @@ def _chessboard(board: Board) -> Pattern:
     if not board.dots:
         return drawn
     row, column = np.transpose(dotted_squares(board.columns, board.rows))
-    places = (np.column_stack([column, row]) - 0.5) * board.pitch
-    radius = np.full(len(places), DOT * board.pitch)
+    places = (np.column_stack([column, row]) - 0.5) * board.spacing
+    radius = np.full(len(places), DOT * board.spacing)
     return Pattern(drawn.x, drawn.y, drawn.ink, np.column_stack([places, radius, WHITE - drawn.ink_at(places)]))
 
 
@@ -78,7 +78,7 @@ def _charuco(board: Board) -> Pattern:
     for marker, (row, column) in zip(bits, np.argwhere(squares == WHITE), strict=True):
         top, left = row * (cells + 2) + 1, column * (cells + 2) + 1
         ink[top : top + cells, left : left + cells] = marker
-    share = (board.marker or 0.0) / board.pitch
+    share = (board.marker or 0.0) / board.spacing
     steps = np.concatenate([[0.0], (1 - share) / 2 + share * np.linspace(0, 1, cells + 1)])
     return _bordered(board, ink, steps)
 
@@ -100,7 +100,7 @@ def _markers(board: Board, count: int) -> Array:
 
 def _bordered(board: Board, ink: Array, steps: Array) -> Pattern:
     """Return the pattern of ink (rows, columns) whose lines repeat in every square at `steps`, shares of its side."""
-    x, y = (_lines(count + 1, steps) * board.pitch for count in (board.columns, board.rows))
+    x, y = (_lines(count + 1, steps) * board.spacing for count in (board.columns, board.rows))
     return Pattern(x, y, np.pad(ink, 1, constant_values=WHITE))
 
 
@@ -127,8 +127,8 @@ def _aprilgrid(board: Board) -> Pattern:
 def _tag_lines(tags: int, cells: int, board: Board) -> Array:
     """Return the lines of a row of tags, of the gaps before, between and after them, and of the border."""
     side, gap = board.marker or 0.0, ink_reach(board)
-    inner = (np.arange(tags)[:, None] * board.pitch + side * np.linspace(0, 1, cells + 1)).ravel()
-    outer = np.array([gap, gap + QUIET * board.pitch])
+    inner = (np.arange(tags)[:, None] * board.spacing + side * np.linspace(0, 1, cells + 1)).ravel()
+    outer = np.array([gap, gap + QUIET * board.spacing])
     return np.concatenate([-outer[::-1], inner, inner[-1] + outer])
 
 
@@ -137,7 +137,7 @@ def _circles(board: Board) -> Pattern:
         raise InvalidInput(
             f"the {board.words} cannot be drawn without their diameter; add it as in {board.type}:10x8:25mm:15mm"
         )
-    reach = ink_reach(board) + QUIET * board.pitch
+    reach = ink_reach(board) + QUIET * board.spacing
     x, y = (np.array([-reach, side + reach]) for side in board.extent)
     centres = board.points()[:, :2]
     discs = np.column_stack([centres, np.tile([board.diameter / 2, BLACK], (board.count, 1))])

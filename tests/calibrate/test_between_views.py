@@ -112,7 +112,7 @@ def test_a_board_of_other_proportions_is_found_where_it_comes_in(scene, seen):
 
 def test_a_board_printed_otherwise_is_found_where_it_comes_in_with_the_distance_of_its_corners(scene, seen):
     first = 5
-    shifts = np.random.default_rng(4).normal(0, 0.004, (scene.board.count, 2)) * scene.board.pitch
+    shifts = np.random.default_rng(4).normal(0, 0.004, (scene.board.count, 2)) * scene.board.spacing
     changed = moved(scene, seen, shifts, range(first, COUNT))
     found = compared(scene, changed, offsets=True)
     apart = [np.mean(np.sum((new.pixels - old.pixels) ** 2, axis=1)) for new, old in zip(changed, seen, strict=True)]
@@ -122,7 +122,7 @@ def test_a_board_printed_otherwise_is_found_where_it_comes_in_with_the_distance_
 
 
 def test_a_board_printed_otherwise_is_found_in_views_of_any_order(scene, seen):
-    shifts = np.random.default_rng(4).normal(0, 0.006, (scene.board.count, 2)) * scene.board.pitch
+    shifts = np.random.default_rng(4).normal(0, 0.006, (scene.board.count, 2)) * scene.board.spacing
     chosen = (1, 2, 6, 9, 11, 14)
     found = compared(scene, moved(scene, seen, shifts, chosen), offsets=True)
     assert found.boards.clear > CLEAR

@@ -9,7 +9,7 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.simulate import render
 from camcal.simulate.scene import project_all
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import CLASSES, basis
 
 BOARD = Board("chessboard", 14, 9, 0.030)
@@ -109,7 +109,7 @@ def observe_with(scene, offsets):
     assert valid.all()
     noise = 0.15 * rng.normal(size=pixels.shape)
     ids = np.arange(BOARD.count)
-    return [Detection(f"{i}.png", scene.camera.image_size, ids, view) for i, view in enumerate(pixels + noise)]
+    return [BoardDetection(f"{i}.png", scene.camera.image_size, ids, view) for i, view in enumerate(pixels + noise)]
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -124,7 +124,7 @@ def test_views_numbered_from_either_end_give_the_same_camera(even_scene, seed):
     difference = (sorted_out.camera.parameters - straight.camera.parameters) / spread
     assert np.abs(difference).max() < 0.1  # the same corners, so the same minimum
     assert sorted_out.surface.deflection == pytest.approx(straight.surface.deflection, rel=0.01)
-    turns = np.array([view.turned for view in sorted_out.views])
+    turns = np.array([view.symmetry for view in sorted_out.views])
     assert np.array_equal(turns, flips) or np.array_equal(turns, 1 - flips)
 
 
@@ -134,7 +134,7 @@ def test_ends_that_no_view_tells_by_itself_are_told_by_all_views_together(seed):
     scene = make_scene(board=Board("chessboard", 10, 8, 0.030), count=12)
     seen = scene.observe(seed, noise_px=0.1, shape=render.bow(5e-4, 3e-4) + render.cubic(2e-4))
     seen = [turned(view, scene.board, index % 2) for index, view in enumerate(seen)]
-    turns = np.array([view.turned for view in calibrate(seen, scene.board, Options(scene.camera.model)).views])
+    turns = np.array([view.symmetry for view in calibrate(seen, scene.board, Options(scene.camera.model)).views])
     assert (turns != np.roll(turns, 1)).all()
 
 

@@ -12,7 +12,7 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.refusals import reason_unusable
 from camcal.simulate import render
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import TIERS, basis
 
 BOARDS = {
@@ -57,7 +57,7 @@ def test_a_bent_board_of_any_type_does_not_bend_the_camera(form):
 
 def test_the_corners_of_tags_in_one_row_lie_on_no_line():
     board = parse_board("aprilgrid:6x1:45mm:0.3")
-    view = Detection("a.png", (640, 480), np.arange(board.count), np.zeros((board.count, 2)))
+    view = BoardDetection("a.png", (640, 480), np.arange(board.count), np.zeros((board.count, 2)))
     assert reason_unusable(view, board) is None
 
 
@@ -70,7 +70,7 @@ def test_the_corners_of_tags_in_one_row_lie_on_no_line():
     ],
 )
 def test_points_on_one_line_are_refused_for_all_types(form, ids):
-    view = Detection("a.png", (640, 480), np.array(ids), np.zeros((len(ids), 2)))
+    view = BoardDetection("a.png", (640, 480), np.array(ids), np.zeros((len(ids), 2)))
     assert reason_unusable(view, parse_board(form)) == "all corners are on one line of the board: show more of it"
 
 

@@ -18,7 +18,7 @@ from camcal.simulate.mosaics import lenses
 from camcal.simulate.render import bow
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 SIZE = (1600, 1200)
 GREEN = Camera(model_named("opencv5"), SIZE, np.array([1200.0, 1205, 805, 590, -0.12, 0.06, 5e-4, -3e-4, 0.01]))
@@ -33,7 +33,7 @@ def poses():
 
 def fit_red(green, views):
     """Return the lens of red that shows these views, one for each of the green calibration."""
-    return fit_colour(green, [Detection(view.image, view.size, colours={"red": view}) for view in views], "red")
+    return fit_colour(green, [BoardDetection(view.image, view.size, colours={"red": view}) for view in views], "red")
 
 
 def seen(camera, poses, seed, board=BOARD, **how):
@@ -141,7 +141,7 @@ def test_the_bend_of_the_board_and_missing_corners_do_not_matter(poses):
         replace(view, ids=view.ids[:: 1 + index % 2], pixels=view.pixels[:: 1 + index % 2])
         for index, view in enumerate(seen(true, poses, 2, shape=shape))
     ]
-    colour[3] = Detection(colour[3].image, SIZE, reason="too dark in red")
+    colour[3] = BoardDetection(colour[3].image, SIZE, reason="too dark in red")
     errors = displacement(green.camera, fit_red(green, colour).camera) - displacement(GREEN, true)
     assert np.linalg.norm(errors, axis=1).max() < 0.025  # px; fewer corners
 
@@ -151,14 +151,14 @@ def test_views_of_a_symmetric_board_are_numbered_as_green_numbered_them(poses):
     board, shape = Board("chessboard", 9, 7, 0.035), replace(bow(2e-3, 1e-3), cubic=2e-3)
     turn = board.symmetries()[1]
 
-    def numbered(sightings):
-        return [replace(view, ids=turn[view.ids]) if index % 3 == 1 else view for index, view in enumerate(sightings)]
+    def numbered(views):
+        return [replace(view, ids=turn[view.ids]) if index % 3 == 1 else view for index, view in enumerate(views)]
 
     poses = views(GREEN, board, 12, rng=np.random.default_rng(4))
     green = calibrate(numbered(seen(GREEN, poses, 1, board, shape=shape)), board, Options(model_named("opencv5")))
     true = lenses(GREEN, 0.5)["R"]
     lens = fit_red(green, numbered(seen(true, poses, 2, board, shape=shape)))
-    assert any(view.turned for view in green.views)
+    assert any(view.symmetry for view in green.views)
     errors = displacement(green.camera, lens.camera) - displacement(GREEN, true)
     assert np.linalg.norm(errors, axis=1).max() < 0.02
 
@@ -181,6 +181,6 @@ def test_a_rational_lens_and_a_fisheye_have_channels_too(poses):
 
 def test_too_few_corners_of_a_colour_are_refused_with_how_many_it_takes(poses):
     green = calibrated(poses)
-    nothing = [Detection(view.image, SIZE, reason="dark") for view in green.views]
+    nothing = [BoardDetection(view.image, SIZE, reason="dark") for view in green.views]
     with pytest.raises(InsufficientData, match="only 0 corners of a colour are clear; 45 at least"):
         fit_red(green, nothing)

@@ -52,7 +52,7 @@ def test_the_floor_is_found_among_corners_of_different_covariance(floor):
     claimed = claims(rng, 4000)
     residuals = drawn(rng, claimed + floor**2 * np.eye(2))
     found = estimate_noise(residuals, claimed, none(4000), np.ones(4000), 1.0)
-    assert found.floor_px == pytest.approx(floor, rel=0.05)  # 8000 numbers know it to 1 %
+    assert found.constant_px == pytest.approx(floor, rel=0.05)  # 8000 numbers know it to 1 %
     assert found.period_px == {2: 0.0}  # no corner shows any
 
 
@@ -71,7 +71,7 @@ def test_there_is_none_where_the_covariances_say_it_all():
     rng = np.random.default_rng(3)
     claimed = claims(rng, 4000)
     found = estimate_noise(drawn(rng, claimed), claimed, none(4000), np.ones(4000), 1.0)
-    assert found.floor_px < 0.002  # a tenth of a typical error
+    assert found.constant_px < 0.002  # a tenth of a typical error
 
 
 def test_corners_better_than_they_claim_have_neither_floor_nor_period():
@@ -86,19 +86,19 @@ def test_residuals_of_a_fit_are_too_small_and_that_is_allowed_for():
     rng = np.random.default_rng(4)
     residuals = 0.1 * np.sqrt(0.5) * rng.normal(size=(4000, 2))
     found = estimate_noise(residuals, np.tile(1e-6 * np.eye(2), (4000, 1, 1)), none(4000), np.ones(4000), 0.5)
-    assert found.floor_px == pytest.approx(0.1, rel=0.05)
+    assert found.constant_px == pytest.approx(0.1, rel=0.05)
 
 
 def test_freedom_that_differs_between_corners_is_allowed_for_and_corners_with_less_of_it_tell_less():
     rng = np.random.default_rng(5)
-    freedom = np.repeat([0.9, 0.1], 2000)
-    residuals = 0.1 * np.sqrt(freedom)[:, None] * rng.normal(size=(4000, 2))
+    dof = np.repeat([0.9, 0.1], 2000)
+    residuals = 0.1 * np.sqrt(dof)[:, None] * rng.normal(size=(4000, 2))
     claimed = np.tile(1e-6 * np.eye(2), (4000, 1, 1))
-    found = estimate_noise(residuals, claimed, none(4000), np.ones(4000), freedom)
-    assert found.floor_px == pytest.approx(0.1, rel=0.03)
+    found = estimate_noise(residuals, claimed, none(4000), np.ones(4000), dof)
+    assert found.constant_px == pytest.approx(0.1, rel=0.03)
     # REML: so many squares per so many degrees of freedom
-    expected = np.sqrt((residuals**2).sum() / (2 * freedom.sum()))
-    assert found.floor_px == pytest.approx(expected, rel=2e-4)  # 1e-6 px² of 0.01 px² are claimed already
+    expected = np.sqrt((residuals**2).sum() / (2 * dof.sum()))
+    assert found.constant_px == pytest.approx(expected, rel=2e-4)  # 1e-6 px² of 0.01 px² are claimed already
 
 
 def test_no_residuals_no_noise():
@@ -117,8 +117,8 @@ def test_corners_count_by_their_weights():
     c = estimate_noise(residuals[:2000], claimed[:2000], shares[:2000], halved, 0.8)
     mixed = np.r_[np.repeat(np.arange(1000), 2), np.arange(1000, 2000)]
     d = estimate_noise(residuals[mixed], claimed[mixed], shares[mixed], np.ones(3000), 0.8)
-    assert a.floor_px == pytest.approx(b.floor_px, rel=1e-3)  # up to the prior, which is worth a few corners
-    assert c.floor_px == pytest.approx(d.floor_px, rel=1e-3)
+    assert a.constant_px == pytest.approx(b.constant_px, rel=1e-3)  # up to the prior, which is worth a few corners
+    assert c.constant_px == pytest.approx(d.constant_px, rel=1e-3)
     assert c.period_px[2] == pytest.approx(d.period_px[2], rel=2e-3)
 
 
@@ -139,7 +139,7 @@ def test_the_amplitude_of_a_period_is_recovered_from_aligned_and_unaligned_views
     residuals = drawn(rng, claimed + 0.02**2 * np.eye(2)) + periodic(rng, degrees)
     found = estimate_noise(residuals, claimed, period_shares(turned(degrees)), np.ones(8000), 1.0)
     assert found.period_px[2] == pytest.approx(AMPLITUDE, rel=0.1)
-    assert found.floor_px == pytest.approx(0.02, rel=0.1)
+    assert found.constant_px == pytest.approx(0.02, rel=0.1)
 
 
 def test_two_periods_are_told_apart(monkeypatch):
@@ -149,12 +149,12 @@ def test_two_periods_are_told_apart(monkeypatch):
     added = 0.03**2 + 0.06**2 * shares[..., 0] + 0.1**2 * shares[..., 1]
     truth = claimed + added[..., None] * np.eye(2)
     found = estimate_noise(drawn(rng, truth), claimed, shares, np.ones(20000), 1.0)
-    assert found.floor_px == pytest.approx(0.03, rel=0.1)
+    assert found.constant_px == pytest.approx(0.03, rel=0.1)
     assert found.period_px[2] == pytest.approx(0.06, rel=0.1)
     assert found.period_px[8] == pytest.approx(0.1, rel=0.05)
     np.testing.assert_allclose(CornerNoise(0.03, {8: 0.1, 2: 0.06}).covariances(claimed, shares), truth, rtol=1e-12)
     with_one = estimate_noise(drawn(rng, claimed), claimed, shares, np.ones(20000), 1.0, CornerNoise(0.1))
-    assert max(with_one.floor_px, *with_one.period_px.values()) < 0.003
+    assert max(with_one.constant_px, *with_one.period_px.values()) < 0.003
 
 
 def test_an_aligned_edge_keeps_all_of_its_errors_and_one_over_many_pixels_next_to_none():
@@ -216,7 +216,7 @@ def test_where_no_view_is_aligned_the_period_stays_small():
         found = estimate_noise(drawn(rng, claimed + 0.03**2 * np.eye(2)), claimed, shares, np.ones(3000), 1.0)
         assert (found.period_px[2] ** 2 * shares).max() < 0.1 * 0.03**2
         assert found.period_px[2] < 0.1  # unbounded without a prior
-        assert found.floor_px == pytest.approx(0.03, rel=0.05)
+        assert found.constant_px == pytest.approx(0.03, rel=0.05)
 
 
 def test_the_covariances_gain_floor_and_periods_in_their_variances_alone():
@@ -241,7 +241,7 @@ def test_the_start_changes_nothing():
     for start in (CornerNoise(0.0), CornerNoise(5.0), CornerNoise(0.0, {2: 5.0}), CornerNoise(1e-4, {2: 1e-4}), cold):
         warm = estimate_noise(*data, start)
         # a relative change of the variances by 1e-6 ends the iteration
-        assert warm.floor_px == pytest.approx(cold.floor_px, rel=1e-5)
+        assert warm.constant_px == pytest.approx(cold.constant_px, rel=1e-5)
         assert warm.period_px[2] == pytest.approx(cold.period_px[2], rel=1e-5)
 
 
@@ -250,7 +250,7 @@ def test_a_good_start_saves_steps(monkeypatch):
     found = estimate_noise(*data)
     monkeypatch.setattr("camcal.calibrate.noise._ITERATIONS", 1)
     again = estimate_noise(*data, found)
-    assert again.floor_px == pytest.approx(found.floor_px, rel=1e-5)
+    assert again.constant_px == pytest.approx(found.constant_px, rel=1e-5)
     assert again.period_px[2] == pytest.approx(found.period_px[2], rel=1e-5)
     assert estimate_noise(*data).period_px[2] != pytest.approx(found.period_px[2], rel=1e-3)
 
@@ -261,18 +261,18 @@ def test_one_corner_among_many_may_be_the_only_one_to_show_a_period():
     shares = none(1000)
     shares[0] = 1.0
     noise = estimate_noise(residuals, np.tile(1e-8 * np.eye(2), (1000, 1, 1)), shares, np.ones(1000), 1.0)
-    assert noise.floor_px == pytest.approx(0.02, rel=0.05)
+    assert noise.constant_px == pytest.approx(0.02, rel=0.05)
     # the largest of the posterior density exp(-2 V / (2 s)) exp(-2 / (2 V)) / V of its variance V, s its prior mean
     prior = np.mean(residuals**2)
     variance = prior / 2 * (np.sqrt(1 + 4 / prior) - 1)
-    assert noise.floor_px**2 + noise.period_px[2] ** 2 == pytest.approx(variance, rel=1e-4)
+    assert noise.constant_px**2 + noise.period_px[2] ** 2 == pytest.approx(variance, rel=1e-4)
 
 
 def test_corners_that_claim_no_error_at_all_are_allowed():
     residuals = 0.02 * np.random.default_rng(14).normal(size=(1000, 2))
     for start in (None, CornerNoise(0.0)):
         found = estimate_noise(residuals, np.zeros((1000, 2, 2)), none(1000), np.ones(1000), 1.0, start)
-        assert found.floor_px == pytest.approx(np.sqrt(np.mean(residuals**2)), rel=1e-5)
+        assert found.constant_px == pytest.approx(np.sqrt(np.mean(residuals**2)), rel=1e-5)
 
 
 def test_a_floor_far_below_the_errors_of_most_corners_is_found():
@@ -280,40 +280,40 @@ def test_a_floor_far_below_the_errors_of_most_corners_is_found():
     claimed = np.repeat([1e-10, 1.0], [500, 1500])[:, None, None] * np.eye(2)
     residuals = drawn(rng, claimed + 1e-3**2 * np.eye(2))
     found = estimate_noise(residuals, claimed, none(2000), np.ones(2000), 1.0)
-    assert found.floor_px == pytest.approx(1e-3, rel=0.1)
+    assert found.constant_px == pytest.approx(1e-3, rel=0.1)
 
 
 def test_a_found_noise_is_likelier_than_any_near_it():
-    residuals, claimed, shares, weights, freedom = sample()
-    found = estimate_noise(residuals, claimed, shares, weights, freedom)
+    residuals, claimed, shares, weights, dof = sample()
+    found = estimate_noise(residuals, claimed, shares, weights, dof)
 
     def unlikeliness(noise):
         variances = np.diagonal(noise.covariances(claimed, shares), axis1=1, axis2=2)
-        return np.sum(weights[:, None] * (freedom * np.log(variances) + residuals**2 / variances))
+        return np.sum(weights[:, None] * (dof * np.log(variances) + residuals**2 / variances))
 
     best = unlikeliness(found)
     for factor in (0.98, 1.02):
-        assert unlikeliness(replace(found, floor_px=factor * found.floor_px)) > best
+        assert unlikeliness(replace(found, constant_px=factor * found.constant_px)) > best
         assert unlikeliness(replace(found, period_px={2: factor * found.period_px[2]})) > best
 
 
 @pytest.mark.parametrize("amplitude", [AMPLITUDE, 0.03, 0.01])
 def test_a_millionth_of_a_pixel_makes_no_difference(amplitude):
-    residuals, claimed, shares, weights, freedom = sample(amplitude=amplitude)
-    before = estimate_noise(residuals, claimed, shares, weights, freedom)
+    residuals, claimed, shares, weights, dof = sample(amplitude=amplitude)
+    before = estimate_noise(residuals, claimed, shares, weights, dof)
     for seed in range(5):
         moved = residuals + 1e-6 * np.random.default_rng(seed).normal(size=residuals.shape)
-        after = estimate_noise(moved, claimed, shares, weights, freedom)
-        assert abs(after.floor_px - before.floor_px) < 1e-5
+        after = estimate_noise(moved, claimed, shares, weights, dof)
+        assert abs(after.constant_px - before.constant_px) < 1e-5
         assert abs(after.period_px[2] - before.period_px[2]) < 1e-5
 
 
 def test_a_period_that_fades_vanishes_without_a_leap():
-    residuals, claimed, shares, weights, freedom = sample(amplitude=0.0)
+    residuals, claimed, shares, weights, dof = sample(amplitude=0.0)
     rng = np.random.default_rng(13)
     pattern = np.sqrt(shares[..., 0]) * rng.normal(size=residuals.shape)
     amplitudes = np.linspace(0, 0.02, 201)
-    noises = [estimate_noise(residuals + a * pattern, claimed, shares, weights, freedom) for a in amplitudes]
+    noises = [estimate_noise(residuals + a * pattern, claimed, shares, weights, dof) for a in amplitudes]
     squared = np.array([noise.period_px[2] ** 2 for noise in noises])
     assert squared[-1] > 10 * squared[0]
     assert np.abs(np.diff(squared)).max() < 3 * 0.02 * 1e-4  # steps of a²: 2 a Δa, as of what was put in
@@ -322,10 +322,10 @@ def test_a_period_that_fades_vanishes_without_a_leap():
 @pytest.mark.parametrize("iterations", [1, 50])  # on the way as at the end
 def test_units_do_not_matter(iterations, monkeypatch):
     monkeypatch.setattr("camcal.calibrate.noise._ITERATIONS", iterations)
-    residuals, claimed, shares, weights, freedom = sample()
-    found = estimate_noise(residuals, claimed, shares, weights, freedom)
-    scaled = estimate_noise(1e3 * residuals, 1e6 * claimed, shares, weights, freedom)
-    assert scaled.floor_px == pytest.approx(1e3 * found.floor_px, rel=1e-5)
+    residuals, claimed, shares, weights, dof = sample()
+    found = estimate_noise(residuals, claimed, shares, weights, dof)
+    scaled = estimate_noise(1e3 * residuals, 1e6 * claimed, shares, weights, dof)
+    assert scaled.constant_px == pytest.approx(1e3 * found.constant_px, rel=1e-5)
     assert scaled.period_px[2] == pytest.approx(1e3 * found.period_px[2], rel=1e-5)
 
 
@@ -333,11 +333,11 @@ def test_units_do_not_matter(iterations, monkeypatch):
 def test_units_do_not_matter_where_nothing_is_claimed(factor):
     residuals, claimed, *others = sample(count=500)
     plain, found = (estimate_noise(unit * residuals, 0 * claimed, *others) for unit in (1.0, factor))
-    assert found.floor_px == pytest.approx(factor * plain.floor_px, rel=1e-4)
+    assert found.constant_px == pytest.approx(factor * plain.constant_px, rel=1e-4)
     assert found.period_px[2] == pytest.approx(factor * plain.period_px[2], rel=1e-4)
 
 
 def test_a_share_of_the_way_to_another_noise_is_one_of_variances():
     found = CornerNoise(0.1, {2: 0.2}).towards(CornerNoise(0.3, {2: 0.6}), 0.25)
-    assert found.floor_px**2 == pytest.approx(0.75 * 0.01 + 0.25 * 0.09)
+    assert found.constant_px**2 == pytest.approx(0.75 * 0.01 + 0.25 * 0.09)
     assert found.period_px[2] ** 2 == pytest.approx(0.75 * 0.04 + 0.25 * 0.36)

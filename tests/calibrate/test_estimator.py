@@ -7,7 +7,7 @@ import pytest
 from observed import make_scene
 
 from camcal.calibrate import estimator
-from camcal.calibrate.estimator import Freedom, estimate
+from camcal.calibrate.estimator import AdditionalParameters, estimate
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.observations import Observations
 from camcal.solve.steps import Step
@@ -49,7 +49,7 @@ def printed():
 
 def test_few_views_of_a_board_with_print_errors_have_the_noise_that_they_have():
     problem, state = started(*print_errors(9, 6, 4, 2e-4))
-    found = estimate(problem, state, Freedom(smooth=True, points=True))
+    found = estimate(problem, state, AdditionalParameters(smooth=True, points=True))
     # 250 degrees of freedom are left: a standard deviation of 4.5 %
     assert found.noise.sigma == pytest.approx(0.05, rel=0.12)
     # the offsets follow the view that sees the board from near most, whose corners are no better for that
@@ -58,7 +58,7 @@ def test_few_views_of_a_board_with_print_errors_have_the_noise_that_they_have():
 
 def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, monkeypatch):
     problem, state = started(*printed)
-    free = Freedom(smooth=True, points=True)
+    free = AdditionalParameters(smooth=True, points=True)
     together = estimate(problem, state, free)
     monkeypatch.setattr(estimator, "AT_ALL_TOGETHER", 0)
     monkeypatch.setattr(estimator, "_SETTLED", 1e-4)
@@ -73,7 +73,7 @@ def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, m
 
 def test_an_estimate_that_goes_on_from_another_stays_there(printed):
     problem, state = started(*printed)
-    free = Freedom(smooth=True, points=True, effects=("smooth",))
+    free = AdditionalParameters(smooth=True, points=True, effects=("smooth",))
     first = estimate(problem, state, free)
     again = estimate(first.problem, first.state, free, first)
     std = np.sqrt(np.diag(first.posterior.shared))[: len(state.parameters)]
@@ -82,7 +82,7 @@ def test_an_estimate_that_goes_on_from_another_stays_there(printed):
 
 
 def test_the_start_does_not_matter(printed):
-    free = Freedom(smooth=True, points=True)
+    free = AdditionalParameters(smooth=True, points=True)
     near, far = (estimate(problem, state, free) for problem, state in (started(*printed), started(*printed, 5.0)))
     std = np.sqrt(np.diag(near.posterior.shared))[: len(near.state.parameters)]
     assert np.abs((far.state.parameters - near.state.parameters) / std).max() < 0.05
@@ -97,7 +97,7 @@ class Overshooting(BoardProblem):
 
 def test_steps_that_overshoot_are_shortened_and_the_passes_settle(printed):
     problem, state = started(*printed)
-    free = Freedom(smooth=False, points=False)
+    free = AdditionalParameters(smooth=False, points=False)
     straight = estimate(problem, state, free)
     fields = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
     bent = estimate(Overshooting(**fields), state, free)
@@ -109,7 +109,7 @@ def test_steps_that_overshoot_are_shortened_and_the_passes_settle(printed):
 
 def test_a_corner_that_leaves_the_image_makes_a_step_too_long(printed):
     problem, state = started(*printed)
-    passes = estimator._Passes(problem, state, Freedom(smooth=False, points=False), None)
+    passes = estimator._Passes(problem, state, AdditionalParameters(smooth=False, points=False), None)
     behind = replace(passes.place.derivatives, valid=passes.place.derivatives.valid & False)
     assert np.isfinite(passes._cost(passes.place, np.zeros((12, 0))))
     assert passes._cost(replace(passes.place, derivatives=behind), np.zeros((12, 0))) == np.inf

@@ -9,7 +9,7 @@ from observed import make_scene
 from camcal.calibrate import evidence
 from camcal.calibrate import fit as fitting
 from camcal.calibrate.effects import SMOOTH
-from camcal.calibrate.estimator import Freedom, estimate
+from camcal.calibrate.estimator import AdditionalParameters, estimate
 from camcal.calibrate.evidence import evidence_of_effects
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate
@@ -31,7 +31,7 @@ def plain(scene, views):
         np.zeros((scene.board.count, 3)),
     )
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(len(state.parameters)))
-    return estimate(problem, state, Freedom(smooth=False, points=False))
+    return estimate(problem, state, AdditionalParameters(smooth=False, points=False))
 
 
 def bent(scene, views, size, seed=3):
@@ -83,7 +83,7 @@ def test_effects_are_estimated_where_there_is_evidence(size, names):
     scene = make_scene(count=12)
     views = bent(scene, scene.observe(1, noise_px=0.1), size)
     found = solved(scene, views)
-    assert [own.freedom.effects for own in found.estimates] == names
+    assert [own.additional.effects for own in found.estimates] == names
     assert found.weights.sum() == pytest.approx(1.0)
 
 

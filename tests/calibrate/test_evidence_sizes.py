@@ -8,7 +8,7 @@ import pytest
 
 from camcal.calibrate import evidence
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH, EffectScales
-from camcal.calibrate.estimator import Freedom
+from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.noise import ViewNoise
@@ -105,7 +105,7 @@ def everything(coefficients, left, variances, seen=None):
     return SimpleNamespace(
         problem=problem,
         state=state,
-        freedom=Freedom(effects=NAMES),
+        additional=AdditionalParameters(effects=NAMES),
         effect_scales=EffectScales(np.array(variances), np.ones((len(coefficients), 3)), np.ones(3)),
         coefficients=coefficients,
         factors=SimpleNamespace(group_covariances=lambda: covariances),

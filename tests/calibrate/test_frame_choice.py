@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from filmed import between
+from moving_board import between
 
 from camcal.calibrate.frames import (
     BLURRED,
@@ -32,7 +32,7 @@ CAMERA = Camera(model_named("opencv5"), SIZE, np.array([1000.0, 1000, 640, 512, 
 NOISE = 0.1
 
 
-def film(stops, seed=0, lingering=1):
+def video(stops, seed=0, lingering=1):
     """Return poses of a board that is moved from stop to stop in ten frames, and rests at the first ones."""
     keys = views(CAMERA, BOARD, stops, rng=np.random.default_rng(seed))
     poses = [between(*pair, share) for pair in pairwise(keys) for share in np.arange(10) / 10]
@@ -57,8 +57,8 @@ def forecast(poses, indices):
 
 @pytest.mark.parametrize("lingering", [1, 20])
 def test_chosen_frames_tell_more_of_the_lens_than_as_many_evenly_spaced_ones(lingering):
-    """Standard deviations are 0.8 times as large, whether a film moves all the time or rests."""
-    poses = film(16, lingering=lingering)
+    """Standard deviations are 0.8 times as large, whether a video moves all the time or rests."""
+    poses = video(16, lingering=lingering)
     picked = chosen(choose_frames(looks_of(poses), BOARD, 20))
     even = np.linspace(0, len(poses) - 1, 20).astype(int)
     ratio = forecast(poses, picked) / forecast(poses, even)
@@ -67,20 +67,20 @@ def test_chosen_frames_tell_more_of_the_lens_than_as_many_evenly_spaced_ones(lin
 
 
 def test_the_first_frames_chosen_are_worth_more_than_the_next_ones():
-    poses = film(12)
+    poses = video(12)
     choices = choose_frames(looks_of(poses), BOARD, 30)
     ranked = sorted(chosen(choices), key=lambda index: choices[index].rank)
     better = forecast(poses, ranked[:15]) < forecast(poses, ranked[15:])
     assert better.mean() > 0.8  # one of nine parameters may go the other way
 
 
-def test_the_same_frames_are_chosen_from_the_same_film():
-    assert choose_frames(looks_of(film(4)), BOARD, 8) == choose_frames(looks_of(film(4)), BOARD, 8)
+def test_the_same_frames_are_chosen_from_the_same_video():
+    assert choose_frames(looks_of(video(4)), BOARD, 8) == choose_frames(looks_of(video(4)), BOARD, 8)
 
 
 @pytest.mark.parametrize("limit", [1, 7, 500])
 def test_no_more_frames_are_chosen_than_asked_for(limit):
-    choices = choose_frames(looks_of(film(4)), BOARD, limit)
+    choices = choose_frames(looks_of(video(4)), BOARD, limit)
     ranks = sorted(choice.rank for choice in choices if choice.chosen)
     assert ranks == list(range(min(limit, len(ranks))))
     assert all(choice.why == CHOSEN for choice in choices if choice.chosen)
@@ -88,7 +88,7 @@ def test_no_more_frames_are_chosen_than_asked_for(limit):
 
 def test_of_frames_alike_one_is_chosen_as_long_as_there_are_others():
     """The board rests in frames 0 to 19; its corners scatter by a tenth of a pixel."""
-    poses = film(6, lingering=20)[:20] + film(6)[10:]
+    poses = video(6, lingering=20)[:20] + video(6)[10:]
     choices = choose_frames(looks_of(poses), BOARD, 15)
     resting = [choice.why for choice in choices[:20]]
     assert resting.count(CHOSEN) <= 1
@@ -97,15 +97,15 @@ def test_of_frames_alike_one_is_chosen_as_long_as_there_are_others():
 
 
 def test_frames_that_repeat_one_another_to_the_pixel_are_not_chosen_however_few_there_are():
-    poses = [film(4)[0]] * 10 + [film(4)[25]] * 10
+    poses = [video(4)[0]] * 10 + [video(4)[25]] * 10
     choices = choose_frames(looks_of(poses), BOARD, 10)
     assert len(chosen(choices)) == 2
     assert {choice.like for choice in choices if choice.why == SAME} == set(chosen(choices))
 
 
-def test_more_frames_are_chosen_from_a_slow_film_than_stand_far_apart():
+def test_more_frames_are_chosen_from_a_slow_video_than_stand_far_apart():
     """Over 30 frames the board moves by 1 % of the image's diagonal: 16 px."""
-    first, last = film(4)[0], film(4)[1]
+    first, last = video(4)[0], video(4)[1]
     poses = [between(first, last, share) for share in np.linspace(0, 0.4, 30)]
     picked = chosen(choose_frames(looks_of(poses), BOARD, 5))
     assert len(picked) > 1
@@ -113,7 +113,7 @@ def test_more_frames_are_chosen_from_a_slow_film_than_stand_far_apart():
 
 
 def test_blurred_and_fast_frames_are_left_out_and_told_apart():
-    looks = looks_of(film(5))
+    looks = looks_of(video(5))
     looks[3] = replace(looks[3], blur_px=9.0)
     looks[5] = replace(looks[5], motion_px=80.0)
     looks[6] = replace(looks[6], blur_px=np.nan, motion_px=np.nan)
@@ -127,13 +127,13 @@ def test_blurred_and_fast_frames_are_left_out_and_told_apart():
 
 
 def test_pictures_that_were_taken_one_by_one_are_chosen_for_what_they_tell():
-    looks = looks_of(film(6))
+    looks = looks_of(video(6))
     one_by_one, still = ([replace(look, motion_px=motion) for look in looks] for motion in (np.inf, 0.0))
     assert choose_frames(one_by_one, BOARD, 8) == choose_frames(still, BOARD, 8)
 
 
 def test_the_sharper_one_of_two_frames_of_one_view_is_chosen():
-    pose = film(3)[0]
+    pose = video(3)[0]
     looks = looks_of([pose] * 2, motion=0.0)
     choices = choose_frames([replace(looks[0], blur_px=2.0), looks[1]], BOARD, 2)
     assert [choice.why for choice in choices] == [SAME, CHOSEN]
@@ -151,7 +151,7 @@ def test_a_view_numbered_from_the_other_end_is_the_same_view():
 
 
 def test_twice_the_error_is_a_quarter_of_the_information():
-    seen = looks_of(film(3)[:4])
+    seen = looks_of(video(3)[:4])
     once, twice = (lens_information(seen, BOARD, np.full(4, error)) for error in (0.1, 0.2))
     np.testing.assert_allclose(once, 4 * twice, rtol=1e-12)  # the same sums
     eigenvalues = np.linalg.eigvalsh(once)
@@ -159,7 +159,7 @@ def test_twice_the_error_is_a_quarter_of_the_information():
 
 
 def test_one_view_alone_says_less_than_two_together_that_differ():
-    seen = looks_of([film(6)[0], film(6)[40]])
+    seen = looks_of([video(6)[0], video(6)[40]])
     information = lens_information(seen, BOARD, np.full(2, NOISE))
     gains = [np.linalg.slogdet(np.eye(8) + each)[1] for each in (*information, information.sum(axis=0))]
     assert gains[2] > max(gains[:2]) + 1.0

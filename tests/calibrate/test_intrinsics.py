@@ -22,7 +22,7 @@ from camcal.simulate.scene import observe
 from camcal.solve.least_squares import linearise
 from camcal.solve.steps import factorise
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 
 def sigmas(calibration, truth):
@@ -160,7 +160,7 @@ def test_weights_from_covariances_are_better_than_none(scene):
     weighted = calibrate(seen, scene.board, Options(scene.camera.model))
     assert np.abs(sigmas(weighted, scene.camera)).max() < 4
     assert weighted.sigma_px == pytest.approx(np.sqrt(0.05 * 0.2), rel=0.1)  # of a typical corner
-    assert weighted.floor_px < 0.01  # the covariances say it all
+    assert weighted.model_error_px < 0.01  # the covariances say it all
     alike = [replace(view, covariance=None) for view in seen[1::2]]
     coarse = calibrate(alike, scene.board, Options(scene.camera.model))
     assert weighted.camera.std("fx") < 0.5 * coarse.camera.std("fx")  # four times the noise, half the views
@@ -177,7 +177,9 @@ def test_fewer_than_three_views_are_refused(scene):
     with pytest.raises(InsufficientData, match="2 usable views of 2"):
         calibrate(scene.observe(0)[:2], scene.board, Options(scene.camera.model))
     with pytest.raises(InsufficientData, match="0 usable views"):
-        calibrate([Detection("a.png", (640, 480), reason="no board found")], scene.board, Options(scene.camera.model))
+        calibrate(
+            [BoardDetection("a.png", (640, 480), reason="no board found")], scene.board, Options(scene.camera.model)
+        )
 
 
 def test_one_image_repeated_is_refused(scene):

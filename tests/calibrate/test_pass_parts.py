@@ -9,7 +9,7 @@ from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior
-from camcal.calibrate.estimator import Freedom
+from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.noise import CornerNoise, ViewNoise
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import point_equations
@@ -21,23 +21,23 @@ from camcal.solve.steps import Step
 from camcal.targets.board import Board
 
 VIEWS = 6
-BARE = Freedom(smooth=False, points=False)
+BARE = AdditionalParameters(smooth=False, points=False)
 
 
 def scene_of(columns=6, rows=5):
     return make_scene(board=Board("chessboard", columns, rows, 0.040), count=VIEWS)
 
 
-def passes_of(scene, freedom=BARE, noise=0.1, claimed=None, start=None, views=None):
+def passes_of(scene, additional=BARE, noise=0.1, claimed=None, start=None, views=None):
     """The passes before the first one, from the truth."""
     observations = replace(Observations.of(views or scene.observe(1, noise_px=noise)), covariance=claimed)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(4))
-    return estimator._Passes(problem, true_state(scene), freedom, start)
+    return estimator._Passes(problem, true_state(scene), additional, start)
 
 
 def test_the_cost_of_a_place_is_that_of_corners_priors_and_effects():
     rng = np.random.default_rng(1)
-    passes = passes_of(scene_of(), Freedom(smooth=True, points=False, effects=("smooth", "flex")))
+    passes = passes_of(scene_of(), AdditionalParameters(smooth=True, points=False, effects=("smooth", "flex")))
     shape = passes.present.shape
     roots = rng.normal(size=(*shape, 2, 2))
     observations = passes.problem.observations.weighted(0.1 * np.eye(2) + roots @ roots.swapaxes(2, 3))
@@ -71,7 +71,7 @@ def test_the_cost_of_a_place_is_that_of_corners_priors_and_effects():
 
 def test_a_part_of_a_step_leads_that_part_of_the_way():
     rng = np.random.default_rng(2)
-    passes = passes_of(scene_of(), Freedom(smooth=False, points=False, effects=("rolling",)))
+    passes = passes_of(scene_of(), AdditionalParameters(smooth=False, points=False, effects=("rolling",)))
     here = replace(passes.place, coefficients=rng.normal(size=(VIEWS, 6)))
     step = Step(rng.normal(size=4), 1e-3 * rng.normal(size=(VIEWS, 12)))
     found = passes._towards(here, step, 0.25)
@@ -149,12 +149,12 @@ def test_passes_begin_with_poses_paid_for_and_points_of_small_boards_together():
     for columns, rows, together in ((10, 6, True), (61, 1, False)):
         board = Board("chessboard", columns, max(rows, 2), 0.040)
         scene = make_scene(board=board, count=3)
-        passes = passes_of(scene, Freedom(smooth=True, points=True))
+        passes = passes_of(scene, AdditionalParameters(smooth=True, points=True))
         assert passes.problem.offsets == together
         np.testing.assert_array_equal(passes.spent, [6.0] * 3)
         np.testing.assert_array_equal(passes.moved, np.zeros(4))
     assert not passes_of(scene_of(), BARE).problem.offsets
-    assert not passes_of(scene_of(), Freedom(smooth=True, points=False)).problem.offsets
+    assert not passes_of(scene_of(), AdditionalParameters(smooth=True, points=False)).problem.offsets
 
 
 def test_noise_is_at_least_four_tenths_of_what_images_claim_of_a_typical_corner():
@@ -171,7 +171,7 @@ def test_an_estimate_goes_on_with_the_effects_that_another_had():
     first, every = passes_of(scene), tuple(effect.name for effect in EFFECTS)
     scales = EffectScales(np.array([4.0, 9.0, 1e-8]), rng.uniform(0.5, 2, (VIEWS, 3)), np.ones(3))
     start = SimpleNamespace(
-        freedom=Freedom(effects=("rolling",)),
+        additional=AdditionalParameters(effects=("rolling",)),
         noise=ViewNoise(0.2, np.ones(VIEWS)),
         posterior=SimpleNamespace(spent=np.full(VIEWS, 9.0)),
         corners=CornerNoise(0.7),
@@ -179,7 +179,7 @@ def test_an_estimate_goes_on_with_the_effects_that_another_had():
         effect_scales=scales,
         coefficients=rng.normal(size=(VIEWS, 6)),
     )
-    found = passes_of(scene, Freedom(smooth=False, points=False, effects=every), start=start)
+    found = passes_of(scene, AdditionalParameters(smooth=False, points=False, effects=every), start=start)
     begun = EffectScales.start(VIEWS, 0.2, max(scene.board.extent))
     np.testing.assert_allclose(found.effect_scales.variances, [begun.variances[0], 9.0, begun.variances[2]])
     np.testing.assert_allclose(found.effect_scales.shares[:, 1], scales.shares[:, 1])
@@ -190,7 +190,7 @@ def test_an_estimate_goes_on_with_the_effects_that_another_had():
     assert not found.fresh
     assert (found.noise, found.corners, found.board) == (start.noise, start.corners, start.board)
     start.effect_scales = None
-    bare = passes_of(scene, Freedom(smooth=False, points=False, effects=every), start=start)
+    bare = passes_of(scene, AdditionalParameters(smooth=False, points=False, effects=every), start=start)
     np.testing.assert_allclose(bare.effect_scales.variances, begun.variances)
     np.testing.assert_array_equal(found.spent, [9.0] * VIEWS)
 
@@ -224,22 +224,22 @@ def test_a_floor_is_found_beside_gross_errors_views_of_more_noise_and_spent_free
     passes, residuals = weighed(np.random.default_rng(4))
     passes._weigh(residuals)
     # 2500 numbers: 1.4 % of a variance of which the floor is two thirds; ten gross ones, cut at four deviations
-    assert passes.corners.floor_px == pytest.approx(FLOOR, rel=0.06)
+    assert passes.corners.constant_px == pytest.approx(FLOOR, rel=0.06)
     whitening = passes.problem.observations.whitening
     covariances = np.linalg.inv(np.einsum("ijvp,ikvp->vpjk", whitening, whitening))
-    total = passes.claimed[..., 0, 0] + passes.corners.floor_px**2
+    total = passes.claimed[..., 0, 0] + passes.corners.constant_px**2
     np.testing.assert_allclose(covariances[..., 0, 0] / covariances[0, 0, 0, 0], total / total[0, 0], rtol=1e-6)
 
 
 def test_a_new_floor_goes_a_share_of_the_way_in_variances():
     passes, residuals = weighed(np.random.default_rng(5))
     passes._weigh(residuals)
-    first, passes.share = passes.corners.floor_px, 0.3
+    first, passes.share = passes.corners.constant_px, 0.3
     passes._weigh(3 * residuals)
     third = weighed(np.random.default_rng(5))[0]
     third._weigh(3 * residuals)
-    expected = np.sqrt(0.7 * first**2 + 0.3 * third.corners.floor_px**2)
-    assert passes.corners.floor_px == pytest.approx(expected, rel=1e-4)
+    expected = np.sqrt(0.7 * first**2 + 0.3 * third.corners.constant_px**2)
+    assert passes.corners.constant_px == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +276,7 @@ def test_errors_of_a_period_average_out_over_the_pixels_that_an_edge_crosses(boa
 
 def test_points_move_to_where_their_equations_say():
     scene = scene_of(13, 5)
-    passes = passes_of(scene, Freedom(smooth=False, points=True), noise=0.5)
+    passes = passes_of(scene, AdditionalParameters(smooth=False, points=True), noise=0.5)
     assert not passes.problem.offsets
     passes._judge(first=True)
     for _ in range(2):  # from where they are drawn, and from there

@@ -9,7 +9,7 @@ from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
 from camcal.calibrate.effects import Posterior
-from camcal.calibrate.estimator import Freedom
+from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import first_scales
@@ -18,18 +18,18 @@ from camcal.targets.board import Board
 from camcal.targets.surface import TERMS
 
 VIEWS = 6
-BARE = Freedom(smooth=False, points=False)
+BARE = AdditionalParameters(smooth=False, points=False)
 
 
 def scene_of(columns=6, rows=5):
     return make_scene(board=Board("chessboard", columns, rows, 0.040), count=VIEWS)
 
 
-def passes_of(scene, freedom=BARE, noise=0.1, claimed=None, **how):
+def passes_of(scene, additional=BARE, noise=0.1, claimed=None, **how):
     """The passes before the first one, from the truth."""
     observations = replace(Observations.of(scene.observe(1, noise_px=noise)), covariance=claimed)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(4), **how)
-    return estimator._Passes(problem, true_state(scene), freedom, None)
+    return estimator._Passes(problem, true_state(scene), additional, None)
 
 
 # The end of the passes
@@ -56,7 +56,7 @@ def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, 
 
     monkeypatch.setattr(estimator._Passes, "_pass", one)
     passes = object.__new__(estimator._Passes)
-    passes.freedom, passes.fresh = Freedom(smooth=False, points=points, effects=effects), fresh
+    passes.additional, passes.fresh = AdditionalParameters(smooth=False, points=points, effects=effects), fresh
     passes.problem = Points(SimpleNamespace(count=count), together)
     passes.place = SimpleNamespace(state=None, coefficients=None)
     passes.noise = passes.corners = passes.board = None
@@ -154,10 +154,10 @@ def test_estimates_are_brief_if_asked_for(monkeypatch):
 # A pass
 
 
-def parts(monkeypatch, freedom=BARE, *, first=False, at_once=False):
+def parts(monkeypatch, additional=BARE, *, first=False, at_once=False):
     """The passes after one of which the parts only tell that they were asked for, and these parts."""
     told = []
-    passes = passes_of(scene_of(13, 5), freedom)
+    passes = passes_of(scene_of(13, 5), additional)
     passes.problem = replace(passes.problem, offsets=at_once)
     left = Posterior(np.eye(4), np.full(VIEWS, 7.0))
     apart, together = np.arange(VIEWS) + 6.0, np.arange(VIEWS) + 12.0
@@ -178,11 +178,11 @@ def parts(monkeypatch, freedom=BARE, *, first=False, at_once=False):
 
 
 ALL = ["_judge", "_move", "_pose_lost_views"]
-FREE = Freedom(smooth=True, points=True)
+FREE = AdditionalParameters(smooth=True, points=True)
 
 
 @pytest.mark.parametrize(
-    ("freedom", "how", "told", "offsets"),
+    ("additional", "how", "told", "offsets"),
     [
         (BARE, {}, ALL, None),
         (FREE, {}, ["_judge", "_move_points", "_move", "_pose_lost_views"], 6.0),
@@ -191,9 +191,9 @@ FREE = Freedom(smooth=True, points=True)
     ],
 )
 def test_points_are_solved_for_apart_but_in_the_first_pass_and_where_they_are_together(
-    monkeypatch, freedom, how, told, offsets
+    monkeypatch, additional, how, told, offsets
 ):
-    passes, found = parts(monkeypatch, freedom, **how)
+    passes, found = parts(monkeypatch, additional, **how)
     assert found == told
     np.testing.assert_allclose(
         passes.spent, np.full(VIEWS, 7.0) if offsets is None else 7.0 + offsets + np.arange(VIEWS)
@@ -203,7 +203,7 @@ def test_points_are_solved_for_apart_but_in_the_first_pass_and_where_they_are_to
 
 
 def test_all_terms_of_the_shape_are_estimated_where_it_is_free():
-    assert passes_of(scene_of(), Freedom(smooth=True, points=False)).problem.terms == TERMS
+    assert passes_of(scene_of(), AdditionalParameters(smooth=True, points=False)).problem.terms == TERMS
     assert passes_of(scene_of()).problem.terms == ()
 
 
@@ -307,7 +307,7 @@ def test_what_rounding_hides_does_not_shorten_a_step(monkeypatch, promised, shar
 
 
 def test_effects_go_with_the_step_to_where_they_are_likeliest():
-    passes = passes_of(scene_of(), Freedom(smooth=False, points=False, effects=("smooth", "flex")))
+    passes = passes_of(scene_of(), AdditionalParameters(smooth=False, points=False, effects=("smooth", "flex")))
     sizes = 0.5 * np.random.default_rng(7).normal(size=(VIEWS, 1))
     observations = passes.problem.observations
     passes.problem = replace(

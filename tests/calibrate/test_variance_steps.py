@@ -108,14 +108,14 @@ def test_a_step_that_leads_too_far_is_shortened_and_one_that_leads_astray_is_not
         assert 0.1 < change[0] / whole[0] < 5
 
 
-class Way:
+class Step:
     """Scales that are a share of a step away from where the search is."""
 
     def __init__(self, share):
         self.share = share
 
     def moved(self, change):
-        return Way(change)
+        return Step(change)
 
 
 def gone(monkeypatch, cost):
@@ -124,7 +124,7 @@ def gone(monkeypatch, cost):
         effects._Search, "at", lambda self, way: SimpleNamespace(scales=way, unlikeliness=cost(way.share))
     )
     monkeypatch.setattr(effects._Search, "step", lambda self, here: (1.0, 1.0))
-    return effects._Search(None, None).best(Way(0.0), 1).scales.share
+    return effects._Search(None, None).best(Step(0.0), 1).scales.share
 
 
 @pytest.mark.parametrize(

@@ -61,4 +61,4 @@ def test_errors_of_views_are_per_corner_and_add_up_to_that_of_all():
     lengths = np.linalg.norm(calibration.residuals, axis=1)
     assert calibration.rms_px == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-9)
     parameters = 9 + 6 * len(seen)  # of lens and poses; weak priors hold less than one of them
-    assert 2 * len(lengths) - parameters <= calibration.freedom <= 2 * len(lengths) - parameters + 1
+    assert 2 * len(lengths) - parameters <= calibration.degrees_of_freedom <= 2 * len(lengths) - parameters + 1

@@ -7,11 +7,11 @@ import pytest
 
 from camcal.cameras.observations import Observations
 from camcal.cameras.reprojection import whitened, whitening_of
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 
 def view(count, **said):
-    return Detection("a.png", (640, 480), np.arange(count), np.arange(2.0 * count).reshape(-1, 2) + 1, **said)
+    return BoardDetection("a.png", (640, 480), np.arange(count), np.arange(2.0 * count).reshape(-1, 2) + 1, **said)
 
 
 def test_a_row_has_the_camera_the_body_and_the_time_of_its_view():

@@ -81,7 +81,7 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
     assert list(document) == [
         "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "noise_std",
         "within_views", "two_cameras", "rms_px",
-        "sigma_px", "floor_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
+        "sigma_px", "model_error_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
         "image_circle",
         "trustworthy", "reasons", "remarks", "findings", "contenders", "frames", "notes", "failed",
     ]  # fmt: skip

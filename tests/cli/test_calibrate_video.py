@@ -1,4 +1,4 @@
-"""`camcal calibrate` from a film: a rendered one, in which the board is elsewhere in every frame."""
+"""`camcal calibrate` from a video: a rendered one, in which the board is elsewhere in every frame."""
 
 import json
 
@@ -20,8 +20,8 @@ FRAMES = 12
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory):
-    path = tmp_path_factory.mktemp("film") / "film.avi"
+def video(tmp_path_factory):
+    path = tmp_path_factory.mktemp("video") / "video.avi"
     rng = np.random.default_rng(5)
     poses = views(CAMERA, BOARD, FRAMES, rng=rng, max_tilt=np.radians(40))
     pictures = [render(CAMERA, BOARD, pose, rng=rng, exposure=Exposure(noise_dn=1.0)) for pose in poses]
@@ -34,16 +34,16 @@ def film(tmp_path_factory):
     return path
 
 
-def test_a_film_is_calibrated_like_images(run, film, tmp_path):
+def test_a_video_is_calibrated_like_images(run, video, tmp_path):
     """Every frame shows another pose and has moved far since the one before: nothing is left out for that."""
     output = tmp_path / "camera.yaml"
-    arguments = ("calibrate", film, "-b", "chessboard:8x5:30mm", "-o", output, "--model", "pinhole", "--jobs", 1)
+    arguments = ("calibrate", video, "-b", "chessboard:8x5:30mm", "-o", output, "--model", "pinhole", "--jobs", 1)
     code, out, _ = run(*arguments, "--flat-board", "--max-frames", 8, "--json")
     assert code == 0
     told = json.loads(out)
     assert sum(frame["taken"] for frame in told["frames"]) == 8
     assert len(told["views"]) == 8
-    assert any(note.startswith("film.avi: 8 of 12 frames are taken") for note in told["notes"])
+    assert any(note.startswith("video.avi: 8 of 12 frames are taken") for note in told["notes"])
     file = native.read(output)
     assert "--max-frames 8" in file.provenance["command"]
     camera = file.cameras["camera"].camera
@@ -51,9 +51,9 @@ def test_a_film_is_calibrated_like_images(run, film, tmp_path):
     assert np.abs(error).max() < 6  # MJPG's errors are alike from corner to corner, which σ does not know
 
 
-def test_all_that_were_searched_are_listed_if_asked_for(run, film, tmp_path):
-    arguments = ("calibrate", film, "-b", "chessboard:8x5:30mm", "-o", tmp_path / "camera.yaml", "--jobs", 1)
+def test_all_that_were_searched_are_listed_if_asked_for(run, video, tmp_path):
+    arguments = ("calibrate", video, "-b", "chessboard:8x5:30mm", "-o", tmp_path / "camera.yaml", "--jobs", 1)
     code, out, _ = run(*arguments, "--model", "pinhole", "--flat-board", "--max-frames", 9, "--verbose")
     assert code == 0
     assert out.startswith("9 of 12 frames that were searched are taken\n")
-    assert out.count(str(film.with_suffix(""))) >= FRAMES
+    assert out.count(str(video.with_suffix(""))) >= FRAMES

@@ -138,10 +138,10 @@ def test_a_part_of_a_board_is_taken_if_asked_for(run, folder, tmp_path):
 
 
 @pytest.fixture
-def film(folder, tmp_path):
-    """A film of eight frames in which the board of the folder moves to the right, and a wall in the end."""
+def video(folder, tmp_path):
+    """A video of eight frames in which the board of the folder moves to the right, and a wall in the end."""
     board, wall = (cv2.imread(str(folder / name)) for name in ("board.png", "wall.png"))
-    path = tmp_path / "film.avi"
+    path = tmp_path / "video.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, board.shape[1::-1])
     if not writer.isOpened():
         pytest.skip("this OpenCV writes no video")
@@ -151,8 +151,8 @@ def film(folder, tmp_path):
     return path
 
 
-def test_the_choice_of_frames_is_listed(run, film, tmp_path):
-    arguments = ("detect", film, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1)
+def test_the_choice_of_frames_is_listed(run, video, tmp_path):
+    arguments = ("detect", video, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1)
     code, out, err = run(*arguments, "--max-frames", 2)
     assert (code, err) == (0, "")
     lines = out.splitlines()
@@ -160,17 +160,17 @@ def test_the_choice_of_frames_is_listed(run, film, tmp_path):
     assert lines[1].split() == ["frame", "corners", "blur", "px", "motion", "px", "order", "reason"]
     assert [line.split()[-2:] for line in lines[2:4]] == [["adds", "most"]] * 2
     assert lines[4] == "  (--verbose lists all that were searched)"
-    assert "film.avi: 2 of 8 frames are taken; 8 were searched, 7 show the board" in out
+    assert "video.avi: 2 of 8 frames are taken; 8 were searched, 7 show the board" in out
     verbose = run(*arguments, "--max-frames", 2, "--verbose")[1]
     assert "no chessboard found" in verbose
-    assert verbose.count(str(film.with_suffix(""))) >= 8
+    assert verbose.count(str(video.with_suffix(""))) >= 8
 
 
-def test_json_has_every_frame_with_its_figures(run, film, tmp_path):
-    arguments = ("detect", film, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1, "--json")
+def test_json_has_every_frame_with_its_figures(run, video, tmp_path):
+    arguments = ("detect", video, "-b", "chessboard:6x5:25mm", "-o", tmp_path / "corners.csv", "--jobs", 1, "--json")
     told = json.loads(run(*arguments, "--every", 7)[1])
     first, last = told["frames"]
-    assert first["frame"] == f"{film.with_suffix('')}_000000"
+    assert first["frame"] == f"{video.with_suffix('')}_000000"
     assert (first["taken"], first["reason"], first["order"], first["motion_px"]) == (True, "adds most", 1, None)
     assert 0 < first["blur_px"] < 3
     assert (last["corners"], last["taken"], last["order"]) == (0, False, None)

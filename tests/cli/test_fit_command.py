@@ -50,8 +50,9 @@ def test_the_json_document(run, data):
     assert code == 0
     assert list(found) == [
         "schema", "model", "formula", "parameters", "derived", "free", "correlation", "strong_correlations",
-        "unobservable", "at_bounds", "rows", "freedom", "sum_of_squares", "rms", "sigma", "chi_square", "p_value",
-        "r_squared", "condition", "iterations", "runs", "converged", "reason", "profile", "comparison",
+        "unobservable", "at_bounds", "rows", "degrees_of_freedom", "sum_of_squares", "rms", "sigma", "chi_square",
+        "p_value", "r_squared", "condition", "iterations", "runs", "converged", "reason", "profile",
+        "comparison",
         "jacobian_check", "outliers", "largest_leverage",
     ]  # fmt: skip
     assert found["schema"] == "camcal/fit/1"

@@ -12,7 +12,7 @@ from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.formats import poses, trajectories
-from camcal.formats.camera_file import Noise
+from camcal.formats.camera_file import CalibrationNoise
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -63,10 +63,10 @@ def files(tmp_path_factory):
     first, lost = sighted("tag_3", 0, rng)
     second, _ = sighted("tag_5", 1, rng)
     single = {Sight(sight.image): each for sight, each in first.items()}
-    one = Poses("camera_T_object", "m", Noise(0.3, None), single, {Sight(name): "nothing" for name in lost})
+    one = Poses("camera_T_object", "m", CalibrationNoise(0.3, None), single, {Sight(name): "nothing" for name in lost})
     poses.write(folder / "one.json", one)
     poses.write(folder / "inverse.json", one.inverse())
-    poses.write(folder / "two.json", Poses("camera_T_object", "m", Noise(0.3, None), {**first, **second}))
+    poses.write(folder / "two.json", Poses("camera_T_object", "m", CalibrationNoise(0.3, None), {**first, **second}))
     return folder
 
 

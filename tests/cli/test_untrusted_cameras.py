@@ -9,7 +9,7 @@ from tagged import facing, photograph
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import disparity, native
-from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, Verdict
+from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
 
@@ -61,9 +61,9 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_distrusted_calibration_is_one_line_more_on_stderr_and_the_same_exit(run, folder, command):
     arguments = COMMANDS[command].split()
-    write_rig(folder / "rig.yaml", Verdict(trustworthy=True))
+    write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=True))
     trusted = run(*arguments)
-    write_rig(folder / "rig.yaml", Verdict(trustworthy=False, reasons=REASONS))
+    write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=False, reasons=REASONS))
     code, _, err = run(*arguments)
     before = trusted[2].splitlines()
     more = [line for line in err.splitlines() if line not in before]
@@ -75,14 +75,14 @@ def test_a_distrusted_calibration_is_one_line_more_on_stderr_and_the_same_exit(r
 
 
 def test_the_view_of_a_distrusted_camera_is_distrusted_too(run, folder):
-    write_rig(folder / "rig.yaml", Verdict(trustworthy=False, reasons=REASONS))
+    write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=False, reasons=REASONS))
     run("undistort", "rig.yaml#left", "tags", "-o", "out")
-    assert native.read(folder / "out" / "camera.yaml").cameras["left"].verdict == Verdict(False, REASONS)
+    assert native.read(folder / "out" / "camera.yaml").cameras["left"].verdict == CalibrationVerdict(False, REASONS)
     assert SAID in run("optics", "out/camera.yaml")[2]
 
 
 def test_a_guess_whose_values_are_held_is_warned_of_and_one_that_is_a_start_is_not(run, folder):
-    write_rig(folder / "rig.yaml", Verdict(trustworthy=False, reasons=REASONS))
+    write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=False, reasons=REASONS))
     given = "calibrate", "tags", "--board", "chessboard:5x4:20mm", "-o", "new.yaml", "--guess", "rig.yaml#left", "-j", 1
     assert SAID not in run(*given)[2]
     assert SAID in run(*given, "--fix", "fx,fy")[2]

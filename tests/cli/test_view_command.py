@@ -138,7 +138,7 @@ def test_pictures(run, tmp_path, cloud, options, size):
 
 
 @pytest.mark.parametrize("name", ["turn.gif", "turn.mp4"])
-def test_films(run, tmp_path, cloud, name):
+def test_videos(run, tmp_path, cloud, name):
     code, out, _ = run("view", cloud, "-o", tmp_path / name, "--frames", 3, "--size", "100x80", "--turn", 360)
     assert (code, f"wrote {tmp_path / name}" in out) == (0, True)
     video = cv2.VideoCapture(str(tmp_path / name))
@@ -203,8 +203,8 @@ def test_json_says_what_was_made(run, tmp_path, cloud):
         (["cloud.ply", "left.png", "-o", "c.html"], "a cloud has its own"),
         (["cloud.ply", "-o", "c.png", "--montage", "--view", "top"], "--montage has views of its own"),
         (["cloud.ply", "-o", "c.html", "--montage"], "--montage is for a picture, not for a page"),
-        (["cloud.ply", "-o", "c.html", "--size", "640x480"], "--size is for a picture or a film, not for a page"),
-        (["cloud.ply", "-o", "c.png", "--turn", "90"], "--turn is for a film, not for a picture"),
+        (["cloud.ply", "-o", "c.html", "--size", "640x480"], "--size is for a picture or a video, not for a page"),
+        (["cloud.ply", "-o", "c.png", "--turn", "90"], "--turn is for a video, not for a picture"),
         (["cloud.ply", "-o", "c.gif", "--turn", "0"], "more than 0 and at most 360 degrees"),
         (["cloud.ply", "-o", "c.png", "--view", "behind"], "view 'behind' is none of"),
         (["cloud.ply", "-o", "c.png", "--colour", "warm"], "colour 'warm' is unknown"),

@@ -48,7 +48,7 @@ def test_covariances_weigh_as_in_one_dimension():
     assert found.pose.translation[0] == pytest.approx(0.25)
     np.testing.assert_allclose(found.covariance, 0.75 * np.eye(6), atol=1e-9)
     assert found.chi_square == pytest.approx(1 / 4)
-    assert found.freedom == 6
+    assert found.degrees_of_freedom == 6
 
 
 def test_the_covariance_holds_what_it_says():

@@ -12,7 +12,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import detections
 from camcal.formats.detections import read_csv
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 
 BOARD = parse_board("chessboard:4x3:25mm")
 GOOD = """# camcal-detections 1 board=chessboard:4x3:25mm
@@ -51,13 +51,13 @@ def fault(tmp_path, content: str, **options) -> str:
     return str(caught.value).replace(str(tmp_path / "d.csv"), "d.csv")
 
 
-def random_view(seed: int, image: str, camera: str, *, measured: bool, orientation: int) -> Detection:
+def random_view(seed: int, image: str, camera: str, *, measured: bool, orientation: int) -> BoardDetection:
     rng = np.random.default_rng(seed)
     ids = rng.permutation(BOARD.count)[: rng.integers(1, BOARD.count + 1)]
     pixels = rng.uniform(-0.5, 479.5, (len(ids), 2))
     factor = rng.normal(size=(len(ids), 2, 2))
     covariance = factor @ factor.transpose(0, 2, 1) if measured else None
-    return Detection(image, (640, 480), ids, pixels, covariance, camera, orientation=orientation)
+    return BoardDetection(image, (640, 480), ids, pixels, covariance, camera, orientation=orientation)
 
 
 names = st.text(st.characters(exclude_categories=("Cs", "Cc")), min_size=1, max_size=12)
@@ -71,7 +71,9 @@ found_views = st.builds(
 )
 empty_views = st.builds(
     lambda image, camera, reason, orientation: replace(
-        Detection(image, (640, 480), reason=" ".join(reason.split()) or "none"), camera=camera, orientation=orientation
+        BoardDetection(image, (640, 480), reason=" ".join(reason.split()) or "none"),
+        camera=camera,
+        orientation=orientation,
     ),
     names,
     st.sampled_from(["", "left"]),
@@ -146,7 +148,7 @@ def test_the_board_given_wins_over_the_one_named_but_must_have_its_grid(tmp_path
 )
 def test_a_board_of_any_type_is_named_and_all_its_points_are_kept(tmp_path, form):
     board = parse_board(form)
-    view = Detection("a.png", (640, 480), np.arange(board.count), np.full((board.count, 2), 7.5))
+    view = BoardDetection("a.png", (640, 480), np.arange(board.count), np.full((board.count, 2), 7.5))
     detections.write(tmp_path / "d.csv", Detections(board, (view,)))
     found = detections.read(tmp_path / "d.csv")
     assert found.board == board
@@ -261,7 +263,7 @@ def test_two_circles_of_one_camera_are_refused(tmp_path):
 
 
 def test_a_name_with_a_line_break_cannot_be_written(tmp_path):
-    view = Detection("a\nb.png", (640, 480), np.array([0]), np.array([[1.0, 1.0]]))
+    view = BoardDetection("a\nb.png", (640, 480), np.array([0]), np.array([[1.0, 1.0]]))
     with pytest.raises(InvalidInput, match="line break"):
         detections.write(tmp_path / "d.csv", Detections(None, (view,)))
     assert not (tmp_path / "d.csv").exists()

@@ -18,14 +18,14 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import (
+    CalibrationNoise,
+    CalibrationVerdict,
     CameraEntry,
     CameraFile,
     JointCovariance,
-    Noise,
     ProjectionStd,
     Transform,
     ValidRegion,
-    Verdict,
 )
 from camcal.geometry.pose import Pose
 from camcal.targets.board import parse_board
@@ -92,8 +92,8 @@ def full_file(rng) -> CameraFile:
             ProjectionStd({"rms_px": 0.05, "max_px": 0.2, "inside_rms_px": 0.03, "inside_max_px": 0.1}),
         ),
         quality={"rms_px": 0.21, "images_used": 34, "points_used": 1836},
-        noise=Noise(0.11, 3400, 0.05),
-        verdict=Verdict(trustworthy=False, reasons=("no view in the lower left corner", "few tilts")),
+        noise=CalibrationNoise(0.11, 3400, 0.05),
+        verdict=CalibrationVerdict(trustworthy=False, reasons=("no view in the lower left corner", "few tilts")),
         sensor={"pixel_pitch_um": 3.45, "gain_e_per_dn": 0.4, "read_noise_e": 2.1, "full_well_e": 10500.0},
         channels={"red": red},
         held_by_prior=("k4", "k5"),

@@ -6,7 +6,7 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.formats import detections
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 
 BOARD = parse_board("chessboard:3x2:50mm")
 SIZE = (800, 600)
@@ -73,8 +73,8 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
     ids = np.array([0, 2, 5])
     variances = 0.01 * np.array([1.0, 4.0, 16.0])
     covariance = variances[:, None, None] * np.eye(2)
-    view = Detection("a.jpg", SIZE, ids, rng.uniform(0, 599, (3, 2)), covariance)
-    written = Detections(BOARD, (view, Detection("b.jpg", SIZE, reason="no board")))
+    view = BoardDetection("a.jpg", SIZE, ids, rng.uniform(0, 599, (3, 2)), covariance)
+    written = Detections(BOARD, (view, BoardDetection("b.jpg", SIZE, reason="no board")))
     detections.write(tmp_path / "corners.vnl", written)
     found = detections.read(tmp_path / "corners.vnl", BOARD, SIZE).views
     np.testing.assert_array_equal(found[0].ids, ids)
@@ -109,7 +109,7 @@ def test_board_and_size_must_come_from_elsewhere(tmp_path):
 
 
 def test_a_name_with_white_space_or_a_missing_board_cannot_be_written(tmp_path):
-    view = Detection("a b.jpg", SIZE, np.array([0]), np.array([[1.0, 1.0]]))
+    view = BoardDetection("a b.jpg", SIZE, np.array([0]), np.array([[1.0, 1.0]]))
     with pytest.raises(InvalidInput, match="cannot hold this name"):
         detections.write(tmp_path / "corners.vnl", Detections(BOARD, (view,)))
     with pytest.raises(InvalidInput, match="give --board"):

@@ -14,7 +14,7 @@ from camcal.estimate.poses.records import Correspondences
 from camcal.images.load import gray_8bit, load
 from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 BOARD = parse_board("aprilgrid:6x6:88mm:0.3")
 BASELINE = {  # tags that OpenCV's ArUco detector reads with the border set to two cells
@@ -45,7 +45,7 @@ def seen(real_data):
 def detection(path):
     gray = gray_8bit(load(path).pixels)
     found = find_aprilgrid(gray, BOARD)
-    return Detection(path.name, gray.shape[::-1], found.ids, found.pixels, found.covariance)
+    return BoardDetection(path.name, gray.shape[::-1], found.ids, found.pixels, found.covariance)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.targets.board import parse_board
 from camcal.targets.circles.circles import find_circles
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 SETS = {
     "boofcv-circle-regular": ("circles:10x8:25mm:15mm", 6, 0.37),  # pixels RMS; 0.35 measured, of bent paper
@@ -39,6 +39,6 @@ def test_every_photograph_shows_all_dots_and_they_calibrate(photographs):
         detection = find_circles(gray, board)
         assert len(detection.ids) == board.count, path.name
         assert np.sqrt(np.linalg.det(detection.covariance)).max() < 0.05**2
-        detections.append(Detection(path.name, gray.shape[::-1], detection.ids, detection.pixels))
+        detections.append(BoardDetection(path.name, gray.shape[::-1], detection.ids, detection.pixels))
     assert len(detections) == count
     assert calibrate(detections, board, Options(model_named("opencv5"))).rms_px < limit

@@ -185,7 +185,7 @@ def test_photographs_without_a_board_have_none(real_data, folder):
 def test_corners_lead_to_a_smaller_reprojection_error_than_those_of_opencv(real_data, images, board, limit):
     wanted = parse_board(board)
     grays = [gray_8bit(load(path).pixels) for path in find_images([real_data / images])]
-    sightings = [detect(gray, wanted) for gray in grays]
-    pixels = [detection.pixels.astype(np.float32)[:, None] for detection in sightings]
-    points = [wanted.points().astype(np.float32)[detection.ids] for detection in sightings]
+    found = [detect(gray, wanted) for gray in grays]
+    pixels = [detection.pixels.astype(np.float32)[:, None] for detection in found]
+    points = [wanted.points().astype(np.float32)[detection.ids] for detection in found]
     assert cv2.calibrateCamera(points, pixels, grays[0].shape[::-1], None, None)[0] < limit

@@ -12,7 +12,7 @@ from camcal.report import pose_words
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.poses.pnp import PnpOptions, pnp
-from camcal.tasks.poses.pnp_views import Looking
+from camcal.tasks.poses.pnp_views import DetectionOptions
 
 
 def camera_file(folder, size, parameters):
@@ -33,8 +33,10 @@ def test_twelve_tags_have_the_published_poses(real_data, tmp_path):
     folder = real_data / "pnp" / "visp-apriltag"
     # published with pixel centres at 0.5, as the AprilTag library has them
     camera = camera_file(tmp_path, (640, 480), [615.16748, 615.16754, 312.189 - 0.5, 243.43738 - 0.5])
-    looking = Looking(tags="tag36h11:53mm", jobs=1)
-    report = pnp(PnpOptions(camera, inputs=(str(folder / "AprilTag.pgm"),), looking=looking, draw=tmp_path / "drawn"))
+    detection = DetectionOptions(tags="tag36h11:53mm", jobs=1)
+    report = pnp(
+        PnpOptions(camera, inputs=(str(folder / "AprilTag.pgm"),), detection=detection, draw=tmp_path / "drawn")
+    )
     published = published_poses(folder / "ground_truth_pose.txt")
     found = {int(sight.object.removeprefix("tag_")): record for sight, record in report.poses.estimates.items()}
     assert set(found) == set(published)
@@ -58,8 +60,8 @@ def test_a_board_in_a_robots_hand_is_met_to_a_fraction_of_a_pixel(real_data, tmp
     folder = real_data / "pnp" / "visp-handeye-chessboard"
     # the robot's makers' lens has no distortion, what others estimate of it is small within the board
     camera = camera_file(tmp_path, (640, 480), [607.5931396484375, 607.574951171875, 323.46282958984375, 243.255294799])
-    looking = Looking("chessboard:9x6:23.6mm", jobs=1)
-    report = pnp(PnpOptions(camera, inputs=(str(folder / "franka_image-*.png"),), looking=looking, outliers="none"))
+    detection = DetectionOptions("chessboard:9x6:23.6mm", jobs=1)
+    report = pnp(PnpOptions(camera, inputs=(str(folder / "franka_image-*.png"),), detection=detection, outliers="none"))
     records = list(report.poses.estimates.values())
     assert len(records) == 8
     assert max(record.rms_px for record in records) < 1.0

@@ -1,4 +1,4 @@
-"""A board filmed by hand, with the lens that was published for it; no truth is known but that the hand moves smoothly.
+"""A hand-held video of a board, with the published lens; no truth is known but that the hand moves smoothly.
 
 The board looks the same after half a turn, and the pictures follow one another at a rate that nobody wrote down.
 """
@@ -28,7 +28,7 @@ FIRST, COUNT = 40, 24
 @pytest.fixture(scope="module")
 def folder(real_data, tmp_path_factory):
     """A camera file and some frames of the video, two of them without the board."""
-    folder = tmp_path_factory.mktemp("filmed")
+    folder = tmp_path_factory.mktemp("video")
     (folder / "camera.yaml").write_text(CAMERA)
     (folder / "frames").mkdir()
     for number, image in enumerate(frames(real_data / "pnp" / "boofcv-chessboard-video" / "movie.mjpeg")):

@@ -122,13 +122,13 @@ class Chromium:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def settle(self) -> None:
+    def wait_until_drawn(self) -> None:
         """Wait until what was asked for has been drawn."""
         self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
 
     def screenshot(self) -> np.ndarray:
         """Return what is to be seen, (H, W, 3), red, green, blue."""
-        self.settle()
+        self.wait_until_drawn()
         content = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
 

@@ -1,4 +1,4 @@
-"""Pictures and films of clouds without a screen."""
+"""Pictures and videos of clouds without a screen."""
 
 import cv2
 import numpy as np
@@ -9,14 +9,14 @@ from PIL import Image
 from camcal.errors import InvalidInput
 from camcal.report.cloud_pictures import (
     draw,
-    film_frames,
     labels_of,
     montage,
     nice_below,
     picture,
     rendered,
     shading,
-    write_film,
+    video_frames,
+    write_video,
 )
 from camcal.report.cloud_views import View, named_views, turn, view_of
 from camcal.report.colour_scale import ColourScale, paint_of, scale_of, turbo, turbo_table
@@ -188,13 +188,13 @@ def test_turbo_has_gray_for_what_is_not_known():
     assert turbo_table()[0].tolist() == [48, 18, 59]  # the published table begins so
 
 
-def film(scene, path, size=(160, 120), count=4):
+def write_turn(scene, path, size=(160, 120), count=4):
     views = turn(named_views(scene)["camera"], np.radians(40), count)
-    write_film(path, film_frames(scene, paint_of(scene), views, size))
+    write_video(path, video_frames(scene, paint_of(scene), views, size))
 
 
 def test_a_gif_turns_without_end(scene, tmp_path):
-    film(scene, tmp_path / "turn.gif")
+    write_turn(scene, tmp_path / "turn.gif")
     with Image.open(tmp_path / "turn.gif") as gif:
         assert (gif.n_frames, gif.size, gif.info["loop"], gif.info["duration"]) == (4, (160, 120), 0, 50)
         frames = []
@@ -209,7 +209,7 @@ def test_a_gif_turns_without_end(scene, tmp_path):
 
 
 def test_an_mp4_has_every_frame(scene, tmp_path):
-    film(scene, tmp_path / "turn.mp4")
+    write_turn(scene, tmp_path / "turn.mp4")
     video = cv2.VideoCapture(str(tmp_path / "turn.mp4"))
     frames = [video.read()[1] for _ in range(4)]
     assert not video.read()[0]
@@ -217,18 +217,18 @@ def test_an_mp4_has_every_frame(scene, tmp_path):
     assert middle_of(frames[0][:, :, ::-1], RED)[2] > 100
 
 
-def test_a_film_has_a_size_that_can_be_drawn(scene, tmp_path):
+def test_a_video_has_a_size_that_can_be_drawn(scene, tmp_path):
     with pytest.raises(InvalidInput, match="sides of 32 to 8192"):
-        film(scene, tmp_path / "turn.gif", size=(2, 2))
+        write_turn(scene, tmp_path / "turn.gif", size=(2, 2))
 
 
 def test_an_mp4_with_odd_sides_is_refused_and_leaves_nothing(scene, tmp_path):
     with pytest.raises(InvalidInput, match="even numbers"):
-        film(scene, tmp_path / "turn.mp4", size=(161, 120))
+        write_turn(scene, tmp_path / "turn.mp4", size=(161, 120))
     assert not list(tmp_path.iterdir())
 
 
-def test_a_film_is_the_same_every_time(scene, tmp_path):
+def test_a_video_is_the_same_every_time(scene, tmp_path):
     for name in ("one.gif", "two.gif"):
-        film(scene, tmp_path / name, count=2)
+        write_turn(scene, tmp_path / name, count=2)
     assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()

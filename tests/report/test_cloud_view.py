@@ -127,7 +127,7 @@ def project(browser, index):
 
 
 def test_a_page_opens_from_disk_and_complains_of_nothing(squares):
-    squares.settle()
+    squares.wait_until_drawn()
     assert squares.complaints == []
     assert squares.evaluate("document.getElementById('failure').hidden")
     assert squares.evaluate("document.title") == "cloud.ply"
@@ -221,7 +221,7 @@ def test_dragging_turns_the_wheel_zooms_and_a_key_brings_it_back(squares):
     assert (squares.screenshot() != before).any()
     squares.key("r")
     squares.mouse("mouseWheel", *MIDDLE, deltaX=0, deltaY=-200)
-    squares.settle()
+    squares.wait_until_drawn()
     closer = np.array([project(squares, index) for index in (0, 79)])
     assert np.linalg.norm(np.diff(closer, axis=0)) > 1.1 * np.linalg.norm(
         np.subtract(start[0], project_at_start(squares, 79))
@@ -249,7 +249,7 @@ def test_two_fingers_zoom(squares):
     for half in (60, 80, 100):
         touch("touchMove", half)
     touch("touchEnd", 0)
-    squares.settle()
+    squares.wait_until_drawn()
     after = np.linalg.norm(np.subtract(project(squares, 0), project(squares, 79)))
     assert after > 1.5 * before
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.report.overlays import MOST_WIDTH, Canvas, corner_overlay
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 GREEN, YELLOW = (80, 255, 80), (0, 235, 255)  # blue, green, red
 
@@ -15,7 +15,7 @@ def view(size=(1000, 800), step=80.0, covariance=None, ids=None, columns=6, rows
     pixels = step * (np.column_stack([column, row]) + 1.5)
     kept = np.arange(len(pixels)) if ids is None else np.array(ids)
     some = None if covariance is None else np.broadcast_to(covariance, (len(kept), 2, 2))
-    return Detection("folder/photo.jpg", size, kept, pixels[kept], some)
+    return BoardDetection("folder/photo.jpg", size, kept, pixels[kept], some)
 
 
 def gray(size=(1000, 800), level=100):
@@ -102,7 +102,7 @@ def test_ids_are_written_where_there_is_room():
 
 def test_an_image_without_the_board_has_the_reason_in_large_letters():
     reason = "only 3 x 2 of 6 x 5 corners in sight, which is not enough for it"
-    nothing = Detection("a.png", (1000, 800), reason=reason)
+    nothing = BoardDetection("a.png", (1000, 800), reason=reason)
     picture = corner_overlay(gray(), nothing)
     red = of_colour(picture[:800], (70, 70, 255))
     assert len(red) > 2000
@@ -112,7 +112,7 @@ def test_an_image_without_the_board_has_the_reason_in_large_letters():
 
 
 def test_corners_outside_the_picture_do_not_fail():
-    far = Detection("a.png", (1000, 800), np.arange(3), np.array([[1e6, 0.0], [-20.0, 400.0], [500.0, 400.0]]))
+    far = BoardDetection("a.png", (1000, 800), np.arange(3), np.array([[1e6, 0.0], [-20.0, 400.0], [500.0, 400.0]]))
     assert corner_overlay(gray(), far).shape[1] == 1000
 
 

@@ -14,8 +14,8 @@ RECORD = PoseRecord(POSE, 1e-6 * np.eye(6), np.zeros((6, 6)), "ok", 0.2, 0.5, 54
 IMAGE = Sight("a.png")
 
 
-def poses(record=RECORD, sight=IMAGE, unit="m", scale=None, freedom=102):
-    return Poses("camera_T_object", unit, PixelNoise(0.25, scale, freedom), {sight: record})
+def poses(record=RECORD, sight=IMAGE, unit="m", scale=None, dof=102):
+    return Poses("camera_T_object", unit, PixelNoise(0.25, scale, dof), {sight: record})
 
 
 def test_a_row_is_in_millimetres_and_degrees():
@@ -49,7 +49,7 @@ def test_points_that_are_left_out_are_counted():
 
 def test_the_noise_says_where_it_is_known_from():
     assert pose_words.noise(poses()) == "noise 0.25 px, from the residuals, 102 degrees of freedom"
-    assert pose_words.noise(poses(freedom=None)) == "noise 0.25 px, as given"
+    assert pose_words.noise(poses(dof=None)) == "noise 0.25 px, as given"
     near = "noise 0.25 px, by the corner standard deviations, with which the residuals agree"
     assert [pose_words.noise(poses(scale=scale)) for scale in (0.7, 1.4)] == [near, near]
     far = "noise 0.25 px: the residuals are 6.6 x the corner standard deviations (a-posteriori scale, 102 degrees"

@@ -22,7 +22,7 @@ FISHEYE = make_camera(model_named("kannala_brandt4"), SIZE, np.radians(150))
 
 def placed(board, camera, pitch_px, turn=(0.3, -0.2, 0.1), aside=(0.0, 0.0)):
     """Return the pose of a board whose tags are about so many pixels apart; aside: of the axis, in distances."""
-    distance = camera.value("fx") * board.pitch / pitch_px
+    distance = camera.value("fx") * board.spacing / pitch_px
     rotation = so3.exp(np.array(turn)) @ np.diag([1.0, -1.0, -1.0])
     middle = np.array([*board.extent, 0.0]) / 2
     return Pose(rotation, distance * np.array([*aside, 1.0]) - rotation @ middle)

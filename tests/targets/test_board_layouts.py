@@ -53,7 +53,7 @@ def test_a_grid_is_numbered_along_its_rows():
 def test_points_begin_at_the_origin_and_fill_the_extent(form, known):
     board = parse_board(form)
     part = {"marker": board.marker, "diameter": board.diameter}
-    scaled = {name: length / board.pitch for name, length in part.items() if length is not None}
+    scaled = {name: length / board.spacing for name, length in part.items() if length is not None}
     board = board if known else replace(board, square=None, **scaled)
     points = board.points()
     assert points.shape == (board.count, 3)
@@ -65,7 +65,7 @@ def test_points_begin_at_the_origin_and_fill_the_extent(form, known):
 def picture(board, turns):
     """Return the ink (K, K) of a board's drawing about its middle, turned by quarter turns."""
     pattern = pattern_of(board)
-    reach = max(board.extent) / 2 + 0.2971 * board.pitch  # so that samples lie on no edge
+    reach = max(board.extent) / 2 + 0.2971 * board.spacing  # so that samples lie on no edge
     places = np.linspace(-reach, reach, 120)
     x, y = np.meshgrid(places, places)
     for _ in range(turns):

@@ -36,8 +36,8 @@ def test_bending_undoes_straightening(first, second):
 )
 def test_the_points_between_those_of_a_board_are_where_the_lens_shows_them(shape, tolerance, lens):
     points = grid_points(*shape) * 6 / (max(shape) - 1)
-    pitch = 6 / (max(shape) - 1)
-    between = points[np.all(points < points.max(axis=0) - 0.1, axis=1)] + pitch / 2
+    spacing = 6 / (max(shape) - 1)
+    between = points[np.all(points < points.max(axis=0) - 0.1, axis=1)] + spacing / 2
     found = map_of(points, seen(points, lens), SIZE)
     np.testing.assert_allclose(found.pixels(between), seen(between, lens), atol=tolerance)
 

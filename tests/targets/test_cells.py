@@ -31,7 +31,7 @@ def cells_seen(ids=None):
 
 def test_edges_are_where_the_lens_bends_them():
     pixels, cells = cells_seen()
-    for edge, axis in enumerate(np.eye(3)[:2] * BOARD.pitch):
+    for edge, axis in enumerate(np.eye(3)[:2] * BOARD.spacing):
         tangent = cells.steps[:, :, edge] / np.linalg.norm(cells.steps[:, :, edge], axis=1)[:, None]
         normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
         for share in (-0.4, -0.2, 0.3, 0.5):

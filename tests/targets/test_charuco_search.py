@@ -55,7 +55,7 @@ def test_another_board_is_told_by_its_squares_markers_and_dictionary(drawn, aske
     found = layout.board(wanted)
     expected = parse_board(f"charuco:{proposed}")
     assert replace(found, marker=expected.marker) == expected
-    assert found.marker / found.pitch == pytest.approx(expected.marker / expected.pitch, abs=0.02)  # half a pixel
+    assert found.marker / found.spacing == pytest.approx(expected.marker / expected.spacing, abs=0.02)  # half a pixel
     assert not is_like(layout, wanted)
 
 
@@ -113,7 +113,7 @@ def rendered():
     for text in ("aprilgrid:4x3:40mm:0.3", "circles:7x5:30mm:20mm", "asymmetric_circles:4x7:25mm:20mm"):
         board = parse_board(text)
         middle = np.array([*board.extent, 0.0]) / 2
-        at = Pose(np.diag([1.0, board.inward, board.inward]), np.array([0.0, 0.0, 0.45]))
+        at = Pose(np.diag([1.0, board.z_sign, board.z_sign]), np.array([0.0, 0.0, 0.45]))
         place = Pose(at.rotation, at.translation - at.rotation @ middle)
         yield render(camera, board, place, rng=np.random.default_rng(1))
     yield np.ascontiguousarray(shown(BOARD)[:, ::-1])

@@ -35,7 +35,7 @@ def held(board, tilt_deg, roll_deg=7.0, spacing_px=42):
     """Return the pose of a board tilted about an axis across the image and turned in its own plane."""
     turn = so3.exp(np.radians(tilt_deg) * np.array([0.6, -0.8, 0.0])) @ so3.exp(np.radians([0.0, 0.0, roll_deg]))
     middle = np.array([*board.extent, 0.0]) / 2
-    return Pose(turn, np.array([2e-4, -3e-4, FOCAL * board.pitch / spacing_px]) - turn @ middle)
+    return Pose(turn, np.array([2e-4, -3e-4, FOCAL * board.spacing / spacing_px]) - turn @ middle)
 
 
 @cache

@@ -29,7 +29,7 @@ EXACT = 0.05  # px: below 0.02 is measured for all types, and a wrong number is 
 def photograph(board, turn):
     """Return an image of a board turned in its plane by degrees and tilted, and where its points are."""
     turns = so3.exp(np.array([0.3, -0.25, 0.0])) @ so3.exp(np.array([0.0, 0.0, np.radians(turn)]))
-    rotation = turns @ np.diag([1.0, board.inward, board.inward])
+    rotation = turns @ np.diag([1.0, board.z_sign, board.z_sign])
     distance = 2.4 * max(board.extent)
     pose = Pose(rotation, np.array([0.0, 0.0, distance]) - rotation @ np.array([*board.extent, 0.0]) / 2)
     image = render(CAMERA, board, pose, rng=np.random.default_rng(turn), exposure=Exposure(noise_dn=1.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 
 def grid(rows, columns, missing=()):
@@ -16,7 +16,7 @@ def grid(rows, columns, missing=()):
 
 
 def test_the_points_of_a_grid_are_numbered_row_by_row():
-    detection = Detection.of(grid(3, 4, missing=[(0, 1), (2, 3)]))
+    detection = BoardDetection.of(grid(3, 4, missing=[(0, 1), (2, 3)]))
     assert detection.ids.tolist() == [0, 2, 3, 4, 5, 6, 7, 8, 9, 10]
     assert [4 * v + u for u, v in detection.pixels.tolist()] == detection.ids.tolist()
     assert detection.covariance is None
@@ -24,7 +24,7 @@ def test_the_points_of_a_grid_are_numbered_row_by_row():
 
 def test_covariances_stay_with_their_points():
     covariance = np.arange(12)[:, None, None].reshape(3, 4, 1, 1) * np.eye(2)
-    detection = Detection.of(grid(3, 4, missing=[(0, 1), (2, 3)]), covariance)
+    detection = BoardDetection.of(grid(3, 4, missing=[(0, 1), (2, 3)]), covariance)
     assert detection.covariance[:, 0, 0].tolist() == detection.ids.tolist()
 
 
@@ -37,31 +37,31 @@ def test_covariances_stay_with_their_points():
     ],
 )
 def test_too_few_points_for_a_pose_are_none(missing, reason):
-    detection = Detection.of(grid(2, 3, missing))
+    detection = BoardDetection.of(grid(2, 3, missing))
     assert (detection.found, detection.reason) == (False, reason)
 
 
 def test_points_in_one_row_are_none():
-    detection = Detection.of(grid(2, 5, missing=[(1, column) for column in range(5)]))
+    detection = BoardDetection.of(grid(2, 5, missing=[(1, column) for column in range(5)]))
     assert (detection.found, detection.reason) == (False, "only 5 corners, all in one line")
 
 
 def test_covariances_of_another_number_of_points_are_refused():
     with pytest.raises(InvalidInput, match="covariance has shape"):
-        Detection(ids=np.arange(4), pixels=np.zeros((4, 2)), covariance=np.zeros((3, 2, 2)))
+        BoardDetection(ids=np.arange(4), pixels=np.zeros((4, 2)), covariance=np.zeros((3, 2, 2)))
 
 
 def test_other_numbers_are_those_of_the_colours_as_well():
-    red = Detection(ids=np.array([0, 2]), pixels=np.zeros((2, 2)))
-    view = Detection("a.png", (640, 480), ids=np.arange(3), pixels=np.zeros((3, 2)), colours={"red": red})
+    red = BoardDetection(ids=np.array([0, 2]), pixels=np.zeros((2, 2)))
+    view = BoardDetection("a.png", (640, 480), ids=np.arange(3), pixels=np.zeros((3, 2)), colours={"red": red})
     turned = view.renumbered(np.array([2, 1, 0]))
     assert turned.ids.tolist() == [2, 1, 0]
     assert turned.colours["red"].ids.tolist() == [2, 0]
 
 
 def test_a_view_without_its_points_keeps_what_else_is_known_of_the_image():
-    red = Detection(ids=np.array([0]), pixels=np.zeros((1, 2)))
-    view = Detection(
+    red = BoardDetection(ids=np.array([0]), pixels=np.zeros((1, 2)))
+    view = BoardDetection(
         "a.png", (640, 480), np.arange(3), np.zeros((3, 2)), camera="left", orientation=6, colours={"red": red}
     )
     bare = view.without_points("of another size")

@@ -25,7 +25,7 @@ def seen_at(tilt, turn, distance=9.0, focal=600.0):
     return np.array([[focal, 0, 330], [0, focal, 230], [0, 0, 1]]) @ np.column_stack([rotation[:, :2], shift])
 
 
-def through(homography, points):
+def apply_homography(homography, points):
     moved = points @ homography[:, :2].T + homography[:, 2]
     return moved[..., :2] / moved[..., 2:]
 
@@ -46,19 +46,19 @@ def conics(homography, points, radius=RADIUS):
 def test_the_projected_centre_follows_from_the_ellipse(tilt, turn):
     homography = seen_at(tilt, turn)
     centres = projected_centres(conics(homography, POINTS), POINTS, RADIUS, SIZE)
-    np.testing.assert_allclose(centres, through(homography, POINTS), atol=LEFT_PX)
+    np.testing.assert_allclose(centres, apply_homography(homography, POINTS), atol=LEFT_PX)
 
 
 def test_the_ellipses_centres_are_far_from_it():
     homography = seen_at(0.8, 0.5)
-    off = conics(homography, POINTS).centres - through(homography, POINTS)
+    off = conics(homography, POINTS).centres - apply_homography(homography, POINTS)
     assert np.linalg.norm(off, axis=1).min() > 0.1
 
 
 def test_the_radius_follows_from_the_areas():
     homography = seen_at(0.8, 0.5)
     centres = projected_centres(conics(homography, POINTS), POINTS, None, SIZE)
-    np.testing.assert_allclose(centres, through(homography, POINTS), atol=LEFT_PX)
+    np.testing.assert_allclose(centres, apply_homography(homography, POINTS), atol=LEFT_PX)
 
 
 def fitted(outline):
@@ -80,7 +80,7 @@ def test_a_lens_that_bends_the_board_moves_centres_as_it_moves_rims(k1):
     homography = seen_at(0.7, 2.0)
 
     def lens(points):
-        plane = (through(homography, points) - [330, 230]) / 600  # its axis is off the image's middle
+        plane = (apply_homography(homography, points) - [330, 230]) / 600  # its axis is off the image's middle
         return [330, 230] + 600 * plane * (1 + k1 * (plane**2).sum(axis=-1, keepdims=True))
 
     angles = 2 * np.pi * np.arange(90) / 90

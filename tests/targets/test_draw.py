@@ -48,7 +48,7 @@ def test_a_board_is_as_large_as_its_points_say(text):
     assert box[:2] == pytest.approx([0, 0], abs=NANOMETRE)
     assert box[2:] == pytest.approx(ink.size, abs=NANOMETRE)
     if board.checker:
-        assert ink.size == pytest.approx(1000 * np.add(board.extent, 2 * board.pitch))
+        assert ink.size == pytest.approx(1000 * np.add(board.extent, 2 * board.spacing))
 
 
 @pytest.mark.parametrize(

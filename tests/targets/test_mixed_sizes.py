@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, Detection, pixel_map, size_relation, size_words
+from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, BoardDetection, pixel_map, size_relation, size_words
 
 USUAL = (64, 48)
 POINTS = np.array([(10.0, 12.0), (40.5, 20.25), (51.0, 37.0)])  # x, y
@@ -77,7 +77,7 @@ def test_what_another_image_shows_is_brought_to_where_it_was(change, quarter):
     there = np.linalg.solve(back.linear, (POINTS - back.offset).T).T
     scale = 1 / np.sqrt(abs(np.linalg.det(back.linear)))
     seen = centres(image, there, 3.4 * SIGMA_PX * scale)
-    view = Detection("a.png", size, np.arange(3), seen, np.tile(np.diag([1.0, 4.0]), (3, 1, 1)), orientation=6)
+    view = BoardDetection("a.png", size, np.arange(3), seen, np.tile(np.diag([1.0, 4.0]), (3, 1, 1)), orientation=6)
     moved = back.apply(view)
     assert (moved.size, moved.orientation, moved.image) == (USUAL, 6, "a.png")
     np.testing.assert_allclose(moved.pixels, POINTS, atol=0.02)  # windows around blobs cut pixels in whole

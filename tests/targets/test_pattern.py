@@ -77,7 +77,7 @@ def picture(board, pixels):
         ink = np.where(np.hypot(places[:, 0] - u, places[:, 1] - v) < radius, shade, ink)
     image = (255 * ink.reshape(x.shape)).astype(np.uint8)
     corners = (board.points()[:, :2] - lines) * pixels - 0.5
-    if board.inward > 0:
+    if board.z_sign > 0:
         return image, corners
     return np.ascontiguousarray(image[::-1]), corners * [1, -1] + [0, len(image) - 1]
 

@@ -21,7 +21,7 @@ def test_a_printed_board_is_found_with_the_spacing_it_was_asked_for(text, kind):
     assert image.shape[::-1] == pytest.approx([side * scale for side in page.size])
     seen = detect(image, board)
     assert (seen.reason, len(seen.ids)) == (None, board.count)
-    expected = board.points()[seen.ids, :2] * [1, board.inward] * 1000 * scale
+    expected = board.points()[seen.ids, :2] * [1, board.z_sign] * 1000 * scale
     shift = (seen.pixels - expected).mean(axis=0)
     # Edges are where they should be to 1/255 px, and the corners follow them; 0.1 px would be 0.02 mm.
     assert np.abs(seen.pixels - expected - shift).max() < 0.02

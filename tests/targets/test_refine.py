@@ -15,7 +15,7 @@ from camcal.targets.checker import grid as grids
 from camcal.targets.corners.cells import LONGEST_PX, Cells
 from camcal.targets.corners.measure import _cells, clear, measure
 from camcal.targets.corners.refine import RefinedCorners, refine
-from camcal.targets.detection import Detection, Samples
+from camcal.targets.detection import BoardDetection, MaskedImage
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 SIZE = (480, 400)
@@ -43,7 +43,9 @@ def photograph(exposure, *, k1=0.0, seed=0, where=None, board=BOARD):
 
 def measure_grid(image, start, sites=None, board=BOARD):
     """Return the measured corners and their covariances as grids, NaN where none."""
-    seen = measure(Samples(image, sites), board, Detection(ids=np.arange(board.count), pixels=start.reshape(-1, 2)))
+    seen = measure(
+        MaskedImage(image, sites), board, BoardDetection(ids=np.arange(board.count), pixels=start.reshape(-1, 2))
+    )
     pixels, covariance = np.full((board.count, 2), np.nan), np.full((board.count, 2, 2), np.nan)
     pixels[seen.ids], covariance[seen.ids] = seen.pixels, seen.covariance
     return pixels.reshape(start.shape), covariance.reshape(*start.shape, 2)
@@ -143,14 +145,14 @@ def test_only_the_sites_of_a_mosaic_are_looked_at():
 
 
 def test_where_nothing_was_found_nothing_is_measured():
-    nothing = Detection.nothing("no chessboard found")
-    assert measure(Samples(np.zeros((50, 60), np.uint8)), BOARD, nothing) is nothing
+    nothing = BoardDetection.nothing("no chessboard found")
+    assert measure(MaskedImage(np.zeros((50, 60), np.uint8)), BOARD, nothing) is nothing
 
 
 def test_a_blank_wall_has_no_corners():
     _, _, start = photograph(Exposure())
-    wall = Samples(np.full((400, 480), 100, np.uint8))
-    seen = measure(wall, BOARD, Detection(ids=np.arange(BOARD.count), pixels=start.reshape(-1, 2)))
+    wall = MaskedImage(np.full((400, 480), 100, np.uint8))
+    seen = measure(wall, BOARD, BoardDetection(ids=np.arange(BOARD.count), pixels=start.reshape(-1, 2)))
     assert seen.reason == "only 0 clear corners"
 
 

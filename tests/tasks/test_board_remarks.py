@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.which_board import OtherBoard, nothing_found, remarks
 
-NOTHING = Detection("a.png", (640, 480), reason="nothing seen")
+NOTHING = BoardDetection("a.png", (640, 480), reason="nothing seen")
 
 
 def instead(other):
@@ -125,5 +125,5 @@ def test_a_smaller_pattern_may_be_a_part_unless_parts_count_already(pattern, par
 @pytest.mark.parametrize("form", ["aprilgrid:2x2:88mm:0.3", "circles:3x3", "asymmetric_circles:3x3"])
 def test_a_board_that_was_found_is_no_error(form):
     board = parse_board(form)
-    seen = Detection("b.png", (640, 480), np.arange(board.count), np.zeros((board.count, 2)))
+    seen = BoardDetection("b.png", (640, 480), np.arange(board.count), np.zeros((board.count, 2)))
     assert nothing_found([NOTHING, seen], board) is None

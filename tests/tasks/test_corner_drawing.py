@@ -56,16 +56,16 @@ def test_images_of_one_name_in_two_folders_have_pictures_of_their_own(folder, tm
 
 
 def test_frames_that_are_taken_have_pictures_under_their_names(folder, tmp_path):
-    film = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 25, drawing().shape[::-1])
+    video = tmp_path / "video.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 25, drawing().shape[::-1])
     if not writer.isOpened():
         pytest.skip("this OpenCV writes no video")
     for offset in (0, 20, -20):
         writer.write(cv2.merge([drawing(offset)] * 3))
     writer.release()
-    report = drawn(tmp_path, folder / "wall.png", film, frames=FrameOptions(every=2))
+    report = drawn(tmp_path, folder / "wall.png", video, frames=FrameOptions(every=2))
     names = [path.name for path in report.pictures]
-    assert names == ["wall_corners.png", "film_000000_corners.png", "film_000002_corners.png"]
+    assert names == ["wall_corners.png", "video_000000_corners.png", "video_000002_corners.png"]
     first, last = (cv2.imread(str(path)) for path in report.pictures[1:])
     assert (first != last).any()
 

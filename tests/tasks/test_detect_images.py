@@ -15,7 +15,7 @@ from opencv_charuco import drawn_by_opencv
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
 from camcal.targets.board import Board, parse_board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration import which_board
 from camcal.tasks.calibration.detect import detect_images, document
 from camcal.tasks.calibration.options import DetectOptions
@@ -230,13 +230,16 @@ def test_a_board_that_is_nowhere_ends_with_advice(tmp_path):
 def test_a_part_of_a_larger_board_is_not_taken_for_the_board():
     """Some detectors find 5 x 3 corners in some images of a 6 x 4 board; more images then show the larger pattern."""
     board = Board("chessboard", 5, 3)
-    views = [view_of(board), *[Detection("a.png", SIZE, reason="another pattern", other=Board("chessboard", 6, 4))] * 2]
+    views = [
+        view_of(board),
+        *[BoardDetection("a.png", SIZE, reason="another pattern", other=Board("chessboard", 6, 4))] * 2,
+    ]
     assert nothing_found(views, board).exit_code == InsufficientData.exit_code
     assert nothing_found(views[:2], board) is None
 
 
 def view_of(board):
-    return Detection("b.png", SIZE, np.arange(board.count), np.zeros((board.count, 2)))
+    return BoardDetection("b.png", SIZE, np.arange(board.count), np.zeros((board.count, 2)))
 
 
 def test_a_view_has_the_hash_of_the_file_it_was_detected_in(tmp_path):

@@ -29,9 +29,9 @@ def times(timing, frames=FRAMES, videos=(), progress=None):
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory):
+def video_path(tmp_path_factory):
     """A video of five frames at 20 a second."""
-    path = tmp_path_factory.mktemp("film") / "film.avi"
+    path = tmp_path_factory.mktemp("video") / "video.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (64, 48))
     for level in range(5):
         writer.write(np.full((48, 64, 3), 40 * level, np.uint8))
@@ -71,15 +71,15 @@ def test_a_file_of_times_goes_by_order_or_by_names(tmp_path, text):
     np.testing.assert_allclose(times(Timing(source=str(path))), [0.1, 0.2, 0.4])
 
 
-def test_a_video_has_its_own_times(film):
-    np.testing.assert_allclose(video.stamps(film), np.arange(5) / 20, atol=1e-9)
-    frames = [frame_name(film, number) for number in (0, 1, 3)]
-    np.testing.assert_allclose(times(Timing(), frames, [film]), [0.0, 0.05, 0.15], atol=1e-9)
+def test_a_video_has_its_own_times(video_path):
+    np.testing.assert_allclose(video.stamps(video_path), np.arange(5) / 20, atol=1e-9)
+    frames = [frame_name(video_path, number) for number in (0, 1, 3)]
+    np.testing.assert_allclose(times(Timing(), frames, [video_path]), [0.0, 0.05, 0.15], atol=1e-9)
 
 
-def test_a_stream_of_pictures_has_none(film, tmp_path):
-    bare = tmp_path / "film.mjpeg"
-    bare.write_bytes(film.read_bytes())
+def test_a_stream_of_pictures_has_none(video_path, tmp_path):
+    bare = tmp_path / "video.mjpeg"
+    bare.write_bytes(video_path.read_bytes())
     assert video.stamps(bare) is None
     with pytest.raises(InvalidInput, match="tells no times of its frames; give its --fps"):
         times(Timing(), [frame_name(bare, 0)], [bare])

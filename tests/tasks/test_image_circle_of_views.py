@@ -20,13 +20,13 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration import model_selection
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.detect import detect_images, document
 from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
-from camcal.tasks.calibration.video_frames import Film
+from camcal.tasks.calibration.video_frames import Video
 
 SIZE = (400, 300)
 CENTRE, RADIUS = (203.0, 148.0), 140.0
@@ -97,7 +97,7 @@ def test_images_without_a_circle_have_none(tmp_path):
 
 def seen_in(folder, pixels, size=SIZE):
     names = sorted(folder.glob("*.png"))
-    return Detections(BOARD, tuple(Detection(name.as_posix(), size, np.array([0]), pixels) for name in names))
+    return Detections(BOARD, tuple(BoardDetection(name.as_posix(), size, np.array([0]), pixels) for name in names))
 
 
 def test_a_corner_outside_of_the_circle_shows_that_it_is_none(folder):
@@ -113,14 +113,16 @@ def test_images_that_are_gone_or_of_another_size_are_left_out(folder):
 
 
 def test_frames_of_videos_show_the_circle_too(folder):
-    path = folder / "film.avi"
+    path = folder / "video.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, SIZE)
     for image in sorted(folder.glob("*.png")):
         writer.write(cv2.imread(str(image)))
     writer.release()
-    film = Film(path, 3, (0, 1, 2))
-    seen = Detections(BOARD, tuple(Detection(name, SIZE, np.array([0]), np.array([CENTRE])) for name in film.names))
-    assert_is_the_circle(with_circle(seen, (film,), AS_IMAGES).circles[""])
+    video = Video(path, 3, (0, 1, 2))
+    seen = Detections(
+        BOARD, tuple(BoardDetection(name, SIZE, np.array([0]), np.array([CENTRE])) for name in video.names)
+    )
+    assert_is_the_circle(with_circle(seen, (video,), AS_IMAGES).circles[""])
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +199,8 @@ def test_calibrate_saves_the_circle_with_the_detections(corners, tmp_path):
 
 def test_the_circle_is_that_of_the_camera_and_of_images_of_this_size(corners):
     left = Detections(
-        None, tuple(Detection("a", SIZE, np.array([0]), np.array([[70.0, 148.0]]), camera="left") for _ in range(2))
+        None,
+        tuple(BoardDetection("a", SIZE, np.array([0]), np.array([[70.0, 148.0]]), camera="left") for _ in range(2)),
     )
     small = ImageCircle(SIZE, CENTRE, RADIUS)
     assert known_circle(Detections(None, left.views, {"left": small, "right": CIRCLE}), None) == small

@@ -17,10 +17,10 @@ from camcal.progress import SILENT
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, parse_board
-from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, Detection, Detections, pixel_map
+from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, BoardDetection, Detections, pixel_map
 from camcal.tasks.calibration.board_views import board_views
+from camcal.tasks.calibration.corner_refinement import _samples
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.second_look import _samples
 
 SIZE = (640, 480)
 BOARD = Board("chessboard", 9, 6, 0.03)
@@ -157,11 +157,11 @@ def test_corners_are_not_measured_again_in_an_image_of_other_pixels(tmp_path):
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), np.full((240, 320), 120, np.uint8))
     for size, measured in (((320, 240), True), ((321, 240), True), ((640, 480), False), ((240, 320), False)):
-        view = Detection(str(path), size, reason="")
+        view = BoardDetection(str(path), size, reason="")
         assert (_samples(view, AS_IMAGES) is not None) == measured
 
 
 def test_views_without_points_have_no_usual_size():
-    nothing = Detection("a.png", SIZE, reason="nothing seen")
+    nothing = BoardDetection("a.png", SIZE, reason="nothing seen")
     assert usual_size([nothing]) == (0, 0)
     assert same_size([nothing], (0, 0), parse_board("chessboard:9x6"), mixed=True).views == (nothing,)

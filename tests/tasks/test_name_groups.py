@@ -42,7 +42,7 @@ def test_of_three_cameras_each_is_a_group():
     [
         names("IMG_{:04}.JPG", count=20),
         names("photos/{}.png", count=12),
-        names("film.mp4#{:06}", count=40),
+        names("video.mp4#{:06}", count=40),
         [],
         ["a.png"],
         names("board-{}-of-20.png", count=20),

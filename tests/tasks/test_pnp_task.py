@@ -13,18 +13,18 @@ from camcal.cameras.model import Camera
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.formats import detections, native
-from camcal.formats.camera_file import CameraEntry, CameraFile, Noise
+from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile
 from camcal.formats.poses.record import PixelNoise, Sight
 from camcal.geometry.pose import Pose
 from camcal.progress import Silent
 from camcal.report import pose_words
 from camcal.simulate.scene import observe
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.targets.surface import Surface
 from camcal.tasks.poses.pnp import Gates, PnpOptions, PriorOptions, pnp
 from camcal.tasks.poses.pnp_observer import Observer
-from camcal.tasks.poses.pnp_views import Looking, Observation
+from camcal.tasks.poses.pnp_views import DetectionOptions, Observation
 
 BOARD = parse_board("chessboard:9x6:30mm")
 CAMERA = Camera(model_named("opencv5"), (1280, 960), [900.0, 905.0, 640.0, 480.0, -0.2, 0.05, 1e-3, 0.0, 0.0])
@@ -117,9 +117,9 @@ def test_a_given_noise_sets_the_covariance(camera_file, tmp_path, seen):
 
 def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path, seen):
     good = seen.views[0]
-    few = Detection("few.png", CAMERA.image_size, good.ids[:3], good.pixels[:3])
-    small = Detection("small.png", (640, 480), good.ids, good.pixels / 2)
-    empty = Detection("empty.png", CAMERA.image_size, reason="no board found")
+    few = BoardDetection("few.png", CAMERA.image_size, good.ids[:3], good.pixels[:3])
+    small = BoardDetection("small.png", (640, 480), good.ids, good.pixels / 2)
+    empty = BoardDetection("empty.png", CAMERA.image_size, reason="no board found")
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, (empty, few, small, good))))
     assert list(report.poses.estimates) == [(good.image, "")]
     assert {sight.image: reason for sight, reason in report.poses.missing.items()} == {
@@ -132,7 +132,7 @@ def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path
 
 
 def test_without_any_pose_the_reason_is_raised_and_nothing_written(camera_file, tmp_path):
-    empty = Detections(BOARD, (Detection("empty.png", CAMERA.image_size, reason="no board found"),))
+    empty = Detections(BOARD, (BoardDetection("empty.png", CAMERA.image_size, reason="no board found"),))
     output = tmp_path / "poses.yaml"
     with pytest.raises(InsufficientData, match=r"empty\.png: no pose from 1 images; no board found"):
         pnp(from_detections(camera_file, tmp_path, empty, output=output))
@@ -174,9 +174,9 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
     [
         ({}, "nothing to work on"),
         ({"points": "p.csv", "inputs": ("a.png",)}, "leave --board, --tags and the images out"),
-        ({"points": "p.csv", "looking": Looking(scale=True)}, "goes by the size of images"),
-        ({"inputs": ("a.png",), "looking": Looking(board="b", tags="t")}, "not for both"),
-        ({"inputs": ("a.csv",), "looking": Looking(tags="tag36h11:5cm")}, "tags are found in images"),
+        ({"points": "p.csv", "detection": DetectionOptions(scale=True)}, "goes by the size of images"),
+        ({"inputs": ("a.png",), "detection": DetectionOptions(board="b", tags="t")}, "not for both"),
+        ({"inputs": ("a.csv",), "detection": DetectionOptions(tags="tag36h11:5cm")}, "tags are found in images"),
         ({"inputs": ("a.csv",), "outliers": "lots"}, "'--outliers': 'lots'"),
         ({"inputs": ("a.csv", "b.png")}, "read alone"),
         ({"inputs": ("a.png",)}, "what is to be found in the images\\? Give --board"),
@@ -219,10 +219,10 @@ def test_images_give_the_poses_of_the_board_in_them(tmp_path):
     for index, truth in enumerate(TRUTHS):
         cv2.imwrite(str(tmp_path / f"{index}.png"), photographed(truth))
     cv2.imwrite(str(tmp_path / "2.png"), np.full((960, 1280), 200, np.uint8))
-    looking = Looking("chessboard:9x6:30mm", jobs=1)
+    detection = DetectionOptions("chessboard:9x6:30mm", jobs=1)
     drawn = tmp_path / "drawn"
     report = pnp(
-        PnpOptions(str(tmp_path / "camera.yaml"), inputs=(str(tmp_path),), looking=looking, draw=drawn, **QUICK)
+        PnpOptions(str(tmp_path / "camera.yaml"), inputs=(str(tmp_path),), detection=detection, draw=drawn, **QUICK)
     )
     middle = BOARD.points().mean(axis=0)
     assert len(report.poses.estimates) == 2
@@ -249,7 +249,7 @@ def test_resized_images_are_refused_with_the_way_out_and_taken_with_it(camera_fi
     halved = resized_views(seen, 0.5)
     with pytest.raises(InvalidInput, match=r"view0000\.png: the image has 640 x 480 pixels.*give --scale-intrinsics"):
         pnp(from_detections(camera_file, tmp_path, halved))
-    report = pnp(from_detections(camera_file, tmp_path, halved, looking=Looking(scale=True)))
+    report = pnp(from_detections(camera_file, tmp_path, halved, detection=DetectionOptions(scale=True)))
     full = pnp(from_detections(camera_file, tmp_path, seen))
     for sight, estimate in report.poses.estimates.items():
         # the tangential coefficients and the scaling are exact, only the solver stops elsewhere
@@ -261,7 +261,7 @@ def test_resized_images_are_refused_with_the_way_out_and_taken_with_it(camera_fi
 def test_cropped_images_need_another_camera(camera_file, tmp_path, seen):
     cropped = Detections(BOARD, tuple(replace(view, size=(1280, 720)) for view in seen.views))
     with pytest.raises(InvalidInput, match="are no resized images of 1280 x 960"):
-        pnp(from_detections(camera_file, tmp_path, cropped, looking=Looking(scale=True)))
+        pnp(from_detections(camera_file, tmp_path, cropped, detection=DetectionOptions(scale=True)))
 
 
 def bent_file(tmp_path, bow):
@@ -274,10 +274,10 @@ def bent_file(tmp_path, bow):
 def test_a_board_is_taken_in_the_shape_that_the_camera_file_has(tmp_path):
     path, surface = bent_file(tmp_path, 0.004)
     pixels = CAMERA.project(TRUTHS[0].apply(surface.points())).pixels
-    view = Detection("a.png", CAMERA.image_size, np.arange(BOARD.count), pixels)
+    view = BoardDetection("a.png", CAMERA.image_size, np.arange(BOARD.count), pixels)
     found = Detections(BOARD, (view,))
     bent = pnp(from_detections(path, tmp_path, found))
-    flat = pnp(from_detections(path, tmp_path, found, looking=Looking(board_shape=False)))
+    flat = pnp(from_detections(path, tmp_path, found, detection=DetectionOptions(board_shape=False)))
     assert bent.notes == ("the board is taken in the shape that the camera file has of it, 4 mm out of plane",)
     assert bent.poses.estimates["a.png", ""].rms_px < 1e-5  # the file's 12 digits
     assert flat.poses.estimates["a.png", ""].rms_px > 0.2  # 4 mm at 0.6 m
@@ -391,7 +391,7 @@ def test_the_model_error_of_the_camera_file_counts_beside_what_corners_say(camer
     bare = pnp(from_detections(camera_file, tmp_path, found, outliers="few"))
     assert bare.poses.noise.scale == pytest.approx(0.41 / 0.05, rel=0.2)
     assert "x the corner standard deviations (a-posteriori scale" in pose_words.noise(bare.poses)
-    native.write(Path(camera_file), CameraFile({"left": CameraEntry(CAMERA, noise=Noise(0.41, 3000, 0.4))}))
+    native.write(Path(camera_file), CameraFile({"left": CameraEntry(CAMERA, noise=CalibrationNoise(0.41, 3000, 0.4))}))
     known = pnp(from_detections(camera_file, tmp_path, found, outliers="few"))
     assert known.poses.noise.scale == pytest.approx(1.0, rel=0.2)
     assert known.poses.noise.sigma_px == pytest.approx(0.41, rel=0.2)
@@ -402,7 +402,7 @@ def test_the_model_error_of_the_camera_file_counts_beside_what_corners_say(camer
 
 def test_the_model_error_follows_the_size_of_the_images(tmp_path):
     camera = replace(CAMERA, image_size=(640, 480))
-    observer = Observer.of_camera(CAMERA, Noise(0.3, 100, 0.2)).resized({None: camera}, None)
+    observer = Observer.of_camera(CAMERA, CalibrationNoise(0.3, 100, 0.2)).resized({None: camera}, None)
     view = Correspondences("a", BOARD.points(), np.zeros((54, 2)), np.tile(0.01 * np.eye(2), (54, 1, 1)))
     (found,) = observer.with_model_errors([Observation(Sight("a"), (view, view.alike()), (np.arange(54),))])
     np.testing.assert_allclose(found.views[0].covariance, np.tile(0.02 * np.eye(2), (54, 1, 1)))
@@ -487,9 +487,9 @@ def test_frames_of_a_video_have_poses_and_pictures(tmp_path):
     for truth in TRUTHS:
         writer.write(cv2.cvtColor(photographed(truth), cv2.COLOR_GRAY2BGR))
     writer.release()
-    looking = Looking("chessboard:9x6:30mm", jobs=1)
+    detection = DetectionOptions("chessboard:9x6:30mm", jobs=1)
     camera = str(tmp_path / "camera.yaml")
-    report = pnp(PnpOptions(camera, inputs=(str(video),), looking=looking, draw=tmp_path / "drawn", **QUICK))
+    report = pnp(PnpOptions(camera, inputs=(str(video),), detection=detection, draw=tmp_path / "drawn", **QUICK))
     names = [(tmp_path / f"clip_{number:06d}").as_posix() for number in (0, 1)]
     assert [sight.image for sight in report.poses.estimates] == names
     assert [path.name for path in report.pictures] == ["clip_000000_pose.png", "clip_000001_pose.png"]

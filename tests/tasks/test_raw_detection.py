@@ -16,10 +16,10 @@ from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.options import given_words
 from camcal.raw.demosaic import demosaic
+from camcal.raw.detection_image import agreeing_gains, detection_image_of, read_detection_image
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.raw.options import MONO, PATTERNS, GivenLayout, Reading
-from camcal.raw.photograph import agreeing_gains, photograph_of, read_photograph
 from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit
@@ -91,10 +91,10 @@ def test_gray_corners_are_as_good_as_those_of_a_monochrome_sensor_without_aberra
 def test_a_sharp_lens_does_not_bias_green_corners(tmp_path):
     """Filling the gaps of green blurs edges unevenly; the samples themselves do not know of it."""
     mosaic = frame(noisy=False, blur_px=0.4)
-    photograph = photograph_of(mosaic)
+    image = detection_image_of(mosaic)
     path = write(tmp_path / "sharp.png", mosaic)
     exact = found(path, pattern="RGGB").detections.views[0]
-    filled = found(save_as(tmp_path / "filled.png", photograph.gray)).detections.views[0]
+    filled = found(save_as(tmp_path / "filled.png", image.gray)).detections.views[0]
     assert error_px(exact) < 0.006
     assert error_px(filled) > 1.5 * error_px(exact)
 
@@ -158,7 +158,7 @@ def test_a_frame_without_light_has_gains_of_one():
 def test_a_wrong_phase_is_refused_with_the_likely_ones(tmp_path):
     path = write(tmp_path / "mosaic.png", frame("RGGB", (0.5, 1.0, 0.6)))
     with pytest.raises(InvalidInput, match="it is RGGB or BGGR, not GRBG") as caught:
-        read_photograph(path, Reading(pattern="GRBG"))
+        read_detection_image(path, Reading(pattern="GRBG"))
     assert caught.value.where == str(path)
 
 
@@ -182,7 +182,7 @@ def test_sensors_without_bayer_cells_have_no_channels(pattern, words):
     side = 2 if pattern == MONO else 6
     mosaic = Mosaic(np.zeros((48, 48), np.uint16), pattern, np.zeros((side, side)), 4095.0)
     with pytest.raises(InvalidInput, match=words):
-        photograph_of(mosaic, Reading(colours=True))
+        detection_image_of(mosaic, Reading(colours=True))
 
 
 def test_what_is_no_mosaic_costs_only_itself(tmp_path):
@@ -221,7 +221,7 @@ def test_layouts_are_offered_for_a_header_less_file_without_one(tmp_path):
     path = tmp_path / "frame.raw"
     path.write_bytes(bytes(640 * 480 * 2))
     with pytest.raises(InvalidInput, match=r"frame\.raw: .*640x480.*give --format and --size"):
-        read_photograph(path, Reading("RGGB"))
+        read_detection_image(path, Reading("RGGB"))
 
 
 def test_a_layout_is_repeated_as_options():

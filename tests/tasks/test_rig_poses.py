@@ -13,9 +13,9 @@ from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
 from camcal.progress import SILENT, Silent
 from camcal.targets.board import parse_board
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.poses.pnp_observer import seen_by_rig
-from camcal.tasks.poses.pnp_views import Looking
+from camcal.tasks.poses.pnp_views import DetectionOptions
 
 BOARD = parse_board("chessboard:4x3:10mm")
 CAMERA = Camera(model_named("pinhole"), (640, 480), [500.0, 500.0, 320.0, 240.0])
@@ -26,7 +26,7 @@ RIG = Rig({"left": CAMERA, "right": CAMERA}, dict.fromkeys(("left", "right"), Po
 
 def view(image, camera=""):
     pixels = np.random.default_rng(1).uniform(0, 400, (12, 2))
-    return Detection(image, (640, 480), np.arange(12), pixels, camera=camera)
+    return BoardDetection(image, (640, 480), np.arange(12), pixels, camera=camera)
 
 
 def tables(tmp_path, left, right):
@@ -36,7 +36,7 @@ def tables(tmp_path, left, right):
 
 
 def instants(inputs):
-    _, seen = seen_by_rig(RIG, FILE, inputs, Looking(), SILENT)
+    _, seen = seen_by_rig(RIG, FILE, inputs, DetectionOptions(), SILENT)
     return {observation.sight.image: [each.camera for each in observation.views] for observation in seen.observations}
 
 
@@ -73,7 +73,7 @@ def test_cameras_that_never_saw_the_same_instant_are_noticed(tmp_path):
             self.warnings = (*self.warnings, message)
 
     listener = Listener()
-    seen_by_rig(RIG, FILE, tables(tmp_path, ["1.png", "2.png"], ["3.png", "4.png"]), Looking(), listener)
+    seen_by_rig(RIG, FILE, tables(tmp_path, ["1.png", "2.png"], ["3.png", "4.png"]), DetectionOptions(), listener)
     assert "no two cameras saw an object at one instant" in listener.warnings[0]
 
 

@@ -297,8 +297,8 @@ def test_a_camera_must_be_named_where_there_are_two(folder):
 
 
 @pytest.fixture
-def film(folder):
-    path = folder / "film.avi"
+def video(folder):
+    path = folder / "video.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, SIZE)
     if not writer.isOpened():
         pytest.skip("this OpenCV writes no video")
@@ -308,20 +308,20 @@ def film(folder):
     return path
 
 
-def test_a_video_becomes_numbered_images(film, folder):
-    report = run(folder, "film.avi", format="png")
+def test_a_video_becomes_numbered_images(video, folder):
+    report = run(folder, "video.avi", format="png")
     names = [outcome.value.output.name for outcome in report.outcomes]
-    assert names == [f"film_{number:06d}.png" for number in range(12)]
+    assert names == [f"video_{number:06d}.png" for number in range(12)]
     assert [outcome.value.frame for outcome in report.outcomes] == list(range(12))
     first, last = load(folder / "out" / names[0]).pixels, load(folder / "out" / names[-1]).pixels
     np.testing.assert_array_equal(first, last)
 
 
-def test_a_video_of_another_size_is_one_failure_not_one_for_each_frame(film, folder):
+def test_a_video_of_another_size_is_one_failure_not_one_for_each_frame(video, folder):
     native.write(folder / "other.yaml", CameraFile({"a": CameraEntry(Camera(LENS.model, (64, 48), LENS.parameters))}))
     save(folder / "small.png", picture(size=(64, 48)))
-    report = run(folder, "film.avi", "small.png", camera="other.yaml")
-    assert [outcome.item.name for outcome in report.failed] == ["film.avi"]
+    report = run(folder, "video.avi", "small.png", camera="other.yaml")
+    assert [outcome.item.name for outcome in report.failed] == ["video.avi"]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
-"""Frames of films with a known truth: which are searched and taken, where their corners are, and the same every time.
+"""Frames of videos with a known truth: which are searched and taken, where their corners are, and the same every time.
 
-The films are rendered; a moving frame is the mean over the way of the board while the shutter is open, and MJPG
+The videos are rendered; a moving frame is the mean over the way of the board while the shutter is open, and MJPG
 compresses them.
 """
 
@@ -12,7 +12,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from filmed import between
+from moving_board import between
 
 from camcal.calibrate.frames import BLURRED, MOVING
 from camcal.cameras.catalogue import model_named
@@ -42,7 +42,7 @@ STEPS = 7  # pictures of which a moving frame is the mean
 
 @dataclass(frozen=True)
 class Shot:
-    """A film, the poses of its frames in mid exposure (None: no board), and which of them are moving."""
+    """A video, the poses of its frames in mid exposure (None: no board), and which of them are moving."""
 
     path: object
     poses: tuple
@@ -56,7 +56,7 @@ class Shot:
 
 
 def shoot(path, board=BOARD, count=STOPS, seed=1):
-    """Write a film in which a board rests at several places; two frames in the end show a wall."""
+    """Write a video in which a board rests at several places; two frames in the end show a wall."""
     rng = np.random.default_rng(seed)
     stops = views(CAMERA, board, count, rng=rng, max_tilt=np.radians(35))
     exposure = Exposure(noise_dn=1.0)
@@ -83,12 +83,12 @@ def shoot(path, board=BOARD, count=STOPS, seed=1):
 
 @pytest.fixture(scope="module")
 def shot(tmp_path_factory):
-    return shoot(tmp_path_factory.mktemp("film") / "film.avi")
+    return shoot(tmp_path_factory.mktemp("video") / "video.avi")
 
 
 @pytest.fixture(scope="module")
 def report(shot):
-    """What is found in the film as by default."""
+    """What is found in the video as by default."""
     return found(shot.path)
 
 
@@ -149,18 +149,20 @@ def test_every_kth_frame_is_looked_at_if_asked_for(shot):
     assert [record.view.found for record in looked] == [True, True, True, False]
 
 
-def test_of_a_long_film_the_sharpest_frame_of_every_stretch_is_searched(shot):
-    """One frame is chosen of eight, which leaves one of every two neighbours in a film of fourteen."""
-    film = survey(shot.path, FrameOptions(1), SILENT)
-    assert film.count == len(shot.poses)
-    assert len(film.numbers) == 8
-    assert list(film.numbers) == sorted(set(film.numbers))
-    assert sum(shot.moving[number] for number in film.numbers) < sum(shot.moving)
+def test_of_a_long_video_the_sharpest_frame_of_every_stretch_is_searched(shot):
+    """One frame is chosen of eight, which leaves one of every two neighbours in a video of fourteen."""
+    video = survey(shot.path, FrameOptions(1), SILENT)
+    assert video.count == len(shot.poses)
+    assert len(video.numbers) == 8
+    assert list(video.numbers) == sorted(set(video.numbers))
+    assert sum(shot.moving[number] for number in video.numbers) < sum(shot.moving)
 
 
-def test_the_line_about_a_film_counts_its_frames(report):
-    [line] = [note for note in report.notes if note.startswith("film.avi")]
-    assert re.match(r"film\.avi: 4 of 14 frames are taken; 14 were searched, 1\d show the board, \d like these, ", line)
+def test_the_line_about_a_video_counts_its_frames(report):
+    [line] = [note for note in report.notes if note.startswith("video.avi")]
+    assert re.match(
+        r"video\.avi: 4 of 14 frames are taken; 14 were searched, 1\d show the board, \d like these, ", line
+    )
 
 
 def test_images_and_frames_stand_side_by_side(shot, tmp_path):
@@ -183,7 +185,7 @@ def test_frames_of_another_size_than_most_images_are_not_taken(shot, tmp_path):
     assert report.frames[0].reason == "is 480x360, most images are 320x240"
 
 
-def test_a_film_that_is_cut_off_gives_its_frames_and_is_one_of_those_that_failed(shot, tmp_path):
+def test_a_video_that_is_cut_off_gives_its_frames_and_is_one_of_those_that_failed(shot, tmp_path):
     cut = tmp_path / "cut.avi"
     cut.write_bytes(shot.path.read_bytes()[: shot.path.stat().st_size // 2])
     report = found(cut)
@@ -192,13 +194,13 @@ def test_a_film_that_is_cut_off_gives_its_frames_and_is_one_of_those_that_failed
     assert "ends after" in failed
 
 
-def test_a_film_that_is_none_is_an_error(tmp_path):
-    (tmp_path / "film.mp4").write_bytes(b"no film")
+def test_a_video_that_is_none_is_an_error(tmp_path):
+    (tmp_path / "video.mp4").write_bytes(b"no video")
     with pytest.raises(FileError, match="not a video"):
-        found(tmp_path / "film.mp4")
+        found(tmp_path / "video.mp4")
 
 
-def test_films_whose_frames_would_have_one_name_are_refused(shot, tmp_path):
+def test_videos_whose_frames_would_have_one_name_are_refused(shot, tmp_path):
     for suffix in (".avi", ".mkv"):
         shutil.copy(shot.path, tmp_path / f"a{suffix}")
     with pytest.raises(InvalidInput, match=r"a\.mkv: its frames would have the names of those of a\.avi; rename one"):
@@ -210,8 +212,8 @@ def test_a_board_that_is_in_no_frame_ends_with_advice(shot):
         found(shot.path, board=Board("chessboard", 9, 8), frames=FrameOptions(every=12))
 
 
-def test_the_arrangement_of_a_charuco_board_is_found_out_in_a_film(tmp_path):
-    shot = shoot(tmp_path / "film.avi", replace(CHARUCO, legacy=False), count=2)
+def test_the_arrangement_of_a_charuco_board_is_found_out_in_a_video(tmp_path):
+    shot = shoot(tmp_path / "video.avi", replace(CHARUCO, legacy=False), count=2)
     exchanged = parse_board("charuco:5x7:40mm:30mm:DICT_4X4_50")
     report = found(shot.path, board=exchanged, frames=FrameOptions(2, every=4))
     assert (report.detections.board.columns, report.detections.board.rows) == (6, 4)

@@ -19,7 +19,7 @@ class Curve:
     """Formulas over columns and parameters.
 
     explicit: the one formula predicts a measured column. Otherwise the formulas are components of the distance between
-    a point and a shape. freedom: how many of the components are independent. derived: other figures, by formulas over
+    a point and a shape. components: how many of them are independent. derived: other figures, by formulas over
     the parameters.
     """
 
@@ -27,7 +27,7 @@ class Curve:
     formulas: tuple[Expression, ...]
     parameters: tuple[str, ...]
     explicit: bool = True
-    freedom: int = 1
+    components: int = 1
     derived: Mapping[str, Expression] = field(default_factory=dict)
 
     @classmethod
@@ -39,11 +39,11 @@ class Curve:
         derived: Mapping[str, str] | None = None,
         *,
         explicit: bool = True,
-        freedom: int = 1,
+        components: int = 1,
     ) -> "Curve":
         """Return the curve of formulas as text; raises InvalidInput if one is none."""
         figures = {label: parse(text) for label, text in (derived or {}).items()}
-        return cls(name, tuple(map(parse, formulas)), tuple(parameters), explicit, freedom, figures)
+        return cls(name, tuple(map(parse, formulas)), tuple(parameters), explicit, components, figures)
 
     @property
     def text(self) -> str:
@@ -90,7 +90,7 @@ def _filled(values: Array, shape: tuple[int, ...]) -> Array:
 
 def require_enough(data: Data, curve: Curve, free: int) -> None:
     """Raise InsufficientData if there are fewer data than parameters, InvalidInput for a sigma that is not positive."""
-    count = len(data) * curve.freedom
+    count = len(data) * curve.components
     if count < free:
         raise InsufficientData(f"{count} data cannot give {free} parameters; measure more or --fix some")
     if data.sigma is not None and not np.all(data.sigma > 0):
@@ -115,12 +115,12 @@ class Goodness:
     """How well the curve fits.
 
     sum_of_squares: of residuals, divided by sigma where it is known; sigma: their standard deviation, estimated with
-    `freedom` degrees of freedom, None without any. chi_square, p_value: where sigma is known. r_squared: of an
+    `degrees_of_freedom`, None without any. chi_square, p_value: where sigma is known. r_squared: of an
     explicit curve. rms: of the residuals as they are.
     """
 
     rows: int
-    freedom: int
+    degrees_of_freedom: int
     sum_of_squares: float
     rms: float
     sigma: float | None

@@ -163,7 +163,7 @@ def line_3d(columns: Columns) -> tuple[Curve, Start]:
         _distance_from_line(u, v, w),
         (f"{u}0", f"{u}1", f"{v}0", f"{v}1"),
         explicit=False,
-        freedom=2,
+        components=2,
     )
     start = {f"{'xyz'[axis]}{power}": values[axis] for axis in others for power, values in enumerate((offsets, slopes))}
     return curve, {name: float(value) for name, value in start.items()}

@@ -48,12 +48,12 @@ def fit_curve(
     return _Assessment(found).result()
 
 
-def quantile(data: Data, freedom: int) -> float:
+def quantile(data: Data, dof: int) -> float:
     """Return how many standard errors a 95 % interval reaches: normal where sigma is known, else Student's t."""
     from scipy.special import ndtri, stdtrit
 
     tail = 0.5 + CONFIDENCE / 2
-    return float(ndtri(tail) if data.sigma is not None else stdtrit(max(freedom, 1), tail))
+    return float(ndtri(tail) if data.sigma is not None else stdtrit(max(dof, 1), tail))
 
 
 class _Assessment:
@@ -105,15 +105,15 @@ class _Assessment:
         return ~((low >= 0) & (gradient > 0) | (high <= 0) & (gradient < 0))
 
     @property
-    def freedom(self) -> int:
-        count = len(self.residuals) * self.problem.curve.freedom
+    def degrees_of_freedom(self) -> int:
+        count = len(self.residuals) * self.problem.curve.components
         return int(count - self.factors.rank)
 
     def _noise(self) -> float | None:
         """Return the variance of a residual divided by sigma: 1 where sigma is known, None where nothing says."""
         if self.problem.data.sigma is not None:
             return 1.0
-        return float(self.squared.sum()) / self.freedom if self.freedom > 0 else None
+        return float(self.squared.sum()) / self.degrees_of_freedom if self.degrees_of_freedom > 0 else None
 
     def _covariance(self) -> Array:
         loss = self.problem.loss
@@ -122,7 +122,7 @@ class _Assessment:
             factors = self.factors
         else:
             # the loss's weights are no information: the Jacobian counts without them
-            factor = covariance_factor(loss, self.squared, self.problem.curve.freedom, self.factors.rank)
+            factor = covariance_factor(loss, self.squared, self.problem.curve.components, self.factors.rank)
             factors = self._unweighted().factors(columns=self.moving)
         covariance = factors.covariance()
         return np.asarray(covariance * (np.nan if factor is None else factor))
@@ -132,9 +132,11 @@ class _Assessment:
 
     def _estimate(self, value: float, variance: float) -> Estimate:
         if not np.isfinite(variance):
-            return Estimate(value, None, None, "unobservable" if self.freedom > 0 and np.isfinite(value) else None)
+            return Estimate(
+                value, None, None, "unobservable" if self.degrees_of_freedom > 0 and np.isfinite(value) else None
+            )
         std = float(np.sqrt(variance))
-        reach = quantile(self.problem.data, self.freedom) * std
+        reach = quantile(self.problem.data, self.degrees_of_freedom) * std
         return Estimate(value, std, (value - reach, value + reach))
 
     def _parameters(self, covariance: Array) -> dict[str, Estimate]:
@@ -167,14 +169,14 @@ class _Assessment:
         known = self.problem.data.sigma is not None
         total = float(self.squared.sum())
         noise = self.search.scale if self.search.scale is not None and not known else None
-        if noise is None and self.freedom > 0:
-            noise = float(np.sqrt(total / self.freedom))
+        if noise is None and self.degrees_of_freedom > 0:
+            noise = float(np.sqrt(total / self.degrees_of_freedom))
         chi_square = total if known else None
-        p_value = float(chdtrc(self.freedom, total)) if known and self.freedom > 0 else None
+        p_value = float(chdtrc(self.degrees_of_freedom, total)) if known and self.degrees_of_freedom > 0 else None
         rms = float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
         return Goodness(
             len(self.residuals),
-            self.freedom,
+            self.degrees_of_freedom,
             sum_of_squares=total,
             rms=rms,
             sigma=noise,
@@ -221,8 +223,8 @@ class Comparison:
 def criteria(fit: CurveFit) -> Criteria:
     """Return the information criteria of a least-squares fit with normal errors."""
     good = fit.goodness
-    count = good.rows * fit.curve.freedom
-    parameters = count - good.freedom
+    count = good.rows * fit.curve.components
+    parameters = count - good.degrees_of_freedom
     if good.chi_square is not None:
         surprise = good.chi_square
     else:
@@ -248,13 +250,13 @@ def compare(first: CurveFit, second: CurveFit) -> Comparison:
 def _f_test(first: CurveFit, second: CurveFit) -> tuple[float | None, float | None]:
     from scipy.special import fdtrc
 
-    smaller, larger = sorted((first, second), key=lambda fit: -fit.goodness.freedom)
-    extra = smaller.goodness.freedom - larger.goodness.freedom
+    smaller, larger = sorted((first, second), key=lambda fit: -fit.goodness.degrees_of_freedom)
+    extra = smaller.goodness.degrees_of_freedom - larger.goodness.degrees_of_freedom
     gain = smaller.goodness.sum_of_squares - larger.goodness.sum_of_squares
-    if extra == 0 or larger.goodness.freedom <= 0 or gain < 0 or larger.goodness.sum_of_squares == 0:
+    if extra == 0 or larger.goodness.degrees_of_freedom <= 0 or gain < 0 or larger.goodness.sum_of_squares == 0:
         return None, None
-    value = gain / extra / (larger.goodness.sum_of_squares / larger.goodness.freedom)
-    return value, float(fdtrc(extra, larger.goodness.freedom, value))
+    value = gain / extra / (larger.goodness.sum_of_squares / larger.goodness.degrees_of_freedom)
+    return value, float(fdtrc(extra, larger.goodness.degrees_of_freedom, value))
 
 
 @dataclass
@@ -299,7 +301,7 @@ def likelihood_intervals(fit: CurveFit) -> dict[str, tuple[End, End]]:
     An end is open if no value of the parameter is unlikely enough, up to its bound or thousands of standard errors.
     """
     noise = fit.goodness.sigma
-    if fit.goodness.freedom <= 0 or not noise:
+    if fit.goodness.degrees_of_freedom <= 0 or not noise:
         return dict.fromkeys(fit.free, (None, None))
     if fit.data.sigma is not None:
         noise = 1.0
@@ -313,7 +315,7 @@ def _end(fit: CurveFit, name: str, noise: float, side: int) -> End:
     index = fit.curve.parameters.index(name)
     others = np.array([fit.values[fit.curve.parameters.index(other)] for other in fit.free if other != name])
     profile = _Profile(fit, index, 0.5 * fit.goodness.sum_of_squares, noise, others)
-    wanted = quantile(fit.data, fit.goodness.freedom)
+    wanted = quantile(fit.data, fit.goodness.degrees_of_freedom)
     limit = float(fit.bounds[side > 0][index])
     return _crossing(profile.height, fit.values[index], side * wanted * std, limit, wanted)
 

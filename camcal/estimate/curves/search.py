@@ -103,18 +103,18 @@ def loss_named(name: str, scale: float) -> Loss | None:
     return kind(tuning * scale)
 
 
-def spread(residuals: Array, freedom: int, parameters: int) -> float:
+def spread(residuals: Array, components: int, parameters: int) -> float:
     """Return the standard deviation of residuals (N, D) by the median of their lengths, which outliers hardly move.
 
-    freedom: how many of the D components are independent. parameters: how many the residuals were fitted by.
+    components: how many of the D are independent. parameters: how many the residuals were fitted by.
     """
-    count = len(residuals) * freedom
+    count = len(residuals) * components
     lengths = np.linalg.norm(residuals, axis=1)
     correction = np.sqrt(count / max(count - parameters, 1))
-    return float(np.median(lengths) / _MEDIAN[freedom] * correction)
+    return float(np.median(lengths) / _MEDIAN[components] * correction)
 
 
-def covariance_factor(loss: Loss, squared: Array, freedom: int, parameters: int) -> float:
+def covariance_factor(loss: Loss, squared: Array, components: int, parameters: int) -> float:
     """Return what (JᵀJ)⁻¹ of unweighted residuals is to be multiplied by to be the covariance of a robust fit.
 
     squared: (N,) squared lengths of the residuals. With ψ(r) = ρ'(r²) r it is E[ψ²] / E[ψ']², corrected for the
@@ -123,8 +123,8 @@ def covariance_factor(loss: Loss, squared: Array, freedom: int, parameters: int)
     weights = loss.weight(squared)
     higher, lower = squared * (1 + _SMALL), squared * (1 - _SMALL)
     bend = (loss.weight(higher) - loss.weight(lower)) / (2 * _SMALL)  # s dρ'/ds
-    slopes = weights + 2 * bend / freedom
-    count = len(squared) * freedom
+    slopes = weights + 2 * bend / components
+    count = len(squared) * components
     power = float(np.sum(weights**2 * squared)) / max(count - parameters, 1)
     mean = float(np.mean(slopes))
     correction = 1 + parameters / count * float(np.var(slopes)) / mean**2
@@ -280,5 +280,5 @@ def _scale(problem: CurveProblem) -> float:
     if problem.data.sigma is not None:
         return 1.0
     residuals = problem.blocks(problem.values[problem.free])[0].residuals
-    found = spread(residuals, problem.curve.freedom, problem.shared)
+    found = spread(residuals, problem.curve.components, problem.shared)
     return max(found, float(np.sqrt(2 * problem.rounding() / len(problem.data))), np.finfo(float).tiny)

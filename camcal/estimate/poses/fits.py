@@ -12,21 +12,21 @@ from camcal.estimate.poses.inliers import (
     KEPT_VARIANCE,
     MEDIAN,
     WIDTH,
-    Agreement,
+    InlierCriterion,
+    RefitPoses,
     Sampling,
-    Settled,
-    approached,
     choose,
     likeliest_threshold,
+    refit_inliers,
     sampled,
-    settle,
     squared_as_new,
+    trimmed_refit,
     truncated_cost,
 )
-from camcal.estimate.poses.judgement import Noise
+from camcal.estimate.poses.packed_correspondences import Group
+from camcal.estimate.poses.pose_quality import ResidualNoise
 from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems, anchors, lowest, pose_minima
 from camcal.estimate.poses.records import PoseOptions
-from camcal.estimate.poses.sightings import Group
 from camcal.estimate.poses.starts import FEW
 from camcal.estimate.poses.states import Extents
 from camcal.solve.independent import Minima, joined
@@ -43,7 +43,7 @@ _NO_STARTS: Starts = np.zeros((0, 3, 4)), np.zeros(0, np.intp)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class PoseFit:
     """The minima of a group's problems, one problem an item with one minimum or more.
 
     found: the poses with inliers of their own that these were chosen from, of items of which not all points count.
@@ -53,16 +53,16 @@ class Fit:
     problems: PoseProblems
     minima: Minima
     extents: Extents
-    found: Settled | None = None
+    found: RefitPoses | None = None
 
-    def take(self, chosen: Array) -> "Fit":
+    def take(self, chosen: Array) -> "PoseFit":
         """Return the fit of some of the items."""
         renumbered = np.full(len(self.group.items), -1)
         renumbered[chosen] = np.arange(len(chosen))
         problems = self.problems.take(chosen)
         minima = self.minima.take(renumbered[self.minima.which] >= 0)
         minima = replace(minima, which=renumbered[minima.which])
-        return Fit(self.group.take(chosen), problems, minima, self.extents)
+        return PoseFit(self.group.take(chosen), problems, minima, self.extents)
 
     def starts(self) -> Starts:
         """Return the states (S, 3, 4) that may lead to the best pose, and their items (S,)."""
@@ -72,7 +72,7 @@ class Fit:
         states, which = self.found.states[sound], self.found.which[sound]
         return np.concatenate([self.minima.states, states]), np.concatenate([self.minima.which, which])
 
-    def with_items(self, items: Array, problems: PoseProblems, minima: Minima, found: Settled) -> "Fit":
+    def with_items(self, items: Array, problems: PoseProblems, minima: Minima, found: RefitPoses) -> "PoseFit":
         """Return the fit with the problems, minima and poses found of some items replaced."""
         masks = tuple(mask.copy() for mask in self.problems.masks)
         for mask, new in zip(masks, problems.masks, strict=True):
@@ -86,47 +86,47 @@ class Fit:
         return replace(self, problems=self.problems.masked(masks), minima=together, found=found)
 
 
-def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[Fit], Noise | None]:
+def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[PoseFit], ResidualNoise | None]:
     """Return the fits of groups, and the noise if that is known already."""
-    given = None if options.scale is None else Noise(options.scale)
+    given = None if options.scale is None else ResidualNoise(options.scale)
     if options.outliers == "none":
         return [_plain(group, options) for group in groups], given
     known = given is not None or options.threshold_px is not None
-    agreement = agreement_of(options, 1.0 if given is None else given.sigma)
+    criterion = criterion_of(options, 1.0 if given is None else given.sigma)
     if options.outliers == "many":
-        fits = [_from_samples(group, options, agreement) for group in groups]
+        fits = [_from_samples(group, options, criterion) for group in groups]
     else:
         fits = [_plain(group, options) for group in groups]
-        agreement = agreement if known else agreement_of(options, _robust_noise(fits))
-        fits = [_agreeing(fit, options, agreement) for fit in fits]
+        criterion = criterion if known else criterion_of(options, _robust_noise(fits))
+        fits = [_agreeing(fit, options, criterion) for fit in fits]
     if options.threshold_px is not None:
         return fits, given
     noise = given
     if noise is None:
         for _ in range(_ESTIMATIONS):
-            agreement = agreement_of(options, _robust_noise(fits))
-            fits = [_agreeing(fit, options, agreement) for fit in fits]
-        noise = pooled(fits, agreement)
+            criterion = criterion_of(options, _robust_noise(fits))
+            fits = [_agreeing(fit, options, criterion) for fit in fits]
+        noise = pooled(fits, criterion)
     fits = [_likeliest(fit, options, noise.sigma) for fit in fits]
     return fits, given or pooled(fits)
 
 
-def pooled(fits: Sequence[Fit], agreement: Agreement | None = None) -> Noise:
-    """Return the noise that the residuals of all fits tell; agreement: what cut off the largest, if anything did.
+def pooled(fits: Sequence[PoseFit], criterion: InlierCriterion | None = None) -> ResidualNoise:
+    """Return the noise that the residuals of all fits tell; criterion: what cut off the largest, if anything did.
 
     Minima that fit nearly as well as the lowest count by their probability: the lowest of two is less than the true
     one's on average, as it is the other one's part of the time.
     """
-    freedom, variances = 0, 0.0
+    dof, variances = 0, 0.0
     for fit in fits:
         each = 2 * fit.problems.counts - 6
-        cut = agreement is not None and fit.problems.counts >= agreement.whole
-        freedom += int(each.sum())
+        cut = criterion is not None and fit.problems.counts >= criterion.whole
+        dof += int(each.sum())
         variances += float(np.sum(each * np.where(cut, KEPT_VARIANCE, 1.0)))
     least = sum(float(2 * fit.minima.cost[lowest(fit.minima)].sum()) for fit in fits)
     if variances > 0 and least > 0:
         least = sum(_expected_squares(fit.minima, least / variances) for fit in fits)
-    return Noise(max(float(np.sqrt(least / max(variances, 1.0))), ROUNDING), freedom)
+    return ResidualNoise(max(float(np.sqrt(least / max(variances, 1.0))), ROUNDING), dof)
 
 
 def _expected_squares(minima: Minima, variance: float) -> float:
@@ -143,12 +143,12 @@ def points_needed(options: PoseOptions) -> int:
     return MIN_POINTS if options.prior is None else MIN_POINTS - 1
 
 
-def agreement_of(options: PoseOptions, sigma: float) -> Agreement:
+def criterion_of(options: PoseOptions, sigma: float) -> InlierCriterion:
     """Return what makes an inlier where the noise is sigma."""
     whole = _TELLING if options.outliers == "few" else 0
     if options.threshold_px is not None:
-        return Agreement(options.threshold_px, points_needed(options), whole, in_pixels=True)
-    return Agreement(WIDTH * sigma, points_needed(options), whole)
+        return InlierCriterion(options.threshold_px, points_needed(options), whole, in_pixels=True)
+    return InlierCriterion(WIDTH * sigma, points_needed(options), whole)
 
 
 def _problems(group: Group, options: PoseOptions) -> PoseProblems:
@@ -161,60 +161,60 @@ def _problems(group: Group, options: PoseOptions) -> PoseProblems:
     return PoseProblems.of(group.sights, Anchor(se3.shifted(known, group.centres), information))
 
 
-def _plain(group: Group, options: PoseOptions) -> Fit:
+def _plain(group: Group, options: PoseOptions) -> PoseFit:
     problems = _problems(group, options)
-    return Fit(group, problems, pose_minima(problems, group.extents), group.extents)
+    return PoseFit(group, problems, pose_minima(problems, group.extents), group.extents)
 
 
-def _from_samples(group: Group, options: PoseOptions, agreement: Agreement) -> Fit:
+def _from_samples(group: Group, options: PoseOptions, criterion: InlierCriterion) -> PoseFit:
     problems, extents = _problems(group, options), group.extents
-    found = _samples(problems, problems.view, options, agreement)
-    found.append(settle(problems, *anchors(problems), agreement))
+    found = _samples(problems, problems.view, options, criterion)
+    found.append(refit_inliers(problems, *anchors(problems), criterion))
     # of so few points, samples are few as well, and may all miss a plane's second pose
     few = np.flatnonzero(problems.counts <= FEW)
     if few.size:
         minima = _plain(group.take(few), options).minima
-        found.append(settle(problems, minima.states, few[minima.which], agreement))
-    together = reduce(Settled.joined, found)
-    return Fit(group, *choose(problems, together, extents, agreement), extents, together)
+        found.append(refit_inliers(problems, minima.states, few[minima.which], criterion))
+    together = reduce(RefitPoses.joined, found)
+    return PoseFit(group, *choose(problems, together, extents, criterion), extents, together)
 
 
-def _agreeing(fit: Fit, options: PoseOptions, agreement: Agreement) -> Fit:
+def _agreeing(fit: PoseFit, options: PoseOptions, criterion: InlierCriterion) -> PoseFit:
     """Return the fit to the points that agree with one to others.
 
     If few points are wrong, the agreement is approached from the fit to all, and samples help where that fails.
     """
     every = PoseProblems.of(fit.group.sights, fit.problems.anchor)
-    items = _disagreeing(fit, every, agreement)
+    items = _disagreeing(fit, every, criterion)
     if not items.size:
         return fit
     problems, few, (states, which) = every.take(items), options.outliers == "few", fit.starts()
     states, which = _of_items(states, which, items)
-    states = approached(problems, states, which, agreement) if few else states
-    found = settle(problems, states, which, agreement)
-    chosen, minima = choose(problems, found, fit.extents, agreement)
+    states = trimmed_refit(problems, states, which, criterion) if few else states
+    found = refit_inliers(problems, states, which, criterion)
+    chosen, minima = choose(problems, found, fit.extents, criterion)
     lost = np.flatnonzero((2 * chosen.counts < problems.counts) & (problems.counts >= _TELLING))
     if few and lost.size:
-        found = reduce(Settled.joined, _samples(problems, lost, options, agreement), found)
-        chosen, minima = choose(problems, found, fit.extents, agreement)
+        found = reduce(RefitPoses.joined, _samples(problems, lost, options, criterion), found)
+        chosen, minima = choose(problems, found, fit.extents, criterion)
     return fit.with_items(items, chosen, minima, found)
 
 
-def _disagreeing(fit: Fit, every: PoseProblems, agreement: Agreement) -> Array:
+def _disagreeing(fit: PoseFit, every: PoseProblems, criterion: InlierCriterion) -> Array:
     """Return the items (I,) but for those whose best poses follow from the points that agree with them already."""
     best = fit.minima.take(lowest(fit.minima))
-    squares, limits = agreement.squared(every, best.states, best.which), agreement.limits(every, best.which)
+    squares, limits = criterion.squared(every, best.states, best.which), criterion.limits(every, best.which)
     if fit.found is not None:
-        undecided = _undecided(fit, every, best, squares, agreement, fit.starts())
-        return np.flatnonzero(undecided | (fit.problems.counts < agreement.least))
+        undecided = _undecided(fit, every, best, squares, criterion, fit.starts())
+        return np.flatnonzero(undecided | (fit.problems.counts < criterion.least))
     quiet, inside = np.zeros(len(every.view), dtype=bool), np.ones(len(best.which), dtype=bool)
     for squared, mask in zip(squares, every.masks, strict=True):
         inside &= np.all((squared <= limits) | ~mask[best.which], axis=1)
-    quiet[best.which] = inside & (every.counts[best.which] >= agreement.least)
+    quiet[best.which] = inside & (every.counts[best.which] >= criterion.least)
     return np.flatnonzero(~quiet | (fit.problems.counts < every.counts))
 
 
-def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
+def _likeliest(fit: PoseFit, options: PoseOptions, sigma: float) -> PoseFit:
     """Return the fit to all points that are more likely right than wrong; sigma: of a whitened coordinate.
 
     A limit that 99.73 % of right points keep to loses one in many views, the one that is off most: their poses would be
@@ -226,21 +226,21 @@ def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
     if not spoilt.size:
         return fit
     areas = _areas(fit.group, options)
-    agreement = _likeliest_agreement(every, fit.problems.masks, areas, options, sigma)
+    criterion = _likeliest_agreement(every, fit.problems.masks, areas, options, sigma)
     best = fit.minima.take(lowest(fit.minima))
-    squares = agreement.squared(every, best.states, best.which)
+    squares = criterion.squared(every, best.states, best.which)
     starts = _joined_starts(
-        fit.starts(), _readmitted(fit, every, best, squares, agreement, sigma), _of_lost(fit, options)
+        fit.starts(), _readmitted(fit, every, best, squares, criterion, sigma), _of_lost(fit, options)
     )
-    items = spoilt[_undecided(fit, every, best, squares, agreement, starts)[spoilt]]
+    items = spoilt[_undecided(fit, every, best, squares, criterion, starts)[spoilt]]
     if not items.size:
         return fit
     problems, (states, which) = every.take(items), _of_items(*starts, items)
     chosen = fit.problems.take(items)
     for _ in range(_TURNS):
-        agreement = _likeliest_agreement(problems, chosen.masks, areas[items], options, sigma)
-        before, found = chosen.counts, settle(problems, states, which, agreement)
-        chosen, minima = choose(problems, found, fit.extents, agreement)
+        criterion = _likeliest_agreement(problems, chosen.masks, areas[items], options, sigma)
+        before, found = chosen.counts, refit_inliers(problems, states, which, criterion)
+        chosen, minima = choose(problems, found, fit.extents, criterion)
         if np.array_equal(chosen.counts, before):
             break
     return fit.with_items(items, chosen, minima, found)
@@ -248,20 +248,25 @@ def _likeliest(fit: Fit, options: PoseOptions, sigma: float) -> Fit:
 
 def _likeliest_agreement(
     problems: PoseProblems, masks: tuple[Array, ...], areas: Array, options: PoseOptions, sigma: float
-) -> Agreement:
+) -> InlierCriterion:
     threshold = likeliest_threshold(problems, masks, areas, sigma)
-    return replace(agreement_of(options, sigma), threshold=threshold)
+    return replace(criterion_of(options, sigma), threshold=threshold)
 
 
 def _readmitted(
-    fit: Fit, every: PoseProblems, best: Minima, squares: tuple[Array, ...], agreement: Agreement, sigma: float
+    fit: PoseFit,
+    every: PoseProblems,
+    best: Minima,
+    squares: tuple[Array, ...],
+    criterion: InlierCriterion,
+    sigma: float,
 ) -> Starts:
     """Return the best poses fitted to the points left out as well that they would not be far from, were these right.
 
     A pose of few points is uncertain where it has none: there, a right point may be many times the noise away from it.
     squares: (S, N) of all points' residuals at the best poses.
     """
-    near, limits = np.zeros(len(best.which), dtype=bool), agreement.limits(every, best.which)
+    near, limits = np.zeros(len(best.which), dtype=bool), criterion.limits(every, best.which)
     for squared, mask in zip(squares, fit.problems.masks, strict=True):
         near |= np.any((squared <= _FAR * limits) & ~mask[best.which], axis=1)
     if not near.any():
@@ -278,7 +283,7 @@ def _readmitted(
     return wider.minimise(best.states, np.arange(len(best.which)), rough=True).states, best.which
 
 
-def _of_lost(fit: Fit, options: PoseOptions) -> Starts:
+def _of_lost(fit: PoseFit, options: PoseOptions) -> Starts:
     """Return the poses of the views that have none so far, from all their points."""
     lost = np.flatnonzero(fit.problems.counts == 0)
     if not lost.size:
@@ -293,10 +298,15 @@ def _joined_starts(*parts: Starts) -> Starts:
 
 
 def _undecided(
-    fit: Fit, every: PoseProblems, best: Minima, squares: tuple[Array, ...], agreement: Agreement, starts: Starts
+    fit: PoseFit,
+    every: PoseProblems,
+    best: Minima,
+    squares: tuple[Array, ...],
+    criterion: InlierCriterion,
+    starts: Starts,
 ) -> Array:
     """Return the mask (P,) of problems whose inliers would change, or of which another start comes first."""
-    limits, changed = agreement.limits(every, best.which), np.zeros(len(best.which), dtype=bool)
+    limits, changed = criterion.limits(every, best.which), np.zeros(len(best.which), dtype=bool)
     parts = squares, every.masks, fit.problems.masks
     for squared, mask, inliers in zip(*parts, strict=True):
         changed |= np.any(((squared <= limits) & mask[best.which]) != inliers[best.which], axis=1)
@@ -304,8 +314,8 @@ def _undecided(
     undecided[best.which] = changed
     states, which = starts
     least = np.full(len(every.view), np.inf)
-    least[best.which] = truncated_cost(every, best.states, best.which, agreement, squares)
-    ahead = truncated_cost(every, states, which, agreement) < least[which] * (1 - _EQUAL)
+    least[best.which] = truncated_cost(every, best.states, best.which, criterion, squares)
+    ahead = truncated_cost(every, states, which, criterion) < least[which] * (1 - _EQUAL)
     undecided[which[ahead]] = True
     return undecided
 
@@ -331,12 +341,14 @@ def _areas(group: Group, options: PoseOptions) -> Array:
     return np.asarray(total / np.maximum(count, 1))
 
 
-def _samples(problems: PoseProblems, which: Array, options: PoseOptions, agreement: Agreement) -> list[Settled]:
+def _samples(
+    problems: PoseProblems, which: Array, options: PoseOptions, criterion: InlierCriterion
+) -> list[RefitPoses]:
     sampling = Sampling(options.confidence, options.seed)
-    return [sampled(problems, problem, agreement, sampling) for problem in which.tolist()]
+    return [sampled(problems, problem, criterion, sampling) for problem in which.tolist()]
 
 
-def _robust_noise(fits: Sequence[Fit]) -> float:
+def _robust_noise(fits: Sequence[PoseFit]) -> float:
     """Return the noise by the median residual of all points that take part, at the lowest minima."""
     squares = [np.zeros(0)]
     for fit in fits:

@@ -14,8 +14,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.moments import inverses
+from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.problem import PoseProblems, different, distinct, firsts, lowest
-from camcal.estimate.poses.sightings import Sightings
 from camcal.estimate.poses.starts import poses_of_triplets
 from camcal.estimate.poses.states import NEAR_PLANE, Extents
 from camcal.geometry import rotation as so3
@@ -41,7 +41,7 @@ _PROMISING = 4  # poses of a round that are settled
 
 
 @dataclass(frozen=True)
-class Agreement:
+class InlierCriterion:
     """When points agree with a pose: threshold, the largest residual, whitened or in px; least, how many it takes.
 
     threshold: of all problems, or (P,) of each. whole: problems of fewer points keep all of them, as too few to tell a
@@ -68,7 +68,7 @@ class Agreement:
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class RefitPoses:
     """Poses (S, 3, 4) that fit the points of their masks, (S, N) a camera, and no others are within the threshold.
 
     which: (S,) the problems. truncated: (S,) ½ Σ min(r², threshold²), infinite with too few points.
@@ -79,43 +79,45 @@ class Settled:
     masks: tuple[Array, ...]
     truncated: Array
 
-    def take(self, chosen: Array) -> "Settled":
+    def take(self, chosen: Array) -> "RefitPoses":
         """Return some of the poses."""
         masks = tuple(mask[chosen] for mask in self.masks)
-        return Settled(self.states[chosen], self.which[chosen], masks, self.truncated[chosen])
+        return RefitPoses(self.states[chosen], self.which[chosen], masks, self.truncated[chosen])
 
-    def of(self, which: Array) -> "Settled":
+    def of(self, which: Array) -> "RefitPoses":
         """Return the same as poses of other problems (S,)."""
         return replace(self, which=which)
 
-    def different(self) -> "Settled":
+    def different(self) -> "RefitPoses":
         """Return the lowest few without repetitions, in the order of the problems and the lowest first."""
         sound = self.take(np.isfinite(self.truncated))
         return sound.take(distinct(sound.states, sound.which, sound.truncated, _SAME, _KEPT))
 
-    def joined(self, other: "Settled") -> "Settled":
+    def joined(self, other: "RefitPoses") -> "RefitPoses":
         """Return the poses of both."""
         masks = tuple(np.concatenate(pair) for pair in zip(self.masks, other.masks, strict=True))
         parts = ((self.states, other.states), (self.which, other.which), (self.truncated, other.truncated))
         states, which, truncated = (np.concatenate(pair) for pair in parts)
-        return Settled(states, which, masks, truncated)
+        return RefitPoses(states, which, masks, truncated)
 
-    def lowest(self) -> "Settled":
+    def lowest(self) -> "RefitPoses":
         """Return the first of each problem, of poses in the order of `different`."""
         return self.take(firsts(self.which))
 
 
-def settle(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Settled:
+def refit_inliers(problems: PoseProblems, states: Array, which: Array, criterion: InlierCriterion) -> RefitPoses:
     """Return where starts (S, 3, 4) of problems (S,) settle with their inliers."""
     if not which.size:
-        return Settled(states, which, tuple(np.zeros((0, mask.shape[1]), bool) for mask in problems.masks), np.zeros(0))
-    limits = agreement.limits(problems, which)
+        return RefitPoses(
+            states, which, tuple(np.zeros((0, mask.shape[1]), bool) for mask in problems.masks), np.zeros(0)
+        )
+    limits = criterion.limits(problems, which)
     # a start of three points is not near enough for all
-    masks = _below(problems, states, which, 4 * limits, agreement)
-    states, masks, squares = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen], agreement)
+    masks = _below(problems, states, which, 4 * limits, criterion)
+    states, masks, squares = _in_turns(problems, states, which, masks, lambda _, chosen: limits[chosen], criterion)
     truncated = _truncated(problems, states, which, squares, limits)
-    enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= agreement.least
-    return Settled(states, which, masks, np.where(enough, truncated, np.inf))
+    enough = np.asarray(sum(mask.sum(axis=1) for mask in masks)) >= criterion.least
+    return RefitPoses(states, which, masks, np.where(enough, truncated, np.inf))
 
 
 def likeliest_threshold(problems: PoseProblems, masks: tuple[Array, ...], areas: Array, sigma: float) -> Array:
@@ -154,33 +156,33 @@ def squared_as_new(problems: PoseProblems, minima: Minima, sigma: float) -> tupl
     return tuple(found)
 
 
-def approached(problems: PoseProblems, states: Array, which: Array, agreement: Agreement) -> Array:
+def trimmed_refit(problems: PoseProblems, states: Array, which: Array, criterion: InlierCriterion) -> Array:
     """Return starts (S, 3, 4) freed of a few wrong points, which lift all residuals of a plain fit over the threshold.
 
     What counts as wrong follows the median of each problem's residuals, down to the threshold.
     """
-    least = agreement.limits(problems, which)
+    least = criterion.limits(problems, which)
 
     def limits(squared: Array, chosen: Array) -> Array:
         seen = np.where(np.isfinite(squared), squared, np.nan)
         return np.asarray(np.maximum(least[chosen], WIDTH**2 / MEDIAN * np.nanmedian(seen, axis=1, keepdims=True)))
 
-    squared = np.concatenate(agreement.squared(problems, states, which), axis=1)
-    masks = _below(problems, states, which, limits(squared, np.arange(len(which))), agreement)
-    return _in_turns(problems, states, which, masks, limits, agreement)[0]
+    squared = np.concatenate(criterion.squared(problems, states, which), axis=1)
+    masks = _below(problems, states, which, limits(squared, np.arange(len(which))), criterion)
+    return _in_turns(problems, states, which, masks, limits, criterion)[0]
 
 
 def truncated_cost(
     problems: PoseProblems,
     states: Array,
     which: Array,
-    agreement: Agreement,
+    criterion: InlierCriterion,
     squares: tuple[Array, ...] | None = None,
 ) -> Array:
     """Return ½ Σ min(r², limit) (S,) of all points of the problems; squares: their r² (S, N), where known."""
     if squares is None:
-        squares = agreement.squared(problems, states, which)
-    return _truncated(problems, states, which, squares, agreement.limits(problems, which))
+        squares = criterion.squared(problems, states, which)
+    return _truncated(problems, states, which, squares, criterion.limits(problems, which))
 
 
 def _truncated(problems: PoseProblems, states: Array, which: Array, squares: tuple[Array, ...], limits: Array) -> Array:
@@ -196,7 +198,7 @@ def _in_turns(
     which: Array,
     masks: tuple[Array, ...],
     limits: Limits,
-    agreement: Agreement,
+    criterion: InlierCriterion,
 ) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
     """Return states (S, 3, 4), masks and squared residuals (S, N) after fits to the masks and new masks by the fits,
     until these stay.
@@ -207,7 +209,7 @@ def _in_turns(
         here = which[unsettled]
         own = problems.take(here).masked(tuple(mask[unsettled] for mask in masks))
         states[unsettled] = own.minimise(states[unsettled], np.arange(len(here)), rough=True).states
-        squared = agreement.squared(problems, states[unsettled], here)
+        squared = criterion.squared(problems, states[unsettled], here)
         most, changed = limits(np.concatenate(squared, axis=1), unsettled), np.zeros(len(here), dtype=bool)
         for mask, every, each, kept in zip(masks, problems.masks, squared, squares, strict=True):
             kept[unsettled] = each
@@ -221,10 +223,10 @@ def _in_turns(
 
 
 def _below(
-    problems: PoseProblems, states: Array, which: Array, limits: Array, agreement: Agreement
+    problems: PoseProblems, states: Array, which: Array, limits: Array, criterion: InlierCriterion
 ) -> tuple[Array, ...]:
     """Return the masks (S, N) of points of the problems whose squared residuals keep to the limits (S, 1)."""
-    parts = zip(agreement.squared(problems, states, which), problems.masks, strict=True)
+    parts = zip(criterion.squared(problems, states, which), problems.masks, strict=True)
     return tuple(_agreeing(squared, limits) & mask[which] for squared, mask in parts)
 
 
@@ -233,7 +235,7 @@ def _agreeing(squared: Array, limits: Array) -> Array:
 
 
 def choose(
-    problems: PoseProblems, found: Settled, extents: Extents, agreement: Agreement
+    problems: PoseProblems, found: RefitPoses, extents: Extents, criterion: InlierCriterion
 ) -> tuple[PoseProblems, Minima]:
     """Return the problems of the inliers of the lowest poses, and their minima, that pose the lowest of each.
 
@@ -243,26 +245,26 @@ def choose(
     best = best.take(extents.flatness[problems.view[best.which]] < NEAR_PLANE)
     eye = problems.sights[0].eye
     mirrored = extents.reflected(best.states, problems.view[best.which], eye)
-    rivals = _supported(problems, mirrored, best, agreement)
-    found = found.joined(settle(problems, mirrored[rivals], best.which[rivals], agreement)).different()
+    rivals = _supported(problems, mirrored, best, criterion)
+    found = found.joined(refit_inliers(problems, mirrored[rivals], best.which[rivals], criterion)).different()
     for _ in range(_TURNS):
         own, minima = _on_best(problems, found, mirrored, best.which)
         ahead = minima.take(lowest(minima))
         overtaken = ahead.take(~se3.near(ahead.states, found.lowest().states, _SAME))
         if not len(overtaken.which):  # else a rival fits the best one's inliers better: it has its own
             break
-        found = found.joined(settle(problems, overtaken.states, overtaken.which, agreement)).different()
+        found = found.joined(refit_inliers(problems, overtaken.states, overtaken.which, criterion)).different()
     return own, minima
 
 
-def _supported(problems: PoseProblems, states: Array, best: Settled, agreement: Agreement) -> Array:
+def _supported(problems: PoseProblems, states: Array, best: RefitPoses, criterion: InlierCriterion) -> Array:
     """Return the mask (S,) of states near to which are half as many points as agree with the best poses (S,)."""
-    near = _below(problems, states, best.which, 4 * agreement.limits(problems, best.which), agreement)
+    near = _below(problems, states, best.which, 4 * criterion.limits(problems, best.which), criterion)
     count, most = (np.asarray(sum(mask.sum(axis=1) for mask in masks)) for masks in (near, best.masks))
     return 2 * count >= most
 
 
-def _on_best(problems: PoseProblems, found: Settled, others: Array, of_others: Array) -> tuple[PoseProblems, Minima]:
+def _on_best(problems: PoseProblems, found: RefitPoses, others: Array, of_others: Array) -> tuple[PoseProblems, Minima]:
     """Return the problems of the inliers of the lowest poses, and their minima from all poses found and others."""
     chosen = found.lowest()
     masks = tuple(np.zeros_like(mask) for mask in problems.masks)
@@ -281,12 +283,12 @@ class Sampling:
     seed: int
 
 
-def sampled(problems: PoseProblems, problem: int, agreement: Agreement, sampling: Sampling) -> Settled:
+def sampled(problems: PoseProblems, problem: int, criterion: InlierCriterion, sampling: Sampling) -> RefitPoses:
     """Return settled poses of one problem, the lowest few."""
     own = problems.take(np.array([problem]))
     rng = np.random.default_rng(sampling.seed)
-    scorer = _Scorer.of(own, agreement, rng)
-    found = settle(own, np.zeros((0, 3, 4)), np.zeros(0, np.intp), agreement)
+    scorer = _Scorer.of(own, criterion, rng)
+    found = refit_inliers(own, np.zeros((0, 3, 4)), np.zeros(0, np.intp), criterion)
     best, drawn, needed = np.inf, 0, float(_ROUND)
     while drawn < min(needed, MOST):
         batch = int(np.clip(needed - drawn, _ROUND, _LONG_ROUND))
@@ -299,12 +301,12 @@ def sampled(problems: PoseProblems, problem: int, agreement: Agreement, sampling
             continue
         best = scores[promising[0]]
         chosen = se3.stacked(so3.nearest(states[promising, :, :3]), states[promising, :, 3])
-        found = found.joined(settle(own, chosen, np.zeros(len(chosen), np.intp), agreement)).different()
+        found = found.joined(refit_inliers(own, chosen, np.zeros(len(chosen), np.intp), criterion)).different()
         needed = _needed(found, int(own.counts[0]), sampling.confidence)
-    return Settled(found.states, np.full(len(found.which), problem), found.masks, found.truncated)
+    return RefitPoses(found.states, np.full(len(found.which), problem), found.masks, found.truncated)
 
 
-def _needed(found: Settled, count: int, confidence: float) -> float:
+def _needed(found: RefitPoses, count: int, confidence: float) -> float:
     """Return how many triplets to draw so that one had no outlier, if the inliers are those of the best pose."""
     if not len(found.which):
         return float(MOST)
@@ -327,7 +329,7 @@ def _drawn(problems: PoseProblems, count: int, rng: np.random.Generator) -> Arra
     return np.concatenate(found)
 
 
-def _of_one_camera(sight: Sightings, view: int, triplets: Array) -> Array:
+def _of_one_camera(sight: PackedCorrespondences, view: int, triplets: Array) -> Array:
     rays, points = (each[:, view][:, triplets].transpose(1, 2, 0) for each in (sight.rays, sight.points))
     states, _ = poses_of_triplets(rays, points)
     return se3.compose(sight.inverse_frame, states)
@@ -350,10 +352,10 @@ class _Scorer:
     """The truncated error of many poses of one view, from some of its points where there are many."""
 
     problems: PoseProblems
-    agreement: Agreement
+    criterion: InlierCriterion
 
     @classmethod
-    def of(cls, problems: PoseProblems, agreement: Agreement, rng: np.random.Generator) -> "_Scorer":
+    def of(cls, problems: PoseProblems, criterion: InlierCriterion, rng: np.random.Generator) -> "_Scorer":
         view = int(problems.view[0])
         sights = []
         for sight, mask in zip(problems.sights, problems.masks, strict=True):
@@ -362,10 +364,10 @@ class _Scorer:
                 points = np.sort(rng.choice(points, _SCORED, replace=False))
             sights.append(sight.take(np.array([view])).only(points))
         chosen = PoseProblems.of(tuple(sights))
-        return cls(chosen, agreement)
+        return cls(chosen, criterion)
 
     def scores(self, states: Array) -> Array:
         """Return the scores (S,) of states (S, 3, 4), the lowest best."""
-        which, limit = np.zeros(len(states), np.intp), self.agreement.threshold**2
-        squared = self.agreement.squared(self.problems, states, which)
+        which, limit = np.zeros(len(states), np.intp), self.criterion.threshold**2
+        squared = self.criterion.squared(self.problems, states, which)
         return np.asarray(sum(np.minimum(each, limit).sum(axis=1) for each in squared))

@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.sightings import Sightings
+from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.starts import starts
 from camcal.estimate.poses.states import NEAR_PLANE, Extents
 from camcal.geometry import rotation as so3
@@ -62,13 +62,13 @@ class PoseProblems:
     sights: what each camera sees. view: (P,) indices of the views. masks: (P, N) for every camera.
     """
 
-    sights: tuple[Sightings, ...]
+    sights: tuple[PackedCorrespondences, ...]
     view: Array
     masks: tuple[Array, ...]
     anchor: Anchor | None = None
 
     @classmethod
-    def of(cls, sights: tuple[Sightings, ...], anchor: Anchor | None = None) -> "PoseProblems":
+    def of(cls, sights: tuple[PackedCorrespondences, ...], anchor: Anchor | None = None) -> "PoseProblems":
         """Return one problem a view, of all points present."""
         view = np.arange(len(sights[0].present))
         return cls(sights, view, tuple(sight.present for sight in sights), anchor)

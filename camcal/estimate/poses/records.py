@@ -166,8 +166,8 @@ class PoseEstimate:
     which differs from view to view; the rest, of the lens, is common to all.
     residuals: (N, 2) px, projected minus observed, NaN for points outside the lens's domain, which are left out.
     inliers: (N,) bool, the points that the pose was fitted to. sigma_px: standard deviation of their coordinates (root
-    mean square); noise_scale: that over what the pixels' covariances say, over 1 px where there are none; freedom: the
-    degrees of freedom it was estimated with, None if it was given.
+    mean square); noise_scale: that over what the pixels' covariances say, over 1 px where there are none;
+    degrees_of_freedom: of its estimate, None if it was given.
     alternatives: other minima, the likeliest first. reason: why the solver stopped.
     planarity: third spread of the points over their first, 0 for a plane. least_depth: smallest z of a point in the
     camera's frame. tilt_rad: angle between the line of sight and the normal of the points' plane, None if they are in
@@ -184,7 +184,7 @@ class PoseEstimate:
     inliers: BoolArray
     sigma_px: float
     noise_scale: float
-    freedom: int | None
+    degrees_of_freedom: int | None
     alternatives: tuple[Alternative, ...]
     converged: bool
     reason: str

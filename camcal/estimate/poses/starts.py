@@ -20,7 +20,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.planar_poses import planar_poses
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.sightings import Sightings
+from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.states import IN_PLANE, NEAR_PLANE, Extents
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
@@ -116,7 +116,7 @@ class _Turns:
         return so3.exp(steps) @ rotations
 
 
-def starts(sight: Sightings, extents: Extents) -> tuple[Array, Array]:
+def starts(sight: PackedCorrespondences, extents: Extents) -> tuple[Array, Array]:
     """Return states (S, 3, 4), camera_T_object, and which view (S,) each belongs to; extents: of the views.
 
     A view of a plane has one, of a solid object several, of fewer than three points none.
@@ -135,21 +135,21 @@ def starts(sight: Sightings, extents: Extents) -> tuple[Array, Array]:
     return np.concatenate([states for states, _ in parts]), np.concatenate([view for _, view in parts])
 
 
-def _of_planes(sight: Sightings, extents: Extents, views: Array) -> tuple[Array, Array]:
+def _of_planes(sight: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
     here, mask = extents.take(views), sight.present[views]
     scale = (here.spread[:, 0] / np.sqrt(mask.sum(axis=1)))[:, None]
     rotations, shifts = planar_poses(sight.rays[:, views], here.in_plane(sight.points[:, views]) / scale, mask)
     return se3.compose(se3.stacked(rotations, shifts * scale), here.plane_T_object), views
 
 
-def _of_solids(sight: Sightings, extents: Extents, views: Array) -> tuple[Array, Array]:
+def _of_solids(sight: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
     here = extents.take(views)
     errors = SpaceErrors.of(sight.rays[:, views], here.in_plane(sight.points[:, views]), sight.present[views])
     states, which = errors.minima()
     return se3.compose(states, here.plane_T_object[which]), views[which]
 
 
-def _of_triplets(sight: Sightings, views: Array) -> tuple[Array, Array]:
+def _of_triplets(sight: PackedCorrespondences, views: Array) -> tuple[Array, Array]:
     """Return the poses that meet three points exactly, for every choice of three."""
     corners = [(view, *three) for view in views for three in combinations(np.flatnonzero(sight.present[view]), 3)]
     table = np.array(corners, dtype=np.intp).reshape(-1, 4)

@@ -36,15 +36,15 @@ class BatchSolution:
     """The most likely states (K, n), and the lower factor of the normal equations.
 
     diagonal: (K, n, n) the factor's blocks on the diagonal. below: (K - 1, n, n) those under them.
-    squares: all squared residuals in units of their noise, and freedom: their expected sum. log_likelihood: of the
-    measurements, all states integrated out and nothing assumed of the first.
+    squares: all squared residuals in units of their noise, and degrees_of_freedom: their expected sum.
+    log_likelihood: of the measurements, all states integrated out and nothing assumed of the first.
     """
 
     means: Array
     diagonal: Array
     below: Array
     squares: float
-    freedom: int
+    degrees_of_freedom: int
     log_likelihood: float
 
     def smoothed(self) -> Smoothed:
@@ -75,10 +75,12 @@ def solve_batch(system: LinearSystem) -> BatchSolution:
     means = cho_solve_banded((factor, True), right.ravel(), check_finite=False).reshape(right.shape)
     diagonal, below = blocks_of(factor, right.shape[1])
     squares = _squares(system, process, measured, means)
-    freedom = int(system.present.sum() - right.shape[1] * (1 + np.sum(~system.linked)))
+    degrees_of_freedom = int(system.present.sum() - right.shape[1] * (1 + np.sum(~system.linked)))
     # ln ∫ p(y, x) dx: the integrand at its peak and the curvature there; all is Gaussian, so this is exact.
-    volume = 0.5 * (squares + log_process + log_noise + freedom * np.log(2 * np.pi)) + np.log(factor[0]).sum()
-    return BatchSolution(means, diagonal, below, squares, freedom, -float(volume))
+    volume = (
+        0.5 * (squares + log_process + log_noise + degrees_of_freedom * np.log(2 * np.pi)) + np.log(factor[0]).sum()
+    )
+    return BatchSolution(means, diagonal, below, squares, degrees_of_freedom, -float(volume))
 
 
 def invertible(system: LinearSystem) -> LinearSystem:

@@ -115,11 +115,11 @@ def smooth_back(filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, F: 
     return Gaussian(mean, _symmetric(filtered.covariance + change))
 
 
-def gate(freedom: float, confidence: float = 0.999) -> float:
+def gate(dof: float, confidence: float = 0.999) -> float:
     """Return what the NIS of a good measurement stays below, with this probability: the quantile of χ²."""
     from scipy.special import gammaincinv  # χ² without scipy.stats, which takes a second to import
 
-    return float(2 * gammaincinv(freedom / 2, confidence))
+    return float(2 * gammaincinv(dof / 2, confidence))
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -158,10 +158,10 @@ class Consistency:
     advice: str
 
 
-def consistency(nis: Array, freedom: Array, pairs: tuple[Array, Array]) -> Consistency:
+def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consistency:
     """Return what innovations say about the noise.
 
-    nis: (N,) their normalised squares. freedom: (N,) the numbers each has. pairs: two arrays (M,) of whitened numbers,
+    nis: (N,) their normalised squares. dof: (N,) the numbers each has. pairs: two arrays (M,) of whitened numbers,
     the second measured one step after the first, of the same kind.
     Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
@@ -177,12 +177,12 @@ def consistency(nis: Array, freedom: Array, pairs: tuple[Array, Array]) -> Consi
             verdict=NOT_JUDGED,
             advice=_NOTHING,
         )
-    total = float(np.sum(freedom))
+    total = float(np.sum(dof))
     mean = float(np.sum(nis)) / total
     tail = (1 - _CONFIDENCE) / 2
     low, high = (gate(total, level) / total for level in (tail, 1 - tail))
-    limits = {number: gate(number, _CONFIDENCE) for number in np.unique(freedom).tolist()}
-    beyond = float(np.mean(nis > [limits[number] for number in freedom.tolist()]))
+    limits = {number: gate(number, _CONFIDENCE) for number in np.unique(dof).tolist()}
+    beyond = float(np.mean(nis > [limits[number] for number in dof.tolist()]))
     correlation, limit = _autocorrelation(*pairs)
     verdict = _verdict(mean, low, high)
     least = max(limit, _NEAR_ONE)

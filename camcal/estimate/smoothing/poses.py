@@ -26,7 +26,13 @@ from camcal.estimate.smoothing.batch import (
     solve_batch,
 )
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, Smoothed, kalman_filter, rts
-from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength
+from camcal.estimate.smoothing.tuning import (
+    KnownSmootherNoise,
+    SmootherNoise,
+    likeliest_noise,
+    measured_noise,
+    strength,
+)
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 
@@ -245,17 +251,17 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
     for index, guess in enumerate(guesses):
         states = np.flatnonzero(np.arange(system.observation.shape[1]) % 6 // 3 == index)
         part = system.part(states, states[:3])
-        noise = KnownNoise(None if options.q is None else options.q[index], 1.0 if known else None)
+        noise = KnownSmootherNoise(None if options.q is None else options.q[index], 1.0 if known else None)
         found.append(likeliest_noise(part, noise, guess, options.robust))
     return (found[0].q, found[1].q), (found[0].sigma, found[1].sigma)
 
 
-def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> Noise:
+def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> SmootherNoise:
     """Return a first guess of noise from translations or rotations (K, 3), `what`, that were measured."""
     values = values[problem.measured]
     sigma = measured_noise(values, len(problem.motion.states) + 1, what)
     q = strength(problem.motion, problem.stamps[problem.measured], sigma)
-    return Noise(q, 1.0 if known else sigma)
+    return SmootherNoise(q, 1.0 if known else sigma)
 
 
 def _way_of(rotations: Array) -> Array:

@@ -8,7 +8,14 @@ from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.batch import MeasurementFit, require_size, smooth_system
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
-from camcal.estimate.smoothing.tuning import KnownNoise, Noise, likeliest_noise, measured_noise, strength, with_noise
+from camcal.estimate.smoothing.tuning import (
+    KnownSmootherNoise,
+    SmootherNoise,
+    likeliest_noise,
+    measured_noise,
+    strength,
+    with_noise,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +150,7 @@ def series_at(smoothed: SmoothedSeries, stamps: Array) -> SmoothedSeries:
         spread(sigma / np.sqrt(smoothed.weights), 1.0),
         None if series.controls is None else spread(series.controls, 0.0),
     )
-    system = with_noise(system_of(wider, smoothed.motion), Noise(smoothed.q, smoothed.sigma or 1.0))
+    system = with_noise(system_of(wider, smoothed.motion), SmootherNoise(smoothed.q, smoothed.sigma or 1.0))
     found = rts(system, kalman_filter(system))  # by filter: stamps may lie very near each other
     wanted, shape = np.searchsorted(everything, stamps), (len(series.names), len(everything))
     missing = np.full((len(stamps), len(series.names)), np.nan)
@@ -158,16 +165,16 @@ def series_at(smoothed: SmoothedSeries, stamps: Array) -> SmoothedSeries:
     )
 
 
-def _noise(series: Series, options: SeriesOptions) -> Noise:
+def _noise(series: Series, options: SeriesOptions) -> SmootherNoise:
     """Return q and sigma; sigma 1 if the series has its own."""
-    known = KnownNoise(options.q, None if series.sigma is None else 1.0)
+    known = KnownSmootherNoise(options.q, None if series.sigma is None else 1.0)
     if known.q is not None and known.sigma is not None:
-        return Noise(known.q, known.sigma)
+        return SmootherNoise(known.q, known.sigma)
     if series.sigma is None:
         guess = measured_noise(series.values, len(options.motion.states) + 1)
     else:
         guess = float(np.median(series.sigma))
-    start = Noise(strength(options.motion, series.stamps, guess), guess)
+    start = SmootherNoise(strength(options.motion, series.stamps, guess), guess)
     return likeliest_noise(system_of(series, options.motion), known, start, options.robust)
 
 

@@ -30,7 +30,7 @@ _TOO_FEW = "too few {}, or none with noise, to tell how much they have; give --s
 
 
 @dataclass(frozen=True)
-class Noise:
+class SmootherNoise:
     """Strength of the process noise, and standard deviation of the measurements."""
 
     q: float
@@ -38,18 +38,20 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class KnownNoise:
+class KnownSmootherNoise:
     """What is known of noise; None: the most likely is wanted."""
 
     q: float | None
     sigma: float | None
 
-    def completed(self, guess: Noise) -> Noise:
+    def completed(self, guess: SmootherNoise) -> SmootherNoise:
         """Return the noise with what is not known taken from a guess."""
-        return Noise(guess.q if self.q is None else self.q, guess.sigma if self.sigma is None else self.sigma)
+        return SmootherNoise(guess.q if self.q is None else self.q, guess.sigma if self.sigma is None else self.sigma)
 
 
-def likeliest_noise(system: LinearSystem, known: KnownNoise, guess: Noise, robust: bool = False) -> Noise:
+def likeliest_noise(
+    system: LinearSystem, known: KnownSmootherNoise, guess: SmootherNoise, robust: bool = False
+) -> SmootherNoise:
     """Return the noise under which the measurements were most likely.
 
     system: with process noise of q = 1, and measurement noise of sigma = 1. robust: q is found by Huber's loss first,
@@ -59,22 +61,24 @@ def likeliest_noise(system: LinearSystem, known: KnownNoise, guess: Noise, robus
     if not robust:
         return _search(system, known, guess)
     sigma = known.completed(guess).sigma
-    found = _search(system, KnownNoise(known.q, sigma), guess, robust=True)
+    found = _search(system, KnownSmootherNoise(known.q, sigma), guess, robust=True)
     for _ in range(_ROUNDS):
         noisy = with_noise(system, found)
         weights = robust_weights(noisy)
         states = solve_batch(invertible(noisy.weighted(weights))).smoothed()
         outliers = is_outlier(disagreement(noisy, weights, states), system.present.sum(axis=1))
-        found = _search(system.without(outliers), known, Noise(found.q, guess.sigma))
+        found = _search(system.without(outliers), known, SmootherNoise(found.q, guess.sigma))
     return found
 
 
-def with_noise(system: LinearSystem, noise: Noise) -> LinearSystem:
+def with_noise(system: LinearSystem, noise: SmootherNoise) -> LinearSystem:
     """Return a system of unit noise with this noise."""
     return replace(system, process=noise.q * system.process, noise=noise.sigma**2 * system.noise)
 
 
-def _search(system: LinearSystem, known: KnownNoise, guess: Noise, robust: bool = False) -> Noise:
+def _search(
+    system: LinearSystem, known: KnownSmootherNoise, guess: SmootherNoise, robust: bool = False
+) -> SmootherNoise:
     guess = known.completed(guess)
     free = [name for name in ("q", "sigma") if getattr(known, name) is None]
     if not free:
@@ -83,7 +87,7 @@ def _search(system: LinearSystem, known: KnownNoise, guess: Noise, robust: bool 
         return _search_ratio(system, guess)
     likelihood = _HuberLikelihood(len(system)) if robust else log_likelihood
 
-    def noise(numbers: Array) -> Noise:
+    def noise(numbers: Array) -> SmootherNoise:
         return replace(guess, **dict(zip(free, map(float, numbers), strict=True)))
 
     start = np.array([getattr(guess, name) for name in free])
@@ -94,23 +98,23 @@ def _search(system: LinearSystem, known: KnownNoise, guess: Noise, robust: bool 
     )
 
 
-def _search_ratio(system: LinearSystem, guess: Noise) -> Noise:
+def _search_ratio(system: LinearSystem, guess: SmootherNoise) -> SmootherNoise:
     """Return the most likely noise where neither number is known: at a ratio q / σ² the best σ² is known."""
 
     def solved(ratio: float) -> BatchSolution:
-        return solve_batch(invertible(with_noise(system, Noise(ratio, 1.0))))
+        return solve_batch(invertible(with_noise(system, SmootherNoise(ratio, 1.0))))
 
     def likelihood(numbers: Array) -> float:
         found = solved(float(numbers[0]))
-        if found.freedom < 1 or not found.squares > 0:
+        if found.degrees_of_freedom < 1 or not found.squares > 0:
             raise InsufficientData(_TOO_FEW.format("measurements"))
-        gained = found.squares - found.freedom * np.log(found.squares / found.freedom)
+        gained = found.squares - found.degrees_of_freedom * np.log(found.squares / found.degrees_of_freedom)
         return found.log_likelihood + 0.5 * float(gained)
 
     ratio = float(most_likely(likelihood, np.array([guess.q / guess.sigma**2]))[0])
     best = solved(ratio)
-    variance = best.squares / best.freedom
-    return Noise(ratio * variance, float(np.sqrt(variance)))
+    variance = best.squares / best.degrees_of_freedom
+    return SmootherNoise(ratio * variance, float(np.sqrt(variance)))
 
 
 def log_likelihood(system: LinearSystem) -> float:

@@ -26,7 +26,7 @@ _EYE = np.eye(3)
 _NEAR_HALF_TURN = -0.9  # cosine of an angle; there the sine says little
 
 
-class Belief(NamedTuple):
+class FilterState(NamedTuple):
     """rotations (..., 3, 3), translations (..., 3), velocities (..., 6) m/s and rad/s, covariances (..., 12, 12)."""
 
     rotations: Array
@@ -34,9 +34,9 @@ class Belief(NamedTuple):
     velocities: Array
     covariances: Array
 
-    def each(self, change: Callable[[Array], Array]) -> "Belief":
+    def each(self, change: Callable[[Array], Array]) -> "FilterState":
         """Return the belief with every array changed."""
-        return Belief(*map(change, self))
+        return FilterState(*map(change, self))
 
 
 class Candidates(NamedTuple):
@@ -52,7 +52,7 @@ class Candidates(NamedTuple):
     penalties: Array
 
 
-class Verdict(NamedTuple):
+class GatingResult(NamedTuple):
     """What became of a frame's candidates.
 
     chosen: (...) the index of the candidate looked at. accepted: (...) whether it was inside the gate and used.
@@ -67,15 +67,15 @@ class Verdict(NamedTuple):
     cost: Array
 
 
-def start(rotations: Array, translations: Array, covariances: Array) -> Belief:
+def start(rotations: Array, translations: Array, covariances: Array) -> FilterState:
     """Return the beliefs of first poses and their covariances (..., 6, 6), with velocities unknown."""
     beliefs = np.zeros((*translations.shape[:-1], SIZE, SIZE))
     beliefs[..., :6, :6] = covariances
     beliefs[..., _RATES, _RATES] = _unknown_rates(translations)
-    return Belief(rotations, translations, np.zeros((*translations.shape[:-1], 6)), beliefs)
+    return FilterState(rotations, translations, np.zeros((*translations.shape[:-1], 6)), beliefs)
 
 
-def after_jerk(belief: Belief) -> Belief:
+def after_jerk(belief: FilterState) -> FilterState:
     """Return the beliefs with velocities as unknown as at a start: they may have become any others since."""
     covariances = belief.covariances.copy()
     covariances[..., _RATES, _RATES] += _unknown_rates(belief.translations)
@@ -117,20 +117,20 @@ def process_covariance(noise: Array, dt: Array) -> Array:
     return result
 
 
-def predict(belief: Belief, noise: Array, dt: Array) -> tuple[Belief, Array]:
+def predict(belief: FilterState, noise: Array, dt: Array) -> tuple[FilterState, Array]:
     """Return the beliefs dt (...) seconds later, and the transition (..., 12, 12) of their errors."""
     step = belief.velocities * dt[..., None]
     turned = so3.exp(step[..., 3:])
     growth = transition(step[..., 3:], turned, dt)
     covariances = growth @ belief.covariances @ growth.swapaxes(-1, -2) + process_covariance(noise, dt)
-    return Belief(
+    return FilterState(
         turned @ belief.rotations, belief.translations + step[..., :3], belief.velocities, covariances
     ), growth
 
 
-def moved(belief: Belief, step: Array, covariances: Array) -> Belief:
+def moved(belief: FilterState, step: Array, covariances: Array) -> FilterState:
     """Return the beliefs with their mean moved by steps (..., 12) and with other covariances."""
-    return Belief(
+    return FilterState(
         so3.exp(step[..., 3:6]) @ belief.rotations,
         belief.translations + step[..., :3],
         belief.velocities + step[..., 6:],
@@ -138,7 +138,7 @@ def moved(belief: Belief, step: Array, covariances: Array) -> Belief:
     )
 
 
-def update(belief: Belief, seen: Candidates, gate: float) -> tuple[Belief, Verdict]:
+def update(belief: FilterState, seen: Candidates, gate: float) -> tuple[FilterState, GatingResult]:
     """Return the beliefs after the likeliest candidate of a frame, unchanged where that lies outside the gate.
 
     gate: bound of the NIS, which is χ² with 6 degrees of freedom if the filter is right. The likeliest candidate has
@@ -165,7 +165,7 @@ def update(belief: Belief, seen: Candidates, gate: float) -> tuple[Belief, Verdi
     covariances += gain @ _picked(seen.covariances, chosen) @ gain.swapaxes(-1, -2)
     covariances = (covariances + covariances.swapaxes(-1, -2)) / 2
     after = moved(belief, (half @ whitened[..., None])[..., 0], covariances)
-    return after, Verdict(chosen, accepted, nis, whitened, cost)
+    return after, GatingResult(chosen, accepted, nis, whitened, cost)
 
 
 def rotation_vectors(rotations: Array) -> Array:
@@ -198,20 +198,20 @@ class Run(NamedTuple):
     grew from the frame before; the first is of no use.
     """
 
-    filtered: Belief
-    predicted: Belief
+    filtered: FilterState
+    predicted: FilterState
     growth: Array
 
 
-def smoothed(run: Run) -> Belief:
+def smoothed(run: Run) -> FilterState:
     """Return the beliefs (M, …) at every frame given all frames."""
     result = [run.filtered.each(lambda values: values[-1])]
     for frame in range(len(run.growth) - 2, -1, -1):
         result.append(_back(run, np.array(frame), result[-1]))
-    return Belief(*(np.stack(parts[::-1]) for parts in zip(*result, strict=True)))
+    return FilterState(*(np.stack(parts[::-1]) for parts in zip(*result, strict=True)))
 
 
-def smoothed_with_lag(run: Run, lag: int) -> Belief:
+def smoothed_with_lag(run: Run, lag: int) -> FilterState:
     """Return the beliefs (M, …) at every frame given the frames up to `lag` later ones, the last ones given all."""
     last = len(run.growth) - 1
     frames = np.arange(last + 1)
@@ -226,7 +226,7 @@ def smoothed_with_lag(run: Run, lag: int) -> Belief:
     return result
 
 
-def _back(run: Run, frame: Array, later: Belief) -> Belief:
+def _back(run: Run, frame: Array, later: FilterState) -> FilterState:
     """Return the beliefs at frames (...) from what became of the beliefs at the frames after them."""
     filtered = run.filtered.each(lambda values: values[frame])
     expected = run.predicted.each(lambda values: values[frame + 1])
@@ -237,7 +237,7 @@ def _back(run: Run, frame: Array, later: Belief) -> Belief:
     return moved(filtered, step, (covariances + covariances.swapaxes(-1, -2)) / 2)
 
 
-def _difference(after: Belief, before: Belief) -> Array:
+def _difference(after: FilterState, before: FilterState) -> Array:
     """Return the step (..., 12) from one mean to another."""
     turn = so3.log(after.rotations @ before.rotations.swapaxes(-1, -2))
     shift = after.translations - before.translations

@@ -18,7 +18,7 @@ from camcal.estimate.tracking.free_motion import FreeMotion, MotionState, differ
 from camcal.estimate.tracking.jitter import Shaking
 from camcal.estimate.tracking.pixel_batch import BatchTrack, Chains, Spread, solved, spread_of
 from camcal.estimate.tracking.pixel_costs import rightness, squares
-from camcal.estimate.tracking.pose_filter import Belief, Candidates
+from camcal.estimate.tracking.pose_filter import Candidates, FilterState
 from camcal.estimate.tracking.segments import LEAST, Following, PoseMeasurements, Segment, candidates_at, follow
 
 _STRETCH = 60  # frames; the first of each tells little
@@ -69,7 +69,7 @@ class ProcessNoise:
 class _Stretches(NamedTuple):
     """Stretches of a track side by side: beliefs (S, 1, …) at their starts, then time steps (S, 1) s and candidates."""
 
-    starts: Belief
+    starts: FilterState
     steps: list[Array]
     seen: list[Candidates]
     outlier_cost: float
@@ -96,7 +96,7 @@ def _stretches(measurements: PoseMeasurements, segments: Sequence[Segment]) -> _
     if not cuts:
         return None
     chosen = [cuts[index] for index in np.unique(np.linspace(0, len(cuts) - 1, _STRETCHES).astype(int))]
-    starts = Belief(*map(np.stack, zip(*(start for start, _ in chosen), strict=True)))
+    starts = FilterState(*map(np.stack, zip(*(start for start, _ in chosen), strict=True)))
     frames = np.array([[*part, *[-1] * (_STRETCH - len(part))] for _, part in chosen])
     steps = np.where(frames[:, 1:] < 0, 0.0, measurements.stamps[frames[:, 1:]] - measurements.stamps[frames[:, :-1]])
     seen = []
@@ -112,7 +112,7 @@ def _stretches(measurements: PoseMeasurements, segments: Sequence[Segment]) -> _
     )
 
 
-def _cut(segment: Segment) -> list[tuple[Belief, Array]]:
+def _cut(segment: Segment) -> list[tuple[FilterState, Array]]:
     """Return the stretches of a piece: what was believed at the first frame, and the indices of all."""
     cuts = []
     for first in range(0, len(segment.frames) - LEAST + 1, _STRETCH - 1):
@@ -290,5 +290,5 @@ def noise_factor(track: BatchTrack, spread: Spread) -> float:
     squared = squares(track.chains.frames, *track.poses)
     weights = np.where(used[:, None], rightness(track.chains.frames, squared), 0.0)
     spent = float(np.einsum("nij,nji->", track.curvatures[used], spread.poses[used]))
-    freedom = 2 * float(weights.sum()) - spent
-    return float(np.sqrt((weights * squared).sum() / max(freedom, 1.0)))
+    dof = 2 * float(weights.sum()) - spent
+    return float(np.sqrt((weights * squared).sum() / max(dof, 1.0)))

@@ -20,7 +20,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.estimate.smoothing.kalman import gate
 from camcal.estimate.tracking import pose_filter
-from camcal.estimate.tracking.pose_filter import Belief, Candidates, Run, Verdict
+from camcal.estimate.tracking.pose_filter import Candidates, FilterState, GatingResult, Run
 from camcal.geometry.pose import Pose
 
 _ASTRAY = 0.1, 0.3  # how far a wrong pose is off, standard deviations: share of the distance, and rad
@@ -102,7 +102,7 @@ class PoseMeasurements:
 
     @cached_property
     def outlier_cost(self) -> float:
-        """-2 log likelihood of a detection that went wrong, as `Verdict.cost` counts: it may be anywhere near.
+        """-2 log likelihood of a detection that went wrong, as `GatingResult.cost` counts: it may be anywhere near.
 
         Such a bound on what a frame can cost keeps outliers from speaking. A bound by the gate, which is far lower,
         would let a filter with too little noise call every quick motion an outlier.
@@ -167,7 +167,7 @@ class Segment:
     first: int
     settled: int
     run: Run
-    verdicts: Verdict
+    verdicts: GatingResult
     jerks: tuple[int, ...]
 
     @property
@@ -241,14 +241,14 @@ class _Trial(NamedTuple):
     """
 
     origins: Array
-    belief: Belief
+    belief: FilterState
     stamp: float
     accepted: Array
     cost: Array
 
     @classmethod
     def empty(cls) -> "_Trial":
-        belief = Belief(*(np.empty((0, *shape)) for shape in ((3, 3), (3,), (6,), (12, 12))))
+        belief = FilterState(*(np.empty((0, *shape)) for shape in ((3, 3), (3,), (6,), (12, 12))))
         return cls(np.empty((0, 2), dtype=int), belief, 0.0, np.empty(0, dtype=int), np.empty(0))
 
     def advanced(self, measurements: PoseMeasurements, frame: int, noise: Array, bound: float) -> "_Trial":
@@ -265,7 +265,7 @@ class _Trial(NamedTuple):
         penalties = measurements.penalties[frame]
         ranks = np.flatnonzero(np.isfinite(penalties))
         new = pose_filter.start(*(part[ranks] for part in candidates_at(measurements, frame)[:3]))
-        belief = Belief(*(np.concatenate(parts) for parts in zip(self.belief, new, strict=True)))
+        belief = FilterState(*(np.concatenate(parts) for parts in zip(self.belief, new, strict=True)))
         origins = np.concatenate([self.origins, np.stack([np.full(len(ranks), frame), ranks], axis=1)])
         accepted = np.concatenate([self.accepted, np.ones(len(ranks), dtype=int)])
         return _Trial(origins, belief, self.stamp, accepted, np.concatenate([self.cost, penalties[ranks]]))
@@ -304,13 +304,13 @@ def _followed(measurements: PoseMeasurements, start: Start, noise: Array, follow
 class _Taken(NamedTuple):
     """What a filter made of a frame: beliefs after and before it, how errors grew (12, 12), and the verdict on it."""
 
-    filtered: Belief
-    predicted: Belief
+    filtered: FilterState
+    predicted: FilterState
     growth: Array
-    verdict: Verdict
+    verdict: GatingResult
 
 
-def _taken(measurements: PoseMeasurements, belief: Belief, frame: int, noise: Array, bound: float) -> _Taken:
+def _taken(measurements: PoseMeasurements, belief: FilterState, frame: int, noise: Array, bound: float) -> _Taken:
     """Return what a filter makes of a frame; belief: after the frame before."""
     dt = np.array(measurements.stamps[frame] - measurements.stamps[frame - 1])
     expected, growth = pose_filter.predict(belief, noise, dt)
@@ -337,12 +337,14 @@ def _after_jerk(
 
 def _segment(start: Start, taken: list[_Taken], jerks: list[int]) -> Segment:
     filtered, predicted, growth, verdicts = zip(*taken, strict=True)
-    after, before = (Belief(*map(np.stack, zip(*part, strict=True))) for part in (filtered, predicted))
+    after, before = (FilterState(*map(np.stack, zip(*part, strict=True))) for part in (filtered, predicted))
     run = Run(after, before, np.stack(growth))
-    return Segment(start.frame, start.settled, run, Verdict(*map(np.stack, zip(*verdicts, strict=True))), tuple(jerks))
+    return Segment(
+        start.frame, start.settled, run, GatingResult(*map(np.stack, zip(*verdicts, strict=True))), tuple(jerks)
+    )
 
 
-def _first_verdict(start: Start) -> Verdict:
-    return Verdict(
+def _first_verdict(start: Start) -> GatingResult:
+    return GatingResult(
         np.array(start.candidate), np.array(True), np.array(np.nan), np.full(_DEGREES, np.nan), np.array(0.0)
     )

@@ -9,7 +9,7 @@ from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
 from camcal.estimate.tracking.jitter import Jitter, Shaking, jitter
-from camcal.estimate.tracking.pose_filter import Belief, smoothed, smoothed_with_lag
+from camcal.estimate.tracking.pose_filter import FilterState, smoothed, smoothed_with_lag
 from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
 from camcal.estimate.tracking.segments import LEAST, Following, FramePose, PoseMeasurements, Segment, follow
 from camcal.geometry.pose import Pose, inverse_jacobian
@@ -179,7 +179,7 @@ def common_part(poses: Sequence[FramePose | None]) -> Array:
 class _Frames:
     """What is known of each of N frames while the pieces are put in their places."""
 
-    belief: Belief
+    belief: FilterState
     segments: Array
     accepted: Array
     settled: Array
@@ -189,7 +189,7 @@ class _Frames:
     @classmethod
     def nothing(cls, count: int) -> "_Frames":
         shapes = ((3, 3), (3,), (6,), (12, 12))
-        belief = Belief(*(np.full((count, *shape), np.nan) for shape in shapes))
+        belief = FilterState(*(np.full((count, *shape), np.nan) for shape in shapes))
         numbers, flags = np.full(count, -1), np.zeros(count, dtype=bool)
         return cls(belief, numbers, flags, flags.copy(), np.full(count, np.nan), numbers.copy())
 

@@ -37,7 +37,7 @@ COLUMNS = (
 
 _HEAD = re.compile(
     rf"# {FORMAT} (?P<version>[0-9]{{1,9}}) frames=(?P<frames>\S+) unit=(?P<unit>\S+) sigma_px=(?P<sigma_px>\S+)"
-    r"(?: scale=(?P<scale>\S+))?(?: degrees_of_freedom=(?P<freedom>[0-9]{1,9}))?\s*\Z"
+    r"(?: scale=(?P<scale>\S+))?(?: degrees_of_freedom=(?P<dof>[0-9]{1,9}))?\s*\Z"
 )
 _NONE = "# none "
 _MAX_COUNT = 10**9
@@ -105,8 +105,8 @@ def _head(where: str, content: Lines) -> tuple[str, str, PixelNoise]:
     if faults or found["unit"] not in UNITS:
         raise InvalidInput(faults[0].text if faults else f"unit {found['unit']!r} is unknown", where=f"{where}:1")
     sigma, scale = (_of_head(where, found, name) for name in ("sigma_px", "scale"))
-    freedom = int(found["freedom"]) if found["freedom"] else None
-    return found["frames"], found["unit"], PixelNoise(sigma or 0.0, scale, freedom)
+    dof = int(found["dof"]) if found["dof"] else None
+    return found["frames"], found["unit"], PixelNoise(sigma or 0.0, scale, dof)
 
 
 def _of_head(where: str, found: re.Match[str], name: str) -> float | None:

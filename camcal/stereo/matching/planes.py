@@ -276,12 +276,12 @@ def _candidates(support: _Support, trials: int, rng: np.random.Generator) -> Arr
     along = places[second] - places[first]
     squared = (along**2).sum(axis=1)
     slopes = ((disparities[second] - disparities[first]) / np.maximum(squared, 1))[:, None] * along
-    through = np.column_stack([slopes, disparities[first] - (slopes * places[first]).sum(axis=1)])[squared > _APART]
+    tilted = np.column_stack([slopes, disparities[first] - (slopes * places[first]).sum(axis=1)])[squared > _APART]
     corners = np.stack(three, axis=1)
     triples = _homogeneous(places[corners])
     wide = np.abs(np.linalg.det(triples)) > _WIDE
     full = np.linalg.solve(triples[wide], disparities[corners[wide]][..., None])[..., 0]
-    planes: Array = np.concatenate([level, through, full])
+    planes: Array = np.concatenate([level, tilted, full])
     return planes[(np.abs(planes[:, :2]) < _STEEPEST).all(axis=1)]
 
 

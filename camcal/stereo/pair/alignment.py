@@ -263,10 +263,10 @@ def _solved(design: Array, dy: Array, weights: Array) -> tuple[Array, Array]:
     normal = np.linalg.pinv(design.T @ (weights[:, None] * design))
     values = normal @ (design.T @ (weights * dy))
     off = dy - design @ values
-    freedom = max(float(weights.sum()) - design.shape[1], 1.0)
+    dof = max(float(weights.sum()) - design.shape[1], 1.0)
     # Huber, Robust Statistics, eq. 6.5 without its small-sample factor: how much the weighted sums themselves scatter.
     spread = normal @ (design.T @ ((weights * off)[:, None] ** 2 * design)) @ normal
-    return values, spread * weights.sum() / freedom
+    return values, spread * weights.sum() / dof
 
 
 def _std_of_median(values: Array) -> float:

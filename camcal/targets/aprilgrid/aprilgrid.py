@@ -24,7 +24,7 @@ from camcal.targets.checker.checker import AGREEMENT, CONTRAST, look
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.measure import blur_of, clear, tag_reach
 from camcal.targets.corners.refine import refine
-from camcal.targets.detection import MIN_CORNERS, Detection, Samples
+from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
 
 WINDOW = 0.6  # of a tag's side, what looks take for the distance of the next corner
 CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
@@ -45,7 +45,7 @@ PASSES = 2  # of the final fit, where the blur makes corners see their neighbour
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _TagCorners:
     """Corners (2 rows, 2 columns, 2) of the board, NaN where none; contrast: their median, gray levels.
 
     right, wrong: how many tags have the bits they should have, and other ones.
@@ -57,7 +57,7 @@ class _Seen:
     wrong: int = 0
 
     @classmethod
-    def nothing(cls, lattice: TagLattice) -> "_Seen":
+    def nothing(cls, lattice: TagLattice) -> "_TagCorners":
         """Return the record of no corner."""
         return cls(np.full_like(lattice.nodes, np.nan), 0.0)
 
@@ -68,7 +68,7 @@ class _Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _NodeMeasurements:
     """What is seen at the corners of a grid (2 rows, 2 columns), NaN where nobody looked.
 
     contrast: gray levels, positive where dark and bright are as on the board. moved: from the start, in sides of a tag.
@@ -85,7 +85,7 @@ class _Look:
         return np.asarray((self.agreement > AGREEMENT) & (self.moved < MOVED) & (self.contrast > 0))
 
 
-def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) -> Detection:
+def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None) -> BoardDetection:
     """Return the corners of an AprilGrid in `gray`, (H, W) uint8, with covariance, or the reason why there are none.
 
     samples: those of the same image that say where its corners are, None for gray itself. A corner is left
@@ -94,20 +94,22 @@ def find_aprilgrid(gray: Array, board: Board, samples: Samples | None = None) ->
     """
     lattice = TagLattice.of(board)
     codes = codes_of(str(board.dictionary))[board.first_marker :][: lattice.count]
-    best = _Seen.nothing(lattice)
+    best = _TagCorners.nothing(lattice)
     for seen in _candidates(gray, lattice, codes):
         best = max(best, seen, key=lambda one: one.right)
         if seen.right >= ENOUGH and not seen.wrong:
             break
     if not best.right:
-        return Detection.nothing(_reason(gray, board, lattice))
+        return BoardDetection.nothing(_reason(gray, board, lattice))
     if best.wrong > best.right:
         layout = f"{board.columns} x {board.rows}"
-        return Detection.nothing(f"most tags are not where a board of {layout} tags has them; is it of another size?")
-    return _measured(samples or Samples(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
+        return BoardDetection.nothing(
+            f"most tags are not where a board of {layout} tags has them; is it of another size?"
+        )
+    return _measured(samples or MaskedImage(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
-def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_Seen]:
+def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_TagCorners]:
     """Yield what is seen of the board from each group of tags whose bits are certain."""
     for outlines in quadrilaterals(gray):
         groups = most_legible(gray, codes, tag_groups(outlines.corners, 1 + lattice.gap))
@@ -117,7 +119,7 @@ def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_See
                 yield _verified(gray, lattice, codes, _settled(gray, lattice, start.grid, outlines.off_px))
 
 
-def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _Seen:
+def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _TagCorners:
     """Return the corners that are seen near those of some tags, and from them on as far as the board goes.
 
     off_px: how far those of the tags may be off.
@@ -125,8 +127,8 @@ def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _
     looks = _look(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
     crossing = looks.crossing
     if not crossing.any():
-        return _Seen.nothing(lattice)
-    seen = _Seen(np.where(crossing[..., None], looks.grid, np.nan), float(np.median(looks.contrast[crossing])))
+        return _TagCorners.nothing(lattice)
+    seen = _TagCorners(np.where(crossing[..., None], looks.grid, np.nan), float(np.median(looks.contrast[crossing])))
     for _ in range(sum(seen.grid.shape[:2])):
         grown = _grown(gray, lattice, seen)
         if (grown.found == seen.found).all():
@@ -135,7 +137,7 @@ def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _
     return seen
 
 
-def _grown(gray: Array, lattice: TagLattice, seen: _Seen) -> _Seen:
+def _grown(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
     """Return the corners without those that stray, with missing ones that are seen where their neighbours put them."""
     predicted = predict(lattice, seen.grid)
     side = _side(predicted.steps)
@@ -144,17 +146,17 @@ def _grown(gray: Array, lattice: TagLattice, seen: _Seen) -> _Seen:
     missing = np.where(seen.found[..., None], np.nan, predicted.places)
     looks = _look(gray, lattice, missing, predicted, predicted.spread * side)
     new = looks.crossing & (looks.contrast > CONTRAST * seen.contrast)
-    return _Seen(np.where(new[..., None], looks.grid, grid), seen.contrast)
+    return _TagCorners(np.where(new[..., None], looks.grid, grid), seen.contrast)
 
 
-def _look(gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array) -> _Look:
+def _look(gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array) -> _NodeMeasurements:
     """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
 
     off_px: (2 rows, 2 columns) how far the corners may be from them.
     """
     side = _side(predicted.steps)
     where = ((places > -0.5) & (places < np.array(gray.shape[::-1]) - 0.5)).all(axis=-1) & (side > LEAST_SIDE_PX)
-    result = _Look(places.copy(), *np.full((3, *side.shape), np.nan))
+    result = _NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
     if where.any():
         far = bool((off_px[where] > NEAR * WINDOW * side[where]).any())
         seen = look(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
@@ -169,7 +171,7 @@ def _side(steps: Array) -> Array:
     return np.asarray(np.linalg.norm(steps, axis=-2).min(axis=-1))
 
 
-def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _Seen) -> _Seen:
+def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _TagCorners) -> _TagCorners:
     """Return the corners without those of tags whose bits are others, and the numbers of right and of wrong tags.
 
     The bits of a tag are read where its four corners are, or where their neighbours put them.
@@ -182,10 +184,10 @@ def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _Seen) -> _S
     other = (agreement < OTHER) & (agreement != 0)
     hidden = lattice.grid(np.repeat(other, 4).reshape(-1, 4))
     grid = np.where(hidden[..., None], np.nan, seen.grid)
-    return _Seen(grid, seen.contrast, int((agreement > RIGHT).sum()), int(other.sum()))
+    return _TagCorners(grid, seen.contrast, int((agreement > RIGHT).sum()), int(other.sum()))
 
 
-def _measured(samples: Samples, lattice: TagLattice, seen: _Seen, side: int) -> Detection:
+def _measured(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side: int) -> BoardDetection:
     """Return the corners as exactly as the image allows, with their covariance, in the order of their ids.
 
     side: cells across a tag, its border included.
@@ -202,10 +204,12 @@ def _measured(samples: Samples, lattice: TagLattice, seen: _Seen, side: int) -> 
             break
     good = clear(corners) & (corners.noise < LOUD * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast))
     if good.sum() < MIN_CORNERS:
-        return Detection.nothing(f"only {int(good.sum())} corners of tags are clear")
+        return BoardDetection.nothing(f"only {int(good.sum())} corners of tags are clear")
     ids = lattice.ids[known][good]
     order = np.argsort(ids)
-    return Detection(ids=ids[order], pixels=corners.pixels[good][order], covariance=corners.covariance[good][order])
+    return BoardDetection(
+        ids=ids[order], pixels=corners.pixels[good][order], covariance=corners.covariance[good][order]
+    )
 
 
 def _reason(gray: Array, board: Board, lattice: TagLattice) -> str:

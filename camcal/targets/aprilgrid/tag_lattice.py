@@ -42,7 +42,7 @@ class TagLattice:
     @classmethod
     def of(cls, board: Board) -> "TagLattice":
         """Return the lattice of an AprilGrid."""
-        return cls(board.columns, board.rows, board.pitch / float(board.marker or 1.0) - 1)
+        return cls(board.columns, board.rows, board.spacing / float(board.marker or 1.0) - 1)
 
     @property
     def nodes(self) -> Array:
@@ -177,15 +177,15 @@ class Placed:
     score: float
 
 
-def tag_groups(corners: Array, pitch: float) -> list[TagGroup]:
+def tag_groups(corners: Array, spacing: float) -> list[TagGroup]:
     """Return the groups among quadrilaterals at corners (Q, 4, 2) px, clockwise.
 
-    pitch: distance of neighbouring tags, in sides of a tag.
+    spacing: distance of neighbouring tags, in sides of a tag.
     """
     corners = _outermost(corners)
     if not len(corners):
         return []
-    steps, turns = _neighbours(corners, pitch)
+    steps, turns = _neighbours(corners, spacing)
     linked = csr_array(np.abs(steps).any(axis=2).astype(np.int8))
     count, label = connected_components(linked, directed=False)
     links = np.diff(linked.indptr)
@@ -224,16 +224,16 @@ def _outermost(corners: Array) -> Array:
     return np.asarray(corners[~(copies & near_size).any(axis=0)])
 
 
-def _neighbours(corners: Array, pitch: float) -> tuple[Array, Array]:
+def _neighbours(corners: Array, spacing: float) -> tuple[Array, Array]:
     """Return steps (Q, Q, 2) in cells from each tag to its neighbours, 0 to all others, and turns (Q, Q) of frames."""
     middles, sides = _frames(corners)
     back = inverse(sides)[:, None]
-    away = (back @ (middles - middles[:, None])[..., None])[..., 0] / pitch
+    away = (back @ (middles - middles[:, None])[..., None])[..., 0] / spacing
     steps = np.rint(away)
     frames = back @ sides
     angle = np.arctan2(frames[..., 1, 0] - frames[..., 0, 1], frames[..., 0, 0] + frames[..., 1, 1])
     turns = np.rint(angle / (np.pi / 2)).astype(np.intp) % 4
-    near = (np.abs(away - steps).max(axis=2) * pitch < _OFF) & (np.abs(steps).max(axis=2) == 1)
+    near = (np.abs(away - steps).max(axis=2) * spacing < _OFF) & (np.abs(steps).max(axis=2) == 1)
     alike = np.abs(frames - _TURNS[turns]).max(axis=(2, 3)) < _SKEW
     linked = near & alike
     return np.where((linked & linked.T)[..., None], np.nan_to_num(steps), 0.0).astype(np.intp), turns

@@ -23,9 +23,9 @@ from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker.checker import Checker, revisited, settle, trimmed, undisturbed
+from camcal.targets.checker.checker import Checker, revisited, trimmed, undisturbed, verified_corners
 from camcal.targets.checker.proposals import proposals
-from camcal.targets.detection import MIN_CORNERS, Detection
+from camcal.targets.detection import MIN_CORNERS, BoardDetection
 from camcal.targets.markers.families import family_named
 
 WRONG_BITS = 12  # one of so many may be read wrong
@@ -42,7 +42,7 @@ TURNS = (
 
 
 @dataclass(frozen=True)
-class Seat:
+class BoardPlacement:
     """Where a pattern sits on its board: corner (i, j) of the pattern is at turn · (i, j) + (row, column).
 
     legacy: in which of the two patterns of markers. votes: how many markers say so.
@@ -82,7 +82,7 @@ def read_markers(gray: Array, checker: Checker, board: Board) -> Reading:
     """Return the markers of a ChArUco board that are seen between the corners of a pattern in `gray`, (H, W) uint8."""
     words = cells(board.dictionary or "", board.first_marker, (board.rows + 1) * (board.columns + 1) // 2)
     square, corners = bright_squares(checker)
-    share = (board.marker or 0.0) / board.pitch
+    share = (board.marker or 0.0) / board.spacing
     seen, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
     square, seen = square[clear], seen[clear]
     if not len(square):
@@ -94,7 +94,7 @@ def read_markers(gray: Array, checker: Checker, board: Board) -> Reading:
     return Reading(square[known], marker[known], turn[known], mirrored)
 
 
-def seat(reading: Reading, board: Board, legacies: Sequence[bool]) -> Seat | None:
+def seat(reading: Reading, board: Board, legacies: Sequence[bool]) -> BoardPlacement | None:
     """Return where a pattern sits on a ChArUco board by its markers, None where they are too few or at odds."""
     seats = [one for one in (_elected(reading, board, legacy) for legacy in legacies) if one]
     most = max((one.votes for one in seats), default=0)
@@ -175,7 +175,7 @@ def nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
     return marker, turn, differ[np.arange(len(best)), best]
 
 
-def _elected(reading: Reading, board: Board, legacy: bool) -> Seat | None:
+def _elected(reading: Reading, board: Board, legacy: bool) -> BoardPlacement | None:
     """Return the place that most markers put the pattern in, None if they are at odds."""
     home = marker_squares(board, legacy=legacy)[reading.marker]
     turned = np.einsum("sij,sj->si", np.array(TURNS)[reading.turn], reading.square - 0.5)
@@ -184,7 +184,7 @@ def _elected(reading: Reading, board: Board, legacy: bool) -> Seat | None:
     if not ranked or ranked[0][1] < LEAST_VOTES or (len(ranked) > 1 and ranked[0][1] < MAJORITY * ranked[1][1]):
         return None
     (turn, row, column), votes = ranked[0]
-    return Seat(turn, row, column, legacy, votes)
+    return BoardPlacement(turn, row, column, legacy, votes)
 
 
 def marker_squares(board: Board, *, legacy: bool) -> Array:
@@ -215,7 +215,7 @@ def require_markers(board: Board) -> None:
     family_named(name).require(board.first_marker, (board.columns + 1) * (board.rows + 1) // 2)
 
 
-def find_charuco(gray: Array, board: Board) -> Detection:
+def find_charuco(gray: Array, board: Board) -> BoardDetection:
     """Return the corners of a ChArUco board in `gray`, (H, W) uint8, or the reason why there are none.
 
     A board whose `legacy` is None is looked for in both patterns, and the one that more markers speak for is taken.
@@ -223,7 +223,7 @@ def find_charuco(gray: Array, board: Board) -> Detection:
     """
     require_markers(board)
     legacies = _legacies(board)
-    best, refused = Detection.nothing(f"no marker of {board.dictionary} found"), 0
+    best, refused = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
     for copy in proposals(gray):
         parts = [_part(gray, start, board, legacies) for start in copy]
         grid = _joined(parts, board)
@@ -232,8 +232,8 @@ def find_charuco(gray: Array, board: Board) -> Detection:
             if closest and closest.markers > max(refused, LEAST_VOTES - 1) and not best.found:
                 best, refused = _reason(closest), closest.markers
             continue
-        checker = revisited(gray, settle(gray, grid, clearance(board)), clearance(board))
-        seen = Detection.of(undisturbed(gray, checker, clearance(board)))
+        checker = revisited(gray, verified_corners(gray, grid, clearance(board)), clearance(board))
+        seen = BoardDetection.of(undisturbed(gray, checker, clearance(board)))
         best = max(best, seen, key=lambda detection: len(detection.ids))
         if len(best.ids) >= ENOUGH * board.count:
             break
@@ -246,7 +246,7 @@ class _Part:
 
     checker: Checker
     reading: Reading
-    seat: Seat | None
+    seat: BoardPlacement | None
 
     @property
     def markers(self) -> int:
@@ -255,7 +255,7 @@ class _Part:
 
 
 def _part(gray: Array, start: Array, board: Board, legacies: Sequence[bool]) -> _Part:
-    checker = trimmed(settle(gray, start, clearance(board)))
+    checker = trimmed(verified_corners(gray, start, clearance(board)))
     reading = read_markers(gray, checker, board)
     return _Part(checker, reading, seat(reading, board, legacies))
 
@@ -278,12 +278,12 @@ def _joined(parts: list[_Part], board: Board) -> Array | None:
     return grid
 
 
-def _reason(part: _Part) -> Detection:
+def _reason(part: _Part) -> BoardDetection:
     """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
     if mirrored > count:
-        return Detection.nothing("the image is mirrored: its markers can be read only from behind")
-    return Detection.nothing(f"{count} markers, but not where this board has them")
+        return BoardDetection.nothing("the image is mirrored: its markers can be read only from behind")
+    return BoardDetection.nothing(f"{count} markers, but not where this board has them")
 
 
 def clearance(board: Board) -> float:
@@ -319,7 +319,7 @@ def ends_after(gray: Array, board: Board, rows: int, ids: Array, pixels: Array) 
     gray: (H, W) uint8. ids (N,), pixels (N, 2): its corners. False also where the edge is not in the image.
     """
     size = gray.shape[1], gray.shape[0]
-    places = board.points()[:, :2] / board.pitch
+    places = board.points()[:, :2] / board.spacing
     if len(ids) < MIN_CORNERS or np.ptp(places[ids], axis=0).min() < 1:
         return False
     seen = map_of(places[ids], pixels, size, rough=True)

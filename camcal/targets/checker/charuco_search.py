@@ -29,7 +29,7 @@ from camcal.targets.checker.charuco import (
     read_bits,
     rows_seen,
 )
-from camcal.targets.checker.checker import Checker, settle, trimmed
+from camcal.targets.checker.checker import Checker, trimmed, verified_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.markers.families import family_named
 
@@ -77,7 +77,7 @@ class CharucoLayout:
 
     def board(self, like: Board) -> Board:
         """Return the board, with the square of `like`, and its dictionary and its marker where these fit as well."""
-        ratio = (like.marker or 0.0) / like.pitch
+        ratio = (like.marker or 0.0) / like.spacing
         marker = like.marker if abs(ratio - self.ratio) <= _SAME_RATIO else _rounded(self.ratio, like.square)
         plain = like.legacy is None or self.rows % 2
         return Board(
@@ -128,7 +128,7 @@ def _layouts(gray: Array, start: Array, first: int) -> Sequence[CharucoLayout]:
 
     They are of one dictionary and have the same votes: one, or two where a column out of sight leaves a choice.
     """
-    checker = trimmed(settle(gray, start, _CLEARANCE))
+    checker = trimmed(verified_corners(gray, start, _CLEARANCE))
     square, corners = bright_squares(checker)
     ratio = _marker_ratio(gray, corners, checker.contrast)
     if ratio is None:

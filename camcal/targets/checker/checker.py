@@ -62,7 +62,7 @@ class Checker:
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _NodeMeasurements:
     """What is seen at the nodes of a grid (rows, columns), NaN where nobody looked.
 
     contrast: gray levels, its sign changed on every other node so that a checker pattern has one sign.
@@ -79,7 +79,7 @@ class _Look:
         return np.asarray((self.agreement > AGREEMENT) & (self.moved < limit))
 
 
-def settle(gray: Array, start: Array, clearance: float = CLEARANCE) -> Checker:
+def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) -> Checker:
     """Return the verified corners near the starts (rows, columns, 2), NaN where a detector proposes none.
 
     gray: (H, W) uint8. clearance: how far from an edge, in steps, an image shows nothing but squares. The corners are
@@ -196,10 +196,10 @@ def undisturbed(gray: Array, checker: Checker, clearance: float = CLEARANCE) -> 
     return grid
 
 
-def _look(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> _Look:
+def _look(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> _NodeMeasurements:
     """Return what is seen near the nodes `where` (rows, columns) of a grid; far: the corners may be steps/2 away."""
     shape = grid.shape[:2]
-    result = _Look(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
+    result = _NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
     if not where.any():
         return result
     steps = grids.steps(grid)[where]
@@ -261,7 +261,7 @@ def look(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf, *,
     from the nearer edge, in steps, samples may lie. far: the corner may be half a step away.
     """
     for limit in (*FAR, *NEAR) if far else NEAR:
-        pixels = _approached(gray, pixels, steps, clearance, limit)
+        pixels = _refined(gray, pixels, steps, clearance, limit)
     return glance(gray, pixels, steps, clearance)
 
 
@@ -279,7 +279,7 @@ def glance(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf) 
     return Looks(pixels, -score * stencil.peak[best], agreement)
 
 
-def _approached(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:
+def _refined(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:
     """Return the corners nearer to where they are, by a few rounds with one reach."""
     stencil, frames = _stencil_for(steps, clearance, limit)
     for _ in range(ROUNDS):

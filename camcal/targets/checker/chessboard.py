@@ -18,9 +18,9 @@ from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_types import dotted_squares
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker.checker import SIDE, Checker, extended, settle, trimmed, undisturbed
+from camcal.targets.checker.checker import SIDE, Checker, extended, trimmed, undisturbed, verified_corners
 from camcal.targets.checker.proposals import proposals
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 MIN_PROPOSED = 0.5  # of a proposal's corners; one of which the image bears out fewer is a mistake
 MIN_SHARE = 0.75  # of the board's corners
@@ -29,15 +29,15 @@ SMALLER = 0.25  # of the area of such a part: a picture of a board, on a screen 
 LEAST_PART = 3  # corners each way of a part of a board; fewer may be anything
 
 
-def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Detection:
+def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> BoardDetection:
     """Return the corners of a chessboard in `gray`, (H, W) uint8, or the reason why there are none.
 
     Up to a quarter of the corners may be hidden, but on each side of the board most must be seen: they say where it
     ends. partial: any part of the board will do that shows which part it is, by dots or by where the board ends.
     """
-    best, most, area = Detection.nothing("no chessboard found"), 0, 0.0
+    best, most, area = BoardDetection.nothing("no chessboard found"), 0, 0.0
     for start in chain.from_iterable(proposals(gray)):
-        checker = settle(gray, start)
+        checker = verified_corners(gray, start)
         if checker.found.sum() < MIN_PROPOSED * (~np.isnan(start[..., 0])).sum():
             continue
         checker = trimmed(checker)
@@ -54,13 +54,13 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Dete
     return best
 
 
-def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Detection:
+def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> BoardDetection:
     """Return the corners of a pattern if it is the board, or a part of it where that is enough, else what it is."""
     whole = sorted(checker.grid.shape[:2]) == sorted((board.rows, board.columns))
     if not whole and (not partial or min(checker.grid.shape[:2]) < LEAST_PART):
         return _part_or_another(gray, checker, board)
     if whole and not partial and checker.found.mean() < MIN_SHARE:
-        return Detection.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
+        return BoardDetection.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
     places = fitting(checker, board)
     if not whole:
         places = ending(gray, checker, places, board)
@@ -68,24 +68,24 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> De
         places = with_dots(gray, checker, places, board)
     grid = numbered(places, checker, board)
     if grid is not None:
-        return Detection.of(undisturbed(gray, Checker(grid, checker.sign, checker.contrast)))
+        return BoardDetection.of(undisturbed(gray, Checker(grid, checker.sign, checker.contrast)))
     if whole and board.dots:
-        return Detection.nothing("the three dots that tell its corners apart are not to be seen")
+        return BoardDetection.nothing("the three dots that tell its corners apart are not to be seen")
     seen = _part_or_another(gray, checker, board)
-    return Detection.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.other)
+    return BoardDetection.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.other)
 
 
-def _part_or_another(gray: Array, checker: Checker, board: Board) -> Detection:
+def _part_or_another(gray: Array, checker: Checker, board: Board) -> BoardDetection:
     """Return what a pattern of another size than the board is."""
     rows, columns = checker.grid.shape[:2]
     size = max(rows, columns), min(rows, columns)  # it does not say which are its rows
     other = board.of_size(*size)
     seen, wanted = f"{size[0]} x {size[1]}", f"{board.columns} x {board.rows}"
     if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
-        return Detection.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
+        return BoardDetection.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
     if _leaves(gray, checker.grid):
-        return Detection.nothing(f"board partly outside the image ({seen} corners in sight)")
-    return Detection.nothing(f"only {seen} of {wanted} corners in sight", other)
+        return BoardDetection.nothing(f"board partly outside the image ({seen} corners in sight)")
+    return BoardDetection.nothing(f"only {seen} of {wanted} corners in sight", other)
 
 
 def _leaves(gray: Array, pattern: Array) -> bool:

@@ -22,7 +22,7 @@ from camcal.targets.board_types import grid_points, staggered
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.circles.blobs import Ellipses, find_ellipses, lattices, places
 from camcal.targets.circles.disc_fit import DiscFits, fit_discs, projected_centres
-from camcal.targets.detection import MIN_CORNERS, Detection
+from camcal.targets.detection import MIN_CORNERS, BoardDetection
 
 MIN_PROPOSED = 0.5  # of the board's circles, for the others to be looked for
 LEAST_OTHER = 9  # circles of a grid that is worth a word; fewer may be anything
@@ -36,7 +36,7 @@ _NOISE = 4.0  # times the median over the board: more of it is something that li
 _NOISE_FLOOR = 2.0  # gray levels
 
 
-def find_circles(gray: Array, board: Board) -> Detection:
+def find_circles(gray: Array, board: Board) -> BoardDetection:
     """Return the circles of a board in `gray`, (H, W) uint8, or the reason why there are none.
 
     Up to a quarter of the circles may be hidden, but on each side of the board most must be seen: they say where it
@@ -56,7 +56,7 @@ def find_circles(gray: Array, board: Board) -> Detection:
                 return seen
             unclear = seen
     if unclear or largest is None or largest.count < LEAST_OTHER:
-        return unclear or Detection.nothing(f"no {board.words} found")
+        return unclear or BoardDetection.nothing(f"no {board.words} found")
     return largest.detection(gray, board)
 
 
@@ -72,25 +72,25 @@ def _proposals(gray: Array) -> Iterator[Ellipses]:
                 yield find_ellipses(copy, size // share | 1, bright=bright).enlarged(1 / scale)
 
 
-def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> Detection:
+def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> BoardDetection:
     """Return the dots of a board fitted to the image; those that the lattice lacks are looked for too."""
     height, width = gray.shape
     start = _completed(board, lattice, ellipses, (width, height))
     fits = fit_discs(gray, start)
     good = _good(fits)
     if good.sum() < MIN_SHARE * board.count:
-        return Detection.nothing(f"only {int(good.sum())} of {board.count} circles are clear")
-    points = board.points()[good, :2] / board.pitch
-    radius = None if board.diameter is None else board.diameter / board.pitch / 2
+        return BoardDetection.nothing(f"only {int(good.sum())} of {board.count} circles are clear")
+    points = board.points()[good, :2] / board.spacing
+    radius = None if board.diameter is None else board.diameter / board.spacing / 2
     pixels = projected_centres(fits.ellipses.take(good), points, radius, (width, height))
-    return Detection(ids=np.flatnonzero(good), pixels=pixels, covariance=fits.covariance[good])
+    return BoardDetection(ids=np.flatnonzero(good), pixels=pixels, covariance=fits.covariance[good])
 
 
 def _completed(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:
     """Return the ellipses (count,) of all dots of a board in the order of their ids, of some as the others tell."""
     index = lattice[tuple(nodes(board).T)]
     known = index >= 0
-    points = board.points()[:, :2] / board.pitch
+    points = board.points()[:, :2] / board.spacing
     centres, axes = ellipses.centres[index], ellipses.axes[index]
     if not known.all():
         near = KDTree(points[known]).query(points[~known], k=4)[1]
@@ -226,20 +226,22 @@ class OtherGrid:
             found.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
         return max(found, key=lambda grid: grid.count)
 
-    def detection(self, gray: Array, board: Board) -> Detection:
+    def detection(self, gray: Array, board: Board) -> BoardDetection:
         """Return why the grid in an image (H, W) uint8 is not the board, and which board it is."""
         other, wanted = board_of(self.drawn, self.like), f"{board.columns} x {board.rows}"
         if self.like.type == ASYMMETRIC_CIRCLES and _checkered(gray, self.count):
-            return Detection.nothing(f"a checker pattern in sight, no {board.words}")
+            return BoardDetection.nothing(f"a checker pattern in sight, no {board.words}")
         size = gray.shape[1], gray.shape[0]
         beyond = self._next(size)
         if self._leaves(beyond, size):
-            return Detection.nothing(f"board partly outside the image ({self.count} circles in sight, not {wanted})")
+            return BoardDetection.nothing(
+                f"board partly outside the image ({self.count} circles in sight, not {wanted})"
+            )
         if other is None or self.count < _FILLED * other.count or not self.whole or self._goes_on(beyond):
-            return Detection.nothing(f"a part of a grid in sight ({self.count} circles), not {wanted}")
+            return BoardDetection.nothing(f"a part of a grid in sight ({self.count} circles), not {wanted}")
         kind = "an asymmetric grid" if other.type == ASYMMETRIC_CIRCLES else "a grid"
         seen = f"{other.columns} x {other.rows}"
-        return Detection.nothing(f"{kind} of {seen} circles in sight, not {wanted}", other)
+        return BoardDetection.nothing(f"{kind} of {seen} circles in sight, not {wanted}", other)
 
     def _next(self, size: tuple[int, int]) -> tuple[Array, ...]:
         """Return where the next circles beyond each side would be (K, 2) px, nothing where that is unknown."""

@@ -157,21 +157,21 @@ class _Discs:
     """The fits of N dots, for the solver: minus the logarithms of the posterior probabilities of states (N, 11), whose
     noise is what the residuals say.
 
-    precision: (11,) of the priors, about zero. freedom: (N,) degrees of freedom of the residuals.
+    precision: (11,) of the priors, about zero. dof: (N,) degrees of freedom of the residuals.
     """
 
     samples: RimSamples
     precision: Array
-    freedom: Array
+    dof: Array
 
     def linearise(self, states: Array, which: Array) -> Models:
         """Return the models at states (W, 11) of the dots `which` (W,); ellipses that are too thin are outside."""
         possible = np.linalg.eigvalsh(axes_of(states))[:, 0] > _THINNEST
         states = np.where(possible[:, None], states, _POSSIBLE)
         residuals, jacobian = _evaluate(states, self.samples.take(which))
-        freedom = self.freedom[which]
-        variance = (residuals**2).sum(axis=1, dtype=np.float64) / freedom + ROUNDING
-        cost = 0.5 * (freedom * (1 + np.log(variance / ROUNDING)) + states**2 @ self.precision)
+        dof = self.dof[which]
+        variance = (residuals**2).sum(axis=1, dtype=np.float64) / dof + ROUNDING
+        cost = 0.5 * (dof * (1 + np.log(variance / ROUNDING)) + states**2 @ self.precision)
         normal = (jacobian @ jacobian.swapaxes(1, 2)).astype(np.float64) / variance[:, None, None]
         slopes = (jacobian @ residuals[..., None])[..., 0].astype(np.float64) / variance[:, None]
         gradient = states * self.precision - slopes
@@ -185,12 +185,12 @@ class _Discs:
 
     def squares(self, states: Array, cost: Array) -> Array:
         """Return the sums of squared residuals (N,) of states with these costs."""
-        logarithms = (2 * cost - states**2 @ self.precision) / self.freedom - 1
-        return np.asarray(ROUNDING * self.freedom * np.expm1(logarithms))
+        logarithms = (2 * cost - states**2 @ self.precision) / self.dof - 1
+        return np.asarray(ROUNDING * self.dof * np.expm1(logarithms))
 
     def variance(self, squares: Array) -> Array:
         """Return the variance (N,) of the noise of one pixel."""
-        return np.asarray(squares / self.freedom + ROUNDING)
+        return np.asarray(squares / self.dof + ROUNDING)
 
 
 def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from camcal.targets.board_map import map_of
 from camcal.targets.board_types import TAG_BORDER, dotted_squares
 from camcal.targets.corners.cells import CROWDED, LONGEST_PX, Beside, Cells
 from camcal.targets.corners.refine import RefinedCorners, refine
-from camcal.targets.detection import MIN_CORNERS, Detection, Samples
+from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
 from camcal.targets.markers.families import family_named
 from camcal.targets.pattern import DOT
 
@@ -31,7 +31,7 @@ _BENT_PX = 0.03  # that an edge may be off by where it ends
 _ROUNDS = 3  # where corners are so close that each is seen in its neighbours' pictures
 
 
-def measure(samples: Samples, board: Board, detection: Detection) -> Detection:
+def measure(samples: MaskedImage, board: Board, detection: BoardDetection) -> BoardDetection:
     """Return what was seen of a board of crossing edges with its corners measured; those that are none are left out.
 
     detection: its corners are good to half a pixel or so.
@@ -42,7 +42,7 @@ def measure(samples: Samples, board: Board, detection: Detection) -> Detection:
     blur = blur_of(values, pixels)
     near = refine(values, pixels, _cells(board, ids, pixels, values, blur)[0].narrow(), blur, sites, _NEAR_PX)
     if not near.settled.any():
-        return Detection.nothing("no clear corners")
+        return BoardDetection.nothing("no clear corners")
     # What a board that leaves its pattern open, or that is printed inverted, has before its first corner
     first = 1 if np.nansum(near.contrast * signs(board)[ids]) >= 0 else -1
     corners = near
@@ -83,15 +83,15 @@ def _cells(
     return cells, float(np.clip(step * np.sqrt(_BENT_PX / max(left, 1e-9)), _NEAR_PX, LONGEST_PX))
 
 
-def _detection(ids: Array, corners: RefinedCorners, near: RefinedCorners) -> Detection:
+def _detection(ids: Array, corners: RefinedCorners, near: RefinedCorners) -> BoardDetection:
     """Return the corners that are clear, by a near look at them where the whole of their cells does not fit."""
     good, fallback = clear(corners), clear(near)
     kept = good | fallback
     if kept.sum() < MIN_CORNERS:
-        return Detection.nothing(f"only {int(kept.sum())} clear corners")
+        return BoardDetection.nothing(f"only {int(kept.sum())} clear corners")
     pixels = np.where(good[:, None], corners.pixels, near.pixels)
     covariance = np.where(good[:, None, None], corners.covariance, near.covariance)
-    return Detection(ids=ids[kept], pixels=pixels[kept], covariance=covariance[kept])
+    return BoardDetection(ids=ids[kept], pixels=pixels[kept], covariance=covariance[kept])
 
 
 def clear(corners: RefinedCorners) -> Array:
@@ -134,19 +134,19 @@ class BoardEdges:
         """
         if board.type == APRILGRID:
             return _of_tags(board)
-        if not board.crossed:
+        if not board.has_saddle_corners:
             raise InvalidInput(f"no edges cross at the points of a {board.words}")
         sign = first_sign(board) if first is None else first
         depth = bright_depths((board.rows, board.columns), sign, margin(board))
         for row, column in dotted_squares(board.columns, board.rows) if board.dots else ():
             for after_row, after_column in product((0, 1), repeat=2):
                 depth[row - after_row, column - after_column, after_column, after_row] = 1 / 2 - DOT
-        return cls(board.pitch, np.ones((board.count, 2, 2)), depth.reshape(-1, 2, 2))
+        return cls(board.spacing, np.ones((board.count, 2, 2)), depth.reshape(-1, 2, 2))
 
 
 def margin(board: Board) -> float:
     """Return how far from its edges a bright square shows nothing, in squares: 1 unless a ChArUco marker is in it."""
-    return 1.0 if board.marker is None or not board.checker else (1 - board.marker / board.pitch) / 2
+    return 1.0 if board.marker is None or not board.checker else (1 - board.marker / board.spacing) / 2
 
 
 def first_sign(board: Board) -> int:
@@ -180,7 +180,7 @@ def bright_depths(shape: tuple[int, int], sign: int, margin: float) -> Array:
 
 def _of_tags(board: Board) -> BoardEdges:
     side = float(board.marker or 0.0)
-    gap = (board.pitch - side) / side
+    gap = (board.spacing - side) / side
     after = np.tile(np.array([(1, 1), (0, 1), (0, 0), (1, 0)]), (board.columns * board.rows, 1))  # where the tag lies
     reach, in_tag = tag_reach(after, gap)
     cells = family_named(str(board.dictionary)).bits + 2 * TAG_BORDER
@@ -211,7 +211,7 @@ def seen_cells(
     next ones are looked for only where it may bring them into the picture. first: see BoardEdges.of.
     """
     edges = BoardEdges.of(board, first)
-    look = _Look(points, edges.length, project)
+    look = _BoardSteps(points, edges.length, project)
     middle, *ends = look.at([(0, 0), (-_HALF, 0), (_HALF, 0), (0, -_HALF), (0, _HALF)])
     steps, bends = np.empty((len(points), 2, 2)), np.empty((len(points), 2))
     for edge in (0, 1):
@@ -226,7 +226,7 @@ def seen_cells(
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _BoardSteps:
     """Points (N, 3) of a board, the length of steps from them, and what takes points of the board to pixels."""
 
     points: Array
@@ -240,7 +240,7 @@ class _Look:
         return self.project(places.reshape(-1, 3)).reshape(len(steps), -1, 2)
 
 
-def _seen_beside(board: Board, ids: Array, middle: Array, look: _Look) -> Beside:
+def _seen_beside(board: Board, ids: Array, middle: Array, look: _BoardSteps) -> Beside:
     """Return the edges beside those of a checker pattern's corners at pixels `middle` (N, 2)."""
     row, column = np.divmod(ids, board.columns)
     ends = ((row, board.rows - 1), (column, board.columns - 1))
@@ -280,7 +280,7 @@ class Expected:
         object.__setattr__(self, "signs", readonly(self.signs, (count,), "signs"))
 
 
-def look_again(samples: Samples, view: Detection, expected: Expected) -> Detection:
+def look_again(samples: MaskedImage, view: BoardDetection, expected: Expected) -> BoardDetection:
     """Return a view of a board that has been calibrated with, its corners measured again and those that were missed
     added; as it was where none is seen again. Corners that the model does not bear out, along the edges that are
     expected, are left out.

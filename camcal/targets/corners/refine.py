@@ -214,11 +214,11 @@ def _evaluate(window: CellWindow, scene: _Scene, states: Array) -> tuple[Array, 
 
 def _result(fit: Minima, corners: _Corners, start: Array, cells: Cells, rounding: float) -> RefinedCorners:
     states = fit.states
-    freedom = corners.window.used.sum(axis=1) - _COUNT
-    variance = np.maximum(2 * fit.cost / np.maximum(freedom, 1), rounding)
+    dof = corners.window.used.sum(axis=1) - _COUNT
+    variance = np.maximum(2 * fit.cost / np.maximum(dof, 1), rounding)
     step = np.linalg.norm(cells.steps, axis=1).min(axis=1)
     near = np.linalg.norm(states[:, _PIXELS] - start, axis=1) < _FURTHEST * step
-    settled = corners.resting(fit) & near & (freedom > _COUNT)
+    settled = corners.resting(fit) & near & (dof > _COUNT)
     inverse = np.linalg.inv(fit.models.normal)[:, _OFFSETS, _OFFSETS]
     to_pixels = np.linalg.inv(_normals(states))
     covariance = to_pixels @ inverse @ to_pixels.swapaxes(1, 2) * variance[:, None, None]

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.geometry.homography import through
+from camcal.geometry.homography import apply_homography
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber
@@ -70,7 +70,7 @@ def straight(entries: Array, places: Array) -> Straight:
 def places_of(entries: Array, pixels: Array) -> Array:
     """Return the places (K, 2), as u, v, that a homography (8,) puts at pixels (K, 2)."""
     inverse = np.linalg.inv(np.append(entries, 1.0).reshape(3, 3))
-    return through(inverse, pixels)
+    return apply_homography(inverse, pixels)
 
 
 def bends_of(entries: Array, places: Array, middle: Array, radius: float) -> Array:

@@ -89,14 +89,14 @@ _QUIET = 0.25  # width of the white around a board, of its pitch
 class Ink:
     """The black of a board, in millimetres from its upper left corner, y down; see `Page` for outlines and discs.
 
-    size: width and height of the board. pitch: of its squares, tags or circles. quiet: width of the white that belongs
-    around it. finest: width of the smallest thing that is to be told apart.
+    size: width and height of the board. spacing: of its squares, tags or circles. quiet: width of the white
+    that belongs around it. finest: width of the smallest thing that is to be told apart.
     """
 
     size: tuple[float, float]
     outlines: tuple[Array, ...]
     discs: Array
-    pitch: float
+    spacing: float
     quiet: float
     finest: float
 
@@ -119,11 +119,11 @@ def ink_of(board: Board) -> Ink:
     pattern, reach = pattern_of(board), ink_reach(board)
     width, height = (round((side + 2 * reach) * MM, 6) for side in board.extent)
     x, y, black = (pattern.x + reach) * MM, (pattern.y + reach) * MM, pattern.ink == BLACK
-    if board.inward < 0:  # y points up
+    if board.z_sign < 0:  # y points up
         y, black = height - y[::-1], black[::-1]
     discs = (pattern.discs + np.array([reach, reach, 0, 0])) * [MM, MM, MM, 1]
-    pitch = board.pitch * MM
-    return Ink((width, height), outlines(x, y, black), discs, pitch, _QUIET * pitch, _finest(pattern) * MM)
+    spacing = board.spacing * MM
+    return Ink((width, height), outlines(x, y, black), discs, spacing, _QUIET * spacing, _finest(pattern) * MM)
 
 
 def _finest(pattern: Pattern) -> float:
@@ -306,15 +306,15 @@ def _composed(ink: Ink, footer: Footer, paper: Paper, margin: float) -> Page:
 def _too_large(ink: Ink, footer: Footer, sheet: Sheet) -> str:
     """Return what is wrong with the size of a board, and what would fit."""
     paper = sheet.paper or SERIES[-1]
-    rooms = [_room(footer, way, sheet.margin) for way in ways(paper, sheet.landscape)]
-    if all(width < footer.ruler_width for width, _ in rooms):
+    printable = [_room(footer, way, sheet.margin) for way in ways(paper, sheet.landscape)]
+    if all(width < footer.ruler_width for width, _ in printable):
         return f"{paper.described()} has no room for a ruler of {RULER_MM} mm; use --no-ruler or wider paper"
     width, height = ink.bordered
-    share, room = max((min(room[0] / width, room[1] / height), room) for room in rooms)
+    share, room = max((min(room[0] / width, room[1] / height), room) for room in printable)
     needed, given = (f"{size[0]:g} x {size[1]:g} mm" for size in (ink.bordered, room))
-    pitch = math.floor(10 * ink.pitch * share) / 10
+    spacing = math.floor(10 * ink.spacing * share) / 10
     advice = [f"--paper {name}" for name in _enough(ink, footer, sheet)]
-    advice += [f"{pitch:g} mm in place of {ink.pitch:g} mm"] if pitch > 0 else []
+    advice += [f"{spacing:g} mm in place of {ink.spacing:g} mm"] if spacing > 0 else []
     return (
         f"the board takes {needed} with its white border, {paper.name} has {given} between margins of "
         f"{sheet.margin:g} mm and above the footer: use {', or '.join(advice) or 'a smaller margin'}"

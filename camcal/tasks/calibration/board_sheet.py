@@ -121,14 +121,14 @@ def _footer(board: Board, *, ruler: bool) -> Footer:
 
 def _lengths(board: Board) -> str:
     """Return the lengths of a board in words."""
-    pitch, marker, diameter = (_mm(length or 0.0) for length in (board.square, board.marker, board.diameter))
+    spacing, marker, diameter = (_mm(length or 0.0) for length in (board.square, board.marker, board.diameter))
     if board.type == CHESSBOARD:
-        return f"squares of {pitch}"
+        return f"squares of {spacing}"
     if board.type == CHARUCO:
-        return f"squares of {pitch}, markers of {marker}, {board.dictionary}"
+        return f"squares of {spacing}, markers of {marker}, {board.dictionary}"
     if board.type == APRILGRID:
-        return f"tags of {marker}, {pitch} from tag to tag, {board.dictionary}"
-    return f"{'rows ' if board.type == ASYMMETRIC_CIRCLES else ''}{pitch} apart, diameter {diameter}"
+        return f"tags of {marker}, {spacing} from tag to tag, {board.dictionary}"
+    return f"{'rows ' if board.type == ASYMMETRIC_CIRCLES else ''}{spacing} apart, diameter {diameter}"
 
 
 def _mm(metres: float) -> str:

@@ -7,14 +7,14 @@ from camcal.errors import InvalidInput
 from camcal.formats import boards, detections
 from camcal.options import given_words
 from camcal.progress import Progress
+from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import AS_IMAGES, Reading
-from camcal.raw.photograph import read_photograph
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import BEST_FRAMES, DetectOptions, FrameOptions
-from camcal.tasks.calibration.video_frames import Film, FrameRecord
+from camcal.tasks.calibration.video_frames import FrameRecord, Video
 
 DETECTION_SUFFIXES = (".csv", ".vnl")
 
@@ -23,7 +23,7 @@ DETECTION_SUFFIXES = (".csv", ".vnl")
 class BoardViews:
     """The board, its detections, remarks on them, and the images that could not be read.
 
-    frames: what became of the frames of videos. films: these videos. table: whether all comes from a detections file.
+    frames: what became of the frames of videos. videos: these videos. table: whether all comes from a detections file.
     """
 
     board: Board
@@ -31,7 +31,7 @@ class BoardViews:
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     frames: tuple[FrameRecord, ...] = ()
-    films: tuple[Film, ...] = ()
+    videos: tuple[Video, ...] = ()
     table: bool = False
 
 
@@ -93,7 +93,7 @@ def board_views(
         notes=report.notes,
         failed=report.failed,
         frames=report.frames,
-        films=report.films,
+        videos=report.videos,
     )
 
 
@@ -102,6 +102,6 @@ def _size_beside(table: Path, image: str) -> tuple[int, int]:
     candidates = [folder / image for folder in (table.parent, Path())]
     for path in candidates:
         if path.is_file():
-            height, width = read_photograph(path).gray.shape
+            height, width = read_detection_image(path).gray.shape
             return width, height
     raise InvalidInput(f"has no image size and {image} is not there: pass --image-size WxH", where=str(table))

@@ -21,20 +21,27 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, Noise, ProjectionStd, ValidRegion, Verdict
+from camcal.formats.camera_file import (
+    CalibrationNoise,
+    CalibrationVerdict,
+    CameraEntry,
+    CameraFile,
+    ProjectionStd,
+    ValidRegion,
+)
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
-from camcal.raw.photograph import COLOURS
+from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, contenders_data, uncertainty_data, view_record
 from camcal.run.paths import find_media, refuse_overwriting, split_address
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
+from camcal.tasks.calibration.corner_refinement import refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.calibration.second_look import second_look
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 
@@ -93,7 +100,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     )
     looks_again = _looks_again(options, seen)
     how = replace(how, named_groups=name_groups([view.image for view in seen.detections.views]))
-    seen = seen if seen.table else replace(seen, detections=with_circle(seen.detections, seen.films, options.reading))
+    seen = seen if seen.table else replace(seen, detections=with_circle(seen.detections, seen.videos, options.reading))
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
@@ -153,8 +160,8 @@ def _require_outputs(options: CalibrateOptions) -> None:
 def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
     """Return whether the images are to be looked at once more. Raises InvalidInput if they should and cannot be."""
     if options.refine is None:
-        return seen.board.crossed and not seen.table
-    if options.refine and not seen.board.crossed:
+        return seen.board.has_saddle_corners and not seen.table
+    if options.refine and not seen.board.has_saddle_corners:
         raise InvalidInput(f"--refine measures corners along their edges, which no {seen.board.words} has")
     if options.refine and seen.table:
         raise InvalidInput("--refine measures corners in images once more: name the images, not a detections file")
@@ -169,7 +176,7 @@ def _refined(
     A second look that a calibration cannot be made from leaves the first one as it is.
     """
     views = seen.detections.views
-    look = second_look(calibration, views, seen.films, options.reading, options.jobs, progress)
+    look = refine_corners(calibration, views, seen.videos, options.reading, options.jobs, progress)
     better = replace(seen, detections=replace(seen.detections, views=look.views))
     progress.start("solving again", None)
     try:
@@ -184,7 +191,7 @@ def _refined(
     return better, again, f"Corner refinement with the calibrated lens: {found}; {noise}"
 
 
-def _channel(calibration: Calibration, colour: str, views: Sequence[Detection]) -> Channel:
+def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetection]) -> Channel:
     try:
         lens = fit_colour(calibration, views, colour)
     except (InsufficientData, NotConverged) as error:
@@ -235,8 +242,8 @@ def camera_file(
         valid=ValidRegion.of(calibration.camera, circle),
         projection=(ProjectionStd.of(uncertainty),),
         quality=quality_figures(calibration),
-        noise=Noise(calibration.sigma_px, calibration.freedom, calibration.model_error_px),
-        verdict=Verdict(advice.trustworthy, advice.reasons),
+        noise=CalibrationNoise(calibration.sigma_px, calibration.degrees_of_freedom, calibration.model_error_px),
+        verdict=CalibrationVerdict(advice.trustworthy, advice.reasons),
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,
     )

@@ -11,8 +11,8 @@ from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.images.save import save
 from camcal.progress import SILENT, Progress, values_of
+from camcal.raw.detection_image import is_raw, read_detection_image
 from camcal.raw.options import AS_IMAGES, Reading
-from camcal.raw.photograph import is_raw, read_photograph
 from camcal.report.overlays import corner_overlay
 from camcal.run.fanout import fan_out
 from camcal.run.paths import (
@@ -26,13 +26,13 @@ from camcal.run.paths import (
 )
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.image_circle_of_views import circle_notes, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import (
-    Film,
     FrameRecord,
+    Video,
     as_data,
     detect_frame,
     require_names,
@@ -64,14 +64,14 @@ class DetectReport:
     """The detections with the board as it turned out to be, remarks, and the images that could not be read.
 
     frames: what became of the frames of videos that were searched; those that are taken are among the detections.
-    films: where they come from. pictures: those drawn.
+    videos: where they come from. pictures: those drawn.
     """
 
     detections: Detections
     notes: tuple[str, ...]
     failed: tuple[str, ...]
     frames: tuple[FrameRecord, ...] = ()
-    films: tuple[Film, ...] = ()
+    videos: tuple[Video, ...] = ()
     pictures: tuple[Path, ...] = ()
 
     @property
@@ -93,18 +93,18 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     require_colours(asked, options.reading)
     media = _media(options)
     _require_outputs(options, media)
-    films = [survey(video, options.frames, progress) for video in media.videos]
-    material = Material(media.images, films, options.reading, options.jobs, progress)
+    videos = [survey(video, options.frames, progress) for video in media.videos]
+    material = Material(media.images, videos, options.reading, options.jobs, progress)
     board = arranged(asked, material) if asked.type == CHARUCO else asked
     seen, errors = _seen(media.images, board, options, progress)
-    framed, lost = _in_films(films, board, options, progress)
-    errors += [*(film.error for film in films if film.error is not None), *lost]
+    framed, lost = _in_videos(videos, board, options, progress)
+    errors += [*(video.error for video in videos if video.error is not None), *lost]
     found = [*seen, *framed]
     _require_readable(found, errors)
     instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
     nothing = nothing_found(found, board, parts=options.parts)
     if error := instead.error(found, asked) if instead else nothing:
-        _drawn(seen, films, options, progress)  # here the reasons are wanted most
+        _drawn(seen, videos, options, progress)  # here the reasons are wanted most
         raise error
     size = usual_size(found)
     records = settled(framed, board, size, options.frames)
@@ -114,7 +114,7 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     mixed = (MIXED,) if any(view.colours and not is_raw(Path(view.image), options.reading) for view in seen) else ()
     result = Detections(board, views)
     if options.output is not None:
-        result = with_circle(result, films, options.reading)
+        result = with_circle(result, videos, options.reading)
         detections.write(options.output, result)
     return DetectReport(
         result,
@@ -123,12 +123,12 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
             *sized.notes,
             *circle_notes(result.circles.get("")),
             *mixed,
-            *(summary(film, records) for film in films),
+            *(summary(video, records) for video in videos),
         ),
         failed=tuple(map(str, errors)),
         frames=records,
-        films=tuple(films),
-        pictures=_drawn(sized.in_files(before), films, options, progress),
+        videos=tuple(videos),
+        pictures=_drawn(sized.in_files(before), videos, options, progress),
     )
 
 
@@ -139,12 +139,12 @@ def _board(options: DetectOptions) -> Board:
 
 
 def _drawn(
-    views: Sequence[Detection], films: Sequence[Film], options: DetectOptions, progress: Progress
+    views: Sequence[BoardDetection], videos: Sequence[Video], options: DetectOptions, progress: Progress
 ) -> tuple[Path, ...]:
     if options.draw is None:
         return ()
-    outputs = pictures([view.image for view in views], [film.path for film in films], options.draw)
-    return draw(views, outputs, films, options.reading, options.jobs, progress)
+    outputs = pictures([view.image for view in views], [video.path for video in videos], options.draw)
+    return draw(views, outputs, videos, options.reading, options.jobs, progress)
 
 
 def _media(options: DetectOptions) -> Media:
@@ -168,7 +168,7 @@ def _require_outputs(options: DetectOptions, media: Media) -> None:
         pictures([path.as_posix() for path in media.images], inputs, options.draw)
 
 
-def _require_readable(views: Sequence[Detection], errors: Sequence[CamcalError]) -> None:
+def _require_readable(views: Sequence[BoardDetection], errors: Sequence[CamcalError]) -> None:
     """Raise what kept everything from being read, if something did."""
     if not views:
         raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
@@ -176,7 +176,7 @@ def _require_readable(views: Sequence[Detection], errors: Sequence[CamcalError])
 
 def _seen(
     images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress
-) -> tuple[list[Detection], list[CamcalError]]:
+) -> tuple[list[BoardDetection], list[CamcalError]]:
     """Return what images show, and why others could not be read."""
     work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True)
     tasks = [(path, board) for path in images]
@@ -185,16 +185,16 @@ def _seen(
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
 
 
-def _in_films(
-    films: Sequence[Film], board: Board, options: DetectOptions, progress: Progress
-) -> tuple[list[Detection], list[CamcalError]]:
-    """Return what the frames of films show that are searched, and why others could not be."""
-    views: list[Detection] = []
+def _in_videos(
+    videos: Sequence[Video], board: Board, options: DetectOptions, progress: Progress
+) -> tuple[list[BoardDetection], list[CamcalError]]:
+    """Return what the frames of videos show that are searched, and why others could not be."""
+    views: list[BoardDetection] = []
     errors: list[CamcalError] = []
-    for film in films:
+    for video in videos:
         # one outcome after another: each holds its frame
         work = partial(detect_frame, parts=options.parts)
-        for outcome in search(work, film.tasks([board]), options.jobs, f"detecting in {film.path.name}", progress):
+        for outcome in search(work, video.tasks([board]), options.jobs, f"detecting in {video.path.name}", progress):
             views += [outcome.value] if outcome.value else []
             errors += [outcome.error] if outcome.error else []
     return views, errors
@@ -227,7 +227,7 @@ def document(report: DetectReport, output: Path | None) -> dict[str, Any]:
 class _Sheet:
     """A picture to be made of a view; gray: of a frame of a video, None for an image that is to be read."""
 
-    view: Detection
+    view: BoardDetection
     output: Path
     gray: Array | None = None
 
@@ -247,34 +247,34 @@ def pictures(images: Sequence[str], inputs: Sequence[Path], folder: Path) -> dic
 
 
 def draw(
-    views: Sequence[Detection],
+    views: Sequence[BoardDetection],
     outputs: Mapping[str, Path],
-    films: Sequence[Film],
+    videos: Sequence[Video],
     reading: Reading,
     jobs: int | None,
     progress: Progress,
 ) -> tuple[Path, ...]:
     """Return the pictures that were written, one for each view; raises FileError if one cannot be."""
-    sheets = _sheets(views, outputs, films)
+    sheets = _sheets(views, outputs, videos)
     written = values_of(fan_out(partial(_draw, reading=reading), sheets, jobs=jobs, what="drawing", progress=progress))
     for folder in {path.parent for path in written}:
         record_outputs(folder, [path.name for path in written if path.parent == folder])
     return tuple(written)
 
 
-def _sheets(views: Sequence[Detection], outputs: Mapping[str, Path], films: Sequence[Film]) -> Iterator[_Sheet]:
-    """Yield what is to be drawn: images first, then the frames of one film after another."""
-    names = frozenset(name for film in films for name in film.names)
-    filmed = {view.image: view for view in views if view.image in names}
+def _sheets(views: Sequence[BoardDetection], outputs: Mapping[str, Path], videos: Sequence[Video]) -> Iterator[_Sheet]:
+    """Yield what is to be drawn: images first, then the frames of one video after another."""
+    names = frozenset(name for video in videos for name in video.names)
+    from_videos = {view.image: view for view in views if view.image in names}
     for view in views:
-        if view.image not in filmed:
+        if view.image not in from_videos:
             yield _Sheet(view, outputs[view.image])
-    for film in films:
-        for frame in film.only(filmed).frames():
-            yield _Sheet(filmed[frame.name], outputs[frame.name], frame.image.pixels)
+    for video in videos:
+        for frame in video.only(from_videos).frames():
+            yield _Sheet(from_videos[frame.name], outputs[frame.name], frame.image.pixels)
 
 
 def _draw(sheet: _Sheet, reading: Reading) -> Path:
-    gray = sheet.gray if sheet.gray is not None else read_photograph(Path(sheet.view.image), reading).gray
+    gray = sheet.gray if sheet.gray is not None else read_detection_image(Path(sheet.view.image), reading).gray
     save(sheet.output, corner_overlay(gray, sheet.view))
     return sheet.output

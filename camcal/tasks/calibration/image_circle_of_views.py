@@ -9,20 +9,20 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.formats.camera_file import CameraEntry
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
+from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import Reading
-from camcal.raw.photograph import read_photograph
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.mixed_sizes import usual_size
-from camcal.tasks.calibration.video_frames import Film
+from camcal.tasks.calibration.video_frames import Video
 
 
-def with_circle(detections: Detections, films: Sequence[Film], reading: Reading) -> Detections:
+def with_circle(detections: Detections, videos: Sequence[Video], reading: Reading) -> Detections:
     """Return what was found in images of one camera without a name with its image circle, if the images show one.
 
-    films: the videos that frames among the images are from. Some images are read once more, until it is clear that
+    videos: the videos that frames among the images are from. Some images are read once more, until it is clear that
     there is no circle.
     """
-    circle = _measured(detections.views, films, reading)
+    circle = _measured(detections.views, videos, reading)
     return detections if circle is None else replace(detections, circles={"": circle})
 
 
@@ -47,13 +47,13 @@ def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
     return (f"image circle of radius {circle.radius:.1f} px around ({x:.1f}, {y:.1f})",)
 
 
-def _measured(views: Sequence[Detection], films: Sequence[Film], reading: Reading) -> ImageCircle | None:
+def _measured(views: Sequence[BoardDetection], videos: Sequence[Video], reading: Reading) -> ImageCircle | None:
     """Return the image circle that images show, None if they show none or points of a board lie outside of it."""
     size = usual_size(views)
     names = [view.image for view in views if view.size == size]
     names = [names[index] for index in evenly_spaced(len(names), MOST_IMAGES)]
     search = ImageCircleSearch()
-    for gray in _images(names, films, reading):
+    for gray in _images(names, videos, reading):
         if gray.shape[::-1] != size:  # of the file; the view was made to fit
             continue
         search.add(gray)
@@ -65,22 +65,22 @@ def _measured(views: Sequence[Detection], films: Sequence[Film], reading: Readin
     return ImageCircle(found.image_size, found.centre, found.radius)
 
 
-def _fits(circle: ImageCircle, views: Sequence[Detection]) -> bool:
+def _fits(circle: ImageCircle, views: Sequence[BoardDetection]) -> bool:
     """Return whether a circle is of images of the usual size, and holds all points that were found in these."""
     size = usual_size(views)
     inside = (circle.contains(view.pixels).all() for view in views if view.size == size)
     return circle.image_size == size and all(inside)
 
 
-def _images(names: Sequence[str], films: Sequence[Film], reading: Reading) -> Iterator[Array]:
-    """Yield the gray images (H, W) of that name that can be read, frames of films last."""
-    filmed = frozenset(name for film in films for name in film.names)
+def _images(names: Sequence[str], videos: Sequence[Video], reading: Reading) -> Iterator[Array]:
+    """Yield the gray images (H, W) of that name that can be read, frames of videos last."""
+    from_videos = frozenset(name for video in videos for name in video.names)
     for name in names:
-        if name in filmed:
+        if name in from_videos:
             continue
         try:
-            yield read_photograph(Path(name), reading).gray
+            yield read_detection_image(Path(name), reading).gray
         except CamcalError:  # gone since
             continue
-    for film in films:
-        yield from (frame.image.pixels for frame in film.only(frozenset(names)).frames())
+    for video in videos:
+        yield from (frame.image.pixels for frame in video.only(frozenset(names)).frames())

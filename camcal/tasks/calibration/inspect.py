@@ -92,8 +92,8 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     if entry.quality:
         yield "fit " + _figures(entry.quality)
     if entry.noise is not None:
-        freedom = entry.noise.degrees_of_freedom
-        yield f"noise {entry.noise.sigma_px:.3g} px" + (f" ({freedom} degrees of freedom)" if freedom else "")
+        dof = entry.noise.degrees_of_freedom
+        yield f"noise {entry.noise.sigma_px:.3g} px" + (f" ({dof} degrees of freedom)" if dof else "")
     for item in entry.projection:
         yield projection_words(item.figures, item.range_m)
     if entry.sensor:

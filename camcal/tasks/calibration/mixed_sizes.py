@@ -23,7 +23,7 @@ from camcal.targets.detection import (
     CLOCKWISE,
     COUNTER_CLOCKWISE,
     TURNED,
-    Detection,
+    BoardDetection,
     PixelMap,
     Size,
     pixel_map,
@@ -45,23 +45,23 @@ class SameSize:
     maps: for the images that were made to fit, by name. notes: what was done with images of other sizes, a line each.
     """
 
-    views: tuple[Detection, ...]
+    views: tuple[BoardDetection, ...]
     maps: Mapping[str, PixelMap] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def in_files(self, before: Sequence[Detection]) -> tuple[Detection, ...]:
+    def in_files(self, before: Sequence[BoardDetection]) -> tuple[BoardDetection, ...]:
         """Return the views with the pixels of their files; before: as they were before they were made to fit."""
         pairs = zip(before, self.views, strict=True)
         return tuple(old if old.image in self.maps else new for old, new in pairs)
 
 
-def usual_size(views: Sequence[Detection]) -> Size:
+def usual_size(views: Sequence[BoardDetection]) -> Size:
     """Return the size of most views with points, (width, height); (0, 0) if there are none."""
     sizes = Counter(view.size for view in views if view.found)
     return max(sizes, key=lambda size: sizes[size], default=(0, 0))
 
 
-def same_size(views: Sequence[Detection], usual: Size, board: Board, *, mixed: bool | None) -> SameSize:
+def same_size(views: Sequence[BoardDetection], usual: Size, board: Board, *, mixed: bool | None) -> SameSize:
     """Return the views with points in images of the usual size (width, height); of others their points are dropped.
 
     mixed: images of half or twice the size, turned by 90 degrees, or a pixel or two off are used all the same; None is
@@ -83,7 +83,7 @@ def same_size(views: Sequence[Detection], usual: Size, board: Board, *, mixed: b
     return SameSize(tuple(result), maps, _notes(others, maps, usual, mixed=mixed))
 
 
-def _differs(view: Detection, usual: Size) -> str:
+def _differs(view: BoardDetection, usual: Size) -> str:
     """Return in words that a view is of another size, and how the sizes are related if they are."""
     words = f"image {_words(view.size)} differs from the majority {_words(usual)}"
     related = size_relation(view.size, usual) is not None
@@ -95,7 +95,7 @@ def _words(size: Size) -> str:
 
 
 def _notes(
-    others: Sequence[Detection], maps: Mapping[str, PixelMap], usual: Size, *, mixed: bool | None
+    others: Sequence[BoardDetection], maps: Mapping[str, PixelMap], usual: Size, *, mixed: bool | None
 ) -> tuple[str, ...]:
     """Return a line for every size that is related to the usual one: whether its images are used, and their names."""
     named: dict[tuple[bool, Size], list[str]] = defaultdict(list)
@@ -113,7 +113,7 @@ def _notes(
 
 
 def _maps(
-    views: Sequence[Detection], others: Sequence[Detection], usual: Size, board: Board
+    views: Sequence[BoardDetection], others: Sequence[BoardDetection], usual: Size, board: Board
 ) -> tuple[dict[str, PixelMap], dict[str, str]]:
     """Return the maps of images that can be used, and why other ones cannot although their sizes are related."""
     turned = [view for view in others if size_relation(view.size, usual) == TURNED]
@@ -137,7 +137,7 @@ def _maps(
     return maps, reasons
 
 
-def _calibrated(views: Sequence[Detection], board: Board) -> tuple[Calibration | None, str]:
+def _calibrated(views: Sequence[BoardDetection], board: Board) -> tuple[Calibration | None, str]:
     """Return the calibration of the usual views that leaves the least noise, or why there is none."""
     shape = ShapeOptions(smooth=True, offsets=False)
     found, failure = [], ""
@@ -149,7 +149,7 @@ def _calibrated(views: Sequence[Detection], board: Board) -> tuple[Calibration |
     return min(found, key=lambda calibration: calibration.sigma_px, default=None), failure
 
 
-def _way(view: Detection, usual: Size, lens: Calibration) -> PixelMap | str:
+def _way(view: BoardDetection, usual: Size, lens: Calibration) -> PixelMap | str:
     """Return how a turned view becomes one of the usual size by the way that the lens fits, or why that is unclear."""
     from camcal.estimate.pnp import estimate_poses
     from camcal.estimate.poses.records import Correspondences, PoseOptions

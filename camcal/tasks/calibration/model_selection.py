@@ -13,7 +13,7 @@ from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
@@ -32,7 +32,7 @@ class Selection:
 
 
 def select(
-    views: Sequence[Detection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
 ) -> Selection:
     """Return the calibration with the lens model that predicts views best, DEFAULT_MODEL unless another one is clearly
     better; options.model does not matter. circle: the image circle, outside of which no lens need be invertible.
@@ -58,7 +58,7 @@ def select(
     raise failure or NotConverged("no lens model was found")
 
 
-def _compared(views: Sequence[Detection], board: Board, options: intrinsics.Options) -> tuple[Contender, ...]:
+def _compared(views: Sequence[BoardDetection], board: Board, options: intrinsics.Options) -> tuple[Contender, ...]:
     """Return the contenders, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
     wide = [name for name in CANDIDATES if name not in _CONTAINED]
     found = {own.name: own for own in compare_models(views, board, options, [model_named(name) for name in wide])}
@@ -70,7 +70,7 @@ def _compared(views: Sequence[Detection], board: Board, options: intrinsics.Opti
 
 def _without_fold(
     selection: Selection,
-    views: Sequence[Detection],
+    views: Sequence[BoardDetection],
     board: Board,
     options: intrinsics.Options,
     circle: ImageCircle | None,

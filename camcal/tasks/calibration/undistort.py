@@ -16,7 +16,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, Verdict
+from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.load import load
 from camcal.images.options import PINHOLE
@@ -57,7 +57,7 @@ class SourceCamera:
     camera: Camera
     channels: Mapping[str, Camera] = field(default_factory=dict)
     circle: ImageCircle | None = None
-    verdict: Verdict | None = None
+    verdict: CalibrationVerdict | None = None
 
 
 @dataclass(frozen=True, eq=False)

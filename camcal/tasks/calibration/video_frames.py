@@ -1,6 +1,6 @@
 """Frames of videos to find a board in: sharp ones first, of those with the board the ones that tell most of the lens.
 
-A film is read twice. The first time every frame is reduced and its sharpness noted; the sharpest frame of each stretch
+A video is read twice. The first time every frame is reduced and its sharpness noted; the sharpest frame of each stretch
 is then searched for the board at its full size, and `calibrate.frames` chooses among those that show it. No frame is
 kept in memory.
 """
@@ -26,7 +26,7 @@ from camcal.progress import Progress
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import edge_blur
 from camcal.targets.detect import SEED, detect
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.options import FrameOptions
 
 COLUMNS = ("frame", "corners", "blur px", "motion px", "order", "reason")
@@ -43,7 +43,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Film:
+class Video:
     """A video, how many frames it has, the numbers of those to be searched, in order, and what ended it too early."""
 
     path: Path
@@ -72,12 +72,12 @@ class Film:
         for frame in self.frames():
             yield from ((frame.name, frame, board) for board in boards)
 
-    def sample(self) -> "Film":
-        """Return the film with a few of its frames to be searched."""
+    def sample(self) -> "Video":
+        """Return the video with a few of its frames to be searched."""
         return replace(self, numbers=self.numbers[:: -(-len(self.numbers) // _SAMPLE) or 1])
 
-    def only(self, names: Container[str]) -> "Film":
-        """Return the film with those of its frames that have these names."""
+    def only(self, names: Container[str]) -> "Video":
+        """Return the video with those of its frames that have these names."""
         numbers = zip(self.numbers, self.names, strict=True)
         return replace(self, numbers=tuple(number for number, name in numbers if name in names))
 
@@ -86,7 +86,7 @@ class Film:
 class FrameRecord:
     """What became of a frame that was searched, why, and the figures behind it: see `calibrate.frames.FrameChoice`."""
 
-    view: Detection
+    view: BoardDetection
     taken: bool
     reason: str
     choice: FrameChoice | None = None
@@ -101,7 +101,7 @@ def require_names(videos: Sequence[Path]) -> None:
             raise InvalidInput(f"its frames would have the names of those of {other.name}; rename one", where=str(path))
 
 
-def survey(path: Path, options: FrameOptions, progress: Progress) -> Film:
+def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
     """Return a video with the frames to be searched: the sharpest one of each of LOOKS · most stretches, or all."""
     progress.start(f"surveying {path.name}", None)
     sharpness: list[float] = []
@@ -119,7 +119,7 @@ def survey(path: Path, options: FrameOptions, progress: Progress) -> Film:
     finally:
         progress.finish()
     kept = numbers if options.whole else _sharpest(numbers, sharpness, LOOKS * options.most)
-    return Film(path, count, tuple(kept), error)
+    return Video(path, count, tuple(kept), error)
 
 
 def _sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int) -> list[int]:
@@ -130,7 +130,7 @@ def _sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int
     return [numbers[part[0] + int(np.argmax(np.take(sharpness, part)))] for part in parts]
 
 
-def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> Detection:
+def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> BoardDetection:
     """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial."""
     name, frame, board = task
     gray = frame.image.pixels
@@ -145,7 +145,7 @@ def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> Detecti
 
 
 def settled(
-    views: Sequence[Detection], board: Board, size: tuple[int, int], options: FrameOptions
+    views: Sequence[BoardDetection], board: Board, size: tuple[int, int], options: FrameOptions
 ) -> tuple[FrameRecord, ...]:
     """Return what becomes of every frame that was searched; only those of a size with the board can be taken."""
     usable = [index for index, view in enumerate(views) if view.found and view.size == size]
@@ -162,7 +162,7 @@ def settled(
     return tuple(records)
 
 
-def _refusal(view: Detection, size: tuple[int, int]) -> str:
+def _refusal(view: BoardDetection, size: tuple[int, int]) -> str:
     if not view.found:
         return view.reason or "nothing found"
     if view.size != size:
@@ -170,7 +170,7 @@ def _refusal(view: Detection, size: tuple[int, int]) -> str:
     return ""
 
 
-def _reason(choice: FrameChoice, view: Detection, names: Sequence[str]) -> str:
+def _reason(choice: FrameChoice, view: BoardDetection, names: Sequence[str]) -> str:
     """Return why a frame that shows the board is taken or not."""
     if choice.why == SAME and choice.like is not None:
         return f"like {Path(names[choice.like]).name}"
@@ -182,16 +182,16 @@ def _reason(choice: FrameChoice, view: Detection, names: Sequence[str]) -> str:
     }[choice.why]
 
 
-def summary(film: Film, records: Sequence[FrameRecord]) -> str:
+def summary(surveyed: Video, records: Sequence[FrameRecord]) -> str:
     """Return in a line what became of the frames of a video; records: its own and those of others."""
-    names = frozenset(film.names)
+    names = frozenset(surveyed.names)
     own = [record for record in records if record.view.image in names]
     whys = Counter(record.choice.why for record in own if record.choice is not None)
     words = {SAME: "like these", BLURRED: "blurred", MOVING: "moving fast", SURPLUS: "adding less"}
     others = "".join(f", {whys[why]} {text}" for why, text in words.items() if whys[why])
     taken, found = sum(record.taken for record in own), sum(record.view.found for record in own)
     return (
-        f"{film.path.name}: {taken} of {film.count} frames are taken; {len(own)} were searched, "
+        f"{surveyed.path.name}: {taken} of {surveyed.count} frames are taken; {len(own)} were searched, "
         f"{found} show the board{others}"
     )
 

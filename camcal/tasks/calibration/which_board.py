@@ -17,16 +17,16 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.boards import short_form
 from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress
+from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import Reading
-from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
 from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, is_like, search_charuco
 from camcal.targets.corners.measure import measure
 from camcal.targets.detect import SEED, detect
-from camcal.targets.detection import Detection
-from camcal.tasks.calibration.video_frames import Film, Frame, detect_frame
+from camcal.targets.detection import BoardDetection
+from camcal.tasks.calibration.video_frames import Frame, Video, detect_frame
 
 _UNKNOWN_SIZE = {
     CHESSBOARD: "the size of a square is not given: lengths are in squares",
@@ -54,7 +54,7 @@ Source = TypeVar("Source")
 Shown = TypeVar("Shown")
 
 
-def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[str, ...]:
+def remarks(views: Sequence[BoardDetection], board: Board, stated: Board) -> tuple[str, ...]:
     """Return what a person should know of a set of views, a line each; board: as found, stated: as asked for."""
     notes = []
     if board.columns != stated.columns:
@@ -73,7 +73,7 @@ def remarks(views: Sequence[Detection], board: Board, stated: Board) -> tuple[st
     return tuple(notes)
 
 
-def nothing_found(views: Sequence[Detection], board: Board, *, parts: bool = False) -> InsufficientData | None:
+def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool = False) -> InsufficientData | None:
     """Return the error that says why the board is in no image, None where it is in some.
 
     Images may show other boards instead. One that is larger than the board and in more images than the board means that
@@ -109,7 +109,7 @@ class OtherBoard:
     shown: int
     tried: int
 
-    def error(self, views: Sequence[Detection], asked: Board) -> InsufficientData:
+    def error(self, views: Sequence[BoardDetection], asked: Board) -> InsufficientData:
         """Return the error that says so; views: what was found of the board that was asked for."""
         missing = sum(not view.found for view in views)
         lacking = f"no {asked.words}" + (f" in {missing} of {len(views)} images" if missing else "")
@@ -156,7 +156,7 @@ def _larger(other: Board, board: Board) -> bool:
     return long > longest or short > shortest
 
 
-def _reasons(views: Sequence[Detection]) -> str:
+def _reasons(views: Sequence[BoardDetection]) -> str:
     reason, count = Counter(view.reason for view in views).most_common(1)[0]
     return f" ({count} times: {reason})"
 
@@ -170,7 +170,7 @@ class Material:
     """Images and videos, how they are read, and how many at a time."""
 
     images: Sequence[Path]
-    films: Sequence[Film]
+    videos: Sequence[Video]
     reading: Reading
     jobs: int | None
     progress: Progress
@@ -178,17 +178,17 @@ class Material:
     def of(self, names: Container[str]) -> "Material":
         """Return the images and frames of some names."""
         images = [path for path in self.images if path.as_posix() in names]
-        return replace(self, images=images, films=[film.only(names) for film in self.films])
+        return replace(self, images=images, videos=[video.only(names) for video in self.videos])
 
     def sample(self) -> "Material":
         """Return a few of the images, and a few frames of every video."""
-        return replace(self, images=_spread(self.images), films=[film.sample() for film in self.films])
+        return replace(self, images=_spread(self.images), videos=[video.sample() for video in self.videos])
 
     def sources(self) -> Iterator[tuple[str, Path | Frame]]:
         """Yield the images, then the frames of one video after another, under their names."""
         yield from ((path.as_posix(), path) for path in self.images)
-        for film in self.films:
-            yield from ((frame.name, frame) for frame in film.frames())
+        for video in self.videos:
+            yield from ((frame.name, frame) for frame in video.frames())
 
 
 def _spread(items: Sequence[Item]) -> Sequence[Item]:
@@ -206,15 +206,15 @@ def arranged(asked: Board, material: Material) -> Board:
         tasks = [(path, candidate) for candidate in candidates for path in part.images]
         shown = search(partial(detect_file, reading=reading), tasks, jobs, TRYING, progress)
         corners.update(_counts((outcome.item[1], outcome.value) for outcome in shown if outcome.value))
-        for film in part.films:
-            looks = search(detect_frame, film.tasks(candidates), jobs, TRYING, progress)
+        for video in part.videos:
+            looks = search(detect_frame, video.tasks(candidates), jobs, TRYING, progress)
             corners.update(_counts((outcome.item[2], outcome.value) for outcome in looks if outcome.value))
         if corners.total():
             break
     return max(candidates, key=lambda candidate: corners[candidate])
 
 
-def _counts(views: Iterable[tuple[Board, Detection]]) -> Counter[Board]:
+def _counts(views: Iterable[tuple[Board, BoardDetection]]) -> Counter[Board]:
     """Return how many corners were found with each board."""
     counts: Counter[Board] = Counter()
     for board, view in views:
@@ -222,7 +222,7 @@ def _counts(views: Iterable[tuple[Board, Detection]]) -> Counter[Board]:
     return counts
 
 
-def other_board(asked: Board, board: Board, views: Sequence[Detection], material: Material) -> OtherBoard | None:
+def other_board(asked: Board, board: Board, views: Sequence[BoardDetection], material: Material) -> OtherBoard | None:
     """Return the ChArUco board that images show in place of the one asked for, None if they show no other one.
 
     board: the arrangement of it that was looked for. views: what was found of it. A board that is found in less than
@@ -271,10 +271,12 @@ def _layout_in(task: tuple[str, Path | Frame], reading: Reading, like: Board) ->
 
 
 def _gray(source: Path | Frame, reading: Reading) -> Array:
-    return source.image.pixels if isinstance(source, Frame) else read_photograph(source, reading).gray
+    return source.image.pixels if isinstance(source, Frame) else read_detection_image(source, reading).gray
 
 
-def _with_fewer_rows(asked: Board, board: Board, found: Sequence[Detection], material: Material) -> OtherBoard | None:
+def _with_fewer_rows(
+    asked: Board, board: Board, found: Sequence[BoardDetection], material: Material
+) -> OtherBoard | None:
     """Return the board without the rows that no image shows, None where the images do not show that it ends there."""
     rows = max((rows_seen(board, view.ids) for view in found), default=0)
     if rows in (0, board.rows + 1):
@@ -289,12 +291,14 @@ def _with_fewer_rows(asked: Board, board: Board, found: Sequence[Detection], mat
     return OtherBoard(replace(board, rows=rows - 1, legacy=None if rows % 2 else asked.legacy), shown, len(outcomes))
 
 
-def _ends_in(task: tuple[str, Path | Frame, Detection], reading: Reading, board: Board, rows: int) -> bool:
+def _ends_in(task: tuple[str, Path | Frame, BoardDetection], reading: Reading, board: Board, rows: int) -> bool:
     _, source, view = task
     return ends_after(_gray(source, reading), board, rows, view.ids, view.pixels)
 
 
-def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False, hashed: bool = False) -> Detection:
+def detect_file(
+    task: tuple[Path, Board], reading: Reading, parts: bool = False, hashed: bool = False
+) -> BoardDetection:
     """Return what an image file shows of a board, also in each colour if the reading asks for them; hashed: with the
     hash of the file.
 
@@ -302,18 +306,18 @@ def detect_file(task: tuple[Path, Board], reading: Reading, parts: bool = False,
     """
     path, board = task
     require_cell(path)
-    photograph = read_photograph(path, reading, hashed=hashed)
-    found = detect(photograph.gray, board, partial=parts, samples=photograph.samples)
+    image = read_detection_image(path, reading, hashed=hashed)
+    found = detect(image.gray, board, partial=parts, samples=image.samples)
     colours = {
         colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
-        for colour, samples in photograph.colours.items()
+        for colour, samples in image.colours.items()
     }
     return replace(
         found,
         image=path.as_posix(),
-        orientation=photograph.orientation,
+        orientation=image.orientation,
         colours=colours,
-        sha256=photograph.sha256,
+        sha256=image.sha256,
     )
 
 

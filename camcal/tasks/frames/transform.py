@@ -25,7 +25,7 @@ _CONSISTENT = 27.86  # χ² of 6 degrees of freedom that chance exceeds once in 
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class TransformResult:
     """Transforms, and what each was made of, as one writes it.
 
     exact: names of those without a covariance where others have one.
@@ -38,7 +38,7 @@ class Made:
     loops: tuple[Loop, ...] = ()
 
 
-def chain(options: ChainOptions, progress: Progress = SILENT) -> Made:
+def chain(options: ChainOptions, progress: Progress = SILENT) -> TransformResult:
     """Return target_T_source by way of the fewest transforms.
 
     Raises InvalidInput where the frames are not joined or a loop does not close, FileError.
@@ -53,10 +53,10 @@ def chain(options: ChainOptions, progress: Progress = SILENT) -> Made:
     factors = {link.index: transforms[link.index] for link in links}
     result = _with_covariance((options.target, options.source), graph.along(links), factors)
     write(options.output, [result])
-    return Made((result,), (_product(map(graph.name_of, links)),), _exact(factors, progress), loops)
+    return TransformResult((result,), (_product(map(graph.name_of, links)),), _exact(factors, progress), loops)
 
 
-def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
+def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> TransformResult:
     """Return the product that an expression says; raises InvalidInput if inner frames do not cancel, FileError."""
     require_own(options.output, options.sources)
     transforms: dict[str, NamedTransform] = {}
@@ -68,10 +68,10 @@ def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Made:
     used = {name: item for name, item in transforms.items() if name in product.derived.by}
     result = _with_covariance((product.target, product.source), product.derived, used)
     write(options.output, [result])
-    return Made((result,), (product.text,), _exact(used, progress))
+    return TransformResult((result,), (product.text,), _exact(used, progress))
 
 
-def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
+def compose(options: PosesOptions, progress: Progress = SILENT) -> TransformResult:
     """Return the product of transforms in their order; frames that are not named are taken to fit.
 
     Raises InvalidInput where named frames do not meet, FileError.
@@ -90,19 +90,19 @@ def compose(options: PosesOptions, progress: Progress = SILENT) -> Made:
     ends = (transforms[0].target, transforms[-1].source) if all(item.name for item in transforms) else ("", "")
     result = _with_covariance(ends, derived, factors)
     write(options.output, [result])
-    return Made((result,), (_product(item.called for item in transforms),), _exact(factors, progress))
+    return TransformResult((result,), (_product(item.called for item in transforms),), _exact(factors, progress))
 
 
-def invert(options: PosesOptions, _: Progress = SILENT) -> Made:
+def invert(options: PosesOptions, _: Progress = SILENT) -> TransformResult:
     """Return the inverse of every transform; raises InvalidInput, FileError."""
     require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form))
     inverses = tuple(item.inverse() for item in transforms)
     write(options.output, inverses)
-    return Made(inverses, tuple(f"inv({item.called})" for item in transforms))
+    return TransformResult(inverses, tuple(f"inv({item.called})" for item in transforms))
 
 
-def document(made: Made, output: Output) -> dict[str, Any]:
+def document(made: TransformResult, output: Output) -> dict[str, Any]:
     """Return transforms and what they were made of as plain data for --json."""
     return {
         "transforms": [plain(transform, output.numbers) for transform in made.transforms],

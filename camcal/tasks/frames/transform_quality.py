@@ -78,7 +78,7 @@ def average_document(averaged: Averaged, output: Output) -> dict[str, Any]:
         "weighted": averaged.weighted,
         "unique": mean.unique,
         "chi_square": mean.chi_square,
-        "degrees_of_freedom": mean.freedom,
+        "degrees_of_freedom": mean.degrees_of_freedom,
         "estimates": [
             {"name": item.name or None, "where": item.where, "weight": weight, "offset_m": offset, "angle_deg": angle}
             for item, weight, offset, angle in zip(
@@ -100,10 +100,12 @@ def _require_one_name(estimates: Sequence[NamedTransform]) -> None:
 def _warn(mean: PoseAverage, progress: Progress) -> None:
     if not mean.unique:
         progress.warn(f"rotations lie up to {np.degrees(mean.angles.max()):.0f}° from their mean: there may be another")
-    if mean.chi_square is not None and mean.chi_square > mean.freedom + _FAR * np.sqrt(2 * mean.freedom):
+    if mean.chi_square is not None and mean.chi_square > mean.degrees_of_freedom + _FAR * np.sqrt(
+        2 * mean.degrees_of_freedom
+    ):
         progress.warn(
             f"the estimates differ more than their covariances say (χ² = {mean.chi_square:.4g}, "
-            f"{mean.freedom} degrees of freedom); with --equal the covariance follows from how they scatter"
+            f"{mean.degrees_of_freedom} degrees of freedom); with --equal the covariance follows from how they scatter"
         )
 
 

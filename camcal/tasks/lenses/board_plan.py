@@ -113,7 +113,7 @@ def _least_square(board: Board) -> float:
     bits = family_named(board.dictionary).bits
     if board.type == APRILGRID:
         return _CELL_PX * (bits + 2 * TAG_BORDER)
-    return _CELL_PX * (bits + 2) * board.pitch / board.marker
+    return _CELL_PX * (bits + 2) * board.spacing / board.marker
 
 
 def _upright(board: Board, setup: Setup) -> Board:
@@ -126,7 +126,7 @@ def _upright(board: Board, setup: Setup) -> Board:
 
 def _element(board: Board) -> float:
     """Return the side of a square or tag, or the step from circle to circle, m."""
-    return board.marker or board.pitch if board.type == APRILGRID else board.pitch
+    return board.marker or board.spacing if board.type == APRILGRID else board.spacing
 
 
 def _sides(board: Board, pixels: Array) -> Array:
@@ -163,12 +163,12 @@ class _Held:
 
     def pose(self, distance: float) -> Pose:
         """Return camera_T_board with the board's centre in the middle of the image, at a distance along the axis."""
-        upright = np.diag([1.0, self.board.inward, self.board.inward])
+        upright = np.diag([1.0, self.board.z_sign, self.board.z_sign])
         return Pose(so3.about_y(self.tilt) @ upright, distance * self._middle)
 
     def share(self, distance: float) -> float:
         """Return the share of the image's width or height that the board takes, inf outside the lens's domain."""
-        reach = np.array(self.board.extent) / 2 + _BORDER * self.board.pitch
+        reach = np.array(self.board.extent) / 2 + _BORDER * self.board.spacing
         corners = np.array([[x, y, 0.0] for x in np.linspace(-1, 1, 9) for y in (-1, 0, 1)]) * [*reach, 0.0]
         projection = self.camera.project(self.pose(distance).apply(corners))
         if not projection.valid.all():

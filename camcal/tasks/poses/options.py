@@ -48,7 +48,7 @@ def or_auto(needed: str) -> ValueType:
 
 
 @dataclass(frozen=True)
-class Looking(OptionsRecord):
+class DetectionOptions(OptionsRecord):
     """What is looked for, and how: a board (file or short form) or tags (file or short form).
 
     board_shape: take the board as the camera file says it is, not as drawn. scale: fit the camera to resized images.
@@ -188,7 +188,7 @@ class PnpOptions(OptionsRecord):
             metavar="IMAGES…|DETECTIONS",
         ),
     ] = ()
-    looking: Looking = field(default_factory=Looking)
+    detection: DetectionOptions = field(default_factory=DetectionOptions)
     rig: Annotated[
         Path | None,
         Option(

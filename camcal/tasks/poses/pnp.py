@@ -26,7 +26,7 @@ from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_observer import Observer, draw, joined, seen_by_rig, sheets, videos_in
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
-from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
+from camcal.tasks.poses.pnp_views import Observation, PnpViews, seen_by
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +90,16 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
 
 
 def _check(options: PnpOptions) -> None:
-    looking = options.looking
+    detection = options.detection
     if options.points is None and not options.seen:
         raise InvalidInput("nothing to work on: give --points FILE, or images with --board BOARD or --tags TAGS")
-    if options.points is not None and (options.seen or looking.board or looking.tags):
+    if options.points is not None and (options.seen or detection.board or detection.tags):
         raise InvalidInput("--points has its own points; leave --board, --tags and the images out")
-    if options.points is not None and looking.scale:
+    if options.points is not None and detection.scale:
         raise InvalidInput("--scale-intrinsics goes by the size of images, which a file of points does not have")
     if options.rig and (options.name or split_address(options.camera_file)[1]):
         raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
-    if looking.board and looking.tags:
+    if detection.board and detection.tags:
         raise InvalidInput("a run looks for --board or for --tags, not for both")
     if options.noise_px is not None and options.noise_scale is not None:
         raise InvalidInput(
@@ -124,25 +124,25 @@ def _observer(options: PnpOptions, file: CameraFile) -> Observer:
     return Observer.of_camera(entry.camera, entry.noise)
 
 
-def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: Progress) -> tuple[Observer, Seen]:
+def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: Progress) -> tuple[Observer, PnpViews]:
     """Return what was seen, and the observer with its cameras as they are for images of this size."""
-    rig, looking = observer.rig, options.looking
+    rig, detection = observer.rig, options.detection
     if options.points is not None:
         sizes = {name: camera.image_size for name, camera in rig.cameras.items()} if rig else None
         seen = _seen_points(correspondences.read(options.points, sizes or observer.cameras[None].image_size))
         return observer, replace(seen, observations=joined(seen.observations))
     if rig is not None:
-        rig, seen = seen_by_rig(rig, file, options.seen, looking, progress)
+        rig, seen = seen_by_rig(rig, file, options.seen, detection, progress)
         return observer.resized(dict(rig.cameras.items()), rig), seen
     name = split_address(options.camera_file)[1] or options.name
-    camera, seen = seen_by(observer.cameras[None], name, file, options.seen, looking, progress)
+    camera, seen = seen_by(observer.cameras[None], name, file, options.seen, detection, progress)
     return observer.resized({None: camera}, None), seen
 
 
-def _seen_points(read: correspondences.PointViews) -> Seen:
+def _seen_points(read: correspondences.PointViews) -> PnpViews:
     pairs = zip(read.views, read.ids, strict=True)
     observations = tuple(Observation(Sight(view.image), (view,), (ids,)) for view, ids in pairs)
-    return Seen(observations, spread="stated" if read.absolute else "relative")
+    return PnpViews(observations, spread="stated" if read.absolute else "relative")
 
 
 def _is_inverse(pose: str | None, frame: str) -> bool:
@@ -166,7 +166,9 @@ def _settings(options: PnpOptions) -> PoseOptions:
     )
 
 
-def _with_noise(options: PnpOptions, observer: Observer, seen: Seen, settings: PoseOptions) -> tuple[Seen, PoseOptions]:
+def _with_noise(
+    options: PnpOptions, observer: Observer, seen: PnpViews, settings: PoseOptions
+) -> tuple[PnpViews, PoseOptions]:
     """Return what was seen with the covariances that count, and the settings with the noise."""
     noise, scale = (None if value == "auto" else value for value in (options.noise_px, options.noise_scale))
     relative = seen.has_covariances and seen.spread == "relative"
@@ -187,7 +189,7 @@ def _with_noise(options: PnpOptions, observer: Observer, seen: Seen, settings: P
 def _poses(
     options: PnpOptions,
     observer: Observer,
-    seen: Seen,
+    seen: PnpViews,
     found: Mapping[Sight, PoseEstimate],
     refused: Mapping[Sight, CamcalError],
 ) -> Poses:
@@ -201,12 +203,12 @@ def _poses(
         if each.sight in found
     }
     scale = some.noise_scale if seen.has_covariances and seen.spread != "relative" else None
-    noise = PixelNoise(typical_sigma(list(found.values())), scale, some.freedom)
+    noise = PixelNoise(typical_sigma(list(found.values())), scale, some.degrees_of_freedom)
     missing = {**seen.nothing, **{sight: error.message for sight, error in refused.items()}}
     return Poses(f"{observer.frame}_T_object", seen.unit, noise, records, missing)
 
 
-def _why_no_pose(seen: Seen, refused: Mapping[Sight, CamcalError]) -> CamcalError:
+def _why_no_pose(seen: PnpViews, refused: Mapping[Sight, CamcalError]) -> CamcalError:
     if refused:
         sight, error = next(iter(refused.items()))
         return type(error)(error.message, where=str(sight))
@@ -217,7 +219,7 @@ def _why_no_pose(seen: Seen, refused: Mapping[Sight, CamcalError]) -> CamcalErro
 
 def _warnings(
     observer: Observer,
-    seen: Seen,
+    seen: PnpViews,
     found: Mapping[Sight, PoseEstimate],
     observations: Sequence[Observation],
     settings: PoseOptions,
@@ -252,7 +254,7 @@ def _drawn(
         for key, posed in observer.posed(observations[sight], estimate, words).items():
             objects.setdefault(key, []).append(posed)
     folders = [path.parent for path in (*options.paths, options.points) if path is not None]
-    return draw(sheets(objects, options.draw), videos_in(options.paths), folders, options.looking.jobs, progress)
+    return draw(sheets(objects, options.draw), videos_in(options.paths), folders, options.detection.jobs, progress)
 
 
 def document(report: PnpReport) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
-from camcal.formats.camera_file import CameraFile, Noise
+from camcal.formats.camera_file import CalibrationNoise, CameraFile
 from camcal.formats.poses.record import Sight
 from camcal.geometry.pose import Pose
 from camcal.images.load import gray_8bit
@@ -24,13 +24,13 @@ from camcal.images.save import save
 from camcal.images.video import frame_name, frames
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress, values_of
-from camcal.raw.photograph import read_photograph
+from camcal.raw.detection_image import read_detection_image
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs, refuse_collisions, refuse_overwriting
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
-from camcal.tasks.poses.options import Looking
-from camcal.tasks.poses.pnp_views import Observation, Seen, seen_by
+from camcal.tasks.poses.options import DetectionOptions
+from camcal.tasks.poses.pnp_views import Observation, PnpViews, seen_by
 
 CAMERA = "camera"
 SYNTAX = "give CAMERA=IMAGES for each camera, such as left=photos/left right=photos/right"
@@ -38,7 +38,7 @@ _SUFFIX = "_pose.png"
 _BLANK = 110  # gray level where the image itself is not there
 
 
-def _known(noise: Mapping[Any, Noise | None]) -> dict[str | None, float]:
+def _known(noise: Mapping[Any, CalibrationNoise | None]) -> dict[str | None, float]:
     """Return the model errors by camera, of the cameras that have one."""
     return {name: each.model_error_px for name, each in noise.items() if each and each.model_error_px}
 
@@ -58,13 +58,13 @@ class Observer:
     model_errors_px: Mapping[str | None, float] = field(default_factory=dict)
 
     @classmethod
-    def of_camera(cls, camera: Camera, noise: Noise | None = None) -> "Observer":
+    def of_camera(cls, camera: Camera, noise: CalibrationNoise | None = None) -> "Observer":
         """Return an observer that is one camera; noise: of its calibration."""
         errors = _known({None: noise})
         return cls(CAMERA, {None: camera}, noise_px=noise.sigma_px if noise else None, model_errors_px=errors)
 
     @classmethod
-    def of_rig(cls, rig: Rig, frame: str, noise: Mapping[str, Noise | None]) -> "Observer":
+    def of_rig(cls, rig: Rig, frame: str, noise: Mapping[str, CalibrationNoise | None]) -> "Observer":
         """Return an observer that is a rig; noise: of the calibrations of its cameras."""
         return cls(frame, dict(rig.cameras.items()), rig, model_errors_px=_known(noise))
 
@@ -123,8 +123,8 @@ class Observer:
 
 
 def seen_by_rig(
-    rig: Rig, file: CameraFile, inputs: tuple[str, ...], looking: Looking, progress: Progress
-) -> tuple[Rig, Seen]:
+    rig: Rig, file: CameraFile, inputs: tuple[str, ...], detection: DetectionOptions, progress: Progress
+) -> tuple[Rig, PnpViews]:
     """Return what images, videos or detections files show of a board or of tags to the cameras of a rig.
 
     The rig comes first, with its cameras as they are for images of this size. inputs: CAMERA=PATH for each camera, or
@@ -133,7 +133,7 @@ def seen_by_rig(
     Raises InvalidInput for other inputs, for two images of a camera at one instant and for units that differ.
     """
     given = _by_camera(inputs, list(rig.cameras))
-    found = {name: seen_by(rig.cameras[name], name, file, paths, looking, progress) for name, paths in given.items()}
+    found = {name: seen_by(rig.cameras[name], name, file, paths, detection, progress) for name, paths in given.items()}
     fitted = {**rig.cameras, **{name: camera for name, (camera, _) in found.items()}}
     seen = {name: each for name, (_, each) in found.items()}
     units = {each.unit for each in seen.values()}
@@ -145,7 +145,7 @@ def seen_by_rig(
     if len(seen) > 1 and together and not any(len(each.views) > 1 for each in together):
         alone = f"no two cameras saw an object at one instant, such as {together[0].sight}"
         progress.warn(f"{alone}; images of one instant have one name but for that of the camera")
-    return replace(rig, cameras=fitted), Seen(
+    return replace(rig, cameras=fitted), PnpViews(
         together,
         units.pop(),
         nothing={sight: reason for each in seen.values() for sight, reason in each.nothing.items()},
@@ -185,11 +185,11 @@ def _by_camera(inputs: tuple[str, ...], names: Sequence[str]) -> dict[str, tuple
     return found
 
 
-def _sights(seen: Seen) -> list[Sight]:
+def _sights(seen: PnpViews) -> list[Sight]:
     return [*(observation.sight for observation in seen.observations), *seen.nothing, *seen.refused]
 
 
-def _by_instant(camera: str, seen: Seen, inputs: tuple[str, ...], single: bool) -> list[Observation]:
+def _by_instant(camera: str, seen: PnpViews, inputs: tuple[str, ...], single: bool) -> list[Observation]:
     """Return what a camera saw by the name of the instant; single: there is one image of every camera."""
     videos = [Path(text).stem for text in inputs if Path(text).suffix.lower() in VIDEO_SUFFIXES]
     found: dict[Sight, Observation] = {}
@@ -293,7 +293,7 @@ def _draw(work: _Work) -> Path:
     width, height = work.sheet.objects[0].camera.image_size
     gray = work.gray
     if gray is None and work.source is not None:
-        gray = read_photograph(work.source).gray
+        gray = read_detection_image(work.source).gray
     if gray is None or gray.shape != (height, width):
         gray = np.full((height, width), _BLANK, np.uint8)
     save(work.sheet.output, overlay(gray, work.sheet.objects))

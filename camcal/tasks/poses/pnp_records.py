@@ -145,14 +145,13 @@ def of_noise(
     calibrated_px: what the camera file says of it.
     """
     estimate = estimates[0]
-    if estimate.freedom is None:
+    if estimate.degrees_of_freedom is None:
         return _of_given_noise(estimates, observations)
-    if estimate.freedom >= _LITTLE:
+    if estimate.degrees_of_freedom >= _LITTLE:
         return []
     known = f"; the camera was calibrated with {calibrated_px:.2g} px" if calibrated_px else ""
-    little = (
-        f"the noise is estimated from {estimate.freedom} degrees of freedom only, and the standard deviations with it"
-    )
+    dof = estimate.degrees_of_freedom
+    little = f"the noise is estimated from {dof} degrees of freedom only, and the standard deviations with it"
     return [f"{little}; give --noise if it is known{known}"]
 
 
@@ -161,9 +160,9 @@ def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Ob
 
     pairs = list(zip(estimates, observations, strict=True))
     squares = sum(float(squared(each.residuals, observation)[each.inliers].sum()) for each, observation in pairs)
-    freedom = sum(2 * each.used - 6 for each in estimates)
-    times = np.sqrt(squares / max(freedom, 1)) / estimates[0].noise_scale
-    if times < _TOO_LARGE or chi2.sf(freedom * times**2, max(freedom, 1)) > _UNLIKELY:
+    dof = sum(2 * each.used - 6 for each in estimates)
+    times = np.sqrt(squares / max(dof, 1)) / estimates[0].noise_scale
+    if times < _TOO_LARGE or chi2.sf(dof * times**2, max(dof, 1)) > _UNLIKELY:
         return []
     return [f"the residuals are {times:.2g} times as large as the noise that is given: less is certain than they say"]
 

@@ -17,13 +17,13 @@ from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import Sight
 from camcal.images.video import frames
 from camcal.progress import Progress
-from camcal.raw.photograph import read_photograph
+from camcal.raw.detection_image import read_detection_image
 from camcal.run.paths import find_media
 from camcal.targets.board import Board
-from camcal.targets.detection import Detection
+from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
-from camcal.tasks.poses.options import Looking
+from camcal.tasks.poses.options import DetectionOptions
 from camcal.tasks.poses.tag_views import board_frames, tag_views
 
 ADVICE = "; if the images were resized, not cropped, give --scale-intrinsics"
@@ -47,7 +47,7 @@ class Observation:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class PnpViews:
     """What is there to work on, the unit of its points, images that show nothing, and what is wrong with others.
 
     spread: where the pixels' covariances come from, if they have any: they were "detected" with the pixels, "stated" by
@@ -67,15 +67,20 @@ class Seen:
         """Whether any pixel came with one."""
         return any(view.covariance is not None for each in self.observations for view in each.views)
 
-    def alike(self) -> "Seen":
+    def alike(self) -> "PnpViews":
         """Return the same with pixels that are all known equally well."""
         alike = (replace(each, views=tuple(view.alike() for view in each.views)) for each in self.observations)
         return replace(self, observations=tuple(alike))
 
 
 def seen_by(
-    camera: Camera, name: str | None, file: CameraFile, inputs: tuple[str, ...], looking: Looking, progress: Progress
-) -> tuple[Camera, Seen]:
+    camera: Camera,
+    name: str | None,
+    file: CameraFile,
+    inputs: tuple[str, ...],
+    detection: DetectionOptions,
+    progress: Progress,
+) -> tuple[Camera, PnpViews]:
     """Return what images, videos or a detections file show of a board or of tags to one camera of a file.
 
     The camera comes first, as it is for images of this size. name: of the camera, by which the views of a detections
@@ -83,20 +88,20 @@ def seen_by(
     Raises InvalidInput, FileError, or InsufficientData if a board is in none of the images.
     """
     tables = any(Path(text).suffix.lower() in DETECTION_SUFFIXES for text in inputs)
-    if looking.tags is not None:
+    if detection.tags is not None:
         if tables:
             raise InvalidInput("holds corners of a board; tags are found in images", where=inputs[0])
-        return _seen_tags(camera, inputs, looking, progress)
-    board = _board(looking, file, tables)
+        return _seen_tags(camera, inputs, detection, progress)
+    board = _board(detection, file, tables)
     if not tables:
-        camera = _fitting(camera, *_first_size(inputs, looking.recursive), looking.scale)
-    found = _boards(inputs, board, looking, progress)
+        camera = _fitting(camera, *_first_size(inputs, detection.recursive), detection.scale)
+    found = _boards(inputs, board, detection, progress)
     views = _of_one_camera(found.detections.views, name)
-    camera = _fitting(camera, *_usual_size(views, camera), looking.scale)
-    points, remark = _points(found.board, file.board_shape if looking.board_shape else None)
+    camera = _fitting(camera, *_usual_size(views, camera), detection.scale)
+    points, remark = _points(found.board, file.board_shape if detection.board_shape else None)
     shown = [view for view in views if view.found]
     fitting = [view for view in shown if view.size == camera.image_size]
-    return camera, Seen(
+    return camera, PnpViews(
         tuple(_observation(view, points) for view in fitting),
         found.board.unit,
         nothing={Sight(view.image): view.reason or "nothing found" for view in views if not view.found},
@@ -106,30 +111,34 @@ def seen_by(
     )
 
 
-def _observation(view: Detection, points: Array) -> Observation:
+def _observation(view: BoardDetection, points: Array) -> Observation:
     correspondences = Correspondences(view.image, points[view.ids], view.pixels, view.covariance)
     return Observation(Sight(view.image), (correspondences,), (view.ids,))
 
 
-def _seen_tags(camera: Camera, inputs: tuple[str, ...], looking: Looking, progress: Progress) -> tuple[Camera, Seen]:
-    objects = tags.load_tags(str(looking.tags))
-    camera = _fitting(camera, *_first_size(inputs, looking.recursive), looking.scale)
-    keep = looking.repeated_ids == "keep"
-    found = tag_views(inputs, objects, looking.recursive, looking.jobs, progress, camera.image_size, keep_repeated=keep)
+def _seen_tags(
+    camera: Camera, inputs: tuple[str, ...], detection: DetectionOptions, progress: Progress
+) -> tuple[Camera, PnpViews]:
+    objects = tags.load_tags(str(detection.tags))
+    camera = _fitting(camera, *_first_size(inputs, detection.recursive), detection.scale)
+    keep = detection.repeated_ids == "keep"
+    found = tag_views(
+        inputs, objects, detection.recursive, detection.jobs, progress, camera.image_size, keep_repeated=keep
+    )
     observations = (
         Observation(Sight(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
     )
     nothing = {Sight(image): reason for image, reason in found.nothing.items()}
-    return camera, Seen(tuple(observations), nothing=nothing, notes=found.notes, failed=found.failed)
+    return camera, PnpViews(tuple(observations), nothing=nothing, notes=found.notes, failed=found.failed)
 
 
-def _board(looking: Looking, file: CameraFile, tables: bool) -> Board | None:
+def _board(detection: DetectionOptions, file: CameraFile, tables: bool) -> Board | None:
     """Return the board to look for: the one that is named, or the one whose shape the camera file has.
 
     None leaves it to the detections file. Raises InvalidInput if nothing says which one.
     """
-    if looking.board is not None:
-        return boards.load_board(looking.board)
+    if detection.board is not None:
+        return boards.load_board(detection.board)
     if tables:
         return None
     if file.board_shape is None:
@@ -137,22 +146,24 @@ def _board(looking: Looking, file: CameraFile, tables: bool) -> Board | None:
     return file.board_shape.board
 
 
-def _boards(inputs: tuple[str, ...], board: Board | None, looking: Looking, progress: Progress) -> BoardViews:
+def _boards(
+    inputs: tuple[str, ...], board: Board | None, detection: DetectionOptions, progress: Progress
+) -> BoardViews:
     """Return what is seen of a board; videos are read frame by frame."""
     if board is None or any(Path(text).suffix.lower() in DETECTION_SUFFIXES for text in inputs):
-        return board_views(inputs, board, looking.recursive, looking.jobs, progress)
-    media = find_media(inputs, looking.recursive)
+        return board_views(inputs, board, detection.recursive, detection.jobs, progress)
+    media = find_media(inputs, detection.recursive)
     if not media.videos:
-        return board_views(inputs, board, looking.recursive, looking.jobs, progress)
-    filmed = board_frames(media.videos, board, looking.jobs, progress)
+        return board_views(inputs, board, detection.recursive, detection.jobs, progress)
+    moving = board_frames(media.videos, board, detection.jobs, progress)
     if not media.images:
-        return filmed
-    still = board_views(tuple(map(str, media.images)), filmed.board, False, looking.jobs, progress)
-    both = replace(still.detections, views=(*still.detections.views, *filmed.detections.views))
-    return BoardViews(still.board, both, still.notes, (*still.failed, *filmed.failed))
+        return moving
+    still = board_views(tuple(map(str, media.images)), moving.board, False, detection.jobs, progress)
+    both = replace(still.detections, views=(*still.detections.views, *moving.detections.views))
+    return BoardViews(still.board, both, still.notes, (*still.failed, *moving.failed))
 
 
-def _of_one_camera(views: Sequence[Detection], name: str | None) -> list[Detection]:
+def _of_one_camera(views: Sequence[BoardDetection], name: str | None) -> list[BoardDetection]:
     """Return the views of the named camera where a detections file holds those of several."""
     names = sorted({view.camera for view in views})
     if len(names) < 2:
@@ -178,7 +189,7 @@ def _numbered(board: Board) -> Board:
     return replace(board, legacy=None, diameter=None, dots=False)
 
 
-def _usual_size(views: Sequence[Detection], camera: Camera) -> tuple[tuple[int, int], str]:
+def _usual_size(views: Sequence[BoardDetection], camera: Camera) -> tuple[tuple[int, int], str]:
     """Return the size of most views, the camera's own if any has it, and the first view of that size."""
     sizes = Counter(view.size for view in views if view.found)
     if not sizes or camera.image_size in sizes:
@@ -194,7 +205,7 @@ def _first_size(inputs: tuple[str, ...], recursive: bool) -> tuple[tuple[int, in
         try:
             if path in media.videos:
                 return next(frames(path)).size, str(path)
-            height, width = read_photograph(path).gray.shape
+            height, width = read_detection_image(path).gray.shape
         except CamcalError:
             continue  # it is reported when its turn comes
         return (width, height), str(path)

@@ -16,13 +16,13 @@ from camcal.images.image import Image
 from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.raw.photograph import read_photograph
+from camcal.raw.detection_image import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_media
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
-from camcal.targets.detection import Detection, Detections
+from camcal.targets.detection import BoardDetection, Detections
 from camcal.targets.markers.markers import Markers, detect_markers
 from camcal.targets.markers.tags import TagObjects
 from camcal.tasks.calibration.board_views import BoardViews
@@ -56,7 +56,7 @@ class _Frame(NamedTuple):
     image: Image | CamcalError | None = None
 
 
-class _Seen(NamedTuple):
+class _ImageMarkers(NamedTuple):
     """The markers of an image and its width and height."""
 
     markers: Markers
@@ -116,7 +116,7 @@ def _search(
     keep_repeated: bool,
     jobs: int | None,
     progress: Progress,
-) -> list[Outcome[_Frame, _Seen]]:
+) -> list[Outcome[_Frame, _ImageMarkers]]:
     """Return what became of every image, its pixels dropped."""
     timeout = None if jobs == 1 else _TIMEOUT_S
     work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
@@ -124,11 +124,11 @@ def _search(
     return [Outcome(_Frame(outcome.item.name), outcome.value, outcome.error) for outcome in found]
 
 
-def _look_at(look: _Frame, family: str, keep_repeated: bool) -> _Seen:
+def _look_at(look: _Frame, family: str, keep_repeated: bool) -> _ImageMarkers:
     if isinstance(look.image, CamcalError):
         raise look.image
-    gray = read_photograph(Path(look.name)).gray if look.image is None else look.image.pixels
-    return _Seen(detect_markers(gray, family, keep_repeated=keep_repeated), (gray.shape[1], gray.shape[0]))
+    gray = read_detection_image(Path(look.name)).gray if look.image is None else look.image.pixels
+    return _ImageMarkers(detect_markers(gray, family, keep_repeated=keep_repeated), (gray.shape[1], gray.shape[0]))
 
 
 def _objects(image: str, markers: Markers, tags: TagObjects) -> list[Correspondences]:
@@ -153,7 +153,7 @@ def _objects(image: str, markers: Markers, tags: TagObjects) -> list[Corresponde
 
 
 def _why_not(
-    seen: _Seen, found: Sequence[Correspondences], tags: TagObjects, image_size: tuple[int, int] | None
+    seen: _ImageMarkers, found: Sequence[Correspondences], tags: TagObjects, image_size: tuple[int, int] | None
 ) -> str | None:
     """Return why an image has no view, None if it has."""
     if image_size not in (None, seen.size):
@@ -178,7 +178,7 @@ def board_frames(
     require_findable(board)
     known = _arranged(videos[0], board) if board.type == CHARUCO else board
     work = partial(_detect, board=known)
-    views: list[Detection] = []
+    views: list[BoardDetection] = []
     errors: list[CamcalError] = []
     for outcome in fan_out(work, _frames(videos), jobs=jobs, processes=True, what="detecting", progress=progress):
         # one outcome after another: each holds its frame
@@ -189,7 +189,7 @@ def board_frames(
     return BoardViews(known, Detections(known, tuple(views)), remarks(views, known, board), tuple(map(str, errors)))
 
 
-def _detect(frame: _Frame, board: Board) -> Detection:
+def _detect(frame: _Frame, board: Board) -> BoardDetection:
     if isinstance(frame.image, CamcalError):
         raise frame.image
     assert frame.image is not None

@@ -47,7 +47,7 @@ class FollowReport:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _FramePoses:
     """Poses of single frames, the names of all frames in order, the videos they stem from, and remarks.
 
     views: points and pixels of the poses, and the camera that took them; None for a pose file, which has none.
@@ -96,7 +96,12 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
 
 
 def _followed(
-    options: FollowOptions, seen: _Seen, name: str, stamps: Array, single: Sequence[PoseRecord | None], frames: str
+    options: FollowOptions,
+    seen: _FramePoses,
+    name: str,
+    stamps: Array,
+    single: Sequence[PoseRecord | None],
+    frames: str,
 ) -> Track:
     """Return the track of an object, from its pixels where there are any."""
     if seen.camera is None:
@@ -129,10 +134,10 @@ def _check(options: FollowOptions) -> None:
         raise InvalidInput("would be both the track and its picture", where=str(outputs[0]))
 
 
-def _of_file(options: FollowOptions) -> _Seen:
+def _of_file(options: FollowOptions) -> _FramePoses:
     if len(options.frames) != 1:
         raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
-    if options.looking.board or options.looking.tags:
+    if options.detection.board or options.detection.tags:
         raise InvalidInput("a pose file has its poses already; leave --board and --tags out")
     if options.noise_px is not None:
         raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
@@ -140,11 +145,11 @@ def _of_file(options: FollowOptions) -> _Seen:
     require_there(path)
     read = poses.read(path)
     images = {sight.image for sight in (*read.estimates, *read.missing)}
-    return _Seen(read, tuple(sorted(images, key=files.natural_key)))
+    return _FramePoses(read, tuple(sorted(images, key=files.natural_key)))
 
 
-def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen:
-    media = find_media(options.frames, options.looking.recursive)
+def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _FramePoses:
+    media = find_media(options.frames, options.detection.recursive)
     if len(media.videos) > 1 or (media.videos and media.images):
         raise InvalidInput(
             f"{len(media.videos)} videos and {len(media.images)} images; follow one video, or images alone"
@@ -154,7 +159,7 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen
         PnpOptions(
             camera,
             inputs=options.frames,
-            looking=options.looking,
+            detection=options.detection,
             name=options.name,
             noise_px=options.noise_px,
         ),
@@ -162,7 +167,7 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Seen
     )
     known = {str(sight) for sight in found.poses.missing}
     failed = tuple(line for line in found.failed if line not in known)
-    return _Seen(
+    return _FramePoses(
         found.poses,
         _frame_names(found.poses, media),
         videos=media.videos,

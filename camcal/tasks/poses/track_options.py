@@ -9,7 +9,7 @@ from typing import Annotated
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, ValueType, Without, separated
 from camcal.tasks.options import CameraName, output_option
-from camcal.tasks.poses.options import AUTO, Looking
+from camcal.tasks.poses.options import AUTO, DetectionOptions
 
 POSE_SUFFIXES = (".yaml", ".yml", ".json")
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -79,7 +79,9 @@ class FollowOptions(OptionsRecord):
             metavar="CAMERA VIDEO|IMAGES… | POSES",
         ),
     ]
-    looking: Annotated[Looking, Without(("board_shape", "scale", "repeated_ids"))] = field(default_factory=Looking)
+    detection: Annotated[DetectionOptions, Without(("board_shape", "scale", "repeated_ids"))] = field(
+        default_factory=DetectionOptions
+    )
     object: Annotated[str | None, Option("Which object to follow; by default all.", metavar="NAME", group=INPUT)] = None
     tag_id: Annotated[
         int | None, Option("The same by the id of a tag.", metavar="N", group=INPUT, names="--id", least=0)

@@ -10,7 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
-from camcal.raw.headerless import Fit, fitting_layouts, length_of
+from camcal.raw.headerless import CandidateLayout, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
@@ -58,7 +58,7 @@ class LayoutGuess:
 
     path: Path
     length: int
-    fits: tuple[Fit, ...]
+    fits: tuple[CandidateLayout, ...]
 
 
 def guess_layout(options: InspectOptions) -> LayoutGuess:

@@ -232,8 +232,8 @@ class ViewOptions(OptionsRecord):
     image: the left image of a disparity map. output: its suffix says what is made; None for the window of the Rerun
     viewer. frame: where the axes of a cloud point, by name or in words; None for what its file says. colour: one of
     `colour_scale.COLOURS`, None for the image's where there is one, else depth. view: see `cloud_views.view_of`;
-    montage: four views in its place. size: (width, height) of a picture or film. max_points: None for as many as suit
-    what is made. turn: degrees of a film, None for once round, or to and fro before what a camera saw.
+    montage: four views in its place. size: (width, height) of a picture or video. max_points: None for as many as suit
+    what is made. turn: degrees of a video, None for once round, or to and fro before what a camera saw.
     """
 
     source: Annotated[
@@ -249,7 +249,7 @@ class ViewOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("A page (.html), a picture (.png), a film (.gif, .mp4) or a recording for Rerun (.rrd)."),
+        output_option("A page (.html), a picture (.png), a video (.gif, .mp4) or a recording for Rerun (.rrd)."),
     ] = None
     frame: Annotated[
         str | None,
@@ -274,13 +274,13 @@ class ViewOptions(OptionsRecord):
     montage: Annotated[bool, Option("Four views in one picture.")] = False
     size: Annotated[
         tuple[int, int] | None,
-        Option("Pixels of a picture or film; by default 1280 or 640 wide, as high as fits.", metavar="WxH", type=SIZE),
+        Option("Pixels of a picture or video; by default 1280 or 640 wide, as high as fits.", metavar="WxH", type=SIZE),
     ] = None
     point_size: Annotated[float, Option("Size of the points; 1 closes the surfaces.", metavar="FACTOR")] = 1.0
     max_points: Annotated[
         int | None,
         Option(
-            "Most points shown, taken evenly; by default 400000 in a page, 1000000 in a film, else 4000000.",
+            "Most points shown, taken evenly; by default 400000 in a page, 1000000 in a video, else 4000000.",
             metavar="N",
             least=1,
         ),
@@ -288,11 +288,11 @@ class ViewOptions(OptionsRecord):
     turn: Annotated[
         float | None,
         Option(
-            "Angle of a film: 360 once round, less to and fro; by default 50 before what a camera saw, else 360.",
+            "Angle of a video: 360 once round, less to and fro; by default 50 before what a camera saw, else 360.",
             metavar="DEGREES",
         ),
     ] = None
-    frames: Annotated[int, Option("Frames of a film, 20 a second.", metavar="N", least=2)] = 60
+    frames: Annotated[int, Option("Frames of a video, 20 a second.", metavar="N", least=2)] = 60
     rerun: Annotated[
         bool,
         Option("Open the Rerun viewer, or with -o write for it; needs camcal[view].", group=OUTPUT),

@@ -60,7 +60,7 @@ class PairReport:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DisparityVerdict:
     """A gate as it was given, the figure it is about, and whether it holds."""
 
     gate: str
@@ -74,7 +74,7 @@ class EvalReport:
 
     outcomes: Sequence[Outcome[TruthPair, PairReport]]
     mean: Evaluation
-    verdicts: tuple[Verdict, ...] = ()
+    verdicts: tuple[DisparityVerdict, ...] = ()
 
     @property
     def pairs(self) -> list[PairReport]:
@@ -247,7 +247,7 @@ def read_gate(text: str) -> Gate:
     return Gate(text, name, column or None, bound)
 
 
-def _verdict(gate: Gate, evaluation: Evaluation) -> Verdict:
+def _verdict(gate: Gate, evaluation: Evaluation) -> DisparityVerdict:
     columns = [gate.column] if gate.column else list(evaluation.figures)
     value = next((evaluation.figures.get(column, {})[gate.name] for column in columns
                   if gate.name in evaluation.figures.get(column, {})), None)  # fmt: skip
@@ -256,7 +256,7 @@ def _verdict(gate: Gate, evaluation: Evaluation) -> Verdict:
         advice = f"it stands in {', '.join(there)}" if there else "it is not known here (no geometry, no sigma)"
         raise InvalidInput(f"no {gate.name} in {gate.column or 'any column'}; {advice}", where=f"--gate {gate.text}")
     passed = value >= gate.limit if gate.name in AT_LEAST else value <= gate.limit
-    return Verdict(gate.text, value, passed)
+    return DisparityVerdict(gate.text, value, passed)
 
 
 def document(report: EvalReport) -> dict[str, Any]:

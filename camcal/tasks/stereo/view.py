@@ -1,4 +1,4 @@
-"""`camcal view`: a point cloud, or the disparity map of a pair, as a page, a picture, a film or a recording.
+"""`camcal view`: a point cloud, or the disparity map of a pair, as a page, a picture, a video or a recording.
 
 What draws with matplotlib is imported where it is used: a page is written before that would be loaded.
 A point cloud is shown as its file has it, of a disparity map the points if its pair is known.
@@ -37,16 +37,16 @@ from camcal.stereo.points.selection import Selection, select
 from camcal.tasks.stereo.options import GeometryOptions, ViewOptions
 from camcal.tasks.stereo.rectified_pair import named_file, pair_of, stereo_image
 
-PAGE, PICTURE, FILM, RECORDING, WINDOW = "page", "picture", "film", "recording", "window"
+PAGE, PICTURE, VIDEO, RECORDING, WINDOW = "page", "picture", "video", "recording", "window"
 KINDS: Mapping[str, str] = MappingProxyType(
-    {".html": PAGE, ".png": PICTURE, ".gif": FILM, ".mp4": FILM, cloud_view.SUFFIX: RECORDING}
+    {".html": PAGE, ".png": PICTURE, ".gif": VIDEO, ".mp4": VIDEO, cloud_view.SUFFIX: RECORDING}
 )
 # A page is to open at once; pictures gain nothing from more points than there are pixels in a few.
 MOST_POINTS: Mapping[str, int] = MappingProxyType(
-    {PAGE: 400_000, PICTURE: 4_000_000, FILM: 1_000_000, RECORDING: 4_000_000, WINDOW: 4_000_000}
+    {PAGE: 400_000, PICTURE: 4_000_000, VIDEO: 1_000_000, RECORDING: 4_000_000, WINDOW: 4_000_000}
 )
 
-_WIDTH = {PICTURE: 1280, FILM: 640}
+_WIDTH = {PICTURE: 1280, VIDEO: 640}
 _SWING = 50.0  # degrees; farther aside, what a camera has not seen is most of the picture
 _POINTS = "points"  # what the archive of a cloud holds
 _CAMERA = "x right, y down, z forward"
@@ -133,8 +133,8 @@ def _source(options: ViewOptions, progress: Progress) -> VertexStream | Disparit
 def _refuse_what_has_no_effect(options: ViewOptions) -> None:
     fitting = {
         "--montage": (options.montage, (PICTURE,)),
-        "--size": (options.size is not None, (PICTURE, FILM)),
-        "--turn": (options.turn is not None, (FILM,)),
+        "--size": (options.size is not None, (PICTURE, VIDEO)),
+        "--turn": (options.turn is not None, (VIDEO,)),
     }
     for name, (given, kinds) in fitting.items():
         if given and kind_of(options) not in kinds:
@@ -189,14 +189,14 @@ def _size(options: ViewOptions, scene: CloudScene) -> tuple[int, int]:
     return view_of("side" if options.montage else options.view, scene).size(_WIDTH[kind_of(options)])
 
 
-def _write_film(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
-    from camcal.report.cloud_pictures import film_frames, write_film
+def _write_video(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
+    from camcal.report.cloud_pictures import video_frames, write_video
 
     assert options.output is not None
     angle = radians(options.turn) if options.turn else radians(_SWING) if scene.from_camera else 2 * pi
     views = turn(view_of(options.view, scene), angle, options.frames)
-    pictures = film_frames(scene, paint, views, _size(options, scene), options.point_size)
-    write_film(options.output, pictures)
+    pictures = video_frames(scene, paint, views, _size(options, scene), options.point_size)
+    write_video(options.output, pictures)
 
 
 def _write_recording(options: ViewOptions, scene: CloudScene, paint: Paint) -> None:
@@ -211,7 +211,7 @@ def _open_window(_options: ViewOptions, scene: CloudScene, paint: Paint) -> None
 _MAKERS = {
     PAGE: _write_page,
     PICTURE: _write_picture,
-    FILM: _write_film,
+    VIDEO: _write_video,
     RECORDING: _write_recording,
     WINDOW: _open_window,
 }

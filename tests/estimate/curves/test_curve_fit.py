@@ -35,7 +35,7 @@ def test_values_and_errors_agree_with_scipy():
     )
     np.testing.assert_allclose(fit.values, values, rtol=1e-6)  # scipy's forward differences
     np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-5)
-    assert fit.goodness.freedom == 97
+    assert fit.goodness.degrees_of_freedom == 97
     assert fit.converged
 
 
@@ -129,7 +129,7 @@ def test_parameters_that_cannot_be_told_apart_are_named_and_the_rest_is_known():
     assert fit.parameters["c"].std is None
     assert fit.parameters["d"].held == "unobservable"
     assert fit.parameters["a"].std == pytest.approx(fit_curve(EXPQUAD, noisy(), START).parameters["a"].std, rel=1e-5)
-    assert fit.goodness.freedom == 97  # three combinations were fitted, not four
+    assert fit.goodness.degrees_of_freedom == 97  # three combinations were fitted, not four
 
 
 def test_strong_correlations_are_listed():
@@ -194,7 +194,7 @@ def test_exact_data_end_at_the_rounding_error():
 def test_as_many_data_as_parameters_are_met_but_have_no_errors():
     data = Data({"x": X[:2]}, np.array([1.0, 2.0]))
     fit = fit_curve(LINE, data, {"m": 0.0, "q": 0.0})
-    assert fit.goodness.freedom == 0
+    assert fit.goodness.degrees_of_freedom == 0
     assert fit.goodness.sigma is None
     assert fit.parameters["m"].std is None
     assert fit.parameters["m"].held is None

@@ -97,7 +97,7 @@ def test_a_line_in_space_is_found_in_any_direction(direction):
     spread = points - points.mean(axis=0)
     singular = np.linalg.svd(spread, compute_uv=False)
     assert fit.goodness.sum_of_squares == pytest.approx(singular[1] ** 2 + singular[2] ** 2, rel=1e-9)
-    assert fit.goodness.freedom == 2 * 50 - 4
+    assert fit.goodness.degrees_of_freedom == 2 * 50 - 4
     assert fit.goodness.sigma == pytest.approx(NOISE, rel=0.25)  # three standard errors of 96 degrees of freedom
 
 

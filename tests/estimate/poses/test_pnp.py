@@ -17,10 +17,10 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.judgement import region_quantile
+from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
+from camcal.estimate.poses.pose_quality import region_quantile
 from camcal.estimate.poses.problem import Anchor, PoseProblems
 from camcal.estimate.poses.records import AMBIGUOUS, Alternative, Correspondences, PoseOptions, PosePrior
-from camcal.estimate.poses.sightings import Sightings
 from camcal.geometry.pose import Pose
 from camcal.solve.differentiate import central_jacobian
 
@@ -48,7 +48,7 @@ def estimate(camera, view, noise_px=None):
 
 
 def problems_of(camera, *views, anchor=None):
-    return PoseProblems.of((Sightings.of(camera, views, Pose.identity()),), anchor)
+    return PoseProblems.of((PackedCorrespondences.of(camera, views, Pose.identity()),), anchor)
 
 
 def error_of(found, truth):
@@ -152,9 +152,9 @@ def test_errors_are_as_large_as_the_covariance_says(points):
     total = sum(error @ np.linalg.solve(pose.covariance, error) for error, pose in zip(errors, found, strict=True))
     low, high = stats.chi2.interval(0.99, 6 * runs)
     assert low < total < high
-    assert found[0].freedom == runs * (2 * len(points) - 6)
-    low, high = stats.chi2.interval(0.99, found[0].freedom)
-    assert low < found[0].freedom * (found[0].sigma_px / sigma) ** 2 < high
+    assert found[0].degrees_of_freedom == runs * (2 * len(points) - 6)
+    low, high = stats.chi2.interval(0.99, found[0].degrees_of_freedom)
+    assert low < found[0].degrees_of_freedom * (found[0].sigma_px / sigma) ** 2 < high
 
 
 def test_a_small_far_tag_reports_both_of_its_poses():
@@ -230,7 +230,7 @@ def test_pose_and_lens_jacobians_are_the_derivatives_of_the_whitened_residuals()
     spreads = rng.normal(size=(len(view.points), 2, 2))
     covariance = spreads @ spreads.transpose(0, 2, 1) + 0.1 * np.eye(2)
     frame = Pose.from_vector(np.array([0.1, 0.3, -0.2]), np.array([0.1, 0.0, 0.05]))
-    sight = Sightings.of(WIDE, [Correspondences("a", view.points, view.pixels, covariance)], frame)
+    sight = PackedCorrespondences.of(WIDE, [Correspondences("a", view.points, view.pixels, covariance)], frame)
     state, only = se3.of_poses([frame.inverse() @ pose]), np.zeros(1, int)
     rows, by_lens, inside = sight.rows(state, only, sight.present)
     assert inside.all()
@@ -302,8 +302,10 @@ def test_regions_at_few_points_need_the_quantile_of_fisher():
         truth = some_pose(rng, (0.3, 0.4))
         found = estimate(PINHOLE, observed(PINHOLE, truth, CUBE[[0, 1, 2, 4, 7]], rng, 0.3))
         error = error_of(found.transform, truth)
-        inside.append(error @ np.linalg.solve(found.covariance, error) < region_quantile(0.95, found.freedom))
-    assert found.freedom == 4
+        inside.append(
+            error @ np.linalg.solve(found.covariance, error) < region_quantile(0.95, found.degrees_of_freedom)
+        )
+    assert found.degrees_of_freedom == 4
     assert np.mean(inside) > 0.87  # 2.6 standard deviations of a share of 60; χ² gives 0.7
     assert region_quantile(0.95, None) == pytest.approx(stats.chi2.ppf(0.95, 6))
     assert region_quantile(0.95, 10**7) == pytest.approx(region_quantile(0.95, None), rel=1e-5)
@@ -480,7 +482,7 @@ def test_squared_residuals_are_those_of_mahalanobis():
     view, truth = observed(camera, some_pose(rng), points, rng, noise_px=1.0), some_pose(rng)
     shapes = rng.normal(size=(20, 2, 2))
     covariance = 0.1 * np.eye(2) + shapes @ shapes.swapaxes(1, 2)
-    sight = Sightings.of(camera, [replace(view, covariance=covariance)], Pose.identity())
+    sight = PackedCorrespondences.of(camera, [replace(view, covariance=covariance)], Pose.identity())
     found = sight.squared(se3.of_poses([truth]), np.zeros(1, int))[0]
     residuals = camera.project(truth.apply(points)).pixels - view.pixels
     expected = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)

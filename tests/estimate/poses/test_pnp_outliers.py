@@ -11,13 +11,13 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses import fits, inliers, judgement
+from camcal.estimate.poses import fits, inliers, pose_quality
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import likeliest_threshold
-from camcal.estimate.poses.judgement import region_quantile
+from camcal.estimate.poses.packed_correspondences import Group, PackedCorrespondences
+from camcal.estimate.poses.pose_quality import region_quantile
 from camcal.estimate.poses.problem import PoseProblems
 from camcal.estimate.poses.records import Correspondences, PoseOptions
-from camcal.estimate.poses.sightings import Group, Sightings
 from camcal.geometry.pose import Pose
 
 PINHOLE = Camera(model_named("pinhole"), (1280, 960), [800.0, 805.0, 640.0, 480.0])
@@ -162,7 +162,7 @@ def test_the_likeliest_threshold_is_where_right_and_wrong_are_equally_likely():
     rng = np.random.default_rng(13)
     view, right, _ = spoilt(PINHOLE, rng, rng.uniform(-0.5, 0.5, (40, 3)), 0.25)
     known = replace(view, covariance=np.tile(0.25 * np.eye(2), (40, 1, 1)))
-    problems = PoseProblems.of((Sightings.of(PINHOLE, [known], Pose.identity()),))
+    problems = PoseProblems.of((PackedCorrespondences.of(PINHOLE, [known], Pose.identity()),))
     sigma, area = 1.6, 1e6
     (threshold,) = likeliest_threshold(problems, (right[None],), np.array([area]), sigma)
     share, variance = 10.5 / 41, 0.25 * sigma**2
@@ -238,13 +238,13 @@ def test_a_mirrored_pose_is_followed_that_half_of_the_points_are_near_to(moved, 
     pixels = view.pixels.copy()
     pixels[:moved] += 10.0
     view = replace(view, pixels=pixels)
-    problems = PoseProblems.of((Sightings.of(PINHOLE, [view], Pose.identity()),))
+    problems = PoseProblems.of((PackedCorrespondences.of(PINHOLE, [view], Pose.identity()),))
     state, which = se3.of_poses([truth]), np.zeros(1, int)
-    best = inliers.Settled(state, which, (np.ones((1, 10), bool),), np.zeros(1))
-    assert inliers._supported(problems, state, best, inliers.Agreement(WIDTH, 4)).tolist() == [rival]
+    best = inliers.RefitPoses(state, which, (np.ones((1, 10), bool),), np.zeros(1))
+    assert inliers._supported(problems, state, best, inliers.InlierCriterion(WIDTH, 4)).tolist() == [rival]
 
 
 def test_the_poses_that_chance_gives_are_those_of_all_sets_of_inliers_and_of_three_points_in_them():
     """(n - 3) C(n, k) C(k, 3) α^(k - 3): three points have a pose in any case, the others agree by chance."""
-    assert judgement._chance(20, 7, 0.1) == pytest.approx(17 * comb(20, 7) * comb(7, 3) * 0.1**4, rel=1e-9)
-    assert judgement._chance(4, 3, 0.5) == pytest.approx(1 * 4 * 1, rel=1e-9)
+    assert pose_quality._chance(20, 7, 0.1) == pytest.approx(17 * comb(20, 7) * comb(7, 3) * 0.1**4, rel=1e-9)
+    assert pose_quality._chance(4, 3, 0.5) == pytest.approx(1 * 4 * 1, rel=1e-9)

@@ -7,11 +7,11 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.judgement import region_quantile
 from camcal.estimate.poses.moments import covariances, inverses
+from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
+from camcal.estimate.poses.pose_quality import region_quantile
 from camcal.estimate.poses.problem import PoseProblems, lowest, pose_minima
 from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseOptions
-from camcal.estimate.poses.sightings import Sightings
 from camcal.estimate.poses.states import Extents
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -71,7 +71,7 @@ def test_regions_of_four_points_in_a_plane_hold_the_truth(made, outliers):
 def test_the_noise_is_not_taken_for_smaller_where_planes_have_two_poses(made):
     views, _ = made
     found = estimate_poses(PINHOLE, views, PoseOptions())[0].value
-    assert found.freedom == 2 * len(views)
+    assert found.degrees_of_freedom == 2 * len(views)
     assert found.noise_scale == pytest.approx(NOISE_PX, rel=0.035)  # of 2400 degrees of freedom 1.4 %
 
 
@@ -88,7 +88,7 @@ def test_a_view_is_posed_alike_with_and_without_samples(made):
 
 def test_well_known_poses_have_the_inverse_normal_matrix_and_others_no_less():
     views, _ = four_points(40, 5)
-    problems = PoseProblems.of((Sightings.of(PINHOLE, views, Pose.identity()),))
+    problems = PoseProblems.of((PackedCorrespondences.of(PINHOLE, views, Pose.identity()),))
     sight = problems.sights[0]
     minima = pose_minima(problems, Extents.of(sight.points, sight.present))
     minima = minima.take(lowest(minima))
@@ -105,7 +105,7 @@ def test_second_moments_are_those_of_the_density_of_the_pixels():
     """Against a random walk through that density, for a view of one minimum with a long bent valley."""
     rng = np.random.default_rng(8)
     views, _ = four_points(400, 5)
-    problems = PoseProblems.of((Sightings.of(PINHOLE, views, Pose.identity()),))
+    problems = PoseProblems.of((PackedCorrespondences.of(PINHOLE, views, Pose.identity()),))
     minima = pose_minima(problems, Extents.of(problems.sights[0].points, problems.sights[0].present))
     minima = minima.take(np.flatnonzero(np.bincount(minima.which)[minima.which] == 1))
     linear = NOISE_PX**2 * inverses(minima.models.normal)

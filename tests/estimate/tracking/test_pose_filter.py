@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from camcal.estimate.smoothing import kalman
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.jitter import jitter
-from camcal.estimate.tracking.pose_filter import Belief, Candidates
+from camcal.estimate.tracking.pose_filter import Candidates, FilterState
 from camcal.geometry import rotation as so3
 
 NOISE = np.array([0.02, 0.5])
@@ -18,7 +18,7 @@ def belief(seed=0, count=None):
     rng = np.random.default_rng(seed)
     shape = () if count is None else (count,)
     roots = rng.normal(size=(*shape, 12, 12)) * 0.05
-    return Belief(
+    return FilterState(
         so3.exp(rng.normal(size=(*shape, 3))),
         rng.normal(size=(*shape, 3)),
         rng.normal(size=(*shape, 6)),
@@ -79,7 +79,7 @@ def test_an_update_is_that_of_the_linear_filter():
 
 def test_many_filters_at_once_do_what_each_does_alone():
     states = belief(5, count=3)
-    single = [Belief(*(part[index] for part in states)) for index in range(3)]
+    single = [FilterState(*(part[index] for part in states)) for index in range(3)]
     seen = candidates(single[0])
     together, verdicts = pose_filter.update(
         *_predicted(states), pose_filter.Candidates(*(part[None] for part in seen)), 30.0

@@ -12,7 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
-from camcal.cameras.reprojection import by_pose, linearised, residuals, turned, whitened, whitening_of
+from camcal.cameras.reprojection import by_pose, linearised, residuals, rotated_points, whitened, whitening_of
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.poses.states import Extents
@@ -26,7 +26,7 @@ _KEYS = np.array([0.5772156649, 0.6931471806, 1.2020569032])  # no two points of
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class PackedCorrespondences:
     """The points of W views by one camera, filled up to N each.
 
     frame: camera_T_frame, where the frame is that of the poses looked for (the camera's own, or a rig's).
@@ -44,7 +44,7 @@ class Sightings:
     present: Array
 
     @classmethod
-    def of(cls, camera: Camera, views: Sequence[Correspondences | None], frame: Pose) -> "Sightings":
+    def of(cls, camera: Camera, views: Sequence[Correspondences | None], frame: Pose) -> "PackedCorrespondences":
         """Return what the camera sees in views; None is a view in which it sees nothing."""
         table = Observations.of(views, unknown=_ALIKE)
         rays = camera.unproject(table.pixels.reshape(2, -1).T)
@@ -59,7 +59,7 @@ class Sightings:
             present=rays.valid.reshape(table.ids.shape) & table.present,
         )
 
-    def take(self, chosen: Array) -> "Sightings":
+    def take(self, chosen: Array) -> "PackedCorrespondences":
         """Return some of the views."""
         whitening = None if self.whitening is None else self.whitening[:, :, chosen]
         return replace(
@@ -71,11 +71,11 @@ class Sightings:
             present=self.present[chosen],
         )
 
-    def about(self, centres: Array) -> "Sightings":
+    def about(self, centres: Array) -> "PackedCorrespondences":
         """Return the views with their points counted from centres (W, 3)."""
         return replace(self, points=self.points - centres.T[:, :, None])
 
-    def only(self, points: Array) -> "Sightings":
+    def only(self, points: Array) -> "PackedCorrespondences":
         """Return some of the points of every view."""
         whitening = None if self.whitening is None else self.whitening[..., points]
         return replace(
@@ -101,7 +101,7 @@ class Sightings:
 
         Not whitened; NaN outside the lens's domain.
         """
-        in_camera = self._in_camera(turned(states[:, :, :3], _of(self.points, view)), states[:, :, 3])
+        in_camera = self._in_camera(rotated_points(states[:, :, :3], _of(self.points, view)), states[:, :, 3])
         return residuals(self.camera.model, self.camera.parameters, in_camera, _of(self.pixels, view))
 
     def squared(self, states: Array, view: Array) -> Array:
@@ -117,7 +117,7 @@ class Sightings:
         mask (S, N); the derivatives by the lens's parameters as (2, K, S, N), and the mask (S,) of states at which all
         points of the mask are in the lens's domain.
         """
-        rotated = turned(states[:, :, :3], _of(self.points, view))
+        rotated = rotated_points(states[:, :, :3], _of(self.points, view))
         in_camera = self._in_camera(rotated, states[:, :, 3])
         seen = linearised(self.camera.model, self.camera.parameters, in_camera, _of(self.pixels, view))
         by_point = np.einsum("ipsn,pq->iqsn", seen.by_point, self.frame.rotation) if self._turns else seen.by_point
@@ -181,7 +181,7 @@ class Group:
     """
 
     views: Sequence[Sequence[Correspondences | None]]
-    sights: tuple[Sightings, ...]
+    sights: tuple[PackedCorrespondences, ...]
     items: Array
     centres: Array
 
@@ -195,7 +195,7 @@ class Group:
     ) -> "Group":
         """Return the group of views, of each item one for every camera; frames: camera_T_frame of the cameras."""
         each = zip(cameras, frames, zip(*views, strict=True), strict=True)
-        sights = [Sightings.of(camera, seen, frame) for camera, frame, seen in each]
+        sights = [PackedCorrespondences.of(camera, seen, frame) for camera, frame, seen in each]
         counts = np.maximum(sum(sight.present.sum(axis=1) for sight in sights), 1)
         sums = sum(np.where(sight.present, sight.points, 0.0).sum(axis=2) for sight in sights)
         centres = np.asarray(sums / counts).T

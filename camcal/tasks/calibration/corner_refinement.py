@@ -10,25 +10,25 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.progress import Progress
+from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import Reading
-from camcal.raw.photograph import read_photograph
 from camcal.run.fanout import fan_out
 from camcal.targets.corners.measure import Expected, look_again, seen_cells, signs
-from camcal.targets.detection import NEAR, Detection, Samples, size_relation
-from camcal.tasks.calibration.video_frames import Film
+from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
+from camcal.tasks.calibration.video_frames import Video
 
 _BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares
 _RIM_PX = 3.0  # corners nearer to the border of the image are not looked for
 
 
 @dataclass(frozen=True, eq=False)
-class SecondLook:
+class CornerRefinement:
     """The views as they are seen again, in the order of a calibration's, numbered as it has numbered them.
 
     recovered: corners that had not been found before. lost: corners that the calibrated edges do not bear out.
     """
 
-    views: tuple[Detection, ...]
+    views: tuple[BoardDetection, ...]
     recovered: int
     lost: int
 
@@ -37,19 +37,19 @@ class SecondLook:
 class _Sight:
     """A view to be looked at again, and what is expected of it; gray: of a frame of a video, None for an image file."""
 
-    view: Detection
+    view: BoardDetection
     expected: Expected
     gray: Array | None = None
 
 
-def second_look(
+def refine_corners(
     calibration: Calibration,
-    detections: Sequence[Detection],
-    films: Sequence[Film],
+    detections: Sequence[BoardDetection],
+    videos: Sequence[Video],
     reading: Reading,
     jobs: int | None,
     progress: Progress,
-) -> SecondLook:
+) -> CornerRefinement:
     """Return the views of a calibration with their corners measured along the edges that it expects.
 
     detections: of calibration.views, in their order. A view that the calibration does not use stays as it is, and so
@@ -58,46 +58,46 @@ def second_look(
     turns = calibration.board.symmetries()
     pairs = zip(detections, calibration.views, strict=True)
     expected = {
-        view.image: _Sight(view.renumbered(turns[record.turned]), _expected(calibration, record))
+        view.image: _Sight(view.renumbered(turns[record.symmetry]), _expected(calibration, record))
         for view, record in pairs
         if record.used
     }
     work = partial(_look_again, reading=reading)
     outcomes = fan_out(
-        work, _sights(expected, films), jobs=jobs, processes=True, what="measuring corners", progress=progress
+        work, _sights(expected, videos), jobs=jobs, processes=True, what="measuring corners", progress=progress
     )
     again = {outcome.value.image: outcome.value for outcome in outcomes if outcome.value is not None}
     numbers = [(expected[image].view.ids, view.ids) for image, view in again.items()]
-    return SecondLook(
+    return CornerRefinement(
         tuple(again.get(view.image, view) for view in detections),
         recovered=sum(len(np.setdiff1d(after, before)) for before, after in numbers),
         lost=sum(len(np.setdiff1d(before, after)) for before, after in numbers),
     )
 
 
-def _sights(expected: Mapping[str, _Sight], films: Sequence[Film]) -> Iterator[_Sight]:
-    """Yield what is to be looked at: image files first, then the frames of one film after another."""
-    filmed = frozenset(name for film in films for name in film.names)
-    yield from (sight for image, sight in expected.items() if image not in filmed)
-    for film in films:
-        for frame in film.only(expected).frames():
+def _sights(expected: Mapping[str, _Sight], videos: Sequence[Video]) -> Iterator[_Sight]:
+    """Yield what is to be looked at: image files first, then the frames of one video after another."""
+    from_videos = frozenset(name for video in videos for name in video.names)
+    yield from (sight for image, sight in expected.items() if image not in from_videos)
+    for video in videos:
+        for frame in video.only(expected).frames():
             sight = expected[frame.name]
             yield _Sight(sight.view, sight.expected, frame.image.pixels)
 
 
-def _look_again(sight: _Sight, reading: Reading) -> Detection:
+def _look_again(sight: _Sight, reading: Reading) -> BoardDetection:
     """Return a view with its corners measured again."""
     view = sight.view
-    samples = Samples(sight.gray) if sight.gray is not None else _samples(view, reading)
+    samples = MaskedImage(sight.gray) if sight.gray is not None else _samples(view, reading)
     return view if samples is None else look_again(samples, view, sight.expected)
 
 
-def _samples(view: Detection, reading: Reading) -> Samples | None:
+def _samples(view: BoardDetection, reading: Reading) -> MaskedImage | None:
     """Return the samples of a view's image, None where the view's pixels are not those of its file (--mixed-sizes)."""
-    photograph = read_photograph(Path(view.image), reading)
-    height, width = photograph.gray.shape
+    image = read_detection_image(Path(view.image), reading)
+    height, width = image.gray.shape
     same = (width, height) == view.size or size_relation((width, height), view.size) == NEAR
-    return photograph.samples if same else None
+    return image.samples if same else None
 
 
 def _expected(calibration: Calibration, record: View) -> Expected:

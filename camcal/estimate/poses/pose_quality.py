@@ -9,7 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.inliers import Agreement
+from camcal.estimate.poses.inliers import InlierCriterion
 from camcal.estimate.poses.moments import covariances, inverses, scaled_eigenvalues
 from camcal.estimate.poses.problem import PoseProblems, lowest
 from camcal.estimate.poses.records import Alternative, PoseEstimate
@@ -23,11 +23,11 @@ _ROUNDED = 1e-6  # px: a noise below is the rounding of numbers, which differs f
 
 
 @dataclass(frozen=True)
-class Noise:
-    """The standard deviation of a whitened pixel coordinate; freedom: what it was estimated with, None if given."""
+class ResidualNoise:
+    """Standard deviation of a whitened pixel coordinate; degrees_of_freedom: of its estimate, None if it was given."""
 
     sigma: float
-    freedom: int | None = None
+    degrees_of_freedom: int | None = None
 
     def odds(self, difference: Array) -> Array:
         """Return how likely a minimum is whose χ² is larger by `difference` (S,), relative to the lowest.
@@ -35,28 +35,28 @@ class Noise:
         exp(-Δ/2) where the noise is known. Where ν degrees of freedom told it, that is integrated over what the noise
         may be: (1 + Δ/ν)^(-ν/2), which tends to the same; for one square tag, 1 over the ratio of the errors squared.
         """
-        if self.freedom is None:
+        if self.degrees_of_freedom is None:
             return np.asarray(np.exp(-difference / 2))
-        nu = max(self.freedom, 1)
+        nu = max(self.degrees_of_freedom, 1)
         return np.asarray(np.maximum(1 + difference / nu, np.finfo(float).tiny) ** (-nu / 2))
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class PoseQuality:
     """The minima of problems, one or more for each, in their order and the lowest first, and the noise they share.
 
     centres: (P, 3) the places in the objects' frames that the points of the problems are counted from.
-    intrinsics: whether the uncertainty of the lenses counts. agreement: what made
+    intrinsics: whether the uncertainty of the lenses counts. criterion: what made
     inliers, None where outliers were not looked for.
     """
 
     problems: PoseProblems
     minima: Minima
     centres: Array
-    noise: Noise
+    noise: ResidualNoise
     extents: Extents
     intrinsics: bool
-    agreement: Agreement | None
+    criterion: InlierCriterion | None
 
     def estimates(self, frames: str, counts: Sequence[Sequence[int]]) -> list[PoseEstimate]:
         """Return the estimates of the problems; counts: the points of every camera's view, the absent ones included."""
@@ -77,7 +77,7 @@ class Judgement:
                 inliers=residuals[problem][1],
                 sigma_px=float(self.noise.sigma * typical[problem]),
                 noise_scale=self.noise.sigma,
-                freedom=self.noise.freedom,
+                degrees_of_freedom=self.noise.degrees_of_freedom,
                 alternatives=tuple(found[at + 1 : ends[problem]]),
                 converged=bool(best.converged[problem]),
                 reason=REASONS[best.reason[problem]],
@@ -148,9 +148,9 @@ class Judgement:
         return [_Figures(flat, depth, cond, tilt if flat < NEAR_PLANE else None) for flat, depth, cond, tilt in rows]
 
     def _misfits(self, best: Minima) -> list[float]:
-        freedom = np.maximum(2 * self.problems.counts - (6 if self.problems.anchor is None else 0), 1)
+        dof = np.maximum(2 * self.problems.counts - (6 if self.problems.anchor is None else 0), 1)
         noise = max(self.noise.sigma, _ROUNDED)
-        return [float(misfit) for misfit in np.sqrt(2 * best.cost / freedom) / noise]
+        return [float(misfit) for misfit in np.sqrt(2 * best.cost / dof) / noise]
 
     def _chances(self, typical: Array) -> list[float]:
         """Return how many poses with as many inliers are expected among pixels anywhere in the image.
@@ -158,9 +158,9 @@ class Judgement:
         Source: Moisan & Stival, A Probabilistic Criterion to Detect Rigid Point Matches Between Two Images, IJCV 2004
         (the number of false alarms), for samples of three points.
         """
-        if self.agreement is None:
+        if self.criterion is None:
             return [0.0] * len(self.problems.view)
-        limits = self.agreement.threshold * (np.ones_like(typical) if self.agreement.in_pixels else typical)
+        limits = self.criterion.threshold * (np.ones_like(typical) if self.criterion.in_pixels else typical)
         points = sum(sight.present[self.problems.view].sum(axis=1) for sight in self.problems.sights)
         area = max(float(np.prod(sight.camera.image_size)) for sight in self.problems.sights)
         shares = np.minimum(np.pi * limits**2 / area, 1.0)
@@ -218,14 +218,14 @@ def _tilts(problems: PoseProblems, extents: Extents, states: Array) -> Array:
     return tilts
 
 
-def region_quantile(probability: float, freedom: int | None, dimensions: int = 6) -> float:
+def region_quantile(probability: float, dof: int | None, dimensions: int = 6) -> float:
     """Return the largest Mahalanobis distance squared of the region that holds the truth with this probability.
 
-    χ² where the noise was given (freedom None). Where it was estimated with `freedom` degrees of freedom, Fisher's F
+    χ² where the noise was given (dof None). Where it was estimated with `dof` degrees of freedom, Fisher's F
     times the dimensions: at few points χ² regions are far too small.
     """
     from scipy.stats import chi2, f
 
-    if freedom is None:
+    if dof is None:
         return float(chi2.ppf(probability, dimensions))
-    return float(dimensions * f.ppf(probability, dimensions, freedom))
+    return float(dimensions * f.ppf(probability, dimensions, dof))

@@ -23,7 +23,7 @@ from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
 from camcal.raw.options import AS_IMAGES, GRAY, GREEN, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, Gains, Reading
 from camcal.raw.reading import read_mosaic
-from camcal.targets.detection import Samples
+from camcal.targets.detection import MaskedImage
 
 COLOURS = ("red", "blue")
 
@@ -35,7 +35,7 @@ _CLIPPED = 0.98
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
+class DetectionImage:
     """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
 
     measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
@@ -44,17 +44,17 @@ class Photograph:
 
     gray: Array
     orientation: int
-    measured: Samples | None = None
-    colours: Mapping[str, Samples] = field(default_factory=dict)
+    measured: MaskedImage | None = None
+    colours: Mapping[str, MaskedImage] = field(default_factory=dict)
     sha256: str | None = None
 
     @property
-    def samples(self) -> Samples:
+    def samples(self) -> MaskedImage:
         """The samples that say where corners are."""
-        return self.measured or Samples(self.gray)
+        return self.measured or MaskedImage(self.gray)
 
 
-def read_photograph(path: Path, reading: Reading = AS_IMAGES, *, hashed: bool = False) -> Photograph:
+def read_detection_image(path: Path, reading: Reading = AS_IMAGES, *, hashed: bool = False) -> DetectionImage:
     """Return what detectors look at in an image, a camera raw file, a bare mosaic or a header-less file.
 
     hashed: with its hash. Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the
@@ -65,7 +65,7 @@ def read_photograph(path: Path, reading: Reading = AS_IMAGES, *, hashed: bool = 
     with Located(path):
         if is_raw(path, reading):
             layout = reading.layout if suffix in HEADERLESS_SUFFIXES else NO_LAYOUT
-            found = photograph_of(read_mosaic(path, reading.pattern, layout, content), reading)
+            found = detection_image_of(read_mosaic(path, reading.pattern, layout, content), reading)
         else:
             found = _of_image(load(path, content=content), reading)
     return replace(found, sha256=hashlib.sha256(content).hexdigest()) if hashed and content is not None else found
@@ -76,19 +76,19 @@ def is_raw(path: Path, reading: Reading) -> bool:
     return path.suffix.lower() in RAW_SUFFIXES | HEADERLESS_SUFFIXES or reading.pattern is not None
 
 
-def _of_image(image: Image, reading: Reading) -> Photograph:
+def _of_image(image: Image, reading: Reading) -> DetectionImage:
     if not reading.colours:
-        deep = None if image.pixels.dtype == np.uint8 else Samples(gray_levels(image.pixels))
-        return Photograph(gray_8bit(image.pixels), image.orientation, deep)
+        deep = None if image.pixels.dtype == np.uint8 else MaskedImage(gray_levels(image.pixels))
+        return DetectionImage(gray_8bit(image.pixels), image.orientation, deep)
     if image.channels == 1:
         raise InvalidInput("is gray and has no channels; if it is a raw frame, give its --pattern")
     planes = {colour: image.pixels[:, :, channel] for colour, channel in _CHANNELS.items()}
-    colours = {colour: Samples(gray_levels(planes[colour])) for colour in COLOURS}
-    green = Samples(gray_levels(planes[GREEN]))
-    return Photograph(gray_8bit(planes[GREEN]), image.orientation, green, colours)
+    colours = {colour: MaskedImage(gray_levels(planes[colour])) for colour in COLOURS}
+    green = MaskedImage(gray_levels(planes[GREEN]))
+    return DetectionImage(gray_8bit(planes[GREEN]), image.orientation, green, colours)
 
 
-def photograph_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> Photograph:
+def detection_image_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> DetectionImage:
     """Return what detectors look at in a raw frame.
 
     Raises InvalidInput for X-Trans, a pattern that contradicts the frame, or colours that it has not.
@@ -98,23 +98,23 @@ def photograph_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> Photograph:
     if frame.pattern == MONO:
         if reading.colours:
             raise InvalidInput("is of a sensor without colours and has no channels")
-        return Photograph(gray_8bit(linearise(frame)), frame.orientation)
+        return DetectionImage(gray_8bit(linearise(frame)), frame.orientation)
     check_phase(frame)
     light = linearise(frame)
     if reading.algorithm == GRAY:
         balance_in_place(light, frame.pattern, agreeing_gains(light, frame.pattern))
-        return Photograph(gray_8bit(light), frame.orientation)
+        return DetectionImage(gray_8bit(light), frame.orientation)
     gray = gray_8bit(demosaic(light, frame.pattern, GREEN))
     light *= np.float32(_GRAY_LEVELS / max(float(np.quantile(light[::4, ::3], _BRIGHTEST)), _ROUNDING))
     colours = {name: _samples(light, frame.pattern, name) for name in (COLOURS if reading.colours else ())}
-    return Photograph(gray, frame.orientation, _samples(light, frame.pattern, GREEN), colours)
+    return DetectionImage(gray, frame.orientation, _samples(light, frame.pattern, GREEN), colours)
 
 
-def _samples(light: Array, pattern: str, colour: str) -> Samples:
+def _samples(light: Array, pattern: str, colour: str) -> MaskedImage:
     mask = np.zeros(light.shape, np.bool_)
     for site in sites(pattern, colour[0].upper()):
         mask[site] = True
-    return Samples(light, mask)
+    return MaskedImage(light, mask)
 
 
 def agreeing_gains(light: Array, pattern: str) -> Gains:
