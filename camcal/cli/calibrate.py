@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
+from camcal.report.table import Column
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions, SheetOptions
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from camcal.tasks.calibration.video_frames import FrameRecord
 
 IMAGES_LISTED = 50
+DETECTION_COLUMNS = (Column("image", file=True), Column("corners"), Column("reason", wraps=True))
 
 
 def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
@@ -39,16 +41,16 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
-    from camcal.report.calibration import contender_rows, headline, parameter_rows, summary
+    from camcal.report.calibration import CONTENDER_COLUMNS, contender_rows, headline, parameter_rows, summary
     from camcal.report.uncertain import projection_words
 
     calibration = report.calibration
     if report.frames and verbose:
         _show_frames(report.frames, verbose)
     for reason in report.advice.reasons:
-        show.text(f"DO NOT TRUST: {reason}")
+        show.verdict(f"DO NOT TRUST: {reason}", good=False)
     if report.advice.trustworthy:
-        show.text("trustworthy")
+        show.verdict("trustworthy", good=True)
     show.text(headline(calibration))
     show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
     for remark in report.advice.remarks:
@@ -56,14 +58,11 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     for note in report.notes:
         show.text(note)
     width, height = calibration.camera.image_size
-    show.table(
-        f"{calibration.camera.model.name}, {width}x{height}",
-        ["parameter", "value", "± std"],
-        parameter_rows(calibration),
-    )
+    title = f"{calibration.camera.model.name}, {width}x{height}"
+    show.table(title, ["parameter", "value", "± std"], parameter_rows(calibration))
     if verbose and report.contenders:
-        header = ["lens model", "nat per corner", "prediction error px", ""]
-        show.table("Lens models by how well they predict left-out views", header, contender_rows(report.contenders))
+        title = "Lens models by how well they predict left-out views"
+        show.table(title, CONTENDER_COLUMNS, contender_rows(report.contenders))
     for line in summary(calibration):
         show.text(line)
     _show_channels(report)
@@ -71,7 +70,7 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     if verbose:
         corners = [f"{corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
         _list("Rejected corners:", corners, verbose)
-    show.text(f"wrote {options.output}")
+    show.wrote(options.output)
 
 
 def _show_channels(report: "CalibrateReport") -> None:
@@ -85,8 +84,9 @@ def _show_channels(report: "CalibrateReport") -> None:
         corner = value_and_std(seen.corner_px, seen.corner_std_px)
         largest = value_and_std(seen.largest_px, seen.largest_std_px)
         rows.append([colour, *corner, *largest, lens.points, lens.rejected, f"{lens.sigma_px:.3f}"])
-    header = ["colour", "outwards at the corner", "± std", "largest", "± std", "corners", "rejected", "noise"]
-    show.table("lateral chromatic aberration against green, px", header, rows)
+    measured = [Column("colour"), Column("outwards at the corner"), Column("± std"), Column("largest"), Column("± std")]
+    counted = [Column("corners", priority=3), Column("rejected", priority=2), Column("noise", priority=1)]
+    show.table("lateral chromatic aberration against green, px", [*measured, *counted], rows)
 
 
 def _how_far(corner: "RejectedCorner") -> str:
@@ -114,13 +114,12 @@ def board(options: SheetOptions, call: Call) -> None:
 
 def _show_sheet(sheet: "BoardSheet") -> None:
     options, (width, height) = sheet.options, sheet.ink.size
-    show.text(f"{options.output}: {sheet.board.words}, {width:g} x {height:g} mm, on {sheet.paper.described()}")
+    show.text(f"{sheet.board.words}, {width:g} x {height:g} mm, on {sheet.paper.described()}")
     if sheet.pixels is not None:
         show.text("  {} x {} pixels, gray where an edge runs through one".format(*sheet.pixels))
-    show.text(f"{options.board_file}: the board file, for --board")
-    if options.kalibr is not None:
-        show.text(f"{options.kalibr}: the same for Kalibr")
     show.text("print at 100 % (actual size)" + (", then measure the ruler" if options.ruler else ""))
+    show.text(f"next: camcal calibrate IMAGES --board {options.board_file} -o camera.yaml")
+    show.wrote(options.output, options.board_file, options.kalibr)
 
 
 def detect(options: DetectOptions, call: ImageCall) -> None:
@@ -146,7 +145,7 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
     rows = [[view.image, len(view.ids), view.reason or ""] for view in shown]
     if views:
         found = sum(view.found for view in views)
-        show.table(f"{found} of {len(views)} images show the board", ["image", "corners", "reason"], rows)
+        show.table(f"{found} of {len(views)} images show the board", DETECTION_COLUMNS, rows, verbose=verbose)
     if len(shown) < len(views):
         show.text(f"  … and {len(views) - len(shown)} with corners (--verbose lists all)")
     if report.frames:
@@ -155,10 +154,7 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
         show.text(note)
     for message in report.failed:
         show.text(f"failed: {message}")
-    show.text(f"wrote {options.output}")
-    if report.pictures:
-        count = len(report.pictures)
-        show.text(f"drew {count} picture{'s' if count > 1 else ''} in {options.draw}")
+    show.wrote(options.output, show.several(report.pictures, "picture"))
 
 
 def _show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
@@ -168,7 +164,7 @@ def _show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
     taken = [record for record in records if record.taken]
     shown = records if verbose else taken[:IMAGES_LISTED]
     title = f"{len(taken)} of {len(records)} frames that were searched are taken"
-    show.table(title, COLUMNS, [cells(record) for record in shown])
+    show.table(title, COLUMNS, [cells(record) for record in shown], verbose=verbose)
     if len(shown) < len(taken):
         show.text(f"  … and {len(taken) - len(shown)} more")
     if len(shown) < len(records):

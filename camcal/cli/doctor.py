@@ -26,10 +26,10 @@ def doctor(call: Call) -> None:
 def _show(found: "Examination", verbose: bool) -> None:
     show.text(f"camcal {found.camcal}, Python {found.python}, {found.cores} cores to use")
     show.text(found.system)
-    rows = [[package.name, package.version, package.wanted] for package in found.packages]
+    rows = [[package.name, package.version or "-", package.wanted] for package in found.packages]
     show.table("Packages", ["name", "installed", "needed"], rows)
     if verbose:
         for line in (*found.opencv_wheels, *(f"{name}={value}" for name, value in found.environment.items())):
             show.text(line)
     if not found.problems:
-        show.text("Nothing is in the way.")
+        show.verdict("Nothing is in the way.", good=True)

@@ -5,12 +5,19 @@ from typing import TYPE_CHECKING, Any
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.report.table import Column
 from camcal.tasks.options import InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.inspect import Inspection
     from camcal.tasks.raw.inspect_raw import RawInspection
 
+IMAGE_COLUMNS = (
+    Column("image", file=True),
+    Column("points"),
+    Column("RMS", "px"),
+    Column("not used because", wraps=True),
+)
 CAMERA_SUFFIXES = (".yaml", ".yml")  # for these, what reads images need not be loaded
 
 
@@ -71,7 +78,7 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
         if call.json:
             show.document("inspect", {"file": options.address[0], "key": options.get, "value": value})
         else:
-            show.text(_one_value(value))
+            show.value(_one_value(value))
         return
     if not call.json:
         for warning in inspection.file.warnings:
@@ -96,7 +103,11 @@ def _show(inspection: "Inspection", verbose: bool) -> None:
         show.table(title, ["parameter", "value", "± std"], parameter_rows(entry.camera))
         for line in camera_lines(entry, field):
             show.text(line)
+        if entry.verdict is not None and entry.verdict.trustworthy:
+            show.verdict("trustworthy", good=True)
+        for reason in entry.verdict.reasons if entry.verdict is not None else ():
+            show.verdict(f"DO NOT TRUST: {reason}", good=False)
     for line in file_lines(inspection.file):
         show.text(line)
     if verbose and (images := image_rows(inspection.file)):
-        show.table("images", ["file", "points", "rms px", "not used because"], images)
+        show.table("images", IMAGE_COLUMNS, images, verbose=True)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call
+from camcal.report.table import Column
 from camcal.tasks.lenses.options import OpticsOptions
 
 if TYPE_CHECKING:
@@ -29,7 +30,8 @@ def optics(options: OpticsOptions, call: Call) -> None:
 def _show_formats() -> None:
     from camcal.tasks.lenses import optics_document as words
 
-    columns = ["name", "width mm", "height mm", "diagonal mm", "the name says mm"]
+    sides = [Column(name, "mm") for name in ("width", "height", "diagonal")]
+    columns = [Column("name"), *sides, Column("the name says", "mm")]
     show.table("sensor formats", columns, words.format_rows())
     show.text(words.FORMAT_NOTE)
 
@@ -38,12 +40,12 @@ def _show(report: "OpticsReport") -> None:
     from camcal.tasks.lenses import optics_document as words
 
     show.table("lens and sensor", ["figure", "value", "unit", "from"], list(words.lens_rows(report)))
-    for columns, rows in words.distance_tables(report):
-        show.table("at a distance", columns, rows)
+    if report.at:
+        show.table("at a distance", *words.distance_table(report))
     if report.board is not None:
-        for columns, rows in words.board_tables(report.board):
-            show.table(words.board_title(report.board), columns, rows)
+        show.table(words.board_title(report.board), *words.board_table(report.board))
         for line in words.board_lines(report, report.board):
             show.text(line)
     for line in words.closing_lines(report):
         show.text(line)
+    show.wrote(report.plot)

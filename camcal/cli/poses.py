@@ -41,15 +41,12 @@ def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> N
         show.text(note)
     poses = report.poses
     rows = [pose_words.row(poses, sight, record) for sight, record in poses.estimates.items()]
-    show.table(poses.frames, pose_words.columns(poses), rows, verbose)
+    show.table(poses.frames, pose_words.columns(poses), rows, verbose=verbose, most=show.LISTED)
     if options.all_solutions:
         _show_alternatives(report, verbose)
     show.text(pose_words.noise(poses))
     show.lines([f"no pose: {sight}: {reason}" for sight, reason in poses.missing.items()], verbose)
-    if options.output:
-        show.text(f"wrote {options.output}")
-    if report.pictures:
-        show.text(f"drew {len(report.pictures)} pictures in {report.pictures[0].parent}")
+    show.wrote(options.output, show.several(report.pictures, "picture"))
 
 
 def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
@@ -60,8 +57,8 @@ def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
     if not rows:
         show.text("no other pose fits")
         return
-    heads = ["image", "x y z", "rotation vector, deg", "χ² above", "probability"]
-    show.table("other poses", heads, rows, verbose)
+    columns = pose_words.alternative_columns(poses)
+    show.table("other poses", columns, rows, verbose=verbose, most=show.LISTED)
 
 
 def track(options: FollowOptions, call: ImageCall) -> None:
@@ -93,8 +90,7 @@ def _show_tracks(report: "FollowReport", verbose: bool) -> None:
         if verbose:
             for image in plain(item, report.images)["rejected"]:
                 show.text(f"  left out: {image}")
-    for path in report.outputs:
-        show.text(f"wrote {path}")
+    show.wrote(*report.outputs)
 
 
 def smooth(options: SmoothOptions, call: Call) -> None:
@@ -119,5 +115,4 @@ def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
         show.text(outlier_line(found, verbose))
     if found.before is not None and found.after is not None:
         show.table(*evaluation_rows(found.options.comparison, found.before, found.after))
-    for path in found.written:
-        show.text(f"wrote {path}")
+    show.wrote(*found.written)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.report.table import Column
 from camcal.tasks.raw.options import DemosaicOptions, SensorOptions
 
 if TYPE_CHECKING:
@@ -15,6 +16,16 @@ if TYPE_CHECKING:
     from camcal.tasks.raw.sensor import SensorReport
 
 
+FIGURE_COLUMNS = ("figure", "value", "± std", "unit")
+FRAME_COLUMNS = (
+    Column("image", file=True),
+    Column("size", priority=3),
+    Column("pattern", priority=2),
+    Column("black"),
+    Column("white"),
+    Column("gains R G B", priority=1),
+    Column("clipped", "%"),
+)
 CLIPPED = 1e-3  # share of a colour's samples that is worth saying
 
 
@@ -62,28 +73,32 @@ def _preview(options: DemosaicOptions, call: ImageCall) -> None:
 
 def _show_map(found: "BadPixelMap") -> None:
     show.text(f"{found.bad} of {found.pixels} pixels stand out in {found.frames} dark frames")
-    show.text(f"wrote {found.output}")
+    show.wrote(found.output)
 
 
 def _show_previews(previews: "Sequence[PatternPreviews]") -> None:
     for preview in previews:
         likely = f", by its greens {' or '.join(preview.likely)}" if len(preview.likely) == 2 else ""
-        show.text(f"{preview.source}{likely}: {' '.join(str(path) for path in preview.thumbnails.values())}")
+        show.text(f"{preview.source}{likely}: {' '.join(path.name for path in preview.thumbnails.values())}")
+    show.wrote(show.several([path for preview in previews for path in preview.thumbnails.values()], "picture"))
 
 
 def _show_images(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: bool) -> None:
     from camcal.raw.mosaic import pattern_words
 
     written = [outcome.value for outcome in outcomes if outcome.value is not None]
-    lines = []
+    rows = []
     for frame in written:
-        gains = "" if frame.gains is None else ", gains {:.4g} {:.4g} {:.4g}".format(*frame.gains)
-        levels = f"black {' '.join(f'{level:g}' for level in sorted(set(frame.black)))}, white {frame.white:g}"
-        clipped = f", {max(frame.clipped):.1%} clipped" if max(frame.clipped) >= CLIPPED else ""
-        pattern = pattern_words(frame.pattern)
-        lines.append(f"{frame.output}: {frame.size[0]}x{frame.size[1]}, {pattern}, {levels}{gains}{clipped}")
-    show.lines(lines, verbose)
+        black = " ".join(f"{level:g}" for level in sorted(set(frame.black)))
+        gains = None if frame.gains is None else " ".join(f"{gain:.4g}" for gain in frame.gains)
+        clipped = f"{100 * max(frame.clipped):.1f}" if max(frame.clipped) >= CLIPPED else None
+        size, pattern = "{}x{}".format(*frame.size), pattern_words(frame.pattern)
+        rows.append([str(frame.output), size, pattern, black, f"{frame.white:g}", gains, clipped])
+    if rows:
+        count = f"{len(rows)} image{'s' * (len(rows) > 1)}"
+        show.table(count, FRAME_COLUMNS, rows, verbose=verbose, most=show.LISTED)
     show.failed(outcomes)
+    show.wrote(show.several([frame.output for frame in written], "image"))
 
 
 def sensor(options: SensorOptions, call: ImageCall) -> None:
@@ -105,11 +120,11 @@ def _show_sensor(report: "SensorReport", options: SensorOptions, verbose: bool) 
     found = report.sensor
     width, height = found.size
     show.text(f"{len(report.flats)} levels of light, {len(report.darks)} of darkness, {width}x{height}")
-    show.table("sensor", ["figure", "value", "std", "unit"], rows(found.figures))
+    show.table("sensor", FIGURE_COLUMNS, rows(found.figures))
     show.text(f"the counts end at the {found.saturation}" if found.saturation != "not reached" else "not saturated")
     if report.pitch is not None:
         show.text(f"pixel pitch {1e6 * report.pitch:.3g} um")
     if verbose:
         for name, part in found.phases.items():
-            show.table(name, ["figure", "value", "std", "unit"], rows(part))
-    show.text(f"wrote {options.output}" + (f" and {options.plot}" if options.plot else ""))
+            show.table(name, FIGURE_COLUMNS, rows(part))
+    show.wrote(options.output, options.plot)

@@ -4,22 +4,26 @@ import json
 import math
 import os
 import re
+import shutil
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from camcal.errors import FileError, in_one_line, reason
 from camcal.progress import Outcome, Progress, Silent
+from camcal.report.table import Column, table_lines, wrapped
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 LISTED = 10  # rows and lines of a list, unless all are asked for
 
+_BOLD_GREEN, _BOLD_RED, _PLAIN = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
+_NARROWEST = 40  # cells: no line is made shorter
 _REDRAW_S = 0.1
 _LONGEST = 400  # characters of a line on stderr
 _END = 100  # of them that stay of its end
@@ -30,11 +34,64 @@ _documents: ContextVar[list[str] | None] = ContextVar("documents", default=None)
 
 
 def text(line: str) -> None:
-    """Print a line to stdout, what steers a terminal written as escapes; a closed pipe swallows it."""
+    """Print a line to stdout, what steers a terminal written as escapes; on a terminal it ends at words."""
+    _print(_lines_of(line))
+
+
+def value(line: str) -> None:
+    """Print a line for a program to stdout: it is never cut."""
+    _print([printable(line)])
+
+
+def verdict(line: str, *, good: bool) -> None:
+    """Print what a user should see first, on a terminal in bold green or red."""
+    lines = _lines_of(line)
+    if _has_colours():
+        lines = [f"{_BOLD_GREEN if good else _BOLD_RED}{part}{_PLAIN}" for part in lines]
+    _print(lines)
+
+
+def wrote(*files: Path | str | None) -> None:
+    """Print the one line about what was written: paths, or what `several` says of them; None was not asked for."""
+    listed = [str(file) for file in files if file is not None]
+    if listed:
+        text(f"wrote {' and '.join(filter(None, (', '.join(listed[:-1]), listed[-1])))}")
+
+
+def several(paths: Sequence[Path], noun: str) -> str | None:
+    """Return files in words for `wrote`: '20 images to undistorted/', a single one by its path, None for no file."""
+    folders = {path.parent for path in paths}
+    if len(paths) < 2 or len(folders) > 1:
+        return ", ".join(map(str, paths)) or None
+    return f"{len(paths)} {noun}s to {folders.pop()}{os.sep}"
+
+
+def _lines_of(line: str) -> list[str]:
+    """Return the lines that a line of text takes: whole in a pipe, where whoever reads it may search for words."""
+    lines = printable(line).split("\n")
+    return [part for each in lines for part in wrapped(each, width())] if _on_terminal() else lines
+
+
+def _print(lines: Iterable[str]) -> None:
+    """Print lines to stdout; a closed pipe swallows them."""
     try:
-        print(printable(line))  # noqa: T201
+        for line in lines:
+            print(line)  # noqa: T201
     except OSError as error:
         give_up_stdout(error)
+
+
+def width() -> int:
+    """Return how many cells a line may have: COLUMNS of the environment, else those of the terminal, 80 in a pipe."""
+    return max(_NARROWEST, shutil.get_terminal_size().columns)
+
+
+def _on_terminal() -> bool:
+    return sys.stdout is not None and sys.stdout.isatty()
+
+
+def _has_colours() -> bool:
+    return _on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def printable(words: str) -> str:
@@ -75,25 +132,22 @@ def failed(outcomes: Iterable[Outcome[Any, Any]]) -> None:
             text(f"failed: {outcome.error}")
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], verbose: bool = True) -> None:
-    """Print a title and aligned columns; numbers to the right with 6 significant digits, None as a dash.
+def table(
+    title: str,
+    columns: Sequence[Column | str],
+    rows: Sequence[Sequence[object]],
+    *,
+    verbose: bool = False,
+    most: int | None = None,
+) -> None:
+    """Print a title and aligned columns that fit the width.
 
-    verbose: all rows, otherwise the first ones and how many more there are.
+    most: so many rows, and how many more there are. verbose: all rows, all columns and whole paths.
     """
-    shown = rows if verbose else rows[:LISTED]
-    cells = [list(columns), *([_cell(value) for value in row] for row in shown)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    numeric = [all(value is None or _is_number(value) for value in column) for column in zip(*shown, strict=True)]
-    aligned = [
-        [
-            cell.rjust(width) if right else cell.ljust(width)
-            for cell, width, right in zip(row, widths, numeric or [False] * len(widths), strict=True)
-        ]
-        for row in cells
-    ]
+    shown = [list(map(_printable_cell, row)) for row in (rows if verbose else rows[:most])]
+    heads = [Column(column) if isinstance(column, str) else column for column in columns]
     text(title)
-    for row in aligned:
-        text(f"  {'  '.join(row)}".rstrip())
+    _print(table_lines(heads, shown, width(), in_full=verbose))
     if len(shown) < len(rows):
         text(f"… and {len(rows) - len(shown)} more (--verbose lists all)")
 
@@ -104,7 +158,7 @@ def document(command: str, payload: Mapping[str, Any]) -> None:
     Numbers have 12 significant digits; NaN and infinities become null, arrays lists, paths text.
     """
     schema = f"camcal/{command.replace(' ', '-')}/1"
-    text(json.dumps({"schema": schema, **_plain(payload)}, indent=2, allow_nan=False))
+    value(json.dumps({"schema": schema, **_plain(payload)}, indent=2, allow_nan=False))
     shown = _documents.get()
     if shown is not None:
         shown.append(schema)
@@ -202,14 +256,8 @@ def _lines(message: str) -> Iterator[str]:
         yield line if len(line) <= _LONGEST else f"{line[: _LONGEST - _END]} … {line[-_END:]}"
 
 
-def _cell(value: object) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.6g}" if _is_number(value) and not isinstance(value, int) else in_one_line(str(value))
-
-
-def _is_number(value: object) -> bool:
-    return hasattr(value, "__float__") and not isinstance(value, bool)
+def _printable_cell(cell: object) -> object:
+    return printable(in_one_line(cell)) if isinstance(cell, str) else cell
 
 
 def _plain(value: Any) -> Any:

@@ -1,10 +1,12 @@
 """`camcal simulate` and `demo`."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call
+from camcal.report.table import Column
 from camcal.tasks.calibration.options import DemoOptions
 from camcal.tasks.simulation.options import SimulateOptions
 
@@ -12,6 +14,14 @@ if TYPE_CHECKING:
     from camcal.tasks.calibration.demo import DemoReport
     from camcal.tasks.simulation.simulate import SimulateReport
     from camcal.tasks.simulation.simulate_stereo import StereoReport
+
+
+PAIR_COLUMNS = (
+    Column("image", file=True),
+    Column("least", "px"),
+    Column("greatest", "px"),
+    Column("seen by both", "%"),
+)
 
 
 def simulate(options: SimulateOptions, call: Call) -> None:
@@ -50,12 +60,13 @@ def _show_photographs(report: "SimulateReport", options: SimulateOptions, verbos
     count = sum(len(view.ids) for view in report.corners.views)
     show.text(f"{len(report.images)} images of {camera.image_size[0]}x{camera.image_size[1]}, {count} corners in them")
     if verbose:
-        rows = [[name, camera.value(name)] for name in camera.model.parameter_names]
+        rows: list[list[object]] = [[name, f"{camera.value(name):.6g}"] for name in camera.model.parameter_names]
         show.table(camera.model.name, ["parameter", "value"], rows)
-        show.table("corners", ["image", "corners"], [[view.image, len(view.ids)] for view in report.corners.views])
-    show.text(f"wrote {output / 'images'}, and beside it truth.yaml, board.yaml, poses.csv, corners.csv")
-    if report.frames:
-        show.text(f"wrote {len(report.frames)} flat and dark frames")
+        rows = [[view.image, len(view.ids)] for view in report.corners.views]
+        show.table("corners", [Column("image", file=True), Column("corners")], rows)
+    frames = f"{len(report.frames)} flat and dark frames to {output}{os.sep}" if report.frames else None
+    beside = [output / name for name in ("truth.yaml", "board.yaml", "poses.csv", "corners.csv")]
+    show.wrote(*beside, show.several(report.images, "image"), frames)
     show.text(f"next: {_next(options)}")
 
 
@@ -77,8 +88,8 @@ def _show_pairs(report: "StereoReport", output: Path, verbose: bool) -> None:
     show.text(f"fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px")
     if verbose:
         rows = [[pair.left.name, pair.least, pair.greatest, 100 * pair.shared] for pair in report.pairs]
-        show.table("pairs", ["image", "least px", "greatest px", "seen by both %"], rows)
-    show.text(f"wrote {output}: left, right, disparity, disparity_right, visible, {report.rig.name}")
+        show.table("pairs", PAIR_COLUMNS, rows)
+    show.wrote(report.rig, f"{count} pair{'s' * (count > 1)} with their disparities to {output}{os.sep}")
     first = report.pairs[0]
     show.text(f"next: camcal stereo disparity {first.left} {first.right} {report.rig} -o disparity.pfm")
 
@@ -109,10 +120,11 @@ def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
         show.text(line)
     if verbose:
         views = [[view.image, view.kept, view.rms_px] for view in calibration.views]
-        show.table("images", ["image", "corners", "rms px"], views)
+        show.table("images", [Column("image", file=True), Column("corners"), Column("RMS", "px")], views)
     for reason in report.calibrated.advice.reasons:
-        show.text(f"DO NOT TRUST: {reason}")
-    show.text(f"{output / 'README.txt'} says what lies in {output} and what to try next")
+        show.verdict(f"DO NOT TRUST: {reason}", good=False)
+    show.wrote(f"{output}{os.sep}")
+    show.text(f"next: read {output / 'README.txt'}, which says what each file is and what to try")
 
 
 def _sigmas(value: float | None) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
+from camcal.report.table import Column
 from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
 
@@ -16,6 +17,17 @@ if TYPE_CHECKING:
     from camcal.tasks.stereo.stereo_disparity import MatchedPair
     from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
     from camcal.tasks.stereo.view import ViewReport
+
+MAP_COLUMNS = (
+    Column("map", file=True),
+    Column("matched", "%"),
+    Column("filled", "%", priority=1),
+    Column("range", "px", priority=3),
+    Column("median", "px", priority=2),
+    Column("sigma", "px"),
+    Column("rows aligned by", "px", priority=4),
+)
+CLOUD_COLUMNS = (Column("cloud", file=True), Column("points"), Column("pixels"))
 
 
 def check(options: StereoCheckOptions, call: ImageCall) -> None:
@@ -36,7 +48,7 @@ def check(options: StereoCheckOptions, call: ImageCall) -> None:
 
 
 def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool) -> None:
-    from camcal.report.stereo_words import lines
+    from camcal.report.stereo_words import agrees, lines, verdict
 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
     if len(outcomes) == 1 or verbose:
@@ -44,32 +56,20 @@ def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool
             show.text(f"{pair.left}, {pair.right}:")
             for line in lines(pair.check):
                 show.text(f"  {line}")
-            if pair.picture is not None:
-                show.text(f"wrote {pair.picture}")
+            show.verdict(f"  {verdict(pair.check)}", good=agrees(pair.check))
     if len(outcomes) > 1:
-        _show_together(outcomes)
+        _show_together(outcomes, verbose)
     show.failed(outcomes)
+    show.wrote(show.several([pair.picture for pair in checked if pair.picture is not None], "picture"))
 
 
-def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]") -> None:
-    from camcal.report.stereo_words import spanned, verdict
+def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool) -> None:
+    from camcal.report.stereo_words import CHECK_COLUMNS, check_row
     from camcal.tasks.stereo.stereo_check import overall
 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
-    columns = ("left", "median dy", "±", "RMS", "95 %", "disparity", "")
-    rows = []
-    for pair in checked:
-        residual = pair.check.residual
-        numbers = (*residual.median, residual.rms, residual.p95)
-        rows.append(
-            [
-                pair.left,
-                *(f"{number:.3f}" for number in numbers),
-                spanned(*pair.check.disparity),
-                verdict(pair.check),
-            ]
-        )
-    show.table("pixels", columns, rows)
+    rows = [[str(pair.left), *check_row(pair.check)] for pair in checked]
+    show.table("rows of the pairs", CHECK_COLUMNS, rows, verbose=verbose)
     together = overall(outcomes)
     if together is not None:
         show.text(
@@ -91,9 +91,7 @@ def disparity(options: DisparityOptions, call: ImageCall) -> None:
 
     outcomes = stereo_disparity(options, call.progress)
     matched = [outcome.value for outcome in outcomes if outcome.value is not None]
-    call.give(
-        lambda: document(outcomes), lambda: show.lines([_matched(pair, call.verbose) for pair in matched], call.verbose)
-    )
+    call.give(lambda: document(outcomes), lambda: _show_matched(matched, call.verbose))
     if options.force:
         for pair in matched:
             for failure in pair.failures:
@@ -103,17 +101,21 @@ def disparity(options: DisparityOptions, call: ImageCall) -> None:
     require_all(outcomes, "pairs")
 
 
-def _matched(pair: "MatchedPair", verbose: bool) -> str:
-    """Return the line of a pair, with `verbose` another one of its classes."""
-    figures = pair.figures
-    first, last = figures.searched
-    filled = f", {figures.filled:.1%} filled" if figures.filled else ""
-    median = "" if figures.median is None else f", median {figures.median:.2f} px"
-    sigma = "" if figures.sigma is None else f", sigma {figures.sigma:.2f} px"
-    rows = f", rows aligned by {pair.rows:.2f} px" if pair.rows else ""
-    line = f"{pair.output}: {figures.matched:.1%} matched{filled}, range {first}:{last}{median}{sigma}{rows}"
-    classes = ", ".join(f"{name} {share:.1%}" for name, share in figures.classes.items())
-    return f"{line}\n  {classes}" if verbose else line
+def _show_matched(pairs: "Sequence[MatchedPair]", verbose: bool) -> None:
+    """Print the maps as a table, with `verbose` the shares of their classes too."""
+    classes = list(pairs[0].figures.classes) if pairs and verbose else []
+    rows = []
+    for pair in pairs:
+        figures = pair.figures
+        shares = [f"{100 * share:.1f}" for share in (figures.matched, figures.filled)]
+        sizes = [None if size is None else f"{size:.2f}" for size in (figures.median, figures.sigma)]
+        more = [f"{100 * figures.classes[name]:.1f}" for name in classes]
+        rows.append([str(pair.output), *shares, "{}:{}".format(*figures.searched), *sizes, f"{pair.rows:.2f}", *more])
+    if rows:
+        columns = [*MAP_COLUMNS, *(Column(name, "%") for name in classes)]
+        show.table(f"{len(rows)} map{'s' * (len(rows) > 1)}", columns, rows, verbose=verbose, most=show.LISTED)
+    pictures = [pair.picture for pair in pairs if pair.picture is not None]
+    show.wrote(show.several([pair.output for pair in pairs], "map"), show.several(pictures, "picture"))
 
 
 def cloud(options: CloudOptions, call: ImageCall) -> None:
@@ -142,8 +144,9 @@ def _make_clouds(options: CloudOptions, call: Call) -> None:
 
 
 def _show_clouds(reports: "list[CloudReport]", verbose: bool) -> None:
-    lines = [f"{report.output}: {report.points} points of {report.pixels} pixels" for report in reports]
-    show.lines(lines, verbose)
+    rows = [[str(report.output), report.points, report.pixels] for report in reports]
+    show.table(f"{len(rows)} clouds", CLOUD_COLUMNS, rows, verbose=verbose, most=show.LISTED)
+    show.wrote(show.several([report.output for report in reports], "cloud"))
 
 
 def _show_cloud(report: "CloudReport") -> None:
@@ -156,7 +159,8 @@ def _show_cloud(report: "CloudReport") -> None:
     if report.depth is not None:
         nearest, median, farthest = report.depth
         show.text(f"depth {nearest:.3f} … {farthest:.3f} m, median {median:.3f} m")
-    show.text(f"wrote {report.output}: {' '.join(report.fields)} in {report.unit}; {report.frame}")
+    show.text(f"{' '.join(report.fields)} in {report.unit}; {report.frame}")
+    show.wrote(report.output)
 
 
 def evaluate(options: EvalOptions, call: ImageCall) -> None:
@@ -185,12 +189,14 @@ def _show_errors(report: "EvalReport", verbose: bool) -> None:
     in_full = verbose or len(report.outcomes) == 1
     show.lines(["\n".join(_compared(pair, in_full=in_full)) for pair in report.pairs], verbose)
     title = "errors" if len(report.outcomes) == 1 else f"mean over {len(report.pairs)} maps"
-    show.table(title, ["", *report.mean.figures, ""], figure_rows(report.mean))
+    show.table(title, ["", *report.mean.figures], figure_rows(report.mean))
     if report.mean.classes:
-        show.table("confidence, all-valid (% and px)", CLASS_COLUMNS, class_rows(report.mean.classes))
+        show.table("confidence, all-valid", CLASS_COLUMNS, class_rows(report.mean.classes), verbose=verbose)
     for verdict in report.verdicts:
-        show.text(f"gate {verdict.gate}: {verdict.value:.4g}, {'holds' if verdict.passed else 'FAILED'}")
+        line = f"gate {verdict.gate}: {verdict.value:.4g}, {'holds' if verdict.passed else 'FAILED'}"
+        show.verdict(line, good=verdict.passed)
     show.failed(report.outcomes)
+    show.wrote(show.several([pair.picture for pair in report.pairs if pair.picture is not None], "picture"))
 
 
 def _compared(pair: "PairReport", *, in_full: bool) -> Iterator[str]:
@@ -202,8 +208,6 @@ def _compared(pair: "PairReport", *, in_full: bool) -> Iterator[str]:
     if pair.geometry is not None:
         geometry = pair.geometry
         yield f"  fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px"
-    if pair.picture is not None:
-        yield f"  wrote {pair.picture}"
 
 
 def _counted(path: Path, scale: float) -> str:
@@ -230,4 +234,7 @@ def _show_view(report: "ViewReport") -> None:
         points = f"{report.points} points" if shown == report.points else f"{shown} of {report.points} points"
         outside = f" ({report.outside} far outside left out)" if report.outside else ""
         show.text(f"{points}{outside} in {report.unit}, coloured by {report.colour}; {report.frame}")
-    show.text(f"wrote {report.output}" if report.output else "opened the Rerun viewer")
+    if report.output:
+        show.wrote(report.output)
+    else:
+        show.text("opened the Rerun viewer")

@@ -1,9 +1,11 @@
 """`camcal transform` and its commands."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call
+from camcal.report.table import Column
 from camcal.tasks.frames.options import (
     AverageOptions,
     ChainOptions,
@@ -20,6 +22,16 @@ if TYPE_CHECKING:
     from camcal.tasks.frames.transform_convert import Converted
     from camcal.tasks.frames.transform_points import MovedPoints
     from camcal.tasks.frames.transform_quality import Averaged, Checked
+
+ESTIMATE_COLUMNS = (Column("pose", file=True), Column("weight"), Column("off by", "mm"), Column("off by", "deg"))
+CHECK_COLUMNS = (
+    Column("pose", file=True),
+    Column("verdict", wraps=True),
+    Column("|R Rᵀ - I|"),
+    Column("det R"),
+    Column("angle to a rotation", "deg", priority=1),
+    Column("|q|", priority=2),
+)
 
 
 def chain(options: ChainOptions, call: Call) -> None:
@@ -81,8 +93,7 @@ def _show_made(made: "TransformResult", output: Output, *, verbose: bool) -> Non
     if output.numbers is None:
         for line in loop_lines(made.loops):
             show.text(line)
-        if output.path is not None:
-            show.text(f"wrote {output.path}")
+    _wrote(output)
 
 
 def convert(options: ConvertOptions, call: Call) -> None:
@@ -116,8 +127,13 @@ def _convert_trajectory(options: ConvertOptions, call: Call) -> None:
     converted = convert_trajectory(options, call.progress)
     count, frames = len(converted.trajectory), converted.trajectory.frames
     call.give(
-        lambda: trajectory_document(converted), lambda: show.text(f"{count} poses {frames}\nwrote {converted.output}")
+        lambda: trajectory_document(converted), lambda: _show_trajectory(f"{count} poses {frames}", converted.output)
     )
+
+
+def _show_trajectory(line: str, output: Path) -> None:
+    show.text(line)
+    show.wrote(output)
 
 
 def average(options: AverageOptions, call: Call) -> None:
@@ -141,7 +157,7 @@ def _show_average(averaged: "Averaged", output: Output, *, verbose: bool) -> Non
     if output.numbers is None:
         show.text(average_line(averaged.mean, weighted=averaged.weighted))
         rows = estimate_rows(averaged.estimates, averaged.mean)
-        show.table("estimates", ["pose", "weight", "mm off", "deg off"], rows, verbose)
+        show.table("estimates", ESTIMATE_COLUMNS, rows, verbose=verbose, most=show.LISTED)
     _wrote(output)
 
 
@@ -163,8 +179,7 @@ def _show_check(checked: "Checked", output: Output, *, verbose: bool) -> None:
     from camcal.report.transform import lines
 
     if output.numbers is None:
-        columns = ["pose", "verdict", "|R Rᵀ - I|", "det R", "deg to a rotation", "|q|"]
-        show.table("checked", columns, [pose.row for pose in checked.poses])
+        show.table("checked", CHECK_COLUMNS, [pose.row for pose in checked.poses], verbose=verbose)
     for transform in checked.fixed:
         for line in lines(transform, output.numbers, verbose=verbose):
             show.text(line)
@@ -191,9 +206,9 @@ def _show_points(moved: "MovedPoints", *, verbose: bool) -> None:
         show.text(line)
     also = [word for word, has in (("normals", moved.normals), ("covariances", moved.covariances)) if has]
     show.text(f"{moved.count} points{' with ' + ' and '.join(also) if also else ''}")
-    show.text(f"wrote {moved.output}")
+    show.wrote(moved.output)
 
 
 def _wrote(output: Output) -> None:
-    if output.path is not None and output.numbers is None:
-        show.text(f"wrote {output.path}")
+    if output.numbers is None:
+        show.wrote(output.path)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.report.table import Column
 from camcal.tasks.calibration.options import UndistortOptions
 
 if TYPE_CHECKING:
@@ -43,18 +44,19 @@ def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
 
 def _show_points(report: "PointsReport") -> None:
     lost = f", {report.lost} without a place (empty cells)" if report.lost else ""
-    show.text(f"{report.output}: {report.count} points{lost}")
-    if report.camera_file is not None:
-        show.text(f"{report.camera_file}: the camera these pixels belong to")
+    show.text(f"{report.count} points{lost}")
+    show.wrote(report.output, report.camera_file)
 
 
 def _show(report: "UndistortReport", verbose: bool) -> None:
     written = [outcome.value.output for outcome in report.outcomes if outcome.value is not None]
-    show.lines(list(map(str, written)), verbose)
+    if verbose:
+        show.table("undistorted", [Column("image", file=True)], [[str(path)] for path in written], verbose=True)
     show.failed(report.failed)
     if report.aligned:
         show.text(f"{' and '.join(report.aligned)} of colour images are drawn through lenses of their own")
     width, height = report.view.image_size
     focal = " ".join(f"{name}={report.view.value(name):.6g}" for name in ("fx", "fy", "cx", "cy"))
     empty = f"; {100 * (1 - report.valid):.1f} % of its pixels have no source" if report.valid < 1 else ""
-    show.text(f"{report.camera_file}: {report.view.model.name}, {width}x{height}, {focal}{empty}")
+    show.text(f"{report.view.model.name}, {width}x{height}, {focal}{empty}")
+    show.wrote(report.camera_file, report.mask_file, show.several(written, "image"))

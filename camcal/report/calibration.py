@@ -9,9 +9,16 @@ from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.jackknife import Contender
 from camcal.formats import boards
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.report.table import Column
 from camcal.report.uncertain import held_by_prior_words, value_and_std
 from camcal.targets.surface import RATIOS
 
+CONTENDER_COLUMNS = (
+    Column("lens model"),
+    Column("nat per corner"),
+    Column("prediction error", "px"),
+    Column("reason", wraps=True),
+)
 _SHOWN = 2.0  # standard deviations: less of a board's shape is not worth a line
 
 

@@ -6,26 +6,38 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.report.table import Column
+from camcal.report.uncertain import values_and_stds
 
 MILLI = 1000.0
+_STATUS = Column("status", wraps=True)
 _NEAR = 1.5  # a-posteriori scales up to this, and down to its inverse, are what real corners have
 
 
-def columns(poses: Poses) -> list[str]:
-    """Return the heads of a table of poses."""
-    named = ["object"] if any(sight.object for sight in poses.estimates) else []
-    length = "mm" if poses.unit == "m" else poses.unit
-    numbers = ["points", "RMS px", f"x y z, {length}", "± std", "rotation vector, deg", "± std"]
-    return ["image", *named, *numbers, "seen from", "status"]
+def columns(poses: Poses) -> list[Column]:
+    """Return the columns of a table of poses."""
+    named = [Column("object")] if any(sight.object for sight in poses.estimates) else []
+    length = _length(poses)
+    quality = [Column("points", priority=5), Column("RMS", "px", priority=2)]
+    place = [Column("x y z", length), Column("± std", length, priority=3)]
+    turn = [Column("rotation vector", "deg", priority=1), Column("± std", "deg", priority=4)]
+    return [Column("image", file=True), *named, *quality, *place, *turn, Column("seen from", priority=6), _STATUS]
+
+
+def alternative_columns(poses: Poses) -> list[Column]:
+    """Return the columns of a table of other poses."""
+    place, turn = Column("x y z", _length(poses)), Column("rotation vector", "deg")
+    return [Column("image", file=True), place, turn, Column("χ² above", priority=1), Column("probability")]
 
 
 def row(poses: Poses, sight: Sight, record: PoseRecord) -> list[object]:
     """Return the cells of one pose."""
     named = [sight.object] if any(other.object for other in poses.estimates) else []
     scale = MILLI if poses.unit == "m" else 1.0
-    place = _numbers(scale * record.transform.translation, ".3f"), _numbers(scale * record.std[:3], ".2g")
-    turn = _numbers(np.degrees(record.transform.vector()), ".3f"), _numbers(np.degrees(record.std[3:]), ".2g")
-    return [sight.image, *named, points(record), record.rms_px, *place, *turn, standpoint(poses, record), record.status]
+    place = values_and_stds(scale * record.transform.translation, scale * record.std[:3])
+    turn = values_and_stds(np.degrees(record.transform.vector()), np.degrees(record.std[3:]))
+    fit = points(record), f"{record.rms_px:.3g}"
+    return [sight.image, *named, *fit, *place, *turn, standpoint(poses, record), record.status]
 
 
 def alternative_rows(poses: Poses, sight: Sight, record: PoseRecord) -> list[list[object]]:
@@ -75,6 +87,11 @@ def caption(poses: Poses, sight: Sight, record: PoseRecord) -> str:
     named = f"{sight.object}: " if sight.object else ""
     place = standpoint(poses, record).replace("°", " deg")
     return f"{named}{place}; RMS {record.rms_px:.2f} px, {points(record)} points; {record.status}".replace("±", "+-")
+
+
+def _length(poses: Poses) -> str:
+    """Return the unit that lengths are shown in."""
+    return "mm" if poses.unit == "m" else poses.unit
 
 
 def _numbers(values: Array, form: str) -> str:

@@ -7,18 +7,38 @@ from typing import Any
 
 import numpy as np
 
+from camcal.report.table import Column
 from camcal.report.uncertain import value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
 from camcal.stereo.pair.pair_check import FINDINGS, Exposure, PairCheck
 from camcal.stereo.truth import FIGURES, ClassErrors, Evaluation
 
 _SURE = 3.0  # standard errors
-CLASS_COLUMNS = ("class", "pixels", "share", "68 % of errors", "sigma", "within 1", "within 2", "bad1", "bad2")
+CHECK_COLUMNS = (
+    Column("left", file=True),
+    Column("median dy", "px"),
+    Column("± std", "px"),
+    Column("RMS", "px"),
+    Column("95 %", "px", priority=2),
+    Column("disparity", "px", priority=1),
+    Column("verdict", wraps=True),
+)
+CLASS_COLUMNS = (
+    Column("class"),
+    Column("pixels"),
+    Column("share", "%"),
+    Column("68 % of errors", "px"),
+    Column("sigma", "px"),
+    Column("within 1", "%", priority=2),
+    Column("within 2", "%", priority=3),
+    Column("bad1", "%"),
+    Column("bad2", "%", priority=1),
+)
 _PERCENT = ("density", "bad", "d1", "within")
 
 
 def lines(check: PairCheck) -> list[str]:
-    """Return what was found of a pair, a line each, the last one what it means."""
+    """Return what was found of a pair, a line each."""
     residual = check.residual
     trend = residual.trend
     said = [headline(residual)]
@@ -30,7 +50,14 @@ def lines(check: PairCheck) -> list[str]:
     said.append(f"disparity {spanned(*check.disparity)} px{_searched(check)}")
     if check.exposure is not None:
         said.append(light(check.exposure))
-    return [*said, verdict(check)]
+    return said
+
+
+def check_row(check: PairCheck) -> list[object]:
+    """Return the cells of a pair under CHECK_COLUMNS, without the first."""
+    residual = check.residual
+    sizes = f"{residual.rms:.2f}", f"{residual.p95:.2f}"
+    return [*value_and_std(*residual.median), *sizes, spanned(*check.disparity), verdict(check)]
 
 
 def headline(residual: Residual) -> str:
@@ -62,6 +89,11 @@ def light(exposure: Exposure) -> str:
     if not exposure.differs:
         return f"exposures agree: {said}"
     return f"{said} (gain {exposure.gain:.2f}, gamma {exposure.gamma:.2f}, offset {exposure.offset:+.0f} of 255)"
+
+
+def agrees(check: PairCheck) -> bool:
+    """Return whether the rows of a pair agree as they are."""
+    return check.finding is None and check.residual.trend.rms <= NEGLIGIBLE
 
 
 def verdict(check: PairCheck) -> str:
@@ -126,13 +158,13 @@ def _plain(measured: Measured) -> dict[str, float]:
 
 
 def figure_rows(evaluation: Evaluation) -> list[list[object]]:
-    """Return a row for each figure: its name, a number for each column or None, and the unit."""
+    """Return a row for each figure: its name with the unit, and a number for each column or None."""
     columns = list(evaluation.figures)
-    rows: list[list[object]] = [["pixels", *(evaluation.pixels[column] for column in columns), ""]]
+    rows: list[list[object]] = [["pixels", *(evaluation.pixels[column] for column in columns)]]
     for name in FIGURES:
         values = [evaluation.figures[column].get(name) for column in columns]
         if any(value is not None for value in values):
-            rows.append([name, *(_short(value) for value in values), _unit(name)])
+            rows.append([_with_unit(name), *(_short(value) for value in values)])
     return rows
 
 
@@ -150,7 +182,8 @@ def _short(value: float | None) -> float | None:
     return None if value is None or isnan(value) else float(f"{value:.4g}")
 
 
-def _unit(name: str) -> str:
-    if name.startswith(_PERCENT) or name.endswith("percent"):
-        return "%"
-    return "m" if name.endswith("_m") else "px"
+def _with_unit(name: str) -> str:
+    """Return a figure with its unit, where its name does not say it."""
+    if name.endswith(("_percent", "_m")):
+        return name
+    return f"{name}, {'%' if name.startswith(_PERCENT) else 'px'}"

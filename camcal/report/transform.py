@@ -12,6 +12,7 @@ from camcal.formats.pose_text import Form
 from camcal.geometry import rotation as so3
 from camcal.geometry.frame_graph import Loop
 from camcal.geometry.pose import NamedTransform
+from camcal.report.uncertain import values_and_stds
 
 _QUATERNION = ("qw", "qx", "qy", "qz")
 
@@ -96,8 +97,10 @@ def _title(transform: NamedTransform) -> str:
 
 
 def _row(name: str, numbers: Array, std: Array | None) -> str:
-    text = " ".join(f"{number:.9g}" for number in np.round(numbers, 12) + 0.0)
-    return f"  {name:<20}  {text}" + ("" if std is None else f"  ± {' '.join(f'{number:.2g}' for number in std)}")
+    numbers = np.round(numbers, 12) + 0.0
+    if std is None:
+        return f"  {name:<20}  {' '.join(f'{number:.9g}' for number in numbers)}"
+    return f"  {name:<20}  {'  ± '.join(values_and_stds(numbers, std))}"
 
 
 def _std(covariance: Array) -> Array:

@@ -1,9 +1,18 @@
 """A value and its standard deviation as text, no digit more than is known."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite, log10
+from typing import Any
 
 _FIGURES = {"rms": "RMS", "max": "worst", "centre": "centre", "median": "median", "p95": "95th percentile"}
+_LEAST, _MOST = 1e-6, 1e5  # standard deviations outside of these are written with an exponent
+
+
+def number_text(value: float, digits: int = 4) -> str:
+    """Return a number of no known uncertainty to so many digits; below a million no digit before the point is lost."""
+    if 10**digits <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}"
 
 
 def value_and_std(value: float, std: float | None) -> tuple[str, str]:
@@ -11,12 +20,26 @@ def value_and_std(value: float, std: float | None) -> tuple[str, str]:
 
     A std that is None (not known) or 0 leaves six digits of the value, and says nothing or 0.
     """
-    if std is None or not isfinite(std) or std <= 0:
-        return f"{value:.6g}", "" if std is None else f"{std:g}"
-    if std >= 1e5 or std < 1e-6:
-        return f"{value:.6g}", f"{std:.1e}"
-    places = max(0, 1 - floor(log10(std)))
-    return f"{value:.{places}f}", f"{std:.{places}f}"
+    if std is None or not isfinite(std) or std <= 0 or not isfinite(value):
+        return f"{value:.6g}", "" if std is None else f"{std:.2g}"
+    place = 1 - floor(log10(std))
+    if _LEAST <= std < _MOST:
+        places = max(0, place)
+        return f"{value:z.{places}f}", f"{std:.{places}f}"
+    known = round(value, place)
+    digits = floor(log10(abs(known))) + place if known else 0
+    return f"{known:.{max(0, digits)}e}" if known else "0", f"{std:.1e}"
+
+
+def value_with_std(value: float, std: float | None) -> str:
+    """Return a value with its standard deviation, such as '458.65 ± 0.41'; without it where that is not known."""
+    return " ± ".join(filter(None, value_and_std(value, std)))
+
+
+def values_and_stds(values: Iterable[Any], stds: Iterable[Any]) -> tuple[str, str]:
+    """Return the numbers of a vector and their standard deviations, each to the place where it is known."""
+    pairs = [value_and_std(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
+    return " ".join(value for value, _ in pairs), " ".join(std for _, std in pairs)
 
 
 def held_by_prior_words(names: Sequence[str]) -> str:

@@ -100,9 +100,6 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
         yield "sensor " + _figures(entry.sensor)
     if entry.channels:
         yield f"a lens of its own for {', '.join(entry.channels)}"
-    if entry.verdict is not None:
-        yield from ["trustworthy"] if entry.verdict.trustworthy else []
-        yield from (f"DO NOT TRUST: {reason}" for reason in entry.verdict.reasons)
 
 
 def _valid_words(entry: CameraEntry) -> Iterator[str]:

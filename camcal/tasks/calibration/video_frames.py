@@ -23,13 +23,21 @@ from camcal.images.image import Image
 from camcal.images.load import gray_8bit
 from camcal.images.video import focus, motion, reduced
 from camcal.progress import Progress
+from camcal.report.table import Column
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import edge_blur
 from camcal.targets.detect import SEED, detect
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.options import FrameOptions
 
-COLUMNS = ("frame", "corners", "blur px", "motion px", "order", "reason")
+COLUMNS = (
+    Column("frame", file=True),
+    Column("corners"),
+    Column("blur", "px", priority=1),
+    Column("motion", "px", priority=2),
+    Column("order", priority=3),
+    Column("reason", wraps=True),
+)
 LOOKS = 8  # frames that are searched for every one that may be chosen
 _SAMPLE = 6  # frames of a video on which the arrangement of a ChArUco board is found out
 

@@ -6,6 +6,7 @@ from math import hypot, isfinite, isnan, pi
 from typing import Any, TypeVar
 
 from camcal.optics.sensor_format import FORMATS, literal_mm, smallest_format
+from camcal.report.uncertain import number_text
 from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses.board_plan import BoardAt, BoardPlan
 from camcal.tasks.lenses.optics import OpticsReport, usable_range
@@ -85,7 +86,6 @@ _SOLVED = {
     "sensor": ("sensor width", 1e3, "mm"),
 }
 _POSE = ("tx_mm", "ty_mm", "tz_mm", "rx_deg", "ry_deg", "rz_deg")
-_ABREAST = 5  # distances beside each other: more do not fit 80 columns
 _POSE_FACTORS = (1e3, 1e3, 1e3, _DEGREES, _DEGREES, _DEGREES)
 
 
@@ -195,56 +195,46 @@ def _rows(record: object | None, shown: _Shown, sources: Mapping[str, str]) -> I
 
 
 def in_words(value: float) -> str:
-    """Return a number to six digits, infinity and nothing in words."""
+    """Return a number in four digits, infinity and nothing in words."""
     if isnan(value):
         return "no ray"
-    return f"{value:.6g}" if isfinite(value) else "infinity"
+    return number_text(value) if isfinite(value) else "infinity"
 
 
-def distance_tables(report: OpticsReport) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Yield tables with a column for every distance and a row for every figure that is known."""
-    for records in _batches(report.at):
-        yield _columns(records), _figure_rows(records, _AT)
+def distance_table(report: OpticsReport) -> tuple[list[str], list[list[str]]]:
+    """Return heads, one for each distance, and a row for every figure that is known."""
+    return _columns(report.at), _figure_rows(report.at, _AT)
 
 
-def board_tables(plan: BoardPlan) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Yield tables with a column for every distance: squares, share, noise, and the pose's standard deviations."""
+def board_table(plan: BoardPlan) -> tuple[list[str], list[list[str]]]:
+    """Return heads, one for each distance, and rows: squares, share, noise, and the pose's standard deviations."""
     element = BOARD_TYPES[plan.board.type].element
     shown = {
         name: (key, words.format(element=element), factor, unit)
         for name, (key, words, factor, unit) in _BOARD_AT.items()
     }
-    for records in _batches(plan.at):
-        stds = [_pose(at) for at in records]
-        spread = [
-            [f"pose, ± {key[:2]}", *("-" if std is None else f"{std[key]:.2g}" for std in stds), key[3:]]
-            for key in _POSE
-            if any(std is not None for std in stds)
-        ]
-        yield _columns(records), _figure_rows(records, shown) + spread
-
-
-def _batches(records: Sequence[At]) -> Iterator[Sequence[At]]:
-    for start in range(0, len(records), _ABREAST):
-        yield records[start : start + _ABREAST]
+    stds = [_pose(at) for at in plan.at]
+    spread = [
+        [f"pose, ± {key[:2]}, {key[3:]}", *("-" if std is None else f"{std[key]:.2g}" for std in stds)]
+        for key in _POSE
+        if any(std is not None for std in stds)
+    ]
+    return _columns(plan.at), _figure_rows(plan.at, shown) + spread
 
 
 def _columns(records: Sequence[At]) -> list[str]:
-    return ["figure", *(f"{_short(record.distance)} m" for record in records), "unit"]
+    return ["figure", *(f"{in_words(record.distance)} m" for record in records)]
 
 
 def _figure_rows(records: Sequence[At], shown: _Shown) -> list[list[str]]:
-    """Return a row for each figure that is known for any of the records: its words, the values, the unit."""
+    """Return a row for each figure that is known for any of the records: its words with the unit, the values."""
     rows = []
     for name, (_, words, factor, unit) in shown.items():
         values: list[float | None] = [_scaled(getattr(record, name), factor) for record in records]
         if name != "distance" and any(value is not None for value in values):
-            rows.append([words, *("-" if value is None else _short(value) for value in values), unit])
+            figure = f"{words}, {unit}" if unit else words
+            rows.append([figure, *("-" if value is None else in_words(value) for value in values)])
     return rows
-
-
-def _short(value: float) -> str:
-    return f"{value:.4g}" if isfinite(value) else in_words(value)
 
 
 def board_lines(report: OpticsReport, plan: BoardPlan) -> Iterator[str]:
@@ -255,7 +245,7 @@ def board_lines(report: OpticsReport, plan: BoardPlan) -> Iterator[str]:
     yield f"it fits the image {fits}, and {ends}"
     if low < high:
         sharp = " in focus" if report.focus is not None and report.focus.near is not None else ""
-        yield f"use it{sharp} between {low:.4g} m and {_short(high)} m"
+        yield f"use it{sharp} between {low:.4g} m and {in_words(high)} m"
     if plan.calibration is not None:
         std = ", ".join(f"{name} {value:.2g}" for name, value in plan.calibration.items())
         yield f"calibration from {plan.options.views} views, corners of {plan.options.noise_px:g} px: ± {std}"
@@ -268,15 +258,13 @@ def board_title(plan: BoardPlan) -> str:
 
 
 def closing_lines(report: OpticsReport) -> Iterator[str]:
-    """Yield what was solved, what to know, what is missing for more, and the plot's file."""
+    """Yield what was solved, what to know, what what is missing for more."""
     if (solved := _solved(report.setup)) is not None:
         wide = f"; the smallest format as wide is {solved['format']}" if solved["format"] else ""
         length = f"{solved['value']:.4g} {solved['unit']}"
         yield f"{solved['what']} {length} for a width of {report.setup.options.width:g} m{wide}"
     yield from (f"note: {note}" for note in report.setup.notes)
     yield from (f"for {figure} give {options}" for figure, options in report.missing.items())
-    if report.plot is not None:
-        yield f"wrote {report.plot}"
 
 
 FORMAT_NOTE = (

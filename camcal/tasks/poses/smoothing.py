@@ -107,7 +107,7 @@ def evaluation_rows(
             figures: ErrorFigures | None = getattr(error, pick)
             if figures is not None:
                 rows.append([name, state, *(scale * value for value in (figures.rmse, figures.median, figures.max))])
-    return title, ("error", "", "rms", "median", "largest"), rows
+    return title, ("error", "", "RMS", "median", "largest"), rows
 
 
 def _consistency(report: Consistency) -> Iterator[str]:

@@ -15,9 +15,10 @@ from camcal.raw.mosaic import Capture, Mosaic, pattern_words
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
+from camcal.report.table import Column
 from camcal.tasks.options import InspectOptions
 
-LAYOUT_COLUMNS = ("size", "stride", "format")
+LAYOUT_COLUMNS = (Column("size"), Column("stride"), Column("format", wraps=True))
 CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white")
 
 _BARS = " ▁▂▃▄▅▆▇█"
@@ -125,7 +126,7 @@ def _black_words(frame: Mosaic) -> str:
 def channel_rows(inspection: RawInspection) -> list[list[object]]:
     """Return name, mean, extremes, and the per cent of samples at black and at white of every channel."""
     return [
-        [facts.name, facts.mean, facts.least, facts.most, _per_cent(facts.at_black), _per_cent(facts.at_white)]
+        [facts.name, f"{facts.mean:.2f}", facts.least, facts.most, _per_cent(facts.at_black), _per_cent(facts.at_white)]
         for facts in inspection.channels
     ]
 

@@ -22,6 +22,7 @@ from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report import figures
+from camcal.report.uncertain import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.paths import refuse_overwriting
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
@@ -240,9 +241,9 @@ def rows(part: Figures) -> list[list[Any]]:
     table: list[list[Any]] = []
     for name, figure in figures_by_name(part).items():
         words, factor, unit = _WORDS[name]
-        table.append([words, factor * figure.value, factor * figure.std, unit])
+        table.append([words, *value_and_std(factor * figure.value, factor * figure.std), unit])
         if name == "dynamic_range_db":
-            table.append(["", figure.value / DECIBELS_A_STOP, figure.std / DECIBELS_A_STOP, "stops"])
+            table.append(["", *value_and_std(figure.value / DECIBELS_A_STOP, figure.std / DECIBELS_A_STOP), "stops"])
     return table
 
 
