@@ -145,7 +145,7 @@ def _make_clouds(options: CloudOptions, call: Call) -> None:
 
 def _show_clouds(reports: "list[CloudReport]", verbose: bool) -> None:
     rows = [[str(report.output), report.points, report.pixels] for report in reports]
-    show.table(f"{len(rows)} clouds", CLOUD_COLUMNS, rows, verbose=verbose, most=show.LISTED)
+    show.table(f"{len(rows)} cloud{'s' * (len(rows) > 1)}", CLOUD_COLUMNS, rows, verbose=verbose, most=show.LISTED)
     show.wrote(show.several([report.output for report in reports], "cloud"))
 
 

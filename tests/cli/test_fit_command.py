@@ -41,7 +41,7 @@ def test_values_errors_intervals_and_goodness_are_said(run, data):
     code, out, err = run("fit", data, "--model", EXPQUAD, "--start", START, "--verbose")
     assert code == 0
     assert err == ""
-    for words in (EXPQUAD, "95 % from", "97 degrees of freedom", "R2 0.99", "condition 68", "best of 2 runs", "-0.983"):
+    for words in (EXPQUAD, "95 % from", "97 degrees of freedom", "R2 0.99", "condition 68", "best of 2 runs", "-0.984"):
         assert words in out
 
 

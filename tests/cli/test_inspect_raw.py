@@ -36,8 +36,8 @@ def test_a_person_reads_levels_clipping_balance_and_capture(run, dng):
         "black 64 65 66 67, white 4095",
         "white balance of the camera R 2.25, G 1, B 1.5",
         "EXIF orientation 6",
-        "R        4095   4095  4095           0         100",
-        "B          64     64    64         100           0",
+        "R        4095.00   4095  4095           0         100",
+        "B          64.00     64    64         100           0",
         "histogram, 64 bins from 0 to 4095",
     ):
         assert words in out
@@ -106,7 +106,7 @@ def test_a_file_without_a_header_is_read_by_its_layout(run, dump):
     code, out, _ = run("inspect", dump, "--format", "BayerRG12", "--size", "640x480")
     assert code == 0
     assert "640x480, RGGB, uint16\nblack 0, white 4095" in out
-    assert "R        4095   4095  4095           0         100" in out
+    assert "R        4095.00   4095  4095           0         100" in out
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,9 @@ def test_a_table_aligns_numbers_to_the_right_and_text_to_the_left(capsys):
     show.table("Values", ["name", "value", "± std"], [["fx", 1234.56789, 0.25], ["k1", -0.1, None]])
     assert capsys.readouterr().out.splitlines() == [
         "Values",
-        "  name    value  ± std",
-        "  fx    1234.57   0.25",
-        "  k1       -0.1      -",
+        "  name   value  ± std",
+        "  fx    1235     0.25",
+        "  k1      -0.1   -",
     ]
 
 

@@ -452,7 +452,7 @@ def test_a_folder_of_images_goes_with_a_folder_of_maps_by_name(run, tmp_path, im
     code, out, err = run("stereo", "cloud", tmp_path / "maps", tmp_path / "images", *NUMBERS, "-o", tmp_path / "out")
     assert code == 6
     assert "images: holds 0 images named b, need one" in err
-    assert "a.ply: 4 points of 6 pixels" in out
+    assert "  a.ply       4       6" in out
     assert "red" in pointclouds.read(tmp_path / "out" / "a.ply").vertices.dtype.names
 
 

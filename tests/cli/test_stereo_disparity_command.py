@@ -84,7 +84,7 @@ def test_map_uncertainty_classes_sidecar_and_picture_are_named_by_the_map(match,
     output = tmp_path / "out" / "x.pfm"
     code, out, err = match("-o", output, "--vis", quick=("--quality", quality, "--jobs", 1))
     assert (code, err) == (0, "")
-    assert out.startswith(f"{output}: ")
+    assert out.splitlines()[-1] == f"wrote {output} and {output}.vis.png"
     assert names(output.parent) == [*BESIDE, "x.pfm.vis.png"]
     found = maps.read(output)
     assert off(found) < 0.2  # two steps of the finest matcher
@@ -239,10 +239,11 @@ def test_folders_are_matched_together_and_a_broken_pair_costs_only_itself(run, s
 def test_a_line_is_printed_for_each_map_and_the_classes_if_asked_for(run, sequence, tmp_path):
     arguments = ("stereo", "disparity", *sequence, "-o", tmp_path / "maps", *QUICK)
     _, out, _ = run(*arguments)
-    assert len(out.splitlines()) == 2
-    assert all(words in out for words in ("left_0.tiff: ", "% matched", "range ", "median ", "sigma "))
-    _, out, _ = run(*arguments, "--verbose")
-    assert out.count("agreed ") == 2
+    assert [line.split()[0] for line in out.splitlines()[-3:]] == ["left_0.tiff", "left_2.tiff", "wrote"]
+    assert all(words in out for words in ("matched, %", "range, px", "median, px", "sigma, px"))
+    assert out.splitlines()[-1] == f"wrote 2 maps to {tmp_path / 'maps'}/"
+    assert "agreed, %" not in out
+    assert "agreed, %" in run(*arguments, "--verbose")[1]
     assert run(*arguments, "--quiet")[:2] == (6, "")
 
 

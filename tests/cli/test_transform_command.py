@@ -30,7 +30,7 @@ def test_a_chain_is_said_with_its_uncertainty_and_what_it_is_made_of(run, frames
     code, out, err = run("transform", "chain", frames, "--to", "base", "--from", "tag")
     assert code == 0
     assert "base_T_tag: takes points in tag to points in base" in out
-    assert "1 0 2.5  ± 0.001 0.001 0.002" in out
+    assert "1.0000 0.0000 2.5000  ± 0.0010 0.0010 0.0020" in out
     assert "base_T_cam * cam_T_tag" in out
     assert err == "camcal: warning: without a covariance, taken as exact: base_T_cam\n"
 

@@ -33,9 +33,10 @@ def folder(tmp_path, monkeypatch):
 def test_images_and_their_camera_are_named(run, folder):
     code, out, err = run("undistort", "lens.yaml", "photos", "-o", "out")
     assert (code, err) == (0, "")
-    lines = out.splitlines()
-    assert lines[:3] == ["out/1.png", "out/2.png", "out/10.png"]
-    assert lines[3].startswith("out/camera.yaml: pinhole, 120x80, fx=")
+    assert out.startswith("pinhole, 120x80, fx=")
+    assert out.endswith("\nwrote out/camera.yaml and 3 images to out/\n")
+    verbose = run("undistort", "lens.yaml", "photos", "-o", "out", "--verbose")[1]
+    assert verbose.split()[2:5] == ["out/1.png", "out/2.png", "out/10.png"]
 
 
 def test_quiet_says_nothing(run, folder):
@@ -86,14 +87,14 @@ def test_a_fisheye_is_sent_to_a_projection_that_holds_it(run, folder):
     for projection in ("cylinder", "equirectangular", "stereographic"):
         code, out, _ = run("undistort", "fish.yaml", "photos", "-o", projection, "--projection", projection)
         assert code == 0
-        assert f"{projection}/camera.yaml: {projection}, 120x80" in out
+        assert out.startswith(f"{projection}, 120x80")
 
 
 def test_points_are_undistorted_and_distorted_back(run, folder):
     (folder / "points.csv").write_text("u,v\n10,20\n,3\n")
     code, out, _ = run("undistort", "lens.yaml", "--points", "points.csv", "-o", "moved.csv", "--keep-k")
     assert code == 0
-    assert out.splitlines()[0] == "moved.csv: 2 points, 1 without a place (empty cells)"
+    assert out.splitlines()[0] == "2 points, 1 without a place (empty cells)"
     code, out, _ = run(
         "undistort", "lens.yaml", "--points", "moved.csv", "--distort", "-o", "back.csv", "--keep-k", "--json"
     )

@@ -8,8 +8,8 @@ from camcal.stereo.truth import evaluate
 
 def test_errors_of_a_map_without_a_match_are_infinite_and_those_of_no_pixel_are_none():
     truth = np.full((4, 5), 7.0)
-    found = {name: values for name, *values, _ in figure_rows(evaluate(np.full_like(truth, np.nan), truth))}
+    found = {name: values for name, *values in figure_rows(evaluate(np.full_like(truth, np.nan), truth))}
     assert found["pixels"] == [20, 0]
-    assert found["bad2"] == [100, None]
-    assert found["a90"] == [np.inf, None]
-    assert found["avg"] == [None, None]
+    assert found["bad2, %"] == [100, None]
+    assert found["a90, px"] == [np.inf, None]
+    assert found["avg, px"] == [None, None]

@@ -20,10 +20,12 @@ def poses(record=RECORD, sight=IMAGE, unit="m", scale=None, dof=102):
 
 def test_a_row_is_in_millimetres_and_degrees():
     found = poses()
-    row = dict(zip(pose_words.columns(found), pose_words.row(found, Sight("a.png"), RECORD), strict=False))
+    heads = [column.head for column in pose_words.columns(found)]
+    row = dict(zip(heads, pose_words.row(found, Sight("a.png"), RECORD), strict=True))
     assert row["image"] == "a.png"
     assert row["points"] == "54"
-    assert row["x y z, mm"] == "100.000 -20.000 700.000"
+    assert row["x y z, mm"] == "100.0 -20.0 700.0"
+    assert row["± std, mm"] == "1.0 1.0 1.0"
     assert row["rotation vector, deg"] == "0.000 0.000 90.000"
     assert row["seen from"] == "0.707 m away, 38° oblique"
     assert row["status"] == "ok"
@@ -31,13 +33,13 @@ def test_a_row_is_in_millimetres_and_degrees():
 
 def test_squares_stay_squares_and_objects_have_a_column():
     found = poses(sight=Sight("a.png", "tag_3"), unit="squares")
-    columns = pose_words.columns(found)
+    columns = [column.head for column in pose_words.columns(found)]
     assert columns[:2] == ["image", "object"]
     assert "x y z, squares" in columns
     row = pose_words.row(found, Sight("a.png", "tag_3"), RECORD)
     assert len(row) == len(columns)
     assert row[1] == "tag_3"
-    assert "0.100 -0.020 0.700" in row
+    assert "0.1000 -0.0200 0.7000" in row
     assert "0.707 squares away, 38° oblique" in row
 
 
