@@ -24,7 +24,7 @@ import numpy as np
 from camcal.cameras.model import Camera
 from camcal.images.save import save
 from camcal.raw.demosaic import demosaic
-from camcal.raw.options import Reading
+from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_mosaic
 from camcal.simulate.mosaics import lenses
 from camcal.simulate.options import Sensor
@@ -93,12 +93,12 @@ def run(condition: Condition, seed: int, jobs: int | None) -> Iterator[tuple[flo
 
 
 def calibrate_folder(folder: Path, condition: Condition, jobs: int | None) -> CalibrateReport:
-    images, reading = folder / "scene" / "images", Reading(PATTERN, colours=True)
+    images, reading = folder / "scene" / "images", ImageReadOptions(PATTERN, colours=True)
     if condition.demosaiced:
         for path in sorted(images.glob("*.png")):
             colour = demosaic(read_mosaic(path, PATTERN).values, PATTERN, "ri", white=condition.sensor.white_dn)
             save(folder / "developed" / path.name, colour)
-        images, reading = folder / "developed", Reading(colours=True)
+        images, reading = folder / "developed", ImageReadOptions(colours=True)
     return calibrate(CalibrateOptions((str(images),), folder / "camera.yaml", BOARD, jobs=jobs, reading=reading))
 
 

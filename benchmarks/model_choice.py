@@ -325,8 +325,8 @@ def jittered(folder: Path, name: str) -> list[str]:
             replace(view, pixels=view.pixels + rng.normal(0, JITTER if seed else 0, view.pixels.shape))
             for view in views
         ]
-        contenders = compare_models(moved, board, DEFAULT, [model_named(model) for model in COMPARED])
-        result.append(chosen(contenders, DEFAULT_MODEL).name)
+        candidates = compare_models(moved, board, DEFAULT, [model_named(model) for model in COMPARED])
+        result.append(chosen(candidates, DEFAULT_MODEL).name)
     return result
 
 

@@ -29,7 +29,7 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.detection_image import agreeing_gains, detection_image_of
 from camcal.raw.develop import linearise
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.options import Reading
+from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit, light
@@ -120,7 +120,7 @@ def read_as(algorithm: str) -> Callable[[Mosaic, Mosaic], np.ndarray]:
     """Return the way that `camcal detect --algorithm` goes."""
 
     def find(mosaic: Mosaic, _mono: Mosaic) -> np.ndarray:
-        image = detection_image_of(mosaic, Reading(algorithm=algorithm))
+        image = detection_image_of(mosaic, ImageReadOptions(algorithm=algorithm))
         return corners(image.gray, image.samples)
 
     return find

@@ -22,7 +22,7 @@ import numpy as np
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import Characterisation, characterise
-from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 
 SIZE, LEVELS, DARKS, VIGNETTING = (640, 480), 12, 16, 0.1
@@ -70,7 +70,7 @@ def random_sensor(rng: np.random.Generator) -> Sensor:
 def measured(sensor: Sensor, rng: np.random.Generator) -> Characterisation:
     raw = RawCamera("RGGB", sensor, LIGHT)
     fixed = FixedPattern.of(sensor, SIZE, rng)
-    shots = ladder(raw, LEVELS, VIGNETTING)
+    shots = exposure_series(raw, LEVELS, VIGNETTING)
     flats = [level(raw, shot, 2, fixed, rng) for shot in shots]
     darks = [level(raw, Shot(shot.exposure_s, 0.0), DARKS // 2, fixed, rng) for shot in (shots[0], shots[-1])]
     return characterise(flats, darks)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from camcal.formats import disparity
-from camcal.stereo.truth import seen_by_both
+from camcal.stereo.truth import visible_in_both
 
 MIDDLEBURY_SCALES = {"venus": 8}  # 2001; the sets of 2003 have 4
 STEP = 16  # OpenCV searches multiples of it
@@ -49,14 +49,14 @@ def middlebury2003(folder: Path) -> Iterator[Pair]:
     scale = next((scale for name, scale in MIDDLEBURY_SCALES.items() if name in folder.name.lower()), 4)
     truth, right_truth = (known(disparity.read(folder / f"disp{eye}.png", scale).values) for eye in (2, 6))
     left, right = (image(folder / f"im{eye}.png") for eye in (2, 6))
-    yield Pair(folder.name, left, right, truth, seen_by_both(truth, right_truth), up(np.nanmax(truth) + 1))
+    yield Pair(folder.name, left, right, truth, visible_in_both(truth, right_truth), up(np.nanmax(truth) + 1))
 
 
 def middlebury2014(folder: Path) -> Iterator[Pair]:
     """Middlebury 2014 and later, ETH3D: im0, im1, disp0GT.pfm (or disp0.pfm), mask0nocc.png, calib.txt with ndisp."""
     truth = known(disparity.read(first_of(folder, "disp0GT.pfm", "disp0.pfm")).values)
     mask = folder / "mask0nocc.png"
-    visible = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) == 255 if mask.exists() else unhidden(truth)
+    visible = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) == 255 if mask.exists() else unoccluded(truth)
     yield Pair(
         folder.name, image(folder / "im0.png"), image(folder / "im1.png"), truth, visible, declared(folder, truth)
     )
@@ -67,14 +67,14 @@ def skimage(folder: Path) -> Iterator[Pair]:
     left, right = (image(folder / f"motorcycle_{eye}.png") for eye in ("left", "right"))
     with np.load(folder / "motorcycle_disp.npz") as archive:
         truth = known(archive[archive.files[0]])
-    yield Pair("motorcycle", left, right, truth, unhidden(truth), up(np.nanmax(truth) + 1))
+    yield Pair("motorcycle", left, right, truth, unoccluded(truth), up(np.nanmax(truth) + 1))
 
 
 def slambook(folder: Path) -> Iterator[Pair]:
     """The road of slambook2: ch5/stereo/left.png and right.png, ch8/disparity.png, whose disparities were computed."""
     truth = known(disparity.read(folder / "ch8" / "disparity.png", 1).values)
     left, right = (image(folder / "ch5" / "stereo" / f"{eye}.png") for eye in ("left", "right"))
-    yield Pair("slambook2", left, right, truth, unhidden(truth), up(np.nanmax(truth) + 1))
+    yield Pair("slambook2", left, right, truth, unoccluded(truth), up(np.nanmax(truth) + 1))
 
 
 def simulated(folder: Path) -> Iterator[Pair]:
@@ -95,7 +95,7 @@ LAYOUTS = {
 }
 
 
-def unhidden(truth: np.ndarray) -> np.ndarray:
+def unoccluded(truth: np.ndarray) -> np.ndarray:
     """Return which pixels (H, W) nothing nearer hides in the right image, by the left truth, each at the nearest pixel.
 
     Published figures of pairs with one truth rest on it. Where a surface is stretched in the right image, some of what

@@ -46,9 +46,9 @@ def glances(
         )
         other = Pose(pose.rotation @ so3.about_x(0.8), pose.translation)
         first, second = (other, pose) if turned else (pose, other)
-        rival = Alternative(second, 1.0, 0.4, covariance, covariance)
+        alternative = Alternative(second, 1.0, 0.4, covariance, covariance)
         total = covariance if common is None else covariance + common
-        seen.append(None if missing else Glance(first, total, covariance, (rival,) if mirrored else ()))
+        seen.append(None if missing else Glance(first, total, covariance, (alternative,) if mirrored else ()))
     return seen
 
 

@@ -37,7 +37,7 @@ from camcal.calibrate.shape import (
     offset_std,
     point_equations,
     spent_on_offsets,
-    under,
+    with_priors,
     with_terms,
 )
 from camcal.solve.descent import Stopping
@@ -256,7 +256,7 @@ class _Passes:
             )
         observations = replace(self.problem.observations, weights=weights)
         problem = replace(self.problem, observations=observations, sigma=self.noise.sigma, noise=self.noise.views)
-        self.problem = under(problem, self.board)
+        self.problem = with_priors(problem, self.board)
 
     def _weigh(self, residuals: Array) -> None:
         """Take the errors that corners have beyond their covariances from the residuals, and weigh them by both."""

@@ -11,7 +11,7 @@ from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions, fit, fit_plain
-from camcal.calibrate.jackknife import Contender, contender
+from camcal.calibrate.jackknife import CandidateModel, candidate_model
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (
@@ -132,7 +132,7 @@ def calibrate(detections: Sequence[BoardDetection], board: Board, options: Optio
 
 def compare_models(
     detections: Sequence[BoardDetection], board: Board, options: Options, models: Sequence[CameraModel]
-) -> tuple[Contender, ...]:
+) -> tuple[CandidateModel, ...]:
     """Return how well lens models predict views, in their order; options.model does not matter.
 
     Raises InsufficientData for too few views.
@@ -144,11 +144,11 @@ def compare_models(
     for model in models:
         try:
             plain, _ = _plain(observations, board, size, replace(options, model=model), brief=True)
-            result.append(contender(model.name, plain))
+            result.append(candidate_model(model.name, plain))
         except (SingularError, np.linalg.LinAlgError):
-            result.append(Contender(model.name, reason="the views leave some of its parameters undetermined"))
+            result.append(CandidateModel(model.name, reason="the views leave some of its parameters undetermined"))
         except (InsufficientData, InvalidInput) as error:
-            result.append(Contender(model.name, reason=error.message))
+            result.append(CandidateModel(model.name, reason=error.message))
     return tuple(result)
 
 

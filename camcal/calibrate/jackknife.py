@@ -175,7 +175,7 @@ def averaged(states: Sequence[State], weights: Array) -> State:
 
 
 @dataclass(frozen=True, eq=False)
-class Contender:
+class CandidateModel:
     """A lens model and how well it predicts: scores (V,) log likelihoods of the views; sigma_px: the scale of the
     errors of a coordinate, 0.85 standard deviations of Gaussian ones.
 
@@ -194,30 +194,30 @@ class Contender:
         return float(self.scores.sum()) / self.corners if self.scores is not None else -np.inf
 
 
-def contender(name: str, plain: Estimate) -> Contender:
+def candidate_model(name: str, plain: Estimate) -> CandidateModel:
     """Return how well an estimate predicts the corners (V, P) that there are."""
     present = plain.problem.observations.present
     distances = _left_out(plain)[present]
     sigma, density = _likeliest(distances)
     scores = np.zeros(present.shape)
     scores[present] = density
-    return Contender(name, scores.sum(axis=1), int(present.sum()), sigma)
+    return CandidateModel(name, scores.sum(axis=1), int(present.sum()), sigma)
 
 
-def chosen(contenders: Sequence[Contender], preferred: str) -> Contender:
-    """Return the contender to use; contenders: the simplest first.
+def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateModel:
+    """Return the candidate to use; candidates: the simplest first.
 
     The preferred one stays unless the best predicts much better; else the simplest one that the best does not beat.
     """
-    best = max(contenders, key=lambda own: own.score)
-    first = next((own for own in contenders if own.name == preferred), None)
+    best = max(candidates, key=lambda own: own.score)
+    first = next((own for own in candidates if own.name == preferred), None)
     if first is not None and not _beats(best, first, _MUCH):
         return first
-    return next(own for own in contenders if not _beats(best, own, _LITTLE))
+    return next(own for own in candidates if not _beats(best, own, _LITTLE))
 
 
-def _beats(one: Contender, other: Contender, margins: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a contender predicts better than another by any of the margins: nats a corner, standard errors."""
+def _beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
+    """Return whether a candidate predicts better than another by any of the margins: nats a corner, standard errors."""
     if one.scores is None or other.scores is None:
         return one.scores is not None
     gains = one.scores - other.scores

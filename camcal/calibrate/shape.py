@@ -108,7 +108,7 @@ def with_terms(problem: BoardProblem, state: State) -> tuple[BoardProblem, State
     return replace(problem, terms=TERMS), replace(state, shape=shape)
 
 
-def under(problem: BoardProblem, scales: Mapping[str, Scale]) -> BoardProblem:
+def with_priors(problem: BoardProblem, scales: Mapping[str, Scale]) -> BoardProblem:
     """Return the problem with the priors of these scales on the board's shape, as far as it has terms and offsets."""
     if problem.terms:
         stds = [

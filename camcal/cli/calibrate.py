@@ -41,7 +41,7 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
-    from camcal.report.calibration import CONTENDER_COLUMNS, contender_rows, headline, parameter_rows, summary
+    from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
     from camcal.report.uncertain import projection_words
 
     calibration = report.calibration
@@ -60,9 +60,9 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     width, height = calibration.camera.image_size
     title = f"{calibration.camera.model.name}, {width}x{height}"
     show.table(title, ["parameter", "value", "± std"], parameter_rows(calibration))
-    if verbose and report.contenders:
+    if verbose and report.candidates:
         title = "Lens models by how well they predict left-out views"
-        show.table(title, CONTENDER_COLUMNS, contender_rows(report.contenders))
+        show.table(title, CANDIDATE_COLUMNS, candidate_rows(report.candidates))
     for line in summary(calibration):
         show.text(line)
     _show_channels(report)

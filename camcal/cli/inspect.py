@@ -49,7 +49,7 @@ def _inspect_raw(options: InspectOptions, call: ImageCall) -> None:
         raise InvalidInput(
             "--get and --camera are for camera files; use --json for one value of a raw frame", where=options.file
         )
-    if task.says_too_little(options):
+    if task.lacks_layout(options):
         guess = task.guess_layout(options)
         title, rows = task.guess_title(guess), task.guess_rows(guess)
         call.give(lambda: task.guess_document(guess), lambda: show.table(title, task.LAYOUT_COLUMNS, rows))

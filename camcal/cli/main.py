@@ -162,7 +162,7 @@ class Boundary(CommandGroup):
     def report(self, error: BaseException, arguments: list[str], *, silent: bool) -> int:
         """Show what went wrong and return the exit code; `silent` keeps a second document from stdout."""
         if isinstance(error, BrokenPipeError):
-            show.give_up_stdout(error)
+            show.discard_stdout(error)
             return 0
         if isinstance(error, typer.TyperException):
             error = _usage_error(error, self.named_in(arguments))

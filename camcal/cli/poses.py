@@ -6,12 +6,12 @@ from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.smooth_options import SmoothOptions
-from camcal.tasks.poses.track_options import FollowOptions
+from camcal.tasks.poses.track_options import TrackingOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.poses.pnp import PnpReport
     from camcal.tasks.poses.smoothing import Smoothing
-    from camcal.tasks.poses.track import FollowReport
+    from camcal.tasks.poses.track import TrackReport
 
 
 def pnp(options: PnpOptions, call: ImageCall) -> None:
@@ -40,12 +40,12 @@ def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> N
     for note in report.notes:
         show.text(note)
     poses = report.poses
-    rows = [pose_words.row(poses, sight, record) for sight, record in poses.estimates.items()]
+    rows = [pose_words.row(poses, pose_key, record) for pose_key, record in poses.estimates.items()]
     show.table(poses.frames, pose_words.columns(poses), rows, verbose=verbose, most=show.LISTED)
     if options.all_solutions:
         _show_alternatives(report, verbose)
     show.text(pose_words.noise(poses))
-    show.lines([f"no pose: {sight}: {reason}" for sight, reason in poses.missing.items()], verbose)
+    show.lines([f"no pose: {pose_key}: {reason}" for pose_key, reason in poses.missing.items()], verbose)
     show.wrote(options.output, show.several(report.pictures, "picture"))
 
 
@@ -61,7 +61,7 @@ def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
     show.table("other poses", columns, rows, verbose=verbose, most=show.LISTED)
 
 
-def track(options: FollowOptions, call: ImageCall) -> None:
+def track(options: TrackingOptions, call: ImageCall) -> None:
     """Follow a board or tags over a video, a folder of images or a pose file: smooth poses with their uncertainty.
 
     Detections that do not fit are left out, mirrored poses of flat objects are told apart by the motion, and where the
@@ -78,7 +78,7 @@ def track(options: FollowOptions, call: ImageCall) -> None:
         raise ItemsFailed(f"some failed, the rest is followed: {'; '.join((*lost, *report.failed))}")
 
 
-def _show_tracks(report: "FollowReport", verbose: bool) -> None:
+def _show_tracks(report: "TrackReport", verbose: bool) -> None:
     from camcal.report.track_words import lines, plain
 
     for note in report.notes:

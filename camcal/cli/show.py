@@ -78,7 +78,7 @@ def _print(lines: Iterable[str]) -> None:
         for line in lines:
             print(line)  # noqa: T201
     except OSError as error:
-        give_up_stdout(error)
+        discard_stdout(error)
 
 
 def width() -> int:
@@ -105,10 +105,10 @@ def flush() -> None:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError as error:
-        give_up_stdout(error)
+        discard_stdout(error)
 
 
-def give_up_stdout(error: OSError) -> None:
+def discard_stdout(error: OSError) -> None:
     """Let further output, and the flush at exit, go nowhere. A closed pipe is no error: whoever read has enough."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())

@@ -113,8 +113,8 @@ def _of_poses(path: Path) -> tuple[NamedTransform, ...]:
         raise InvalidInput(f"its lengths are in {found.unit}, those of transforms in metres", where=str(path))
     target, source = frames_of(found.frames)
     return tuple(
-        NamedTransform(target, source, record.transform, record.covariance, f"{path}#{sight}")
-        for sight, record in found.estimates.items()
+        NamedTransform(target, source, record.transform, record.covariance, f"{path}#{pose_key}")
+        for pose_key, record in found.estimates.items()
     )
 
 

@@ -21,7 +21,17 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
-from camcal.raw.options import AS_IMAGES, GRAY, GREEN, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, Gains, Reading
+from camcal.raw.options import (
+    AS_IMAGES,
+    GRAY,
+    GREEN,
+    HEADERLESS_SUFFIXES,
+    MONO,
+    NO_LAYOUT,
+    PATTERNS,
+    Gains,
+    ImageReadOptions,
+)
 from camcal.raw.reading import read_mosaic
 from camcal.targets.detection import MaskedImage
 
@@ -54,7 +64,7 @@ class DetectionImage:
         return self.measured or MaskedImage(self.gray)
 
 
-def read_detection_image(path: Path, reading: Reading = AS_IMAGES, *, hashed: bool = False) -> DetectionImage:
+def read_detection_image(path: Path, reading: ImageReadOptions = AS_IMAGES, *, hashed: bool = False) -> DetectionImage:
     """Return what detectors look at in an image, a camera raw file, a bare mosaic or a header-less file.
 
     hashed: with its hash. Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the
@@ -71,12 +81,12 @@ def read_detection_image(path: Path, reading: Reading = AS_IMAGES, *, hashed: bo
     return replace(found, sha256=hashlib.sha256(content).hexdigest()) if hashed and content is not None else found
 
 
-def is_raw(path: Path, reading: Reading) -> bool:
+def is_raw(path: Path, reading: ImageReadOptions) -> bool:
     """Return whether a file holds a raw frame; colours of other images have been mixed by demosaicing."""
     return path.suffix.lower() in RAW_SUFFIXES | HEADERLESS_SUFFIXES or reading.pattern is not None
 
 
-def _of_image(image: Image, reading: Reading) -> DetectionImage:
+def _of_image(image: Image, reading: ImageReadOptions) -> DetectionImage:
     if not reading.colours:
         deep = None if image.pixels.dtype == np.uint8 else MaskedImage(gray_levels(image.pixels))
         return DetectionImage(gray_8bit(image.pixels), image.orientation, deep)
@@ -88,7 +98,7 @@ def _of_image(image: Image, reading: Reading) -> DetectionImage:
     return DetectionImage(gray_8bit(planes[GREEN]), image.orientation, green, colours)
 
 
-def detection_image_of(frame: Mosaic, reading: Reading = AS_IMAGES) -> DetectionImage:
+def detection_image_of(frame: Mosaic, reading: ImageReadOptions = AS_IMAGES) -> DetectionImage:
     """Return what detectors look at in a raw frame.
 
     Raises InvalidInput for X-Trans, a pattern that contradicts the frame, or colours that it has not.

@@ -102,7 +102,7 @@ NO_LAYOUT = GivenLayout()
 
 
 @dataclass(frozen=True)
-class Reading(OptionsRecord):
+class ImageReadOptions(OptionsRecord):
     """How photographs of a board are read.
 
     pattern: that of gray images which are raw frames, None where images are images; camera raw files bring their own.
@@ -151,7 +151,7 @@ class Reading(OptionsRecord):
         return frozenset() if self.layout == NO_LAYOUT else HEADERLESS_SUFFIXES
 
 
-AS_IMAGES = Reading()
+AS_IMAGES = ImageReadOptions()
 
 
 def _is_optical(name: str) -> bool:

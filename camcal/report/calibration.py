@@ -6,14 +6,14 @@ from typing import Any
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
-from camcal.calibrate.jackknife import Contender
+from camcal.calibrate.jackknife import CandidateModel
 from camcal.formats import boards
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.table import Column
 from camcal.report.uncertain import held_by_prior_words, value_and_std
 from camcal.targets.surface import RATIOS
 
-CONTENDER_COLUMNS = (
+CANDIDATE_COLUMNS = (
     Column("lens model"),
     Column("nat per corner"),
     Column("prediction error", "px"),
@@ -38,9 +38,9 @@ def headline(calibration: Calibration) -> str:
     return f"Lens model {camera.model.name}, {focal} px"
 
 
-def contender_rows(contenders: Sequence[Contender]) -> list[list[str]]:
+def candidate_rows(candidates: Sequence[CandidateModel]) -> list[list[str]]:
     """Return name, score below the best, prediction error and what went wrong of lens models, the best first."""
-    best = max(own.score for own in contenders)
+    best = max(own.score for own in candidates)
     return [
         [
             own.name,
@@ -48,11 +48,11 @@ def contender_rows(contenders: Sequence[Contender]) -> list[list[str]]:
             f"{own.sigma_px:.3f}" if own.sigma_px is not None else "",
             own.reason or "",
         ]
-        for own in sorted(contenders, key=lambda own: -own.score)
+        for own in sorted(candidates, key=lambda own: -own.score)
     ]
 
 
-def contenders_data(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
+def candidates_data(candidates: Sequence[CandidateModel]) -> list[dict[str, Any]]:
     """Return the lens models that were compared as plain data."""
     return [
         {
@@ -61,7 +61,7 @@ def contenders_data(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
             "prediction_error_px": own.sigma_px,
             "reason": own.reason,
         }
-        for own in contenders
+        for own in candidates
     ]
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 from camcal.report.table import Column
 from camcal.report.uncertain import values_and_stds
 
@@ -16,7 +16,7 @@ _NEAR = 1.5  # a-posteriori scales up to this, and down to its inverse, are what
 
 def columns(poses: Poses) -> list[Column]:
     """Return the columns of a table of poses."""
-    named = [Column("object")] if any(sight.object for sight in poses.estimates) else []
+    named = [Column("object")] if any(pose_key.object for pose_key in poses.estimates) else []
     length = _length(poses)
     quality = [Column("points", priority=5), Column("RMS", "px", priority=2)]
     place = [Column("x y z", length), Column("± std", length, priority=3)]
@@ -30,22 +30,22 @@ def alternative_columns(poses: Poses) -> list[Column]:
     return [Column("image", file=True), place, turn, Column("χ² above", priority=1), Column("probability")]
 
 
-def row(poses: Poses, sight: Sight, record: PoseRecord) -> list[object]:
+def row(poses: Poses, pose_key: PoseKey, record: PoseRecord) -> list[object]:
     """Return the cells of one pose."""
-    named = [sight.object] if any(other.object for other in poses.estimates) else []
+    named = [pose_key.object] if any(other.object for other in poses.estimates) else []
     scale = MILLI if poses.unit == "m" else 1.0
     place = values_and_stds(scale * record.transform.translation, scale * record.std[:3])
     turn = values_and_stds(np.degrees(record.transform.vector()), np.degrees(record.std[3:]))
     fit = points(record), f"{record.rms_px:.3g}"
-    return [sight.image, *named, *fit, *place, *turn, standpoint(poses, record), record.status]
+    return [pose_key.image, *named, *fit, *place, *turn, standpoint(poses, record), record.status]
 
 
-def alternative_rows(poses: Poses, sight: Sight, record: PoseRecord) -> list[list[object]]:
+def alternative_rows(poses: Poses, pose_key: PoseKey, record: PoseRecord) -> list[list[object]]:
     """Return the cells of the other poses that an image allows."""
     scale = MILLI if poses.unit == "m" else 1.0
     return [
         [
-            str(sight),
+            str(pose_key),
             _numbers(scale * other.transform.translation, ".3f"),
             _numbers(np.degrees(other.transform.vector()), ".3f"),
             other.chi_square_difference,
@@ -82,9 +82,9 @@ def noise(poses: Poses) -> str:
     return f"{size}: the residuals are {found.scale:.3g} x the corner standard deviations (a-posteriori scale, {dof})"
 
 
-def caption(poses: Poses, sight: Sight, record: PoseRecord) -> str:
+def caption(poses: Poses, pose_key: PoseKey, record: PoseRecord) -> str:
     """Return a line about a pose in plain letters, for a picture."""
-    named = f"{sight.object}: " if sight.object else ""
+    named = f"{pose_key.object}: " if pose_key.object else ""
     place = standpoint(poses, record).replace("°", " deg")
     return f"{named}{place}; RMS {record.rms_px:.2f} px, {points(record)} points; {record.status}".replace("±", "+-")
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.jitter import Jitter, Shaking
+from camcal.estimate.tracking.jitter import Jitter, JitterStd
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
 
@@ -34,8 +34,8 @@ def lines(item: TrackedObject) -> Iterator[str]:
     unit, fading = ("s³", "") if track.noise.fading is None else ("s⁵", f" of accelerations, {track.noise.fading:g} s")
     densities = f"translation {_density(track, 0)} m²/{unit}, rotation {_density(track, 1)} rad²/{unit}"
     yield f"process noise{fading}: {densities}"
-    if track.shaking is not None and track.shaking.any:
-        yield f"vibration (RMS per axis): {_shaking(track.shaking)}"
+    if track.jitter_std is not None and track.jitter_std.any:
+        yield f"vibration (RMS per axis): {_shaking(track.jitter_std)}"
     judged = track.consistency
     if judged is not None:
         low, high = judged.interval
@@ -72,7 +72,7 @@ def plain(item: TrackedObject, images: Sequence[str]) -> dict[str, Any]:
             "factors": track.noise.factors,
             "fading_s": track.noise.fading,
         },
-        "vibration": None if track.shaking is None else vars(track.shaking),
+        "vibration": None if track.jitter_std is None else vars(track.jitter_std),
         "ambiguous": [
             {"start_s": float(track.stamps[first]), "end_s": float(track.stamps[last]), "p_branch": chance}
             for first, last, chance in track.ambiguous
@@ -111,9 +111,9 @@ def _jitter(jitter: Jitter) -> str:
     return f"{1e3 * jitter.translation:.3g} mm, {np.degrees(jitter.rotation):.3g}°"
 
 
-def _shaking(shaking: Shaking) -> str:
-    turns = f"camera {1e3 * shaking.camera_turn:.2g} mrad, object {1e3 * shaking.object_turn:.2g} mrad"
-    return f"{turns} and {1e3 * shaking.object_shift:.2g} mm"
+def _shaking(jitter_std: JitterStd) -> str:
+    turns = f"camera {1e3 * jitter_std.camera_turn:.2g} mrad, object {1e3 * jitter_std.object_turn:.2g} mrad"
+    return f"{turns} and {1e3 * jitter_std.object_shift:.2g} mm"
 
 
 def _density(track: Track, axis: int) -> str:

@@ -26,7 +26,7 @@ from typing import Any, Generic, NamedTuple
 
 from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run.process import available_cores, surroundings_of_a_worker
+from camcal.run.process import available_cores, worker_environment
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
 _PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
@@ -68,7 +68,7 @@ def fan_out(
     if possible < 1 or (count == 1 and timeout is None):
         outcomes = _inline(function, items)
     elif processes:
-        outcomes = _Crew(function, items, count, timeout).outcomes()
+        outcomes = _WorkerPool(function, items, count, timeout).outcomes()
     else:
         outcomes = _threaded(function, items, count)
     return _reported(outcomes, what, total, progress)
@@ -147,7 +147,7 @@ class _Worker:
         self.deadline = float("inf")
         if os.name == "posix":  # starting the tracker later would unblock Ctrl-C, which the next line blocks
             resource_tracker.ensure_running()
-        with surroundings_of_a_worker(needs_main=b"__main__" in payload):
+        with worker_environment(needs_main=b"__main__" in payload):
             self.process.start()
         theirs.close()
 
@@ -167,7 +167,7 @@ class _Worker:
         return f"its worker process crashed ({name}); the input may be damaged"
 
 
-class _Crew(Generic[Item, Value]):
+class _WorkerPool(Generic[Item, Value]):
     """The worker processes of one fan-out, the items they are at, and the outcomes not yet handed on."""
 
     def __init__(

@@ -100,7 +100,7 @@ def _stop(number: int, _: types.FrameType | None) -> None:
 
 
 @contextmanager
-def surroundings_of_a_worker(*, needs_main: bool) -> Iterator[None]:
+def worker_environment(*, needs_main: bool) -> Iterator[None]:
     """Start processes inside this block: they find one BLAS thread, no Ctrl-C and no main script to run again."""
     environment = {name: os.environ.get(name) for name in _ONE_THREAD}
     main = sys.modules["__main__"]

@@ -106,7 +106,7 @@ def even_frame(
     return expose(raw.sensor, electrons, shot.exposure_s, fixed, rng)
 
 
-def ladder(raw: RawCamera, levels: int, vignetting: float) -> list[Shot]:
+def exposure_series(raw: RawCamera, levels: int, vignetting: float) -> list[Shot]:
     """Return flat frames of rising exposure, from nearly dark to all pixels saturated.
 
     Fewer than four levels stay below saturation.

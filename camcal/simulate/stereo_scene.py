@@ -23,7 +23,7 @@ from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import REACH, spread
 from camcal.simulate.stereo_surfaces import NOTHING, Surface, colours, first_hits
-from camcal.simulate.stereo_world import Sight, make_world
+from camcal.simulate.stereo_world import ViewFrustum, make_world
 
 SAME = 1e-6  # by this share may depths differ that are those of one point
 
@@ -179,8 +179,8 @@ def make_scene(options: PairOptions, rng: np.random.Generator) -> Scene:
     """Return a scene drawn for these cameras and disparities."""
     near, far = options.depths
     middle = (options.size[0] - 1) / 2, (options.size[1] - 1) / 2
-    sight = Sight(options.size, options.focal, middle, near, far, max(options.disparities[1], 0.0))
-    return Scene(make_world(sight, options.objects, rng), options)
+    frustum = ViewFrustum(options.size, options.focal, middle, near, far, max(options.disparities[1], 0.0))
+    return Scene(make_world(frustum, options.objects, rng), options)
 
 
 def render_pair(scene: Scene | PairOptions, rng: np.random.Generator) -> StereoTruth:

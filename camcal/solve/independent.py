@@ -67,7 +67,7 @@ class Problems(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class Trial:
     """Steps (A, P) of the problems `which` (A,) from `before`: by how much (A,) the models promise that they lower the
     costs and by how much they do, and which of them (A,) were taken.
     """
@@ -80,7 +80,7 @@ class Tried:
     taken: Array
 
 
-Enough = Callable[[Tried], Array]
+Enough = Callable[[Trial], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +252,7 @@ class _Search:
             enough = self.stopping.enough(self.damping[alive], promised, cost) & better
         else:
             enough = self.enough(
-                Tried(steps, self.which[alive], self.models.take(alive), promised, before - cost, better)
+                Trial(steps, self.which[alive], self.models.take(alive), promised, before - cost, better)
             )
         if better.all():
             self._accept(alive, states, trial, promised, enough)

@@ -328,7 +328,7 @@ def _require_size(name: str, image: Array | None, disparity: Array) -> None:
     raise InvalidInput(f"the {name} is {size}, the disparity map {wanted}; they must be the same{advice}")
 
 
-def seen_by_both(truth: Array, right_truth: Array) -> Array:
+def visible_in_both(truth: Array, right_truth: Array) -> Array:
     """Return where the truths of both images agree within a pixel (H, W), bool.
 
     truth, right_truth: (H, W) disparity of the left and the right image, pixels, NaN where unknown; both positive for
@@ -343,10 +343,10 @@ def seen_by_both(truth: Array, right_truth: Array) -> Array:
     return np.asarray(inside & (np.abs(truth - there) <= _TOLERANCE))
 
 
-def unhidden(truth: Array) -> Array:
+def unoccluded(truth: Array) -> Array:
     """Return where nothing nearer lies before a pixel in the right image (H, W), bool, by the left truth alone.
 
-    truth: (H, W) pixels, NaN where unknown. What is unknown hides nothing, so this finds less than `seen_by_both`.
+    truth: (H, W) pixels, NaN where unknown. What is unknown hides nothing, so this finds less than `visible_in_both`.
     """
     column, inside = _counterparts(truth)
     height, width = truth.shape

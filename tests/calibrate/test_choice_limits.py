@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate import jackknife
-from camcal.calibrate.jackknife import Contender, chosen
+from camcal.calibrate.jackknife import CandidateModel, chosen
 
 
 def test_prediction_errors_have_a_scale_of_at_most_20_px():
@@ -16,7 +16,7 @@ def test_prediction_errors_have_a_scale_of_at_most_20_px():
 @pytest.mark.parametrize(("gains", "name"), [((5.0, 5.1), "other"), ((15.0, -1.0), "default")])
 def test_two_views_beat_where_they_agree(gains, name):
     # ten corners each: 2 nat in all, and one and a half standard errors of the sum of both
-    one = Contender("default", np.zeros(2), 20)
-    other = Contender("other", np.array(gains), 20)
+    one = CandidateModel("default", np.zeros(2), 20)
+    other = CandidateModel("other", np.array(gains), 20)
     assert sum(gains) > 2
     assert chosen([one, other], "default").name == name

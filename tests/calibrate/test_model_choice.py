@@ -16,7 +16,7 @@ from scipy.stats import multivariate_t
 from camcal.calibrate import jackknife
 from camcal.calibrate.fit import ShapeOptions, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate, compare_models
-from camcal.calibrate.jackknife import GAIN, Contender, chosen, contender
+from camcal.calibrate.jackknife import GAIN, CandidateModel, candidate_model, chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.directions import in_hull
 from camcal.cameras.model import Camera
@@ -111,7 +111,7 @@ def test_views_are_scored_by_the_density_of_their_predicted_corners():
     scene = make_scene(board=Board("chessboard", 7, 5, 0.040), count=12, partial=True)
     plain, present = plain_estimate("opencv5", scene.observe(1, noise_px=0.1), scene.board)
     assert not present.all()
-    found = contender("some name", plain)
+    found = candidate_model("some name", plain)
     distances = jackknife._left_out(plain)
     for view, score in enumerate(found.scores):
         assert score == pytest.approx(log_density(distances[view, present[view]], found.sigma_px).sum(), rel=1e-9)
@@ -122,10 +122,10 @@ def test_views_are_scored_by_the_density_of_their_predicted_corners():
 def test_a_view_that_the_lens_cannot_take_costs_the_floor_of_all_its_corners():
     scene = make_scene(board=Board("chessboard", 7, 5, 0.040), count=12)
     plain, present = plain_estimate("opencv5", scene.observe(1, noise_px=0.1), scene.board)
-    before = contender("opencv5", plain)
+    before = candidate_model("opencv5", plain)
     translations = plain.state.translations.copy()
     translations[4] *= -1  # behind the camera
-    after = contender("opencv5", replace(plain, state=replace(plain.state, translations=translations)))
+    after = candidate_model("opencv5", replace(plain, state=replace(plain.state, translations=translations)))
     assert after.scores[4] == pytest.approx(present[4].sum() * np.log(FLOOR), rel=1e-9)
     others = np.arange(12) != 4
     np.testing.assert_allclose(after.scores[others], before.scores[others], rtol=1e-3, atol=0.5)  # sigma hardly moves
@@ -183,16 +183,16 @@ def test_noise_free_corners_have_a_finite_density():
 # Margin
 
 
-def contenders(**scores):
+def candidates(**scores):
     """Contenders of views with ten corners each."""
     return [
-        Contender(name, None if own is None else np.array(own), 0 if own is None else 10 * len(own))
+        CandidateModel(name, None if own is None else np.array(own), 0 if own is None else 10 * len(own))
         for name, own in scores.items()
     ]
 
 
 def pick(preferred="default", **scores):
-    return chosen(contenders(**scores), preferred).name
+    return chosen(candidates(**scores), preferred).name
 
 
 # Gains of as many views of ten corners each: views that agree, and views that scatter so that their sum has a standard
@@ -215,7 +215,7 @@ def test_the_gain_that_lenses_may_cost_is_the_larger_one():
 
 
 @pytest.mark.parametrize(("pattern", "margin"), MUCH, ids=["errors", "gain", "clear errors", "clear gain"])
-def test_the_preferred_contender_stays_within_the_margin(pattern, margin):
+def test_the_preferred_candidate_stays_within_the_margin(pattern, margin):
     below, above = gains(pattern, 0.999 * margin), gains(pattern, 1.001 * margin)
     base = np.linspace(-3, 12, 16)
     assert pick(simple=base - 50, default=base, other=base + below) == "default"
@@ -233,12 +233,12 @@ def test_the_simplest_that_is_not_beaten_wins_where_the_preferred_one_is(pattern
     assert pick(simple=far, other=far, default=best - 50, last=best) == "last"
 
 
-def test_a_contender_without_scores_is_beaten_by_any_other():
+def test_a_candidate_without_scores_is_beaten_by_any_other():
     poor = np.full(3, -100.0)
     assert pick(simple=None, default=None, other=poor) == "other"
     assert pick(simple=None, default=poor, other=None) == "default"
     assert pick(simple=poor, other=poor + 0.04) == "simple"  # the preferred one is not among them
-    assert contenders(one=None)[0].score == -np.inf
+    assert candidates(one=None)[0].score == -np.inf
 
 
 def test_one_view_beats_nothing():
@@ -364,14 +364,14 @@ def test_a_default_that_predicts_well_is_no_remark():
     found = select(views, scene.board, OPTIONS)
     assert found.calibration.camera.model.name == DEFAULT_MODEL
     assert found.remarks == ()
-    assert [own.name for own in found.contenders] == NAMES
+    assert [own.name for own in found.candidates] == NAMES
 
 
 def test_another_model_is_named_with_prediction_errors_and_gain():
     scene, views = lens("kannala_brandt4", 8)
     found = select(views, scene.board, OPTIONS)
     assert found.calibration.camera.model.name == "kannala_brandt4"
-    own = {one.name: one for one in found.contenders}
+    own = {one.name: one for one in found.candidates}
     (remark,) = found.remarks
     words = re.fullmatch(
         r"lens model kannala_brandt4 is used: prediction error of left-out views (\S+) px with it, (\S+) px with "
@@ -387,7 +387,7 @@ def test_another_model_is_named_with_prediction_errors_and_gain():
 def test_models_that_the_default_contains_are_compared_where_it_fails():
     scene, views = lens("opencv5", 8)
     found = select(views, scene.board, replace(OPTIONS, fixed=("k4",)))  # opencv5 has none
-    assert [own.name for own in found.contenders] == list(CANDIDATES)
+    assert [own.name for own in found.candidates] == list(CANDIDATES)
     name = found.calibration.camera.model.name
     (remark,) = found.remarks
     assert remark.startswith(f"lens model {name} is used: opencv5 fails (--fix: opencv5 has no parameter 'k4'")
@@ -405,7 +405,7 @@ def test_the_next_best_model_is_used_where_the_first_one_does_not_settle(monkeyp
 
     monkeypatch.setattr(model_selection.intrinsics, "calibrate", failing)
     found = select(views, scene.board, OPTIONS)
-    ranked = sorted(found.contenders, key=lambda own: -own.score)
+    ranked = sorted(found.candidates, key=lambda own: -own.score)
     assert tried[0] == "kannala_brandt4"
     assert tried[1] == next(own.name for own in ranked if own.name != tried[0])
     assert found.calibration.camera.model.name == tried[1]
@@ -445,7 +445,7 @@ def test_a_fold_leads_to_another_model_only_if_that_one_is_known_everywhere(reac
     worst = projection_uncertainty(other.camera, observed=other.pixels).figures()["worst_px"]
     assert (worst < 0.01 * 2000) == (taken == "kannala_brandt4")
     found = select(views, scene.board, OPTIONS)
-    assert chosen(found.contenders, DEFAULT_MODEL).name == DEFAULT_MODEL  # by prediction alone
+    assert chosen(found.candidates, DEFAULT_MODEL).name == DEFAULT_MODEL  # by prediction alone
     assert found.calibration.camera.model.name == taken
     remark = "kannala_brandt4 is used: opencv5 predicts as well, but is not invertible in the whole image"
     assert found.remarks == ((remark,) if taken == "kannala_brandt4" else ())
@@ -483,7 +483,7 @@ def test_invertible_models_are_known_to_a_hundredth_of_the_diagonal_and_predict_
         model_selection,
         "compare_models",
         lambda _views, _board, _options, models: tuple(
-            Contender(model.name, np.full(5, 10 * scores[model.name]), 50, 0.1) for model in models
+            CandidateModel(model.name, np.full(5, 10 * scores[model.name]), 50, 0.1) for model in models
         ),
     )
     monkeypatch.setattr(

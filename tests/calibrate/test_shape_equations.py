@@ -17,7 +17,7 @@ from camcal.calibrate.shape import (
     scale_of,
     spent_on_offsets,
     surface_of,
-    under,
+    with_priors,
     with_terms,
 )
 from camcal.cameras.observations import Observations
@@ -176,20 +176,20 @@ def test_terms_that_are_known_are_kept_where_all_are_estimated(bent):
 def test_priors_are_scales_times_the_longer_side_but_for_ratios(bent):
     problem, _ = bent
     scales = {name: Scale(1e-3 * place, 7.0, 7.0, 0.7) for place, name in enumerate(first_scales(), start=1)}
-    found = under(problem, scales)
+    found = with_priors(problem, scales)
     stds = dict(zip(TERMS, found.term_std, strict=True))
     assert (stds["xy"], stds["P2(y)"], stds["P3(y)"]) == pytest.approx((SIDE * 1e-3, SIDE * 2e-3, SIDE * 3e-3))
     assert (stds["x/y scale"], stds["shear"], stds["keystone y"]) == pytest.approx((5e-3, 6e-3, SIDE * 7e-3))
     np.testing.assert_allclose(found.offset_std, SIDE * np.array([8e-3, 8e-3, 9e-3]), rtol=1e-12)
     np.testing.assert_array_equal(found.offset_std, offset_std(scales, SIDE))
-    none = under(replace(problem, terms=(), offsets=False, term_std=None, offset_std=None), scales)
+    none = with_priors(replace(problem, terms=(), offsets=False, term_std=None, offset_std=None), scales)
     assert none.term_std is None
     assert none.offset_std is None
 
 
 def test_a_prior_is_never_narrower_than_a_ten_thousandth_of_its_class(bent):
     scales = {name: replace(own, effective=0.0) for name, own in first_scales().items()}
-    found = under(bent[0], scales)
+    found = with_priors(bent[0], scales)
     stds = dict(zip(TERMS, found.term_std, strict=True))
     assert (stds["P2(x)"], stds["shear"]) == pytest.approx((SIDE * 1e-7, 6e-8))
     np.testing.assert_allclose(found.offset_std, SIDE * 1e-8, rtol=1e-12)

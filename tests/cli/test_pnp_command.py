@@ -69,7 +69,7 @@ def test_poses_are_printed_as_a_table_and_written(folder, capsys):
     assert "not shown: points, ± std, seen from (--verbose" in printed
     assert "20 degrees of freedom" in printed
     assert "wrote poses.yaml" in printed
-    assert [sight.image for sight in poses.read(folder / "poses.yaml").estimates] == ["a", "b"]
+    assert [pose_key.image for pose_key in poses.read(folder / "poses.yaml").estimates] == ["a", "b"]
 
 
 def test_json_is_one_document_with_its_schema_first(folder, capsys):
@@ -164,7 +164,7 @@ def test_images_of_a_rig_are_joined_by_their_names(folder, capsys):
     arguments = ("left=left", "right=right", "--tags", "tag36h11:50mm", "--jobs", "1")
     assert run("--rig", "rig.yaml", *arguments, "-o", "poses.json", "--draw", "pictures") == 0
     found = poses.read(folder / "poses.json")
-    assert [str(sight) for sight in found.estimates] == ["000.png, tag_5", "001.png, tag_5"]
+    assert [str(pose_key) for pose_key in found.estimates] == ["000.png, tag_5", "001.png, tag_5"]
     for record, truth in zip(found.estimates.values(), truths, strict=True):
         assert record.n_points == 8
         # a tenth of a pixel of 600 px at half a metre across, some times that in depth

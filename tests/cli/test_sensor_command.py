@@ -14,7 +14,7 @@ from camcal.images.save import save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Capture, Mosaic
 from camcal.raw.pixel_formats import pack, pixel_format_named
-from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate
@@ -239,7 +239,7 @@ def test_camera_files_say_their_exposure_speed_and_levels(run, tmp_path):
     raw, rng = RawCamera("GBRG", Sensor(0.5, 3.0, 7000.0, 32.0, 12)), np.random.default_rng(0)
     fixed = FixedPattern.of(raw.sensor, (96, 72), rng)
     for iso in (100, 400):
-        shots = [*ladder(raw, 5, 0.1), Shot(0.01, 0.0)]
+        shots = [*exposure_series(raw, 5, 0.1), Shot(0.01, 0.0)]
         for number, shot in enumerate(shot for shot in shots for _ in range(2)):
             values = even_frame(raw, shot, 0.1, fixed=fixed, rng=rng)
             taken = Capture(exposure_s=shot.exposure_s, iso=iso)
@@ -264,7 +264,7 @@ def dumped(folder, sensor, pixel_format):
     """Write flats and darks of a sensor as header-less files of a pixel format, and return the two folders."""
     raw, rng = RawCamera("RGGB", sensor, (0.5, 1.0, 0.6)), np.random.default_rng(4)
     fixed = FixedPattern.of(sensor, FRAME, rng)
-    for shot in [*ladder(raw, 6, 0.1), Shot(0.01, 0.0)]:
+    for shot in [*exposure_series(raw, 6, 0.1), Shot(0.01, 0.0)]:
         place = folder / ("flats" if shot.share else "darks") / f"{1e3 * shot.exposure_s:g}ms"
         place.mkdir(parents=True, exist_ok=True)
         for number in range(2 if shot.share else 4):

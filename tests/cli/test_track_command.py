@@ -13,7 +13,7 @@ from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.formats import poses, trajectories
 from camcal.formats.camera_file import CalibrationNoise
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
@@ -50,8 +50,8 @@ def sighted(name, seed, rng):
         if pixels is not None
     ]
     found = estimate_poses(CAMERA, views, PoseOptions(noise_px=0.3))
-    estimates = {Sight(each.item.image, name): record(each.value) for each in found}
-    names = {sight.image for sight in estimates}
+    estimates = {PoseKey(each.item.image, name): record(each.value) for each in found}
+    names = {pose_key.image for pose_key in estimates}
     return estimates, [f"frame_{i:03d}.png" for i in range(COUNT) if f"frame_{i:03d}.png" not in names]
 
 
@@ -62,8 +62,10 @@ def files(tmp_path_factory):
     rng = np.random.default_rng(1)
     first, lost = sighted("tag_3", 0, rng)
     second, _ = sighted("tag_5", 1, rng)
-    single = {Sight(sight.image): each for sight, each in first.items()}
-    one = Poses("camera_T_object", "m", CalibrationNoise(0.3, None), single, {Sight(name): "nothing" for name in lost})
+    single = {PoseKey(pose_key.image): each for pose_key, each in first.items()}
+    one = Poses(
+        "camera_T_object", "m", CalibrationNoise(0.3, None), single, {PoseKey(name): "nothing" for name in lost}
+    )
     poses.write(folder / "one.json", one)
     poses.write(folder / "inverse.json", one.inverse())
     poses.write(folder / "two.json", Poses("camera_T_object", "m", CalibrationNoise(0.3, None), {**first, **second}))
@@ -213,7 +215,7 @@ def test_inputs_are_not_overwritten_and_missing_ones_named(run, files, tmp_path)
 def test_too_few_poses_are_too_little_data(run, files, tmp_path):
     few = poses.read(files / "one.json")
     kept = dict(list(few.estimates.items())[:2])
-    lost = {Sight(f"frame_{index:03d}.png"): "nothing" for index in range(2, 9)}
+    lost = {PoseKey(f"frame_{index:03d}.png"): "nothing" for index in range(2, 9)}
     poses.write(tmp_path / "few.json", Poses(few.frames, few.unit, few.noise, kept, lost))
     code, _, err = run("track", tmp_path / "few.json", "--fps", 30)
     assert code == 4

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from camcal.errors import FileError, InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.formats import poses
-from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.geometry.pose import Pose
 
 SUFFIXES = (".yaml", ".json", ".csv")
@@ -46,8 +46,8 @@ def found():
         image_share=0.05,
         condition=123.0,
     )
-    estimates = {Sight("a, b.png"): record(rng, outliers=()), Sight("c.png", "tag_3"): doubtful}
-    missing = {Sight("d.png"): "no board found", Sight("d.png", "tag_4"): "too few points, 3"}
+    estimates = {PoseKey("a, b.png"): record(rng, outliers=()), PoseKey("c.png", "tag_3"): doubtful}
+    missing = {PoseKey("d.png"): "no board found", PoseKey("d.png", "tag_4"): "too few points, 3"}
     return Poses("camera_T_object", "m", PixelNoise(0.15, None, 102), estimates, missing)
 
 
@@ -113,12 +113,12 @@ def _numbers(text):
 def test_any_pose_and_any_name_come_back(tmp_path_factory, turn, place, name):
     rng = np.random.default_rng(2)
     one = replace(record(rng), transform=Pose.from_vector(np.array(turn), np.array(place)))
-    found = Poses("object_T_camera", "squares", PixelNoise(1.0), {Sight(name, "o"): one})
+    found = Poses("object_T_camera", "squares", PixelNoise(1.0), {PoseKey(name, "o"): one})
     for suffix in SUFFIXES:
         path = tmp_path_factory.getbasetemp() / f"any{suffix}"
         poses.write(path, found)
         back = poses.read(path)
-        assert list(back.estimates) == [Sight(name, "o")]
+        assert list(back.estimates) == [PoseKey(name, "o")]
         np.testing.assert_allclose(back.estimates[name, "o"].transform.translation, place, rtol=DIGITS, atol=1e-300)
 
 
@@ -162,8 +162,8 @@ def test_a_csv_row_has_the_pose_and_the_upper_triangle_of_its_covariance(found, 
 def test_the_inverse_turns_names_transforms_and_covariances(found):
     back = found.inverse()
     assert back.frames == "object_T_camera"
-    for sight, known in found.estimates.items():
-        turned = back.estimates[sight]
+    for pose_key, known in found.estimates.items():
+        turned = back.estimates[pose_key]
         np.testing.assert_allclose((turned.transform @ known.transform).matrix(), np.eye(4), atol=1e-12)
         np.testing.assert_allclose(back.position(turned), found.position(known), atol=1e-12)
     assert_same(back.inverse(), found)

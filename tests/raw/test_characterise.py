@@ -11,7 +11,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import FULL_WELL, NOT_REACHED, WHITE_LEVEL, characterise
-from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 
 SENSOR = Sensor(0.3, 4.0, 12000.0, 100.0, 12, dark_current_e_s=40.0, prnu=0.01, dsnu_e=2.0)
@@ -34,7 +34,7 @@ class Bench:
         return measure_level(mosaics, shot.exposure_s if exposure_s == "known" else exposure_s)
 
     def flats(self, levels=10):
-        return [self.level(shot) for shot in ladder(self.raw, levels, 0.1)]
+        return [self.level(shot) for shot in exposure_series(self.raw, levels, 0.1)]
 
     def darks(self, *exposures, count=8):
         return [self.level(Shot(exposure, 0.0), count) for exposure in exposures or (0.001,)]
@@ -76,7 +76,7 @@ def test_a_linear_sensor_is_found_linear(found):
 def test_a_sensor_that_bends_is_found_so():
     levels = []
     bench = Bench(light=(1.0, 1.0, 1.0))
-    for shot in ladder(bench.raw, 10, 0.0):
+    for shot in exposure_series(bench.raw, 10, 0.0):
         bent = shot._replace(share=shot.share * (1 - 0.1 * min(shot.share, 1.0)))
         levels.append(bench.level(bent))
     error = characterise(levels, bench.darks()).figures.linearity_error.value
@@ -103,7 +103,7 @@ def test_two_flat_and_two_dark_frames_are_enough_for_an_answer():
 
 def test_unknown_exposures_leave_linearity_and_dark_current_open():
     bench = Bench()
-    flats = [bench.level(shot, exposure_s=None) for shot in ladder(bench.raw, 6, 0.1)]
+    flats = [bench.level(shot, exposure_s=None) for shot in exposure_series(bench.raw, 6, 0.1)]
     found = characterise(flats, [bench.level(Shot(0.001, 0.0), 8, exposure_s=None)])
     assert (found.figures.linearity_error, found.figures.dark_current_e_s) == (None, None)
     assert found.figures.gain_dn_per_e.value == pytest.approx(0.3, rel=0.01)

@@ -12,7 +12,7 @@ from camcal.formats import disparity
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.match import match
 from camcal.stereo.options import ALL, BALANCED, BEST, FAST, MatchOptions
-from camcal.stereo.truth import evaluate, seen_by_both
+from camcal.stereo.truth import evaluate, visible_in_both
 
 CONES, TEDDY, VENUS, MOTORCYCLE = (
     "middlebury2003-cones", "middlebury2003-teddy", "middlebury2001-venus", "middlebury2014-motorcycleQ",
@@ -26,7 +26,7 @@ def truth_and_mask(data, name):
     if name == MOTORCYCLE:
         return disparity.read(folder / "disp0GT.pfm").matched(), cv2.imread(str(folder / "mask0nocc.png"), 0) == 255
     left, right = (disparity.read(folder / f"disp{view}.png", scale).matched() for view in (2, 6))
-    return left, seen_by_both(left, right)
+    return left, visible_in_both(left, right)
 
 
 @cache

@@ -38,7 +38,7 @@ def test_twelve_tags_have_the_published_poses(real_data, tmp_path):
         PnpOptions(camera, inputs=(str(folder / "AprilTag.pgm"),), detection=detection, draw=tmp_path / "drawn")
     )
     published = published_poses(folder / "ground_truth_pose.txt")
-    found = {int(sight.object.removeprefix("tag_")): record for sight, record in report.poses.estimates.items()}
+    found = {int(pose_key.object.removeprefix("tag_")): record for pose_key, record in report.poses.estimates.items()}
     assert set(found) == set(published)
     assert all(record.status == "ok" for record in found.values())
     ours = {tag: record.transform for tag, record in found.items()}

@@ -5,7 +5,7 @@ import pytest
 
 from camcal.formats import disparity
 from camcal.images.load import gray_8bit, load
-from camcal.stereo.truth import evaluate, seen_by_both
+from camcal.stereo.truth import evaluate, visible_in_both
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_the_textbook_matcher_has_the_errors_measured_elsewhere(real_data, tmp_p
     cv2.imwrite(str(tmp_path / "sgbm.tiff"), counts)
     truth, right_truth = (disparity.read(folder / f"disp{view}.png", 4.0).matched() for view in (2, 6))
     found = disparity.read(tmp_path / "sgbm.tiff").matched()
-    figures = evaluate(found, truth, seen_by_both(truth, right_truth)).figures
+    figures = evaluate(found, truth, visible_in_both(truth, right_truth)).figures
     # measured with another program and OpenCV 5.0; rounding of gray values and versions differ by less than this
     assert figures["nocc"]["bad1"] == pytest.approx(bad1, abs=0.4)
     assert figures["nocc"]["bad2"] == pytest.approx(bad2, abs=0.4)

@@ -11,7 +11,7 @@ from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import characterise
 from camcal.report.figures import photon_transfer, require_suffix
-from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 
 
@@ -25,7 +25,7 @@ def measured(known_exposures=True):
         mosaics = (Mosaic(frame, "RGGB", np.zeros((2, 2)), 4095.0) for frame in frames)
         return measure_level(mosaics, shot.exposure_s if known_exposures else None)
 
-    return characterise([level(shot) for shot in ladder(raw, 8, 0.1)], [level(Shot(0.01, 0.0))])
+    return characterise([level(shot) for shot in exposure_series(raw, 8, 0.1)], [level(Shot(0.01, 0.0))])
 
 
 @cache

@@ -6,7 +6,7 @@ import pytest
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import poses
 from camcal.formats.pose_text import form_named
-from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.geometry.pose import Pose
 from camcal.run.pose_sources import files_of, read_loose, read_one, read_transforms
 
@@ -77,7 +77,7 @@ def test_a_missing_file_is_named():
 @pytest.mark.parametrize("name", ["poses.yaml", "poses.csv"])
 def test_poses_of_a_pose_file_are_told_by_their_image(tmp_path, name):
     record = PoseRecord(Pose(np.eye(3), np.array([0, 0, 2.0])), np.eye(6), np.eye(6), "ok", 0.1, 0.2, 4, 4)
-    found = Poses("camera_T_object", "m", PixelNoise(0.3), {Sight("a.png"): record, Sight("b.png"): record})
+    found = Poses("camera_T_object", "m", PixelNoise(0.3), {PoseKey("a.png"): record, PoseKey("b.png"): record})
     path = str(tmp_path / name)
     poses.write(tmp_path / name, found)
     one = read_one(f"{path}#b.png")
@@ -111,6 +111,8 @@ def test_files_among_arguments_are_known(frames):
 
 def test_lengths_in_squares_are_no_transforms(tmp_path):
     record = PoseRecord(Pose.identity(), np.eye(6), np.eye(6), "ok", 0.1, 0.2, 4, 4)
-    poses.write(tmp_path / "poses.csv", Poses("camera_T_object", "squares", PixelNoise(0.3), {Sight("a.png"): record}))
+    poses.write(
+        tmp_path / "poses.csv", Poses("camera_T_object", "squares", PixelNoise(0.3), {PoseKey("a.png"): record})
+    )
     with pytest.raises(InvalidInput, match="lengths are in squares"):
         read_one(str(tmp_path / "poses.csv"))

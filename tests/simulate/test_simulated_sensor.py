@@ -13,8 +13,8 @@ from camcal.simulate.mosaics import (
     Shot,
     even_frame,
     expose,
+    exposure_series,
     filtered,
-    ladder,
     lenses,
     photograph,
 )
@@ -127,13 +127,13 @@ def test_flat_frames_fall_off_towards_the_corners_and_dark_ones_do_not():
 
 @pytest.mark.parametrize("levels", [1, 2, 3])
 def test_a_short_ladder_stays_below_saturation(levels):
-    shots = ladder(RawCamera("RGGB"), levels, 0.1)
+    shots = exposure_series(RawCamera("RGGB"), levels, 0.1)
     assert len(shots) == levels
     assert all(0 < shot.share <= 0.6 for shot in shots)
 
 
 def test_a_ladder_ends_where_the_weakest_colour_is_full_in_the_corners():
-    shots = ladder(RawCamera("RGGB", light=(0.5, 1.0, 0.6)), 12, 0.2)
+    shots = exposure_series(RawCamera("RGGB", light=(0.5, 1.0, 0.6)), 12, 0.2)
     assert shots[-1].share * 0.5 * 0.8 > 1.2
     assert [shot.share for shot in shots] == sorted(shot.share for shot in shots)
     assert all(shot.share == pytest.approx(shot.exposure_s / 0.1) for shot in shots)

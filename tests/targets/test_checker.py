@@ -5,7 +5,7 @@ import pytest
 from drawn import picture, pose, truth, upright
 
 from camcal.targets.board import Board
-from camcal.targets.checker.checker import extended, trimmed, undisturbed, verified_corners
+from camcal.targets.checker.checker import clear_corners, extended, trimmed, verified_corners
 
 BOARD = Board("chessboard", 7, 5)
 SIZE = (400, 300)
@@ -48,17 +48,17 @@ def test_hidden_corners_are_left_out():
     checker = verified_corners(hidden, GRID)
     assert not checker.found[1, 2]
     assert checker.found.sum() >= BOARD.count - 4
-    assert worst(undisturbed(hidden, checker)) < SETTLED
+    assert worst(clear_corners(hidden, checker)) < SETTLED
 
 
 def test_a_corner_that_a_finger_touches_is_left_out():
     touched = IMAGE.copy()
     u, v = GRID[2, 3].astype(int)
     touched[v + 1 : v + 30, u + 1 : u + 30] = 20
-    grid = undisturbed(touched, verified_corners(touched, GRID))
+    grid = clear_corners(touched, verified_corners(touched, GRID))
     assert np.isnan(grid[2, 3]).all()
     assert worst(grid) < SETTLED
-    np.testing.assert_array_equal(np.isnan(undisturbed(IMAGE, verified_corners(IMAGE, GRID))), False)
+    np.testing.assert_array_equal(np.isnan(clear_corners(IMAGE, verified_corners(IMAGE, GRID))), False)
 
 
 def test_a_grid_in_the_wrong_place_finds_nothing_of_a_checker_pattern():

@@ -11,7 +11,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
-from camcal.targets.corners.measure import Expected, look_again, seen_cells, signs
+from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
 from camcal.targets.detection import BoardDetection, MaskedImage
 
 BOARD = Board("chessboard", 8, 6, 0.03)
@@ -34,7 +34,7 @@ def photograph():
 
 def test_corners_that_were_missed_are_found_where_they_must_be():
     known, ids = expected(), np.arange(0, BOARD.count, 2)
-    again = look_again(MaskedImage(photograph()), BoardDetection(ids=ids, pixels=known.pixels[ids] + 0.1), known)
+    again = remeasure(MaskedImage(photograph()), BoardDetection(ids=ids, pixels=known.pixels[ids] + 0.1), known)
     assert len(again.ids) == BOARD.count
     off = again.pixels - known.pixels[again.ids]
     honest = np.einsum("ni,nij,nj->n", off, np.linalg.inv(again.covariance), off).mean() / 2
@@ -46,13 +46,13 @@ def test_hidden_corners_are_not_made_up():
     image = photograph().copy()
     x, y = np.rint(known.pixels[9]).astype(int)
     image[y - 25 : y + 26, x - 25 : x + 26] = 90
-    again = look_again(MaskedImage(image), BoardDetection(ids=ids, pixels=known.pixels[ids]), known)
+    again = remeasure(MaskedImage(image), BoardDetection(ids=ids, pixels=known.pixels[ids]), known)
     assert 9 not in again.ids
 
 
 def test_a_board_printed_the_other_way_round_is_as_good():
     known, ids = expected(), np.arange(0, BOARD.count, 2)
-    again = look_again(MaskedImage(255 - photograph()), BoardDetection(ids=ids, pixels=known.pixels[ids]), known)
+    again = remeasure(MaskedImage(255 - photograph()), BoardDetection(ids=ids, pixels=known.pixels[ids]), known)
     assert len(again.ids) == BOARD.count
 
 
@@ -60,7 +60,7 @@ def test_a_corner_of_the_wrong_colour_is_none():
     known, ids = expected(), np.arange(BOARD.count)
     wrong = known.signs.copy()
     wrong[20] *= -1
-    again = look_again(
+    again = remeasure(
         MaskedImage(photograph()), BoardDetection(ids=ids, pixels=known.pixels), replace(known, signs=wrong)
     )
     assert set(ids) - set(again.ids) == {20}
@@ -71,7 +71,7 @@ def test_points_outside_the_image_are_not_looked_for():
     inside = known.pixels[:, 0] < 240
     cut = replace(known, inside=inside)
     ids = ids[inside[ids]]
-    again = look_again(MaskedImage(photograph()[:, :260]), BoardDetection(ids=ids, pixels=known.pixels[ids]), cut)
+    again = remeasure(MaskedImage(photograph()[:, :260]), BoardDetection(ids=ids, pixels=known.pixels[ids]), cut)
     assert inside[again.ids].all()
     assert set(again.ids) - set(ids)
 
@@ -81,7 +81,7 @@ def test_a_corner_that_is_drawn_far_from_where_it_was_found_is_left_out(off, kep
     known, ids = expected(), np.arange(BOARD.count)
     start = known.pixels.copy()
     start[20] += [off, 0.0]
-    assert (20 in look_again(MaskedImage(photograph()), BoardDetection(ids=ids, pixels=start), known).ids) == kept
+    assert (20 in remeasure(MaskedImage(photograph()), BoardDetection(ids=ids, pixels=start), known).ids) == kept
 
 
 @pytest.mark.parametrize(("contrast", "recovered"), [(0.2, False), (0.5, True)])
@@ -93,7 +93,7 @@ def test_faint_corners_are_not_recovered(contrast, recovered):
     image[around] = image[around].mean() + contrast * (image[around] - image[around].mean())
     assert (
         19
-        in look_again(
+        in remeasure(
             MaskedImage(np.rint(image).astype(np.uint8)), BoardDetection(ids=ids, pixels=known.pixels[ids]), known
         ).ids
     ) == recovered

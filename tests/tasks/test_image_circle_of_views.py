@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.intrinsics import Options
-from camcal.calibrate.jackknife import Contender
+from camcal.calibrate.jackknife import CandidateModel
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, folds_inside
@@ -178,7 +178,7 @@ def test_a_fold_outside_of_the_circle_is_no_reason_for_another_lens_model(monkey
         model_selection,
         "compare_models",
         lambda _views, _board, _options, models: tuple(
-            Contender(model.name, np.full(5, 10 * scores.get(model.name, 0.0)), 50, 0.1) for model in models
+            CandidateModel(model.name, np.full(5, 10 * scores.get(model.name, 0.0)), 50, 0.1) for model in models
         ),
     )
     monkeypatch.setattr(

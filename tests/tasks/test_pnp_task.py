@@ -14,7 +14,7 @@ from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile
-from camcal.formats.poses.record import PixelNoise, Sight
+from camcal.formats.poses.record import PixelNoise, PoseKey
 from camcal.geometry.pose import Pose
 from camcal.progress import Silent
 from camcal.report import pose_words
@@ -110,8 +110,8 @@ def test_the_inverse_is_named_and_written_as_such(camera_file, tmp_path, seen):
 
 def test_a_given_noise_sets_the_covariance(camera_file, tmp_path, seen):
     small, large = (pnp(from_detections(camera_file, tmp_path, seen, noise_px=noise)) for noise in (0.1, 0.2))
-    for sight, estimate in small.poses.estimates.items():
-        np.testing.assert_allclose(4 * estimate.covariance, large.poses.estimates[sight].covariance, rtol=1e-9)
+    for pose_key, estimate in small.poses.estimates.items():
+        np.testing.assert_allclose(4 * estimate.covariance, large.poses.estimates[pose_key].covariance, rtol=1e-9)
     assert small.poses.noise.degrees_of_freedom is None
 
 
@@ -122,7 +122,7 @@ def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path
     empty = BoardDetection("empty.png", CAMERA.image_size, reason="no board found")
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, (empty, few, small, good))))
     assert list(report.poses.estimates) == [(good.image, "")]
-    assert {sight.image: reason for sight, reason in report.poses.missing.items()} == {
+    assert {pose_key.image: reason for pose_key, reason in report.poses.missing.items()} == {
         "empty.png": "no board found",
         "small.png": "the image has 640 x 480 pixels, the camera file is for 1280 x 960; if the images were resized, "
         "not cropped, give --scale-intrinsics",
@@ -251,10 +251,10 @@ def test_resized_images_are_refused_with_the_way_out_and_taken_with_it(camera_fi
         pnp(from_detections(camera_file, tmp_path, halved))
     report = pnp(from_detections(camera_file, tmp_path, halved, detection=DetectionOptions(scale=True)))
     full = pnp(from_detections(camera_file, tmp_path, seen))
-    for sight, estimate in report.poses.estimates.items():
+    for pose_key, estimate in report.poses.estimates.items():
         # the tangential coefficients and the scaling are exact, only the solver stops elsewhere
         np.testing.assert_allclose(
-            estimate.transform.matrix(), full.poses.estimates[sight].transform.matrix(), atol=1e-6
+            estimate.transform.matrix(), full.poses.estimates[pose_key].transform.matrix(), atol=1e-6
         )
 
 
@@ -366,10 +366,10 @@ def test_noise_is_pixels_also_where_corners_have_covariances(camera_file, tmp_pa
 def test_a_pose_from_fewer_than_half_of_the_points_is_flagged(camera_file, tmp_path, seen):
     known = tuple(replace(view, covariance=np.tile(1e-4 * np.eye(2), (len(view.ids), 1, 1))) for view in seen.views)
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, known), outliers="few", noise_scale=0.5))
-    for sight, record in report.poses.estimates.items():
+    for pose_key, record in report.poses.estimates.items():
         assert record.n_inliers < 27
         assert record.status == f"weak: {record.n_inliers} of 54 points agree, fewer than half"
-        assert pose_words.row(report.poses, sight, record)[-1] == record.status
+        assert pose_words.row(report.poses, pose_key, record)[-1] == record.status
 
 
 def shaken(found, std_px, claimed_px, seed=5):
@@ -404,7 +404,7 @@ def test_the_model_error_follows_the_size_of_the_images(tmp_path):
     camera = replace(CAMERA, image_size=(640, 480))
     observer = Observer.of_camera(CAMERA, CalibrationNoise(0.3, 100, 0.2)).resized({None: camera}, None)
     view = Correspondences("a", BOARD.points(), np.zeros((54, 2)), np.tile(0.01 * np.eye(2), (54, 1, 1)))
-    (found,) = observer.with_model_errors([Observation(Sight("a"), (view, view.alike()), (np.arange(54),))])
+    (found,) = observer.with_model_errors([Observation(PoseKey("a"), (view, view.alike()), (np.arange(54),))])
     np.testing.assert_allclose(found.views[0].covariance, np.tile(0.02 * np.eye(2), (54, 1, 1)))
     assert found.views[1].covariance is None
 
@@ -491,6 +491,6 @@ def test_frames_of_a_video_have_poses_and_pictures(tmp_path):
     camera = str(tmp_path / "camera.yaml")
     report = pnp(PnpOptions(camera, inputs=(str(video),), detection=detection, draw=tmp_path / "drawn", **QUICK))
     names = [(tmp_path / f"clip_{number:06d}").as_posix() for number in (0, 1)]
-    assert [sight.image for sight in report.poses.estimates] == names
+    assert [pose_key.image for pose_key in report.poses.estimates] == names
     assert [path.name for path in report.pictures] == ["clip_000000_pose.png", "clip_000001_pose.png"]
     assert cv2.imread(str(report.pictures[0]))[:960].std() > 20  # the frame is behind the marks, not plain gray

@@ -19,7 +19,7 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.detection_image import agreeing_gains, detection_image_of, read_detection_image
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import MONO, PATTERNS, GivenLayout, Reading
+from camcal.raw.options import MONO, PATTERNS, GivenLayout, ImageReadOptions
 from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit
@@ -57,7 +57,7 @@ def write(path, mosaic):
 
 
 def found(path, board=BOARD, **how):
-    report = detect_images(DetectOptions((path,), board, jobs=1, reading=Reading(**how)))
+    report = detect_images(DetectOptions((path,), board, jobs=1, reading=ImageReadOptions(**how)))
     assert report.failed == ()
     return report
 
@@ -158,7 +158,7 @@ def test_a_frame_without_light_has_gains_of_one():
 def test_a_wrong_phase_is_refused_with_the_likely_ones(tmp_path):
     path = write(tmp_path / "mosaic.png", frame("RGGB", (0.5, 1.0, 0.6)))
     with pytest.raises(InvalidInput, match="it is RGGB or BGGR, not GRBG") as caught:
-        read_detection_image(path, Reading(pattern="GRBG"))
+        read_detection_image(path, ImageReadOptions(pattern="GRBG"))
     assert caught.value.where == str(path)
 
 
@@ -172,7 +172,7 @@ def test_a_wrong_phase_is_refused_with_the_likely_ones(tmp_path):
 )
 def test_a_reading_that_cannot_be_is_refused(how, words):
     with pytest.raises(InvalidInput, match=words):
-        Reading(**how)
+        ImageReadOptions(**how)
 
 
 @pytest.mark.parametrize(
@@ -182,14 +182,14 @@ def test_sensors_without_bayer_cells_have_no_channels(pattern, words):
     side = 2 if pattern == MONO else 6
     mosaic = Mosaic(np.zeros((48, 48), np.uint16), pattern, np.zeros((side, side)), 4095.0)
     with pytest.raises(InvalidInput, match=words):
-        detection_image_of(mosaic, Reading(colours=True))
+        detection_image_of(mosaic, ImageReadOptions(colours=True))
 
 
 def test_what_is_no_mosaic_costs_only_itself(tmp_path):
     write(tmp_path / "1.png", frame())
     save(tmp_path / "2.png", np.zeros((*SIZE[::-1], 3), np.uint8))
     (tmp_path / "3.npy").write_bytes(b"no array")
-    report = detect_images(DetectOptions((tmp_path,), BOARD, jobs=1, reading=Reading(pattern="RGGB")))
+    report = detect_images(DetectOptions((tmp_path,), BOARD, jobs=1, reading=ImageReadOptions(pattern="RGGB")))
     assert [view.image for view in report.detections.views] == [(tmp_path / "1.png").as_posix()]
     assert "in colour already" in report.failed[0]
     assert len(report.failed) == 2
@@ -198,7 +198,7 @@ def test_what_is_no_mosaic_costs_only_itself(tmp_path):
 def test_gray_images_without_a_pattern_have_no_channels(tmp_path):
     path = write(tmp_path / "gray.png", frame())
     with pytest.raises(InvalidInput, match="give its --pattern"):
-        detect_images(DetectOptions((path,), BOARD, jobs=1, reading=Reading(colours=True)))
+        detect_images(DetectOptions((path,), BOARD, jobs=1, reading=ImageReadOptions(colours=True)))
 
 
 def test_a_raw_frame_without_a_board_is_a_listed_result(tmp_path):
@@ -221,9 +221,9 @@ def test_layouts_are_offered_for_a_header_less_file_without_one(tmp_path):
     path = tmp_path / "frame.raw"
     path.write_bytes(bytes(640 * 480 * 2))
     with pytest.raises(InvalidInput, match=r"frame\.raw: .*640x480.*give --format and --size"):
-        read_detection_image(path, Reading("RGGB"))
+        read_detection_image(path, ImageReadOptions("RGGB"))
 
 
 def test_a_layout_is_repeated_as_options():
-    options = given_words(Reading(layout=GivenLayout("pRAA", (640, 480), stride=832)))
+    options = given_words(ImageReadOptions(layout=GivenLayout("pRAA", (640, 480), stride=832)))
     assert options == ["--format", "pRAA", "--size", "640x480", "--stride", "832"]

@@ -37,7 +37,9 @@ def tables(tmp_path, left, right):
 
 def instants(inputs):
     _, seen = seen_by_rig(RIG, FILE, inputs, DetectionOptions(), SILENT)
-    return {observation.sight.image: [each.camera for each in observation.views] for observation in seen.observations}
+    return {
+        observation.pose_key.image: [each.camera for each in observation.views] for observation in seen.observations
+    }
 
 
 @pytest.mark.parametrize(

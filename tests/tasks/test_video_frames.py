@@ -21,7 +21,7 @@ from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import detections
 from camcal.images.video import frame_name
 from camcal.progress import SILENT
-from camcal.raw.options import Reading
+from camcal.raw.options import ImageReadOptions
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.targets.board import Board, parse_board
@@ -222,7 +222,7 @@ def test_the_arrangement_of_a_charuco_board_is_found_out_in_a_video(tmp_path):
 
 def test_a_video_is_no_raw_frame(shot):
     with pytest.raises(FileError, match="is a video, images are needed"):
-        found(shot.path, reading=Reading("RGGB"))
+        found(shot.path, reading=ImageReadOptions("RGGB"))
 
 
 @pytest.mark.parametrize(

@@ -153,12 +153,12 @@ def criterion_of(options: PoseOptions, sigma: float) -> InlierCriterion:
 
 def _problems(group: Group, options: PoseOptions) -> PoseProblems:
     if options.prior is None or options.scale is None:
-        return PoseProblems.of(group.sights)
+        return PoseProblems.of(group.packed_views)
     known = np.tile(se3.of_poses([options.prior.pose]), (len(group.items), 1, 1))
     moves = se3.shift_jacobians(known, group.centres)
     covariances = moves @ options.prior.covariance @ moves.transpose(0, 2, 1)
     information = options.scale**2 * np.linalg.inv(covariances)
-    return PoseProblems.of(group.sights, Anchor(se3.shifted(known, group.centres), information))
+    return PoseProblems.of(group.packed_views, Anchor(se3.shifted(known, group.centres), information))
 
 
 def _plain(group: Group, options: PoseOptions) -> PoseFit:
@@ -184,7 +184,7 @@ def _agreeing(fit: PoseFit, options: PoseOptions, criterion: InlierCriterion) ->
 
     If few points are wrong, the agreement is approached from the fit to all, and samples help where that fails.
     """
-    every = PoseProblems.of(fit.group.sights, fit.problems.anchor)
+    every = PoseProblems.of(fit.group.packed_views, fit.problems.anchor)
     items = _disagreeing(fit, every, criterion)
     if not items.size:
         return fit
@@ -221,7 +221,7 @@ def _likeliest(fit: PoseFit, options: PoseOptions, sigma: float) -> PoseFit:
     worse than they claim, and those of views that have no point to spare would be missing. Only views with points left
     out change.
     """
-    every = PoseProblems.of(fit.group.sights, fit.problems.anchor)
+    every = PoseProblems.of(fit.group.packed_views, fit.problems.anchor)
     spoilt = np.flatnonzero(fit.problems.counts < every.counts)
     if not spoilt.size:
         return fit
@@ -329,15 +329,15 @@ def _of_items(states: Array, which: Array, items: Array) -> tuple[Array, Array]:
 def _areas(group: Group, options: PoseOptions) -> Array:
     """Return the areas (W,), px², that wrong pixels are in: those of images, or on boards and tags what is theirs."""
     if options.outliers == "many":
-        return np.full(len(group.items), max(float(np.prod(sight.camera.image_size)) for sight in group.sights))
+        return np.full(len(group.items), max(float(np.prod(packed.camera.image_size)) for packed in group.packed_views))
     total, count = np.zeros(len(group.items)), np.zeros(len(group.items))
-    for sight in group.sights:
+    for packed in group.packed_views:
         most, least = (
-            function(np.where(sight.present, sight.pixels, sign * -np.inf), axis=2)
+            function(np.where(packed.present, packed.pixels, sign * -np.inf), axis=2)
             for function, sign in ((np.max, 1), (np.min, -1))
         )
         total += np.prod(np.maximum(most - least, 0.0), axis=0)
-        count += sight.present.sum(axis=1)
+        count += packed.present.sum(axis=1)
     return np.asarray(total / np.maximum(count, 1))
 
 

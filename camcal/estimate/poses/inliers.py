@@ -58,8 +58,8 @@ class InlierCriterion:
         found = problems.squared(states, which)
         if not self.in_pixels:
             return found
-        pairs = zip(found, problems.sights, strict=True)
-        return tuple(squared * sight.variances()[problems.view[which]] for squared, sight in pairs)
+        pairs = zip(found, problems.packed_views, strict=True)
+        return tuple(squared * packed.variances()[problems.view[which]] for squared, packed in pairs)
 
     def limits(self, problems: PoseProblems, which: Array) -> Array:
         """Return the largest squared residuals (S, 1) of inliers of problems (S,)."""
@@ -127,9 +127,9 @@ def likeliest_threshold(problems: PoseProblems, masks: tuple[Array, ...], areas:
     of the points outside the masks. sigma: standard deviation of a whitened coordinate.
     """
     inliers, variance = np.zeros(len(areas)), np.zeros(len(areas))
-    for sight, mask, every in zip(problems.sights, masks, problems.masks, strict=True):
+    for packed, mask, every in zip(problems.packed_views, masks, problems.masks, strict=True):
         inliers += mask.sum(axis=1)
-        variance += np.where(every, sight.variances()[problems.view], 0.0).sum(axis=1)
+        variance += np.where(every, packed.variances()[problems.view], 0.0).sum(axis=1)
     # as if half a point more of either kind had been seen: none is certain
     odds = (inliers + 0.5) / (np.maximum(problems.counts - inliers, 0) + 0.5)
     typical = sigma**2 * variance / np.maximum(problems.counts, 1)
@@ -145,8 +145,8 @@ def squared_as_new(problems: PoseProblems, minima: Minima, sigma: float) -> tupl
     limit of the likeliest threshold, the sum tells whether the point is one. sigma: of a whitened coordinate.
     """
     found, inverse = [], inverses(minima.models.normal)
-    for sight, mask in zip(problems.sights, problems.masks, strict=True):
-        rows, _, _ = sight.rows(minima.states, problems.view[minima.which], mask[minima.which])
+    for packed, mask in zip(problems.packed_views, problems.masks, strict=True):
+        rows, _, _ = packed.rows(minima.states, problems.view[minima.which], mask[minima.which])
         moves, (u, v) = rows[:, :6], rows[:, 6]
         spread = np.einsum("ipsn,spq,jqsn->ijsn", moves, inverse, moves, optimize=True)
         first, both, last = 1 + spread[0, 0], spread[0, 1], 1 + spread[1, 1]
@@ -243,7 +243,7 @@ def choose(
     """
     best = found.different().lowest()
     best = best.take(extents.flatness[problems.view[best.which]] < NEAR_PLANE)
-    eye = problems.sights[0].eye
+    eye = problems.packed_views[0].eye
     mirrored = extents.reflected(best.states, problems.view[best.which], eye)
     rivals = _supported(problems, mirrored, best, criterion)
     found = found.joined(refit_inliers(problems, mirrored[rivals], best.which[rivals], criterion)).different()
@@ -322,17 +322,17 @@ def _drawn(problems: PoseProblems, count: int, rng: np.random.Generator) -> Arra
     sizes = np.array([mask[0].sum() for mask in problems.masks])
     choices = sizes * (sizes - 1.0) * (sizes - 2.0)
     shares = rng.multinomial(count, choices / max(choices.sum(), 1.0))
-    for sight, mask, share in zip(problems.sights, problems.masks, shares, strict=True):
+    for packed, mask, share in zip(problems.packed_views, problems.masks, shares, strict=True):
         points = np.flatnonzero(mask[0])
         if share and len(points) >= _CORNERS:
-            found.append(_of_one_camera(sight, view, _triplets(points, int(share), rng)))
+            found.append(_of_one_camera(packed, view, _triplets(points, int(share), rng)))
     return np.concatenate(found)
 
 
-def _of_one_camera(sight: PackedCorrespondences, view: int, triplets: Array) -> Array:
-    rays, points = (each[:, view][:, triplets].transpose(1, 2, 0) for each in (sight.rays, sight.points))
+def _of_one_camera(packed: PackedCorrespondences, view: int, triplets: Array) -> Array:
+    rays, points = (each[:, view][:, triplets].transpose(1, 2, 0) for each in (packed.rays, packed.points))
     states, _ = poses_of_triplets(rays, points)
-    return se3.compose(sight.inverse_frame, states)
+    return se3.compose(packed.inverse_frame, states)
 
 
 def _triplets(points: Array, count: int, rng: np.random.Generator) -> Array:
@@ -357,13 +357,13 @@ class _Scorer:
     @classmethod
     def of(cls, problems: PoseProblems, criterion: InlierCriterion, rng: np.random.Generator) -> "_Scorer":
         view = int(problems.view[0])
-        sights = []
-        for sight, mask in zip(problems.sights, problems.masks, strict=True):
+        packed_views = []
+        for packed, mask in zip(problems.packed_views, problems.masks, strict=True):
             points = np.flatnonzero(mask[0])
             if len(points) > _SCORED:
                 points = np.sort(rng.choice(points, _SCORED, replace=False))
-            sights.append(sight.take(np.array([view])).only(points))
-        chosen = PoseProblems.of(tuple(sights))
+            packed_views.append(packed.take(np.array([view])).only(points))
+        chosen = PoseProblems.of(tuple(packed_views))
         return cls(chosen, criterion)
 
     def scores(self, states: Array) -> Array:

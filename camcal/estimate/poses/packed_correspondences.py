@@ -181,7 +181,7 @@ class Group:
     """
 
     views: Sequence[Sequence[Correspondences | None]]
-    sights: tuple[PackedCorrespondences, ...]
+    packed_views: tuple[PackedCorrespondences, ...]
     items: Array
     centres: Array
 
@@ -195,22 +195,22 @@ class Group:
     ) -> "Group":
         """Return the group of views, of each item one for every camera; frames: camera_T_frame of the cameras."""
         each = zip(cameras, frames, zip(*views, strict=True), strict=True)
-        sights = [PackedCorrespondences.of(camera, seen, frame) for camera, frame, seen in each]
-        counts = np.maximum(sum(sight.present.sum(axis=1) for sight in sights), 1)
-        sums = sum(np.where(sight.present, sight.points, 0.0).sum(axis=2) for sight in sights)
+        packed_views = [PackedCorrespondences.of(camera, seen, frame) for camera, frame, seen in each]
+        counts = np.maximum(sum(packed.present.sum(axis=1) for packed in packed_views), 1)
+        sums = sum(np.where(packed.present, packed.points, 0.0).sum(axis=2) for packed in packed_views)
         centres = np.asarray(sums / counts).T
-        return cls(views, tuple(sight.about(centres) for sight in sights), items, centres)
+        return cls(views, tuple(packed.about(centres) for packed in packed_views), items, centres)
 
     def take(self, chosen: Array) -> "Group":
         """Return some of the items."""
         views = [self.views[index] for index in chosen]
-        sights = tuple(sight.take(chosen) for sight in self.sights)
-        return Group(views, sights, self.items[chosen], self.centres[chosen])
+        packed_views = tuple(packed.take(chosen) for packed in self.packed_views)
+        return Group(views, packed_views, self.items[chosen], self.centres[chosen])
 
     def points(self) -> tuple[Array, Array]:
         """Return the points (3, W, N) of all cameras and the mask (W, N) of those present."""
-        points = np.concatenate([sight.points for sight in self.sights], axis=2)
-        return points, np.concatenate([sight.present for sight in self.sights], axis=1)
+        points = np.concatenate([packed.points for packed in self.packed_views], axis=2)
+        return points, np.concatenate([packed.present for packed in self.packed_views], axis=1)
 
     @cached_property
     def extents(self) -> Extents:
@@ -230,7 +230,7 @@ class Group:
         points, present = self.points()
         narrowness = self.extents.narrowness
         different = _different(points, present)
-        most = np.max([sight.present.sum(axis=1) for sight in self.sights], axis=0)
+        most = np.max([packed.present.sum(axis=1) for packed in self.packed_views], axis=0)
         found = {}
         for index in np.flatnonzero((different < needed) | (narrowness < _COLLINEAR) | (most < _CORNERS)).tolist():
             if different[index] < needed:

@@ -94,7 +94,7 @@ class PoseQuality:
     def _covariances(self) -> tuple[Array, Array]:
         """Return the covariances (S, 6, 6) of the minima and the pixels' part of them."""
         noise = covariances(self.problems, self.minima, self.centres, self.noise.sigma)
-        if not self.intrinsics or all(sight.camera.covariance is None for sight in self.problems.sights):
+        if not self.intrinsics or all(packed.camera.covariance is None for packed in self.problems.packed_views):
             return noise, noise
         lenses = _of_lenses(self.problems, self.minima)
         moves = se3.shift_jacobians(self.minima.states, -self.centres[self.minima.which])
@@ -120,9 +120,9 @@ class PoseQuality:
     def _residuals(self, states: Array, counts: Sequence[Sequence[int]]) -> list[tuple[Array, Array]]:
         """Return the residuals (N, 2) and inliers (N,) of each problem, of all cameras one after another."""
         parts = []
-        for camera, (sight, mask) in enumerate(zip(self.problems.sights, self.problems.masks, strict=True)):
-            residuals = sight.residuals(states, self.problems.view).transpose(1, 2, 0)
-            residuals[~sight.present[self.problems.view]] = np.nan
+        for camera, (packed, mask) in enumerate(zip(self.problems.packed_views, self.problems.masks, strict=True)):
+            residuals = packed.residuals(states, self.problems.view).transpose(1, 2, 0)
+            residuals[~packed.present[self.problems.view]] = np.nan
             ends = [count[camera] for count in counts]
             parts.append([(row[:end], inside[:end]) for row, inside, end in zip(residuals, mask, ends, strict=True)])
         if len(parts) == 1:
@@ -135,8 +135,8 @@ class PoseQuality:
     def _typical(self) -> Array:
         """Return the root mean square (P,), px, of the standard deviations that the pixels of problems come with."""
         total = np.zeros(len(self.problems.view))
-        for sight, mask in zip(self.problems.sights, self.problems.masks, strict=True):
-            total += np.where(mask, sight.variances()[self.problems.view], 0.0).sum(axis=1)
+        for packed, mask in zip(self.problems.packed_views, self.problems.masks, strict=True):
+            total += np.where(mask, packed.variances()[self.problems.view], 0.0).sum(axis=1)
         return np.sqrt(total / np.maximum(self.problems.counts, 1))
 
     def _figures(self, best: Minima) -> list["_Figures"]:
@@ -161,8 +161,8 @@ class PoseQuality:
         if self.criterion is None:
             return [0.0] * len(self.problems.view)
         limits = self.criterion.threshold * (np.ones_like(typical) if self.criterion.in_pixels else typical)
-        points = sum(sight.present[self.problems.view].sum(axis=1) for sight in self.problems.sights)
-        area = max(float(np.prod(sight.camera.image_size)) for sight in self.problems.sights)
+        points = sum(packed.present[self.problems.view].sum(axis=1) for packed in self.problems.packed_views)
+        area = max(float(np.prod(packed.camera.image_size)) for packed in self.problems.packed_views)
         shares = np.minimum(np.pi * limits**2 / area, 1.0)
         rows = zip(np.asarray(points).tolist(), self.problems.counts.tolist(), shares.tolist(), strict=True)
         return [_chance(of, inliers, share) for of, inliers, share in rows]
@@ -191,19 +191,19 @@ def _of_lenses(problems: PoseProblems, minima: Minima) -> Array:
     """Return G Σ Gᵀ (S, 6, 6) summed over the cameras with a covariance Σ, where G = -H⁻¹ Jᵀ J_K."""
     inverse = inverses(minima.models.normal)
     total = np.zeros_like(inverse)
-    for camera, sight in enumerate(problems.sights):
-        if sight.camera.covariance is not None:
+    for camera, packed in enumerate(problems.packed_views):
+        if packed.camera.covariance is not None:
             gain = inverse @ problems.by_lens(minima.states, minima.which, camera)
-            total += gain @ sight.camera.covariance @ gain.transpose(0, 2, 1)
+            total += gain @ packed.camera.covariance @ gain.transpose(0, 2, 1)
     return total
 
 
 def _least_depths(problems: PoseProblems, states: Array) -> Array:
     """Return the smallest z (P,) of an inlier in the frame of a camera that sees it."""
     least = np.full(len(states), np.inf)
-    for sight, mask in zip(problems.sights, problems.masks, strict=True):
-        camera_T_object = se3.compose(se3.of_poses([sight.frame]), states)
-        depth = np.einsum("sj,jsn->sn", camera_T_object[:, 2, :3], sight.points[:, problems.view])
+    for packed, mask in zip(problems.packed_views, problems.masks, strict=True):
+        camera_T_object = se3.compose(se3.of_poses([packed.frame]), states)
+        depth = np.einsum("sj,jsn->sn", camera_T_object[:, 2, :3], packed.points[:, problems.view])
         depth += camera_T_object[:, 2, 3:]
         least = np.minimum(least, np.where(mask, depth, np.inf).min(axis=1))
     return least
@@ -212,9 +212,9 @@ def _least_depths(problems: PoseProblems, states: Array) -> Array:
 def _tilts(problems: PoseProblems, extents: Extents, states: Array) -> Array:
     """Return the angles (P,) between the planes' normals and the lines of sight from the first camera with points."""
     tilts = np.full(len(states), np.nan)
-    for sight, mask in zip(problems.sights, problems.masks, strict=True):
+    for packed, mask in zip(problems.packed_views, problems.masks, strict=True):
         chosen = np.isnan(tilts) & mask.any(axis=1)
-        tilts[chosen] = extents.tilt(states[chosen], problems.view[chosen], sight.eye)
+        tilts[chosen] = extents.tilt(states[chosen], problems.view[chosen], packed.eye)
     return tilts
 
 

@@ -59,19 +59,19 @@ class Anchor:
 class PoseProblems:
     """P poses to find: each of one view, from the points of its masks; states (S, 3, 4) are frame_T_object.
 
-    sights: what each camera sees. view: (P,) indices of the views. masks: (P, N) for every camera.
+    packed_views: what each camera sees. view: (P,) indices of the views. masks: (P, N) for every camera.
     """
 
-    sights: tuple[PackedCorrespondences, ...]
+    packed_views: tuple[PackedCorrespondences, ...]
     view: Array
     masks: tuple[Array, ...]
     anchor: Anchor | None = None
 
     @classmethod
-    def of(cls, sights: tuple[PackedCorrespondences, ...], anchor: Anchor | None = None) -> "PoseProblems":
+    def of(cls, packed_views: tuple[PackedCorrespondences, ...], anchor: Anchor | None = None) -> "PoseProblems":
         """Return one problem a view, of all points present."""
-        view = np.arange(len(sights[0].present))
-        return cls(sights, view, tuple(sight.present for sight in sights), anchor)
+        view = np.arange(len(packed_views[0].present))
+        return cls(packed_views, view, tuple(packed.present for packed in packed_views), anchor)
 
     def take(self, chosen: Array) -> "PoseProblems":
         """Return some of the problems, or some several times."""
@@ -88,7 +88,7 @@ class PoseProblems:
 
     def squared(self, states: Array, which: Array) -> tuple[Array, ...]:
         """Return the squared whitened residuals (S, N) of all points present, for every camera; infinite as there."""
-        return tuple(sight.squared(states, self.view[which]) for sight in self.sights)
+        return tuple(packed.squared(states, self.view[which]) for packed in self.packed_views)
 
     def cost(self, states: Array, which: Array) -> Array:
         """Return the costs (S,) of the points of the masks, infinite outside the lens's domain."""
@@ -99,7 +99,7 @@ class PoseProblems:
     def linearise(self, states: Array, which: Array) -> Models:
         """Return the quadratic models at states (S, 3, 4) of the problems `which` (S,)."""
         count = len(which)
-        if len(self.sights) == 1 and self.anchor is None and 0 < count * self.masks[0].shape[1] <= PART:
+        if len(self.packed_views) == 1 and self.anchor is None and 0 < count * self.masks[0].shape[1] <= PART:
             return self._of_camera(0, states, which)
         total = Models(np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6, 6)))
         for camera, mask in enumerate(self.masks):
@@ -110,7 +110,7 @@ class PoseProblems:
         return total
 
     def _of_camera(self, camera: int, states: Array, which: Array) -> Models:
-        rows, _, inside = self.sights[camera].rows(states, self.view[which], self.masks[camera][which])
+        rows, _, inside = self.packed_views[camera].rows(states, self.view[which], self.masks[camera][which])
         if inside.all():
             return assemble(rows)
         rows[:, :, ~inside] = 0.0
@@ -120,11 +120,11 @@ class PoseProblems:
 
     def by_lens(self, states: Array, which: Array, camera: int) -> Array:
         """Return Jᵀ J_K (S, 6, K) of the pose and the parameters of one camera."""
-        sight, masks = self.sights[camera], self.masks[camera]
-        result = np.empty((len(which), 6, len(sight.camera.parameters)))
+        packed, masks = self.packed_views[camera], self.masks[camera]
+        result = np.empty((len(which), 6, len(packed.camera.parameters)))
         for part in _parts(len(which), masks.shape[1]):
             here = which[part]
-            rows, by_lens, _ = sight.rows(states[part], self.view[here], masks[here])
+            rows, by_lens, _ = packed.rows(states[part], self.view[here], masks[here])
             by_lens = np.where(masks[here], by_lens, 0.0)
             pairs = zip(rows[:, :6].transpose(0, 2, 1, 3), by_lens.transpose(0, 2, 3, 1), strict=True)
             result[part] = sum(by_pose @ lens for by_pose, lens in pairs)
@@ -176,12 +176,12 @@ def pose_minima(problems: PoseProblems, extents: Extents) -> Minima:
 
     problems: one of each view, of all points present. A problem may have none: no start has its points in the domain.
     """
-    if len(problems.sights) == 1:
+    if len(problems.packed_views) == 1:
         return _with_second_poses(problems, extents, *_starts_of(problems, extents))
     found = []
-    for sight in problems.sights:
-        own = PoseProblems.of((sight,))
-        spread = Extents.of(sight.points, sight.present)
+    for packed in problems.packed_views:
+        own = PoseProblems.of((packed,))
+        spread = Extents.of(packed.points, packed.present)
         minima = _with_second_poses(own, spread, *_starts_of(own, spread))
         found.append((minima.states, minima.which))
     found.append(anchors(problems))
@@ -190,9 +190,9 @@ def pose_minima(problems: PoseProblems, extents: Extents) -> Minima:
 
 def _starts_of(problems: PoseProblems, extents: Extents) -> tuple[Array, Array]:
     """Return starts (S, 3, 4), frame_T_object, of what one camera sees, and their problems (S,)."""
-    sight = problems.sights[0]
-    states, which = starts(sight, extents)
-    parts = (se3.compose(sight.inverse_frame, states), which), anchors(problems)
+    packed = problems.packed_views[0]
+    states, which = starts(packed, extents)
+    parts = (se3.compose(packed.inverse_frame, states), which), anchors(problems)
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
@@ -205,7 +205,7 @@ def anchors(problems: PoseProblems) -> tuple[Array, Array]:
 
 def _with_second_poses(problems: PoseProblems, extents: Extents, states: Array, which: Array) -> Minima:
     """Return the minima that starts lead to, and those that planes are mistaken for."""
-    eye = problems.sights[0].eye
+    eye = problems.packed_views[0].eye
     flat = np.flatnonzero(extents.flatness[which] < NEAR_PLANE)
     second = extents.reflected(states[flat], which[flat], eye)
     of_second = which[flat]

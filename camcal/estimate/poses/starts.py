@@ -116,44 +116,44 @@ class _Turns:
         return so3.exp(steps) @ rotations
 
 
-def starts(sight: PackedCorrespondences, extents: Extents) -> tuple[Array, Array]:
+def starts(packed: PackedCorrespondences, extents: Extents) -> tuple[Array, Array]:
     """Return states (S, 3, 4), camera_T_object, and which view (S,) each belongs to; extents: of the views.
 
     A view of a plane has one, of a solid object several, of fewer than three points none.
     """
-    counts = sight.present.sum(axis=1)
+    counts = packed.present.sum(axis=1)
     enough = counts >= _LEAST
     flat, solid = enough & (extents.flatness < NEAR_PLANE), enough & (extents.flatness > IN_PLANE)
     parts = [(np.zeros((0, 3, 4)), np.zeros(0, np.intp))]
     # a call for no view at all would take as long as one for a few
     if flat.any():
-        parts.append(_of_planes(sight, extents, np.flatnonzero(flat)))
+        parts.append(_of_planes(packed, extents, np.flatnonzero(flat)))
     if solid.any():
-        parts.append(_of_solids(sight, extents, np.flatnonzero(solid)))
+        parts.append(_of_solids(packed, extents, np.flatnonzero(solid)))
     if (few := (counts >= 3) & (counts <= FEW)).any():
-        parts.append(_of_triplets(sight, np.flatnonzero(few)))
+        parts.append(_of_triplets(packed, np.flatnonzero(few)))
     return np.concatenate([states for states, _ in parts]), np.concatenate([view for _, view in parts])
 
 
-def _of_planes(sight: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
-    here, mask = extents.take(views), sight.present[views]
+def _of_planes(packed: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
+    here, mask = extents.take(views), packed.present[views]
     scale = (here.spread[:, 0] / np.sqrt(mask.sum(axis=1)))[:, None]
-    rotations, shifts = planar_poses(sight.rays[:, views], here.in_plane(sight.points[:, views]) / scale, mask)
+    rotations, shifts = planar_poses(packed.rays[:, views], here.in_plane(packed.points[:, views]) / scale, mask)
     return se3.compose(se3.stacked(rotations, shifts * scale), here.plane_T_object), views
 
 
-def _of_solids(sight: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
+def _of_solids(packed: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
     here = extents.take(views)
-    errors = SpaceErrors.of(sight.rays[:, views], here.in_plane(sight.points[:, views]), sight.present[views])
+    errors = SpaceErrors.of(packed.rays[:, views], here.in_plane(packed.points[:, views]), packed.present[views])
     states, which = errors.minima()
     return se3.compose(states, here.plane_T_object[which]), views[which]
 
 
-def _of_triplets(sight: PackedCorrespondences, views: Array) -> tuple[Array, Array]:
+def _of_triplets(packed: PackedCorrespondences, views: Array) -> tuple[Array, Array]:
     """Return the poses that meet three points exactly, for every choice of three."""
-    corners = [(view, *three) for view in views for three in combinations(np.flatnonzero(sight.present[view]), 3)]
+    corners = [(view, *three) for view in views for three in combinations(np.flatnonzero(packed.present[view]), 3)]
     table = np.array(corners, dtype=np.intp).reshape(-1, 4)
-    rays, points = (each[:, table[:, :1], table[:, 1:]].transpose(1, 2, 0) for each in (sight.rays, sight.points))
+    rays, points = (each[:, table[:, :1], table[:, 1:]].transpose(1, 2, 0) for each in (packed.rays, packed.points))
     states, triplet = poses_of_triplets(rays, points)
     return se3.stacked(so3.nearest(states[:, :, :3]), states[:, :, 3]), table[triplet, 0]
 

@@ -120,19 +120,19 @@ class Extents:
         Seen from afar both poses show the same image; near by, the other minimum of the error lies close to it.
         Source: Oberkampf, DeMenthon & Davis, Iterative Pose Estimation Using Coplanar Feature Points, 1996.
         """
-        sight, _ = self.sight_and_normal(states, view, eye)
-        middle = sight + eye
+        packed, _ = self.sight_and_normal(states, view, eye)
+        middle = packed + eye
         in_object = self.plane_T_object[view, 2, :3]
-        line = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+        line = packed / np.linalg.norm(packed, axis=1, keepdims=True)
         rotation = _mirrors(line) @ states[:, :, :3] @ _mirrors(in_object)
         centre = inverse(self.plane_T_object[view])[:, :, 3]
         return stacked(rotation, middle - np.einsum("sij,sj->si", rotation, centre))
 
     def tilt(self, states: Array, view: Array, eye: Array) -> Array:
         """Return the angles (S,), rad, between the lines of sight and the planes' normals, at most π/2."""
-        sight, normal = self.sight_and_normal(states, view, eye)
-        across = np.linalg.norm((so3.hat(sight) @ normal[..., None])[..., 0], axis=1)
-        return np.asarray(np.arctan2(across, np.abs(np.einsum("si,si->s", sight, normal))))
+        packed, normal = self.sight_and_normal(states, view, eye)
+        across = np.linalg.norm((so3.hat(packed) @ normal[..., None])[..., 0], axis=1)
+        return np.asarray(np.arctan2(across, np.abs(np.einsum("si,si->s", packed, normal))))
 
 
 def _mirrors(normals: Array) -> Array:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.free_motion import Flat, MotionState
+from camcal.estimate.tracking.free_motion import MotionState, ObjectPlane
 from camcal.estimate.tracking.pixel_batch import Chains, solved, spread_of
 from camcal.estimate.tracking.pixel_costs import minimised
-from camcal.estimate.tracking.process_noise import Explained
+from camcal.estimate.tracking.process_noise import NoiseFit
 from camcal.geometry import rotation as so3
 
 FAR = np.radians(10.0)  # poses that are more than this apart are not the same
@@ -34,7 +34,7 @@ _RIVAL = 16.0  # Δ of rivals that are reported: a weight of 3e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class AlternativeTrack:
     """Another course of a track: the frames (K) where it is another pose, and its weight, of 1 for the track's own."""
 
     frames: Array
@@ -45,33 +45,33 @@ class Rival:
 class Searched:
     """The best track found, its rivals, and the mask (M) of the frames that were turned over."""
 
-    found: Explained
-    rivals: tuple[Rival, ...]
+    found: NoiseFit
+    alternatives: tuple[AlternativeTrack, ...]
     turned: Array
 
     @property
     def p_wrong(self) -> Array:
         """The probability (M) that a rival holds at each frame."""
         weights = np.zeros(len(self.turned))
-        for rival in self.rivals:
-            weights[rival.frames] += rival.weight
+        for alternative in self.alternatives:
+            weights[alternative.frames] += alternative.weight
         return weights / (1 + weights)
 
 
-def searched(found: Explained) -> Searched:
+def searched(found: NoiseFit) -> Searched:
     """Return the track with the stretches turned over that are better so."""
-    flat = Flat.of(found.track.chains.frames)
+    flat = ObjectPlane.of(found.track.chains.frames)
     turned = np.zeros(len(found.track.chains.used), dtype=bool)
     if flat is None:
         return Searched(found, (), turned)
-    rivals: tuple[Rival, ...] = ()
+    alternatives: tuple[AlternativeTrack, ...] = ()
     for _ in range(_ROUNDS):
         trials = _trials(found, flat)
         if trials is None:
             return Searched(found, (), turned)
         better = trials.accepted()
         if not better:
-            rivals = trials.rivals()
+            alternatives = trials.alternatives()
             break
         states = trials.entered(better)
         for index in better:
@@ -79,17 +79,17 @@ def searched(found: Explained) -> Searched:
         track = solved(found.track.chains, found.track.motion, states)
         after = replace(found, track=track, spread=spread_of(track))
         if after.evidence > found.evidence:
-            rivals = trials.rivals()
+            alternatives = trials.alternatives()
             break
         found = after
-    return Searched(found, rivals, turned)
+    return Searched(found, alternatives, turned)
 
 
 @dataclass(frozen=True, eq=False)
 class _Trials:
     """Mirrored stretches after they were solved: windows (W, 2) of frames, states of all windows, differences Δ."""
 
-    found: Explained
+    found: NoiseFit
     windows: Array
     offsets: Array
     states: MotionState
@@ -121,18 +121,18 @@ class _Trials:
                 whole[first:last] = part[self.offsets[index] : self.offsets[index + 1]]
         return MotionState(*parts)
 
-    def rivals(self) -> tuple[Rival, ...]:
+    def alternatives(self) -> tuple[AlternativeTrack, ...]:
         """Return the trials that are nearly as good, each course once."""
-        result: list[Rival] = []
+        result: list[AlternativeTrack] = []
         for index in map(int, np.argsort(self.differences)):
             frames = self.apart(index)
             known = any(len(np.setxor1d(frames, one.frames)) <= 0.1 * len(frames) for one in result)
             if self.differences[index] < _RIVAL and len(frames) and not known:
-                result.append(Rival(frames, float(np.exp(-max(self.differences[index], 0.0) / 2))))
+                result.append(AlternativeTrack(frames, float(np.exp(-max(self.differences[index], 0.0) / 2))))
         return tuple(result)
 
 
-def _trials(found: Explained, flat: Flat) -> _Trials | None:
+def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
     """Return all mirrored runs worth a try, solved; None if there are none."""
     track = found.track
     chains = track.chains
@@ -155,7 +155,7 @@ def _trials(found: Explained, flat: Flat) -> _Trials | None:
     return _Trials(found, windows, offsets, after.states, after.evidence - before.evidence)
 
 
-def _cuts(found: Explained, flat: Flat) -> Array:
+def _cuts(found: NoiseFit, flat: ObjectPlane) -> Array:
     """Return the frames before which a piece begins, without the first."""
     track = found.track
     tilt = flat.tilt(track.states.rotations, track.states.translations)
@@ -206,7 +206,7 @@ def _window(run: tuple[int, int], bounds: Array) -> tuple[int, int]:
     return max(int(low), run[0] - _AROUND), min(int(high), run[1] + _AROUND)
 
 
-def _stacked(found: Explained, windows: Array, rows: Array) -> Chains:
+def _stacked(found: NoiseFit, windows: Array, rows: Array) -> Chains:
     """Return the chains of windows one after another, their ends held where the track goes on."""
     chains, size = found.track.chains, found.track.motion.size
     numbers = np.repeat(np.arange(len(windows)), windows[:, 1] - windows[:, 0])
@@ -231,7 +231,7 @@ def _stacked(found: Explained, windows: Array, rows: Array) -> Chains:
         begun=chains.begun[within] & ~cut,
         unknown=chains.unknown,
         anchors=anchors.reshape(-1, size),
-        shaking=None if chains.shaking is None else chains.shaking[rows],
+        jitter_std=None if chains.jitter_std is None else chains.jitter_std[rows],
         groups=numbers,
     )
 

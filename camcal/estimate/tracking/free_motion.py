@@ -160,14 +160,14 @@ def difference(after: MotionState, before: MotionState) -> Array:
 
 
 @dataclass(frozen=True)
-class Flat:
+class ObjectPlane:
     """The plane of an object: its normal (3,) and middle (3,)."""
 
     normal: Array
     middle: Array
 
     @classmethod
-    def of(cls, frames: PixelFrames) -> "Flat | None":
+    def of(cls, frames: PixelFrames) -> "ObjectPlane | None":
         """Return the plane of all points of frames, None if they are in none."""
         points = np.unique(frames.points[frames.there], axis=0)
         middle = points.mean(axis=0)
@@ -201,7 +201,7 @@ class Flat:
         return MotionState(*self.mirrored(states.rotations, states.translations), rates)
 
 
-class Ends(NamedTuple):
+class DescentResults(NamedTuple):
     """Where descents ended: the hypothesis (E) each stems from, the cost, and the steps (E, 6) from what it expected.
 
     curvatures: (E, 6, 6) of the pixels' cost, half. slopes: (E, 6, 6) of the steps over steps of the pose.
@@ -214,7 +214,7 @@ class Ends(NamedTuple):
     slopes: Array
 
 
-def descended(frame: PixelFrames, middles: MotionState, covariances: Array, starts: MotionState) -> Ends:
+def descended(frame: PixelFrames, middles: MotionState, covariances: Array, starts: MotionState) -> DescentResults:
     """Return the distinct ends of descents on a frame's pixels and on what was expected of its pose.
 
     middles, covariances: (K, 6, 6) of what K hypotheses expect. starts: (K C), those of each hypothesis together.
@@ -256,7 +256,7 @@ def descended(frame: PixelFrames, middles: MotionState, covariances: Array, star
         if not len(active):
             break
     _, _, total, _, curvature, step, slope = now
-    return _distinct(Ends(parents, total, step, curvature, slope))
+    return _distinct(DescentResults(parents, total, step, curvature, slope))
 
 
 def _measured(
@@ -295,7 +295,7 @@ def _solved(
     return change, -(right * change).sum(axis=-1)
 
 
-def _distinct(ends: Ends) -> Ends:
+def _distinct(ends: DescentResults) -> DescentResults:
     """Return the ends without those that another one of the same hypothesis is as good as."""
     order = np.lexsort((ends.costs, ends.parents))
     kept: list[int] = []
@@ -308,4 +308,4 @@ def _distinct(ends: Ends) -> Ends:
                     break
         else:
             kept.append(one)
-    return Ends(*(part[kept] for part in ends))
+    return DescentResults(*(part[kept] for part in ends))

@@ -14,7 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.free_motion import POSE, Ends, Flat, FreeMotion, MotionState, descended, difference
+from camcal.estimate.tracking.free_motion import (
+    POSE,
+    DescentResults,
+    FreeMotion,
+    MotionState,
+    ObjectPlane,
+    descended,
+    difference,
+)
 from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised, minimised
 from camcal.geometry import rotation as so3
 
@@ -99,14 +107,14 @@ def followed(
     candidates: Candidates,
     stamps: Array,
     motion: FreeMotion,
-    shaking: Array,
+    jitter_std: Array,
     distance: float,
     max_gap: float,
-    flat: Flat | None = None,
+    flat: ObjectPlane | None = None,
 ) -> Forward:
     """Return the hypotheses after each frame.
 
-    stamps: (N,) s. shaking: (N, 6, 6) covariance of what shakes each pose on its own. distance: (m) usual one of the
+    stamps: (N,) s. jitter_std: (N, 6, 6) covariance of what shakes each pose on its own. distance: (m) usual one of the
     object. max_gap: s without a detection after which the motion begins anew. flat: the object's plane, if it has one.
     """
     result: list[Hypotheses | None] = []
@@ -116,7 +124,7 @@ def followed(
     for index in range(len(frames)):
         there = bool(candidates.there[index].any())
         if there and (now is None or stamps[index] - seen_at > max_gap):
-            now = _begun(frames.at(index), _allowed(candidates, index), motion, shaking[index], distance, now)
+            now = _begun(frames.at(index), _allowed(candidates, index), motion, jitter_std[index], distance, now)
         elif now is not None:
             dt = np.array(stamps[index] - stamps[index - 1])
             now = _forecast(now, motion, dt)
@@ -129,7 +137,7 @@ def followed(
                     frames.at(index),
                     allowed=allowed,
                     motion=motion,
-                    shaking=shaking[index],
+                    jitter_std=jitter_std[index],
                     distance=distance,
                     limit=float(limits[index]),
                 )
@@ -148,7 +156,7 @@ def _begun(
     frame: PixelFrames,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
-    shaking: Array,
+    jitter_std: Array,
     distance: float,
     before: Hypotheses | None,
 ) -> Hypotheses:
@@ -160,8 +168,8 @@ def _begun(
     parents = np.zeros(count, dtype=int) if before is None else np.full(count, np.argmin(before.costs))
     start = 0.0 if before is None else float(before.costs.min())
     expected = _expected(states, spread, np.full(count, start), parents, np.full(count, BEGUN))
-    ends = _descended(expected, frame, states, shaking)
-    return _kept(_children(expected, ends, shaking))
+    ends = _descended(expected, frame, states, jitter_std)
+    return _kept(_children(expected, ends, jitter_std))
 
 
 def _expected(states: MotionState, spread: Array, costs: Array, parents: Array, kinds: Array) -> Hypotheses:
@@ -191,7 +199,7 @@ def _forecast(now: Hypotheses, motion: FreeMotion, dt: Array) -> Hypotheses:
     return expected._replace(transitions=growth)
 
 
-def with_mirrored(expected: Hypotheses, flat: Flat) -> Hypotheses:
+def with_mirrored(expected: Hypotheses, flat: ObjectPlane) -> Hypotheses:
     """Return hypotheses and, of those that are nearly frontal, mirrored ones that are not among them.
 
     Around the frontal view a pose has two lobes of likelihood that run into each other. A hypothesis is a normal
@@ -225,17 +233,17 @@ def _seen(
     frame: PixelFrames,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
-    shaking: Array,
+    jitter_std: Array,
     distance: float,
     limit: float,
 ) -> Hypotheses:
     """Return what becomes of hypotheses with a frame: seen, taken for something else, or begun anew."""
-    ends = _descended(expected, frame, _starts(expected, allowed), shaking)
-    children = _children(expected, ends, shaking)
+    ends = _descended(expected, frame, _starts(expected, allowed), jitter_std)
+    children = _children(expected, ends, jitter_std)
     parts = [children]
     if float(ends.costs.min()) > 2 * float(frame.there.sum()) + ANEW:
         parts.append(expected._replace(costs=expected.costs + limit, kinds=np.full(len(expected.costs), WRONG)))
-        parts.append(_anew(expected, frame, allowed, motion, shaking, distance))
+        parts.append(_anew(expected, frame, allowed, motion, jitter_std, distance))
     return _kept(_joined(parts))
 
 
@@ -244,7 +252,7 @@ def _anew(
     frame: PixelFrames,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
-    shaking: Array,
+    jitter_std: Array,
     distance: float,
 ) -> Hypotheses:
     """Return the children of the best hypothesis if nothing of its forecast holds."""
@@ -256,7 +264,7 @@ def _anew(
         costs=best.costs + ANEW,
         kinds=np.array([BEGUN]),
     )
-    return _children(best, _descended(best, frame, _starts(best, allowed), shaking), shaking)
+    return _children(best, _descended(best, frame, _starts(best, allowed), jitter_std), jitter_std)
 
 
 def _starts(expected: Hypotheses, allowed: tuple[Array, Array]) -> MotionState:
@@ -273,14 +281,14 @@ def _starts(expected: Hypotheses, allowed: tuple[Array, Array]) -> MotionState:
     )
 
 
-def _descended(expected: Hypotheses, frame: PixelFrames, starts: MotionState, shaking: Array) -> Ends:
-    return descended(frame, expected.states, expected.covariances[:, POSE, POSE] + shaking, starts)
+def _descended(expected: Hypotheses, frame: PixelFrames, starts: MotionState, jitter_std: Array) -> DescentResults:
+    return descended(frame, expected.states, expected.covariances[:, POSE, POSE] + jitter_std, starts)
 
 
-def _children(expected: Hypotheses, ends: Ends, shaking: Array) -> Hypotheses:
+def _children(expected: Hypotheses, ends: DescentResults, jitter_std: Array) -> Hypotheses:
     """Return the hypotheses that distinct ends make."""
     spread = expected.covariances[ends.parents]
-    whole = spread[:, POSE, POSE] + shaking
+    whole = spread[:, POSE, POSE] + jitter_std
     informed = ends.curvatures + ends.slopes.swapaxes(-1, -2) @ np.linalg.inv(whole) @ ends.slopes
     own = ends.slopes @ np.linalg.inv(informed) @ ends.slopes.swapaxes(-1, -2)  # of the step from the forecast
     gain = np.linalg.solve(whole, spread[:, POSE]).swapaxes(-1, -2)
@@ -299,7 +307,7 @@ def _children(expected: Hypotheses, ends: Ends, shaking: Array) -> Hypotheses:
     )
 
 
-def _surprises(whole: Array, ends: Ends) -> Array:
+def _surprises(whole: Array, ends: DescentResults) -> Array:
     """Return the innovations (E, 6), whitened: at the end both pulls balance, and S = P + H⁻¹ for ν = S P⁻¹ d."""
     pull = np.linalg.solve(whole, ends.steps[..., None])
     prior = ends.slopes.swapaxes(-1, -2) @ np.linalg.inv(whole) @ ends.slopes

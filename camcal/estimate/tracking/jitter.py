@@ -46,7 +46,7 @@ def jitter(stamps: Array, rotations: Array, translations: Array, chains: Array) 
 
 
 @dataclass(frozen=True)
-class Shaking:
+class JitterStd:
     """Standard deviations of shakes: camera_turn (rad), object_shift (m), object_turn (rad), all per axis."""
 
     camera_turn: float = 0.0
@@ -54,7 +54,7 @@ class Shaking:
     object_turn: float = 0.0
 
     @classmethod
-    def guess(cls, distance: float) -> "Shaking":
+    def guess(cls, distance: float) -> "JitterStd":
         """Return a first guess for an object that is so far (m) away."""
         return cls(_START, _START * distance / 3, _START)
 
@@ -78,7 +78,7 @@ class Shaking:
             self.object_turn**2 * turn * every,
         ]
 
-    def likelier(self, translations: Array, pulls: Array, informed: Array) -> "Shaking":
+    def likelier(self, translations: Array, pulls: Array, informed: Array) -> "JitterStd":
         """Return the shaking of the next step to the highest evidence.
 
         pulls: (N, 6), Σ⁻¹ times the shakes as they were found. informed: (N, 6, 6) of `Spread`. MacKay's rule for one
@@ -90,4 +90,4 @@ class Shaking:
             known = float(np.einsum("nij,nji->", informed, part))
             factor = squares / max(known, 0.05 * squares, 1e-12)
             result.append(getattr(self, name) * float(np.clip(factor**_STRIDE, 0.02, 20.0)) ** 0.5)
-        return Shaking(*result)
+        return JitterStd(*result)

@@ -33,7 +33,7 @@ class Chains:
     frames: their pixels. used: (M) whether they count. steps: (M - 1) s between frames. chains: (M) numbers from 0, in
     order. begun: (M - 1) links over which the motion began anew. unknown: (S,) variances of what is not known of it.
     anchors: (M, S) information about states where they are now: little at a start, much at a state that is held.
-    shaking: (M, 6, 6) covariance of shakes, None if nothing shakes. groups: (M) numbers from 0, in order, of
+    jitter_std: (M, 6, 6) covariance of shakes, None if nothing shakes. groups: (M) numbers from 0, in order, of
     chains that are judged together; None for each on its own.
     """
 
@@ -44,7 +44,7 @@ class Chains:
     begun: Array
     unknown: Array
     anchors: Array
-    shaking: Array | None
+    jitter_std: Array | None
     groups: Array | None = None
 
     @property
@@ -99,9 +99,9 @@ class BatchTrack:
 
 def _shaken(chains: Chains, states: MotionState, pulls: Array) -> tuple[Array, Array]:
     """Return the poses of the frames: the smooth ones with their shakes."""
-    if chains.shaking is None:
+    if chains.jitter_std is None:
         return states.rotations, states.translations
-    shakes = (chains.shaking @ pulls[..., None])[..., 0]
+    shakes = (chains.jitter_std @ pulls[..., None])[..., 0]
     return so3.exp(shakes[:, 3:]) @ states.rotations, states.translations + shakes[:, :3]
 
 
@@ -170,16 +170,16 @@ def solved(
 def _first_pulls(chains: Chains, states: MotionState) -> Array:
     """Return the pulls (M, 6) at given states: a shake may be so large that all pixels would be taken for wrong."""
     pulls = np.zeros((len(chains.used), 6))
-    if chains.shaking is None:
+    if chains.jitter_std is None:
         return pulls
     nothing, best = pulls, linearised(chains.frames, *_shaken(chains, states, pulls))[0]
     for temper in _TEMPERS:
         _, gradient, curvature = linearised(chains.frames, *_shaken(chains, states, pulls), temper)
-        shakes = (chains.shaking @ pulls[..., None])[..., 0]
+        shakes = (chains.jitter_std @ pulls[..., None])[..., 0]
         right = gradient[..., None] - curvature @ shakes[..., None]
-        pulls = -np.linalg.solve(_EYE + curvature @ chains.shaking, right)[..., 0]
+        pulls = -np.linalg.solve(_EYE + curvature @ chains.jitter_std, right)[..., 0]
     cost = linearised(chains.frames, *_shaken(chains, states, pulls))[0]
-    cost = cost + ((chains.shaking @ pulls[..., None])[..., 0] * pulls).sum(axis=1)
+    cost = cost + ((chains.jitter_std @ pulls[..., None])[..., 0] * pulls).sum(axis=1)
     return np.where((chains.used & (cost < best))[:, None], pulls, nothing)
 
 
@@ -205,13 +205,13 @@ def _linearised(
     count, size = len(used), motion.size
     total = np.zeros((count, size))
     blocks = np.zeros((count, size, size))
-    if chains.shaking is None:
+    if chains.jitter_std is None:
         total[:, POSE], blocks[:, POSE, POSE] = gradient, curvature
     else:
         # Shakes integrated out: H' = (I + H Σ)⁻¹ H, g' = (I + H Σ)⁻¹ (g - H j).
-        shakes = (chains.shaking @ pulls[..., None])[..., 0]
+        shakes = (chains.jitter_std @ pulls[..., None])[..., 0]
         cost = cost + (shakes * pulls).sum(axis=1)
-        loosened = np.linalg.inv(_EYE + curvature @ chains.shaking)
+        loosened = np.linalg.inv(_EYE + curvature @ chains.jitter_std)
         blocks[:, POSE, POSE] = loosened @ curvature
         total[:, POSE] = (loosened @ (gradient[..., None] - curvature @ shakes[..., None]))[..., 0]
     forecast, growth = motion.forecast(states.at(slice(None, -1)), chains.steps)
@@ -261,11 +261,11 @@ def _factor(terms: _Terms, damping: Array) -> TridiagonalFactor:
 
 def _pulled(chains: Chains, pulls: Array, step: Array, terms: _Terms) -> Array:
     """Return the pulls (M, 6) once the smooth poses have moved by steps."""
-    if chains.shaking is None:
+    if chains.jitter_std is None:
         return pulls
-    curvature, shakes = terms.pixel_curvature, (chains.shaking @ pulls[..., None])[..., 0]
+    curvature, shakes = terms.pixel_curvature, (chains.jitter_std @ pulls[..., None])[..., 0]
     right = terms.pixel_gradient[..., None] + curvature @ (step[:, POSE] - shakes)[..., None]
-    return -np.linalg.solve(_EYE + curvature @ chains.shaking, right)[..., 0]
+    return -np.linalg.solve(_EYE + curvature @ chains.jitter_std, right)[..., 0]
 
 
 def _judged(
@@ -280,8 +280,8 @@ def _judged(
     volume = factor.log_determinants()
     volume[1:] += links.log_volume
     volume -= np.where(chains.anchors > 0, np.log(np.maximum(chains.anchors, 1e-300)), 0.0).sum(axis=1)
-    if chains.shaking is not None:
-        volume += np.linalg.slogdet(_EYE + terms.pixel_curvature @ chains.shaking)[1]
+    if chains.jitter_std is not None:
+        volume += np.linalg.slogdet(_EYE + terms.pixel_curvature @ chains.jitter_std)[1]
     return BatchTrack(
         chains,
         motion,
@@ -312,11 +312,11 @@ def spread_of(track: BatchTrack) -> Spread:
     states, beside = track.factor.covariances()
     poses = states[:, POSE, POSE]
     informed = np.zeros_like(poses)
-    shaking, curvature = track.chains.shaking, track.curvatures
-    if shaking is not None:
+    jitter_std, curvature = track.chains.jitter_std, track.curvatures
+    if jitter_std is not None:
         # Given the smooth pose, that of the frame lies (I + Σ H)⁻¹ of the way from what the pixels say to it.
-        loosened = np.linalg.inv(_EYE + curvature @ shaking)
+        loosened = np.linalg.inv(_EYE + curvature @ jitter_std)
         own = loosened @ curvature
         informed = own - own @ poses @ own
-        poses = shaking @ loosened + loosened.swapaxes(-1, -2) @ poses @ loosened
+        poses = jitter_std @ loosened + loosened.swapaxes(-1, -2) @ poses @ loosened
     return Spread(states, beside, (poses + poses.swapaxes(-1, -2)) / 2, informed)

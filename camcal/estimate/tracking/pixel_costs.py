@@ -104,7 +104,7 @@ def squares(frames: PixelFrames, rotations: Array, translations: Array) -> Array
     return np.asarray(np.where(front, result, _BEHIND) * frames.there)
 
 
-def rightness(frames: PixelFrames, squared: Array) -> Array:
+def inlier_probabilities(frames: PixelFrames, squared: Array) -> Array:
     """Return the probabilities (..., P) that pixels belong to their points, from squared deviations; 0 without one."""
     near = np.exp(-squared / 2)
     return np.asarray(np.where(frames.there, near / (near + frames.floors), 0.0))

@@ -15,12 +15,12 @@ from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking import hypotheses, process_noise
 from camcal.estimate.tracking.flips import FAR, Searched, searched
-from camcal.estimate.tracking.free_motion import POSE, Flat, FreeMotion, MotionState, difference
+from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, ObjectPlane, difference
 from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward, Hypotheses
-from camcal.estimate.tracking.jitter import Shaking
+from camcal.estimate.tracking.jitter import JitterStd
 from camcal.estimate.tracking.pixel_batch import Chains
-from camcal.estimate.tracking.pixel_costs import PixelFrames, rightness, squares
-from camcal.estimate.tracking.process_noise import Explained, ProcessNoise
+from camcal.estimate.tracking.pixel_costs import PixelFrames, inlier_probabilities, squares
+from camcal.estimate.tracking.process_noise import NoiseFit, ProcessNoise
 from camcal.estimate.tracking.segments import FramePose, PoseMeasurements
 from camcal.geometry import rotation as so3
 
@@ -41,7 +41,7 @@ class PixelTrack:
     6) of the poses; p_wrong: (N,) the probability that another pose more than 10° away is the true one.
     contradicted: (N,) whether all frames together say another pose than a bounded look-ahead.
     surprises: (N, 6) whitened innovations of the forward pass, NaN where there are none.
-    shaking: what shakes single poses. noise: of the motion. sigma: of the pixels, in the unit of the views' noise.
+    jitter_std: what shakes single poses. noise: of the motion. sigma: of the pixels, in the unit of the views' noise.
     """
 
     used: Array
@@ -54,7 +54,7 @@ class PixelTrack:
     p_wrong: Array
     contradicted: Array
     surprises: Array
-    shaking: Shaking
+    jitter_std: JitterStd
     noise: ProcessNoise
     sigma: float
 
@@ -87,12 +87,12 @@ def track_pixels(
     sigma = sigma or max(_first_noise(frames, candidates), _LEAST_NOISE)
     frames = frames.with_noise(sigma)
     distance = float(np.median(np.linalg.norm(candidates.translations[found_in, 0], axis=1)))
-    run = _Run(frames, candidates, np.asarray(stamps), distance, max_gap, Flat.of(frames))
+    run = _Run(frames, candidates, np.asarray(stamps), distance, max_gap, ObjectPlane.of(frames))
     motion = FreeMotion(
         (_START_TRANSLATION * distance**2, _START_ROTATION) if noise is None else (noise.translation, noise.rotation)
     )
     tune = noise is None
-    first, _ = run.followed(motion, Shaking(), tune=tune)
+    first, _ = run.followed(motion, JitterStd(), tune=tune)
     best = process_noise.chosen(first, distance=distance, tune=tune)
     if not given:
         factor = float(np.clip(process_noise.noise_factor(best.track, best.spread), *_NOISE_RANGE))
@@ -100,7 +100,7 @@ def track_pixels(
         if abs(factor - 1) > _NOTED:
             sigma *= factor
             run = replace(run, frames=frames.with_noise(factor))
-    second, forward = run.followed(best.track.motion, best.shaking, tune=tune)
+    second, forward = run.followed(best.track.motion, best.jitter_std, tune=tune)
     if lag is not None:
         return run.with_lag(forward, second, lag, sigma, noise)
     return run.whole(forward, searched(second), sigma, noise)
@@ -133,22 +133,22 @@ class _Run:
     stamps: Array
     distance: float
     max_gap: float
-    flat: Flat | None
+    flat: ObjectPlane | None
 
-    def followed(self, motion: FreeMotion, shaking: Shaking, *, tune: bool) -> tuple[Explained, Forward]:
+    def followed(self, motion: FreeMotion, jitter_std: JitterStd, *, tune: bool) -> tuple[NoiseFit, Forward]:
         """Return the track that the best hypothesis leads to, from the first detection on."""
         forward = hypotheses.followed(
             self.frames,
             self.candidates,
             self.stamps,
             motion=motion,
-            shaking=process_noise.covariance_for(shaking, self._places()),
+            jitter_std=process_noise.covariance_for(jitter_std, self._places()),
             distance=self.distance,
             max_gap=self.max_gap,
             flat=self.flat,
         )
         chains, states = self._chains(forward, motion)
-        return process_noise.explained(chains, motion, states, shaking, tune=tune), forward
+        return process_noise.fit_noise(chains, motion, states, jitter_std, tune=tune), forward
 
     def _places(self) -> Array:
         there = self.candidates.there[:, 0]
@@ -173,7 +173,7 @@ class _Run:
             begun=(path.kinds[1:] == BEGUN) & (starts[1:] == 0),
             unknown=unknown,
             anchors=anchors,
-            shaking=None,
+            jitter_std=None,
         )
         return chains, path.states
 
@@ -184,13 +184,13 @@ class _Run:
         path = _Path.of(forward, len(self.stamps) - 1)
         rotations, translations = track.poses
         states = track.states._replace(rotations=rotations, translations=translations)
-        right = rightness(chains.frames, squares(chains.frames, rotations, translations)).sum(axis=1)
+        right = inlier_probabilities(chains.frames, squares(chains.frames, rotations, translations)).sum(axis=1)
         used = chains.used & (right > _ENOUGH * chains.frames.counts)
         parts = (used, states, found.spread.poses, result.p_wrong, np.zeros(len(used), dtype=bool), path.surprises)
         return self._given(found, parts, sigma, noise)
 
     def with_lag(
-        self, forward: Forward, found: Explained, lag: int, sigma: float, noise: ProcessNoise | None
+        self, forward: Forward, found: NoiseFit, lag: int, sigma: float, noise: ProcessNoise | None
     ) -> PixelTrack:
         """Return what the frames up to `lag` later ones say of each frame."""
         from camcal.estimate.tracking.pixel_track import lagged
@@ -198,7 +198,7 @@ class _Run:
         states, covariances, p_wrong = lagged(forward, lag, FAR)
         path = _Path.of(forward, len(self.stamps) - 1)
         kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
-        shakes = process_noise.covariance_for(found.shaking, states.translations)
+        shakes = process_noise.covariance_for(found.jitter_std, states.translations)
         used = (kinds == MEASURED) | (kinds == BEGUN)
         apart = so3.angle_between(states.rotations, searched(found).found.track.poses[0]) > FAR
         parts = (used, states, covariances[:, POSE, POSE] + shakes, p_wrong, apart, path.surprises)
@@ -206,7 +206,7 @@ class _Run:
 
     def _given(
         self,
-        found: Explained,
+        found: NoiseFit,
         parts: tuple[Array, MotionState, Array, Array, Array, Array],
         sigma: float,
         noise: ProcessNoise | None,
@@ -227,7 +227,7 @@ class _Run:
             p_wrong=_padded(p_wrong, first),
             contradicted=_padded(contradicted, first),
             surprises=_padded(surprises, first),
-            shaking=found.shaking,
+            jitter_std=found.jitter_std,
             noise=noise or ProcessNoise(translation, rotation, fading=motion.fading),
             sigma=sigma,
         )

@@ -15,11 +15,11 @@ from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.free_motion import FreeMotion, MotionState, difference
-from camcal.estimate.tracking.jitter import Shaking
+from camcal.estimate.tracking.jitter import JitterStd
 from camcal.estimate.tracking.pixel_batch import BatchTrack, Chains, Spread, solved, spread_of
-from camcal.estimate.tracking.pixel_costs import rightness, squares
+from camcal.estimate.tracking.pixel_costs import inlier_probabilities, squares
 from camcal.estimate.tracking.pose_filter import Candidates, FilterState
-from camcal.estimate.tracking.segments import LEAST, Following, PoseMeasurements, Segment, candidates_at, follow
+from camcal.estimate.tracking.segments import LEAST, GateOptions, PoseMeasurements, Segment, candidates_at, follow
 
 _STRETCH = 60  # frames; the first of each tells little
 _STRETCHES = 16  # that are looked at, spread evenly
@@ -75,7 +75,7 @@ class _Stretches(NamedTuple):
     outlier_cost: float
 
 
-def tuned(measurements: PoseMeasurements, following: Following) -> ProcessNoise:
+def tuned(measurements: PoseMeasurements, following: GateOptions) -> ProcessNoise:
     """Return the densities under which the detections are likeliest; the first guess where nothing can be followed."""
     present = measurements.present
     distance = float(np.median(np.linalg.norm(measurements.translations[present, 0], axis=-1)))
@@ -157,12 +157,12 @@ def _vertex(centre: Array, spacing: float, costs: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Explained:
+class NoiseFit:
     """A track with the noise that explains it best, and its covariances."""
 
     track: BatchTrack
     spread: Spread
-    shaking: Shaking
+    jitter_std: JitterStd
 
     @property
     def evidence(self) -> float:
@@ -170,30 +170,30 @@ class Explained:
         return float(self.track.evidence.sum())
 
 
-def explained(
+def fit_noise(
     chains: Chains,
     motion: FreeMotion,
     states: MotionState,
-    shaking: Shaking,
+    jitter_std: JitterStd,
     *,
     tune: bool = True,
     rounds: int = _CHOICE_ROUNDS,
-) -> Explained:
+) -> NoiseFit:
     """Return the track with the densities and shaking at the highest evidence, from given ones on.
 
     tune: whether densities may change; what does not shake at the beginning never does.
     """
-    chains = _shaken(chains, states, shaking)
+    chains = _shaken(chains, states, jitter_std)
     track = solved(chains, motion, states)
     spread = spread_of(track)
     for _ in range(rounds):
         if tune:
             motion = replace(motion, densities=tuned_densities(track, spread))
-        if shaking.any:
+        if jitter_std.any:
             used = chains.used
             places = track.states.translations[used]
-            shaking = shaking.likelier(places, track.pulls[used], spread.informed[used])
-            chains = _shaken(chains, track.states, shaking)
+            jitter_std = jitter_std.likelier(places, track.pulls[used], spread.informed[used])
+            chains = _shaken(chains, track.states, jitter_std)
         elif not tune:
             break
         before = float(track.evidence.sum())
@@ -201,19 +201,19 @@ def explained(
         spread = spread_of(track)
         if abs(float(track.evidence.sum()) - before) < _SETTLED:
             break
-    found = Explained(track, spread, shaking)
-    if not shaking.any:
+    found = NoiseFit(track, spread, jitter_std)
+    if not jitter_std.any:
         return found
     # While the noise was sought, pixels that fit may have been given up: the start may lead to a better end.
     again = solved(chains, motion, states)
-    return min(found, Explained(again, spread_of(again), shaking), key=lambda each: each.evidence)
+    return min(found, NoiseFit(again, spread_of(again), jitter_std), key=lambda each: each.evidence)
 
 
-def _shaken(chains: Chains, states: MotionState, shaking: Shaking) -> Chains:
-    return replace(chains, shaking=shaking.covariance(states.translations) if shaking.any else None)
+def _shaken(chains: Chains, states: MotionState, jitter_std: JitterStd) -> Chains:
+    return replace(chains, jitter_std=jitter_std.covariance(states.translations) if jitter_std.any else None)
 
 
-def with_fading(found: Explained, fading: float | None) -> tuple[Chains, FreeMotion, MotionState]:
+def with_fading(found: NoiseFit, fading: float | None) -> tuple[Chains, FreeMotion, MotionState]:
     """Return a track's chains, motion and states for the other model of the motion, accelerations unknown."""
     track = found.track
     scale = _SINGER_SCALE if fading is not None else 1 / _SINGER_SCALE
@@ -229,36 +229,36 @@ def with_fading(found: Explained, fading: float | None) -> tuple[Chains, FreeMot
     return chains, motion, track.states._replace(rates=rates)
 
 
-def chosen(found: Explained, *, distance: float, tune: bool = True) -> Explained:
+def chosen(found: NoiseFit, *, distance: float, tune: bool = True) -> NoiseFit:
     """Return the best of: as it is, with the other model of the motion, and the better of both with shakes."""
     best = found
     if tune:
         chains, motion, states = with_fading(found, FADING if found.track.motion.fading is None else None)
-        best = min(found, explained(chains, motion, states, found.shaking), key=lambda each: each.evidence)
-    if not best.shaking.any:
+        best = min(found, fit_noise(chains, motion, states, found.jitter_std), key=lambda each: each.evidence)
+    if not best.jitter_std.any:
         track = best.track
-        guess = Shaking.guess(distance)
-        shaken = explained(track.chains, track.motion, track.states, guess, tune=tune, rounds=_ROUNDS_SHAKEN)
+        guess = JitterStd.guess(distance)
+        shaken = fit_noise(track.chains, track.motion, track.states, guess, tune=tune, rounds=_ROUNDS_SHAKEN)
         if shaken.evidence < best.evidence - _BETTER:
             best = _simpler(shaken, tune=tune)
     return best
 
 
-def _simpler(found: Explained, *, tune: bool) -> Explained:
+def _simpler(found: NoiseFit, *, tune: bool) -> NoiseFit:
     """Return the track without the causes of shakes that explain nothing."""
     for cause in ("object_turn", "object_shift", "camera_turn"):
-        less = replace(found.shaking, **{cause: 0.0})
-        if less.any and less != found.shaking:
+        less = replace(found.jitter_std, **{cause: 0.0})
+        if less.any and less != found.jitter_std:
             track = found.track
-            tried = explained(track.chains, track.motion, track.states, less, tune=tune)
+            tried = fit_noise(track.chains, track.motion, track.states, less, tune=tune)
             if tried.evidence < found.evidence + _NO_WORSE:
                 found = tried
     return found
 
 
-def covariance_for(shaking: Shaking, translations: Array) -> Array:
+def covariance_for(jitter_std: JitterStd, translations: Array) -> Array:
     """Return the covariances (N, 6, 6) of shakes, zero where nothing shakes."""
-    return shaking.covariance(translations) if shaking.any else np.zeros((len(translations), 6, 6))
+    return jitter_std.covariance(translations) if jitter_std.any else np.zeros((len(translations), 6, 6))
 
 
 def tuned_densities(track: BatchTrack, spread: Spread) -> tuple[float, float]:
@@ -288,7 +288,7 @@ def noise_factor(track: BatchTrack, spread: Spread) -> float:
     """Return by how much the pixels' standard deviations are too small, from the residuals of right pixels."""
     used = track.chains.used
     squared = squares(track.chains.frames, *track.poses)
-    weights = np.where(used[:, None], rightness(track.chains.frames, squared), 0.0)
+    weights = np.where(used[:, None], inlier_probabilities(track.chains.frames, squared), 0.0)
     spent = float(np.einsum("nij,nji->", track.curvatures[used], spread.poses[used]))
     dof = 2 * float(weights.sum()) - spent
     return float(np.sqrt((weights * squared).sum() / max(dof, 1.0)))

@@ -125,7 +125,7 @@ def _candidates(estimate: FramePose) -> Iterator[tuple[Pose, Array, float]]:
 
 
 @dataclass(frozen=True)
-class Following:
+class GateOptions:
     """When a frame belongs to a track.
 
     confidence: with which a good detection is inside the gate. max_gap: s without an accepted detection that a piece
@@ -187,7 +187,7 @@ class Segment:
         return result
 
 
-def follow(measurements: PoseMeasurements, noise: Array, following: Following) -> list[Segment]:
+def follow(measurements: PoseMeasurements, noise: Array, following: GateOptions) -> list[Segment]:
     """Return the pieces in which a pose can be followed, in order; noise: (2,) as `process_covariance` has it."""
     detections = np.flatnonzero(measurements.present)
     segments: list[Segment] = []
@@ -213,7 +213,7 @@ def candidates_at(measurements: PoseMeasurements, frame: int | Array) -> Candida
     )
 
 
-def _start(measurements: PoseMeasurements, detections: Array, noise: Array, following: Following) -> Start | None:
+def _start(measurements: PoseMeasurements, detections: Array, noise: Array, following: GateOptions) -> Start | None:
     """Return the start at one of the first detections with which most of the frames agree, None if too few do."""
     stamps = measurements.stamps
     last = min(int(detections[0]) + WINDOW, len(stamps) - 1)
@@ -271,7 +271,9 @@ class _Trial(NamedTuple):
         return _Trial(origins, belief, self.stamp, accepted, np.concatenate([self.cost, penalties[ranks]]))
 
 
-def _followed(measurements: PoseMeasurements, start: Start, noise: Array, following: Following) -> tuple[Segment, int]:
+def _followed(
+    measurements: PoseMeasurements, start: Start, noise: Array, following: GateOptions
+) -> tuple[Segment, int]:
     """Return the piece from a start to the last detection accepted, and the frame at which the next one may start."""
     stamps, present = measurements.stamps, measurements.present
     belief = pose_filter.start(*(part[start.candidate] for part in candidates_at(measurements, start.frame)[:3]))

@@ -8,10 +8,10 @@ import numpy as np
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
-from camcal.estimate.tracking.jitter import Jitter, Shaking, jitter
+from camcal.estimate.tracking.jitter import Jitter, JitterStd, jitter
 from camcal.estimate.tracking.pose_filter import FilterState, smoothed, smoothed_with_lag
 from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
-from camcal.estimate.tracking.segments import LEAST, Following, FramePose, PoseMeasurements, Segment, follow
+from camcal.estimate.tracking.segments import LEAST, FramePose, GateOptions, PoseMeasurements, Segment, follow
 from camcal.geometry.pose import Pose, inverse_jacobian
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
@@ -28,7 +28,7 @@ class TrackOptions:
     """
 
     noise: ProcessNoise | None = None
-    following: Following = field(default_factory=Following)
+    following: GateOptions = field(default_factory=GateOptions)
     lag: int | None = None
     fill: bool = False
 
@@ -49,7 +49,7 @@ class Track:
     consistency: None where no detection was predicted. before, after: jitter of the single poses and of the track.
     p_wrong: (N,) the probability that the true pose is another one than the track's; NaN where nothing
     is known of it.
-    shaking: what moves single poses off the smooth motion, None where it was not looked for.
+    jitter_std: what moves single poses off the smooth motion, None where it was not looked for.
     """
 
     frames: str
@@ -68,7 +68,7 @@ class Track:
     before: Jitter
     after: Jitter
     p_wrong: FloatArray
-    shaking: Shaking | None = None
+    jitter_std: JitterStd | None = None
 
     def __post_init__(self) -> None:
         count = len(self.stamps)
@@ -140,7 +140,7 @@ def track_poses(
     noise = options.noise or tuned(measurements, options.following)
     segments = follow(measurements, noise.densities, options.following)
     if not segments:
-        raise none_follow(poses)
+        raise no_track(poses)
     return _assembled(frames, measurements, common_part(poses), noise, segments, options)
 
 
@@ -151,7 +151,7 @@ def require_found(poses: Sequence[FramePose | None]) -> None:
         raise InsufficientData(f"found in {found} of {len(poses)} frames; following takes {LEAST} or more")
 
 
-def none_follow(poses: Sequence[FramePose | None]) -> InsufficientData:
+def no_track(poses: Sequence[FramePose | None]) -> InsufficientData:
     """Return the error of detections of which no few make a piece."""
     found = sum(pose is not None for pose in poses)
     return InsufficientData(
@@ -159,7 +159,7 @@ def none_follow(poses: Sequence[FramePose | None]) -> InsufficientData:
     )
 
 
-def where_posed(posed: Array, values: Array) -> Array:
+def at_poses(posed: Array, values: Array) -> Array:
     """Return values (N, …) of frames, NaN where there is no pose."""
     return np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
 
@@ -231,7 +231,7 @@ def _assembled(
     posed = known.settled & (options.fill | (states == MEASURED))
     if not posed.any():
         raise InsufficientData(f"no start is settled within {options.lag} frames of look-ahead; allow more, or all")
-    rotations, translations, velocities, covariances = (where_posed(posed, values) for values in known.belief)
+    rotations, translations, velocities, covariances = (at_poses(posed, values) for values in known.belief)
     used, pieces = states == MEASURED, known.segments
     return Track(
         frames,

@@ -20,10 +20,10 @@ from camcal.estimate.tracking.track import (
     REJECTED,
     Track,
     TrackOptions,
+    at_poses,
     common_part,
-    none_follow,
+    no_track,
     require_found,
-    where_posed,
 )
 from camcal.geometry import rotation as so3
 
@@ -58,7 +58,7 @@ def track_views(
     )
     segments = _pieces(followed, np.asarray(stamps), options.following.max_gap)
     if (segments < 0).all():
-        raise none_follow(poses)
+        raise no_track(poses)
     measurements = PoseMeasurements.of(stamps, poses)
     present, inside = measurements.present, segments >= 0
     used = followed.used & inside
@@ -69,7 +69,7 @@ def track_views(
         states[inside & ~present] = PREDICTED
     posed = inside & (options.fill | used)
     rotations, translations, velocities, covariances = (
-        where_posed(posed, values)
+        at_poses(posed, values)
         for values in (followed.rotations, followed.translations, followed.velocities, followed.covariances)
     )
     turns = so3.angle_between(measurements.rotations, np.nan_to_num(rotations)[:, None])
@@ -94,7 +94,7 @@ def track_views(
         before=jitter(*(part[used] for part in (measurements.stamps, *single, segments))),
         after=jitter(*(part[used] for part in (measurements.stamps, rotations, translations, segments))),
         p_wrong=p_wrong,
-        shaking=followed.shaking,
+        jitter_std=followed.jitter_std,
     )
 
 

@@ -12,9 +12,9 @@ from camcal.formats import emit
 from camcal.formats.documents import load_either
 from camcal.formats.poses import plain, table
 from camcal.formats.poses.plain import document
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 
-__all__ = ["SUFFIXES", "PoseRecord", "Poses", "Sight", "document", "read", "require_suffix", "write"]
+__all__ = ["SUFFIXES", "PoseKey", "PoseRecord", "Poses", "document", "read", "require_suffix", "write"]
 
 SUFFIXES = (".yaml", ".yml", ".json", ".csv")
 _MAX_VALUES = 20_000_000  # some 100 000 poses

@@ -10,7 +10,7 @@ from camcal.estimate.poses.records import Alternative
 from camcal.formats.covariance import ORDER, QUATERNION, STEPS, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child
 from camcal.formats.native import NAME
-from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text, unchecked
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -43,18 +43,18 @@ def document(poses: Poses) -> dict[str, Any]:
         "covariance_order": list(ORDER),
         "covariance_steps": STEPS,
         "noise": {name: value for name, value in vars(poses.noise).items() if value is not None},
-        "poses": [_block(poses, sight, record) for sight, record in poses.estimates.items()],
-        "missing": [_named(sight) | {"reason": reason} for sight, reason in poses.missing.items()],
+        "poses": [_block(poses, pose_key, record) for pose_key, record in poses.estimates.items()],
+        "missing": [_named(pose_key) | {"reason": reason} for pose_key, reason in poses.missing.items()],
     }
 
 
-def _named(sight: Sight) -> dict[str, Any]:
-    return {"image": sight.image} | ({"object": sight.object} if sight.object else {})
+def _named(pose_key: PoseKey) -> dict[str, Any]:
+    return {"image": pose_key.image} | ({"object": pose_key.object} if pose_key.object else {})
 
 
-def _block(poses: Poses, sight: Sight, record: PoseRecord) -> dict[str, Any]:
+def _block(poses: Poses, pose_key: PoseKey, record: PoseRecord) -> dict[str, Any]:
     return {
-        **_named(sight),
+        **_named(pose_key),
         "status": record.status,
         poses.frames: _transform(record.transform),
         "position": poses.position(record).tolist(),
@@ -172,10 +172,10 @@ def _check_poses(blocks: Any, path: str, frames: str) -> Iterator[Fault]:
         place = child(path, index)
         faults = list(whole(block, place)) or list(_check_block(block, place, frames))
         yield from faults
-        if not faults and (sight := _sight(block)) in seen:
-            yield Fault(place, f"{sight} stands twice")
+        if not faults and (pose_key := _sight(block)) in seen:
+            yield Fault(place, f"{pose_key} stands twice")
         elif not faults:
-            seen.add(sight)
+            seen.add(pose_key)
 
 
 def _check_block(block: Mapping[str, Any], path: str, frames: str) -> Iterator[Fault]:
@@ -211,8 +211,8 @@ def _number(value: float | None) -> float | None:
     return None if value is None else float(value)
 
 
-def _sight(block: Mapping[str, Any]) -> Sight:
-    return Sight(block["image"], block.get("object", ""))
+def _sight(block: Mapping[str, Any]) -> PoseKey:
+    return PoseKey(block["image"], block.get("object", ""))
 
 
 def _record(block: Mapping[str, Any], frames: str) -> PoseRecord:

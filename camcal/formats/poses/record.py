@@ -11,7 +11,7 @@ from camcal.estimate.poses.records import Alternative
 from camcal.geometry.pose import Pose, inverse_jacobian
 
 
-class Sight(NamedTuple):
+class PoseKey(NamedTuple):
     """An object in an image; its name is empty where a run knows one object only."""
 
     image: str
@@ -97,8 +97,8 @@ class Poses:
     frames: str
     unit: str
     noise: PixelNoise
-    estimates: Mapping[Sight, PoseRecord]
-    missing: Mapping[Sight, str] = field(default_factory=dict)
+    estimates: Mapping[PoseKey, PoseRecord]
+    missing: Mapping[PoseKey, str] = field(default_factory=dict)
 
     @property
     def of_object(self) -> bool:
@@ -111,5 +111,5 @@ class Poses:
 
     def inverse(self) -> "Poses":
         """Return the same poses in the other direction."""
-        estimates = {sight: record.inverse() for sight, record in self.estimates.items()}
+        estimates = {pose_key: record.inverse() for pose_key, record in self.estimates.items()}
         return replace(self, frames="_T_".join(reversed(self.frames.split("_T_"))), estimates=estimates)

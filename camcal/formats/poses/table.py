@@ -16,7 +16,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.formats.covariance import ORDER, PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs, why_no_covariance
 from camcal.formats.poses.plain import FORMAT, UNIT_LENGTH, UNITS, VERSION, check_frames
-from camcal.formats.poses.record import PixelNoise, PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -49,14 +49,14 @@ def lines(poses: Poses) -> Iterator[str]:
     noise = " ".join(f"{name}={value:.12g}" for name, value in known.items())
     yield f"# {FORMAT} {VERSION} frames={poses.frames} unit={poses.unit} {noise}"
     yield ",".join(COLUMNS)
-    for sight, record in poses.estimates.items():
-        yield ",".join(_cells(poses, sight, record))
-    for sight, reason in poses.missing.items():
-        yield _NONE + ",".join(cell(" ".join(part.split())) for part in (*sight, reason))
+    for pose_key, record in poses.estimates.items():
+        yield ",".join(_cells(poses, pose_key, record))
+    for pose_key, reason in poses.missing.items():
+        yield _NONE + ",".join(cell(" ".join(part.split())) for part in (*pose_key, reason))
 
 
-def _cells(poses: Poses, sight: Sight, record: PoseRecord) -> list[str]:
-    named = [cell(sight.image), cell(sight.object), cell(record.status)]
+def _cells(poses: Poses, pose_key: PoseKey, record: PoseRecord) -> list[str]:
+    named = [cell(pose_key.image), cell(pose_key.object), cell(record.status)]
     numbers = [*_seven(record.transform), *record.transform.vector(), *poses.position(record)]
     fit = [record.rms_px, record.max_px, record.p_wrong]
     counts = [str(record.n_points), str(record.n_inliers), " ".join(map(str, record.outliers))]
@@ -86,12 +86,12 @@ def read(path: Path) -> Poses:
     where, content = str(path), numbered_lines(path)
     frames, unit, noise = _head(where, content)
     table = Table.from_csv(where, content, [name for name in COLUMNS if name not in _VECTOR + _CENTRE], COLUMNS)
-    estimates: dict[Sight, PoseRecord] = {}
+    estimates: dict[PoseKey, PoseRecord] = {}
     for row, record in enumerate(_records(table)):
-        sight = Sight(table.columns["image"][row], table.columns["object"][row])
-        if sight in estimates:
-            raise InvalidInput(f"{sight} stands twice", where=f"{where}:{table.lines[row]}")
-        estimates[sight] = record
+        pose_key = PoseKey(table.columns["image"][row], table.columns["object"][row])
+        if pose_key in estimates:
+            raise InvalidInput(f"{pose_key} stands twice", where=f"{where}:{table.lines[row]}")
+        estimates[pose_key] = record
     return Poses(frames, unit, noise, estimates, dict(_missing(where, content)))
 
 
@@ -116,13 +116,13 @@ def _of_head(where: str, found: re.Match[str], name: str) -> float | None:
         raise InvalidInput(f"{name}: {found[name]!r} is not a number", where=f"{where}:1") from error
 
 
-def _missing(where: str, content: Lines) -> Iterator[tuple[Sight, str]]:
+def _missing(where: str, content: Lines) -> Iterator[tuple[PoseKey, str]]:
     for number, line in content:
         if line.startswith(_NONE):
             (cells,) = csv_rows(where, [(number, line.removeprefix(_NONE))]) or [[]]
             if len(cells) != 3:
                 raise InvalidInput("a '# none' line has image,object,reason", where=f"{where}:{number}")
-            yield Sight(cells[0], cells[1]), cells[2]
+            yield PoseKey(cells[0], cells[1]), cells[2]
 
 
 def _records(table: Table) -> Iterator[PoseRecord]:

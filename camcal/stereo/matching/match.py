@@ -12,11 +12,11 @@ from camcal.stereo.matching.filling import Filled, everywhere, from_the_backgrou
 from camcal.stereo.matching.matchers import (
     Found,
     Fused,
-    alone,
     by_census,
     by_gray_levels,
     by_gray_levels_unchecked,
     fused,
+    single_matcher,
     textured,
 )
 from camcal.stereo.matching.planes import on_planes
@@ -130,7 +130,7 @@ def _with_planes(found: Fused, filled: Filled, dense: Array, pair: GrayPair) -> 
 def _found(prepared: Prepared, quality: str, each: Each) -> Fused:
     pair, first, count = prepared.pair, prepared.first, prepared.count
     if quality == FAST:
-        return alone(by_gray_levels_unchecked(pair, first, count))
+        return single_matcher(by_gray_levels_unchecked(pair, first, count))
 
     def by_both(pair: GrayPair, first: int, count: int) -> Fused:
         found: dict[object, Found] = {}
@@ -138,6 +138,6 @@ def _found(prepared: Prepared, quality: str, each: Each) -> Fused:
         return fused(found[by_census], found[by_gray_levels])
 
     def by_one(pair: GrayPair, first: int, count: int) -> Fused:
-        return alone(by_census(pair, first, count))
+        return single_matcher(by_census(pair, first, count))
 
     return coarse_to_fine(pair, first, count, by_both if quality == BEST else by_one)

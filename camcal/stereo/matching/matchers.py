@@ -23,11 +23,11 @@ from camcal.stereo.matching.semi_global import (
     aggregate,
     census,
     fraction,
-    has_rival,
+    is_ambiguous,
     least,
     matching_costs,
+    right_costs,
     rough_fraction,
-    seen_from_the_right,
 )
 
 _NOISY = 7.0  # gray levels; below, more blur loses more detail than noise
@@ -62,7 +62,7 @@ _SAME, _NEAR = 0.25, 1.0  # pixels between two matchers
 class Found(NamedTuple):
     """What a matcher found, pixels: the disparity (H, W) of least cost, and what of it both images agree on, else NaN.
 
-    difference: (H, W) how much they differ, NaN where only one of them sees. rival: (H, W) bool, whether another
+    difference: (H, W) how much they differ, NaN where only one of them sees. ambiguous: (H, W) bool, whether another
     disparity costs hardly more, as where texture repeats itself. end: (H, W) int8, -1 where the least cost lies at the
     lower end of the range, 1 at the upper end, else 0.
     """
@@ -70,7 +70,7 @@ class Found(NamedTuple):
     least: Array
     believed: Array
     difference: Array
-    rival: Array
+    ambiguous: Array
     end: Array
 
 
@@ -81,11 +81,11 @@ def by_census(pair: GrayPair, first: int, count: int) -> Found:
     costs = matching_costs(left, right, first, count)
     total = aggregate(costs, cv2.GaussianBlur(pair.left, (0, 0), blur))
     best = least(total)
-    rival, end = has_rival(total, best), _end(best, 0, count - 1)
+    ambiguous, end = is_ambiguous(total, best), _end(best, 0, count - 1)
     seen = (first + best).astype(np.float32) + fraction(costs, best)
-    total = seen_from_the_right(total, first)
+    total = right_costs(total, first)
     best = least(total)
-    return _checked(seen, (first + best).astype(np.float32) + rough_fraction(total, best), rival, end)
+    return _checked(seen, (first + best).astype(np.float32) + rough_fraction(total, best), ambiguous, end)
 
 
 def by_gray_levels(pair: GrayPair, first: int, count: int) -> Found:
@@ -109,10 +109,10 @@ def by_gray_levels_unchecked(pair: GrayPair, first: int, count: int) -> Found:
     return Found(seen, believed, differences, np.zeros(seen.shape, np.bool_), _end(seen, first, first + count - 1))
 
 
-def _checked(left: Array, right: Array, rival: Array, end: Array) -> Found:
+def _checked(left: Array, right: Array, ambiguous: Array, end: Array) -> Found:
     difference = difference_seen(left, right)
-    believed = without_specks(np.where(difference <= AGREEMENT, left, np.float32(np.nan)))
-    return Found(left, believed, difference, rival, end)
+    believed = without_speckles(np.where(difference <= AGREEMENT, left, np.float32(np.nan)))
+    return Found(left, believed, difference, ambiguous, end)
 
 
 def _end(disparity: Array, first: int, last: int) -> Array:
@@ -171,7 +171,7 @@ def difference_seen(left: Array, right: Array) -> Array:
     return np.where(inside, np.abs(back - left), np.float32(np.nan))
 
 
-def in_order(disparity: Array) -> Array:
+def ordering_holds(disparity: Array) -> Array:
     """Return where nothing to the right of a pixel in the left image stands left of it in the right one (H, W), bool.
 
     What is out of order is hidden, or seen past something narrow in front of it.
@@ -190,7 +190,7 @@ def has_texture(gray: Array) -> Array:
     return np.asarray(cv2.subtract(cv2.dilate(gray, around), cv2.erode(gray, around)) > 1)
 
 
-def without_specks(disparity: Array) -> Array:
+def without_speckles(disparity: Array) -> Array:
     """Return disparities (H, W), pixels, NaN where a smooth patch of them is smaller than 50 pixels."""
     known = np.isfinite(disparity)
     whole = np.where(known, np.rint(np.nan_to_num(disparity) * _FRACTIONS), _NOTHING)
@@ -227,7 +227,7 @@ def fused(census: Found, gray_levels: Found) -> Fused:
     confidence = np.where(np.isfinite(disparity), Confidence.SINGLE, Confidence.FILLED)
     confidence = np.where(difference > _NEAR, Confidence.APART, confidence)
     confidence = np.where(near, np.where(difference <= _SAME, Confidence.AGREED, Confidence.NEAR), confidence)
-    doubtful = census.rival & (confidence > Confidence.SINGLE)
+    doubtful = census.ambiguous & (confidence > Confidence.SINGLE)
     confidence = np.where(doubtful, Confidence.SINGLE, confidence)
     difference = np.where(doubtful, np.float32(np.nan), difference)
     return Fused(disparity, confidence.astype(np.uint8), difference, census.end)
@@ -247,9 +247,9 @@ def textured(fused: Fused, gray: Array) -> Fused:
     )
 
 
-def alone(found: Found) -> Fused:
+def single_matcher(found: Found) -> Fused:
     """Return what a single matcher says; difference: between what the two images say, at most where it has a rival."""
     known = np.isfinite(found.believed).view(np.uint8)
     confidence = Confidence.FILLED + known * np.uint8(Confidence.SINGLE - Confidence.FILLED)
-    difference = np.where(found.rival, np.float32(AGREEMENT), found.difference)
+    difference = np.where(found.ambiguous, np.float32(AGREEMENT), found.difference)
     return Fused(found.believed, confidence, difference, found.end)

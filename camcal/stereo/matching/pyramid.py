@@ -11,9 +11,9 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.filling import everywhere, from_the_background, smoothed
-from camcal.stereo.matching.matchers import Fused, in_order, without_specks
+from camcal.stereo.matching.matchers import Fused, ordering_holds, without_speckles
 from camcal.stereo.matching.preparation import GrayPair
-from camcal.stereo.matching.semi_global import UNSEEN, aggregate, census, least, meeting
+from camcal.stereo.matching.semi_global import UNSEEN, aggregate, census, equiangular_offset, least
 
 LARGEST = 2_000_000  # pixels; in smaller images more is lost of what is thin than time is won
 _MOST_COSTS = 500_000_000  # bytes of one volume; matching holds two and some more
@@ -72,8 +72,8 @@ def _finer(pair: GrayPair, half: Fused) -> Fused:
     smooth = smoothed(smoothed(found.astype(np.float32), quick=True), quick=True)
     disparity = _refined(words, right, smooth)
     confidence = _doubled(half.confidence, shape)
-    believed = (confidence > Confidence.FILLED) & in_order(disparity)
-    disparity = without_specks(np.where(believed, disparity, np.float32(np.nan)))
+    believed = (confidence > Confidence.FILLED) & ordering_holds(disparity)
+    disparity = without_speckles(np.where(believed, disparity, np.float32(np.nan)))
     confidence = np.where(np.isfinite(disparity), confidence, Confidence.FILLED).astype(np.uint8)
     difference = np.where(np.isfinite(disparity), np.abs(disparity - near), np.float32(np.nan))
     return Fused(disparity, confidence, difference, _doubled(half.end, shape))
@@ -114,4 +114,4 @@ def _refined(words: Array, right: Array, disparity: Array) -> Array:
         differing = np.bitwise_count(words ^ census(drawn))
         cv2.boxFilter(differing, cv2.CV_32F, _AROUND, dst=cost, normalize=False)
     lowest = (costs[1] <= costs[0]) & (costs[1] <= costs[2])
-    return disparity + meeting(costs, lowest)
+    return disparity + equiangular_offset(costs, lowest)

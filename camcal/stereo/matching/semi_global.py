@@ -27,7 +27,7 @@ UNSEEN = 6  # cost of what the right camera cannot see: a quarter of the bits, a
 _BLOCK = 16  # rows that are worked on while they are in the cache
 
 
-def jump_penalties(guide: Array, axis: int) -> Array:
+def smoothness_penalties(guide: Array, axis: int) -> Array:
     """Return what a jump between each pixel (H, W) and the one before it along an axis costs, uint8.
 
     guide: the left image (H, W), 8 bits. Where its gray levels jump, disparities may.
@@ -43,8 +43,8 @@ def aggregate(costs: Array, guide: Array) -> Array:
     """
     count, height, width = costs.shape
     total = np.zeros_like(costs)
-    _add_both_ways(costs.swapaxes(0, 1), jump_penalties(guide, 0), total.swapaxes(0, 1))
-    across = jump_penalties(guide, 1)
+    _add_both_ways(costs.swapaxes(0, 1), smoothness_penalties(guide, 0), total.swapaxes(0, 1))
+    across = smoothness_penalties(guide, 1)
     for top in range(0, height, _STRIP):
         rows = slice(top, top + _STRIP)
         turned = cv2.transpose(costs[:, rows].reshape(-1, width)).reshape(width, count, -1)
@@ -100,7 +100,7 @@ def least(total: Array) -> Array:
     return best
 
 
-def has_rival(total: Array, best: Array) -> Array:
+def is_ambiguous(total: Array, best: Array) -> Array:
     """Return where (H, W), bool, a place along D at least three from the best (H, W) costs hardly more than it.
 
     total: summed costs (D, H, W), uint8.
@@ -108,16 +108,16 @@ def has_rival(total: Array, best: Array) -> Array:
     count, height, width = total.shape
     across = np.arange(width)
     around = np.arange(-_OWN, _OWN + 1)[:, None]
-    rival = np.empty((height, width), np.bool_)
+    ambiguous = np.empty((height, width), np.bool_)
     for y in range(height):
         costs = total[:, y].copy()
         lowest = costs[best[y], across].astype(np.int16)
         costs[np.clip(best[y] + around, 0, count - 1), across] = _NEVER
-        rival[y] = costs.min(axis=0) - lowest <= _HARDLY
-    return rival
+        ambiguous[y] = costs.min(axis=0) - lowest <= _HARDLY
+    return ambiguous
 
 
-def seen_from_the_right(total: Array, first: int) -> Array:
+def right_costs(total: Array, first: int) -> Array:
     """Return summed costs (D, H, W) of the pixels of the right image, from those of the left one."""
     turned = np.full_like(total, _NEVER)
     for index, costs in enumerate(total):
@@ -137,17 +137,17 @@ def fraction(costs: Array, best: Array) -> Array:
         around = cv2.boxFilter(plane, cv2.CV_32F, _AROUND, normalize=False)
         for step, cost in zip((1, 0, -1), three, strict=True):
             np.copyto(cost, around, where=inner == place + step)
-    return meeting(three, inner == best)
+    return equiangular_offset(three, inner == best)
 
 
 def rough_fraction(total: Array, best: Array) -> Array:
     """Return where between two places the least of summed costs lies, quickly; see `fraction`."""
     inner = np.clip(best, 1, len(total) - 2)
     three = np.stack([np.take_along_axis(total, (inner + step)[None], axis=0)[0] for step in (-1, 0, 1)])
-    return meeting(three.astype(np.float32), inner == best)
+    return equiangular_offset(three.astype(np.float32), inner == best)
 
 
-def meeting(three: Array, known: Array) -> Array:
+def equiangular_offset(three: Array, known: Array) -> Array:
     """Return where two lines of equal and opposite slope through three costs (3, H, W) meet; 0 unless `known`.
 
     A parabola through them would pull towards whole numbers.

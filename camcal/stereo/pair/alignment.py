@@ -21,7 +21,7 @@ from camcal.stereo.pair.coarse import (
     as_counts,
     coarse_map,
     contrast_of,
-    evened,
+    locally_normalised,
     match_features,
     require_pair,
 )
@@ -331,8 +331,8 @@ def _followed(first: Array, second: Array, corners: Array, guesses: Array) -> tu
     if not len(corners):
         return guesses, np.zeros(0, bool)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        as_counts(evened(first, _EVENED)),
-        as_counts(evened(second, _EVENED)),
+        as_counts(locally_normalised(first, _EVENED)),
+        as_counts(locally_normalised(second, _EVENED)),
         corners,
         guesses.copy(),
         winSize=(_WINDOW, _WINDOW),

@@ -78,8 +78,8 @@ def coarse_map(left: Array, right: Array) -> CoarseMap:
         scale = left.shape[1] / first.shape[1]
         wider = _WIDENED * (high - low) + 2 * scale if index else 0.0
         look = math.floor((low - wider) / scale), math.ceil((high + wider) / scale)
-        even = evened(first)
-        found = scale * _matched(even, evened(second), look, smallest)
+        even = locally_normalised(first)
+        found = scale * _matched(even, locally_normalised(second), look, smallest)
         known = np.isfinite(found)
         if known.sum() < _least(found.size):
             return nothing
@@ -112,7 +112,7 @@ def worthwhile_range(disparities: Array) -> tuple[float, float]:
     return float(ordered[np.argmin(held[: middle + 1])]), float(ordered[middle + np.argmax(held[middle:])])
 
 
-def evened(gray: Array, side: int = _WINDOW) -> Array:
+def locally_normalised(gray: Array, side: int = _WINDOW) -> Array:
     """Return an image with mean 0 and contrast 1 in every window of a side, so that exposure no longer matters."""
     window = (side, side)
     values = gray.astype(np.float32)

@@ -89,7 +89,7 @@ def select(image: StereoImage, selection: Selection, frame: Frame, each: Each = 
         matched[rows.start] = np.count_nonzero(chosen)
         if selection.outliers == ORGANISED:
             wide, within = widened(rows, REACH, image.shape[0])
-            chosen &= has_company(image.shifted(wide), within)
+            chosen &= has_similar_neighbours(image.shifted(wide), within)
             alone[rows.start] = matched[rows.start] - np.count_nonzero(chosen)
         _apply_range(image, selection, rows, chosen)
         _apply_pictures(image, selection, rows, chosen)
@@ -160,7 +160,7 @@ def depth_figures(image: StereoImage, kept: Array) -> tuple[float, float, float]
     return (lowest, float(np.median(np.concatenate(some))), highest) if highest else None
 
 
-def has_company(disparity: Array, within: slice) -> Array:
+def has_similar_neighbours(disparity: Array, within: slice) -> Array:
     """Return whether at least 6 of the 5 × 5 pixels around each have a disparity within 1 px of its own, (N, W).
 
     disparity: (M, W) pixels, NaN where there is no match. within: the N of the M rows that are asked about; up to

@@ -20,13 +20,13 @@ from camcal.targets.aprilgrid.outlines import bit_agreement, codes_of, quadrilat
 from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, most_legible, placed, predict, tag_groups
 from camcal.targets.board import Board
 from camcal.targets.board_types import TAG_BORDER
-from camcal.targets.checker.checker import AGREEMENT, CONTRAST, look
+from camcal.targets.checker.checker import AGREEMENT, CONTRAST, measure_saddles
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.measure import blur_of, clear, tag_reach
 from camcal.targets.corners.refine import refine
 from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
 
-WINDOW = 0.6  # of a tag's side, what looks take for the distance of the next corner
+WINDOW = 0.6  # of a tag's side, what nodes take for the distance of the next corner
 CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
 NEAR = 0.15  # of that, how far off corners may be for a narrow look
 MOVED = 0.2  # sides of a tag from where a corner was put to where it is seen at most
@@ -124,11 +124,11 @@ def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _
 
     off_px: how far those of the tags may be off.
     """
-    looks = _look(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
-    crossing = looks.crossing
+    nodes = _measured_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
+    crossing = nodes.crossing
     if not crossing.any():
         return _TagCorners.nothing(lattice)
-    seen = _TagCorners(np.where(crossing[..., None], looks.grid, np.nan), float(np.median(looks.contrast[crossing])))
+    seen = _TagCorners(np.where(crossing[..., None], nodes.grid, np.nan), float(np.median(nodes.contrast[crossing])))
     for _ in range(sum(seen.grid.shape[:2])):
         grown = _grown(gray, lattice, seen)
         if (grown.found == seen.found).all():
@@ -144,12 +144,14 @@ def _grown(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
     off = np.linalg.norm(predicted.places - seen.grid, axis=-1) / side
     grid = np.where((off > STRAY + 2 * predicted.spread)[..., None], np.nan, seen.grid)
     missing = np.where(seen.found[..., None], np.nan, predicted.places)
-    looks = _look(gray, lattice, missing, predicted, predicted.spread * side)
-    new = looks.crossing & (looks.contrast > CONTRAST * seen.contrast)
-    return _TagCorners(np.where(new[..., None], looks.grid, grid), seen.contrast)
+    nodes = _measured_nodes(gray, lattice, missing, predicted, predicted.spread * side)
+    new = nodes.crossing & (nodes.contrast > CONTRAST * seen.contrast)
+    return _TagCorners(np.where(new[..., None], nodes.grid, grid), seen.contrast)
 
 
-def _look(gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array) -> _NodeMeasurements:
+def _measured_nodes(
+    gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array
+) -> _NodeMeasurements:
     """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
 
     off_px: (2 rows, 2 columns) how far the corners may be from them.
@@ -159,7 +161,7 @@ def _look(gray: Array, lattice: TagLattice, places: Array, predicted: Predicted,
     result = _NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
     if where.any():
         far = bool((off_px[where] > NEAR * WINDOW * side[where]).any())
-        seen = look(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
+        seen = measure_saddles(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
         result.grid[where], result.agreement[where] = seen.pixels, seen.agreement
         result.contrast[where] = seen.contrast * lattice.signs[where]
         result.moved[where] = np.linalg.norm(seen.pixels - places[where], axis=1) / side[where]

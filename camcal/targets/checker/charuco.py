@@ -23,7 +23,7 @@ from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker.checker import Checker, revisited, trimmed, undisturbed, verified_corners
+from camcal.targets.checker.checker import Checker, clear_corners, trimmed, verified_corners, with_hidden_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import MIN_CORNERS, BoardDetection
 from camcal.targets.markers.families import family_named
@@ -65,7 +65,7 @@ class BoardPlacement:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class MarkerReadings:
     """The M markers read in the bright squares of a pattern.
 
     square: (M, 2) row and column of the corner after each. marker: (M,) numbers among the board's, from 0. turn: (M,)
@@ -78,7 +78,7 @@ class Reading:
     mirrored: int
 
 
-def read_markers(gray: Array, checker: Checker, board: Board) -> Reading:
+def read_markers(gray: Array, checker: Checker, board: Board) -> MarkerReadings:
     """Return the markers of a ChArUco board that are seen between the corners of a pattern in `gray`, (H, W) uint8."""
     words = cells(board.dictionary or "", board.first_marker, (board.rows + 1) * (board.columns + 1) // 2)
     square, corners = bright_squares(checker)
@@ -86,19 +86,19 @@ def read_markers(gray: Array, checker: Checker, board: Board) -> Reading:
     seen, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
     square, seen = square[clear], seen[clear]
     if not len(square):
-        return Reading(square, np.zeros(0, np.intp), np.zeros(0, np.intp), 0)
+        return MarkerReadings(square, np.zeros(0, np.intp), np.zeros(0, np.intp), 0)
     marker, turn, wrong = nearest(seen, words[:, 1:-1, 1:-1])
     behind = nearest(seen, words[:, 1:-1, -2:0:-1])[2]
     known = wrong * WRONG_BITS <= seen[0].size
     mirrored = int((~known & (behind * WRONG_BITS <= seen[0].size)).sum())
-    return Reading(square[known], marker[known], turn[known], mirrored)
+    return MarkerReadings(square[known], marker[known], turn[known], mirrored)
 
 
-def seat(reading: Reading, board: Board, legacies: Sequence[bool]) -> BoardPlacement | None:
+def board_placement(reading: MarkerReadings, board: Board, legacies: Sequence[bool]) -> BoardPlacement | None:
     """Return where a pattern sits on a ChArUco board by its markers, None where they are too few or at odds."""
-    seats = [one for one in (_elected(reading, board, legacy) for legacy in legacies) if one]
-    most = max((one.votes for one in seats), default=0)
-    best = [one for one in seats if one.votes == most]
+    placements = [one for one in (_elected(reading, board, legacy) for legacy in legacies) if one]
+    most = max((one.votes for one in placements), default=0)
+    best = [one for one in placements if one.votes == most]
     return best[0] if len(best) == 1 else None  # markers of a single row fit both patterns
 
 
@@ -175,7 +175,7 @@ def nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
     return marker, turn, differ[np.arange(len(best)), best]
 
 
-def _elected(reading: Reading, board: Board, legacy: bool) -> BoardPlacement | None:
+def _elected(reading: MarkerReadings, board: Board, legacy: bool) -> BoardPlacement | None:
     """Return the place that most markers put the pattern in, None if they are at odds."""
     home = marker_squares(board, legacy=legacy)[reading.marker]
     turned = np.einsum("sij,sj->si", np.array(TURNS)[reading.turn], reading.square - 0.5)
@@ -232,8 +232,8 @@ def find_charuco(gray: Array, board: Board) -> BoardDetection:
             if closest and closest.markers > max(refused, LEAST_VOTES - 1) and not best.found:
                 best, refused = _reason(closest), closest.markers
             continue
-        checker = revisited(gray, verified_corners(gray, grid, clearance(board)), clearance(board))
-        seen = BoardDetection.of(undisturbed(gray, checker, clearance(board)))
+        checker = with_hidden_corners(gray, verified_corners(gray, grid, clearance(board)), clearance(board))
+        seen = BoardDetection.of(clear_corners(gray, checker, clearance(board)))
         best = max(best, seen, key=lambda detection: len(detection.ids))
         if len(best.ids) >= ENOUGH * board.count:
             break
@@ -245,8 +245,8 @@ class _Part:
     """A checker pattern, the markers read in it, and where it sits on the board as far as they say."""
 
     checker: Checker
-    reading: Reading
-    seat: BoardPlacement | None
+    reading: MarkerReadings
+    board_placement: BoardPlacement | None
 
     @property
     def markers(self) -> int:
@@ -257,7 +257,7 @@ class _Part:
 def _part(gray: Array, start: Array, board: Board, legacies: Sequence[bool]) -> _Part:
     checker = trimmed(verified_corners(gray, start, clearance(board)))
     reading = read_markers(gray, checker, board)
-    return _Part(checker, reading, seat(reading, board, legacies))
+    return _Part(checker, reading, board_placement(reading, board, legacies))
 
 
 def _joined(parts: list[_Part], board: Board) -> Array | None:
@@ -265,7 +265,9 @@ def _joined(parts: list[_Part], board: Board) -> Array | None:
 
     None if no part says where it is.
     """
-    seated = sorted(((part.seat, part) for part in parts if part.seat), key=lambda pair: -pair[0].votes)
+    seated = sorted(
+        ((part.board_placement, part) for part in parts if part.board_placement), key=lambda pair: -pair[0].votes
+    )
     grid = None
     for place, part in seated:
         corners = place.on_board(part.checker.grid, board)

@@ -85,13 +85,13 @@ def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) ->
     gray: (H, W) uint8. clearance: how far from an edge, in steps, an image shows nothing but squares. The corners are
     good to some tenths of a pixel.
     """
-    look = _look(gray, start, ~np.isnan(start[..., 0]), clearance)
-    crossing = look.crossing(START)
+    nodes = _measured_nodes(gray, start, ~np.isnan(start[..., 0]), clearance)
+    crossing = nodes.crossing(START)
     if not crossing.any():
         return Checker(np.full_like(start, np.nan), 1, 0.0)
-    sign = 1 if look.contrast[crossing].sum() >= 0 else -1
-    contrast = float(np.median(np.abs(look.contrast[crossing])))
-    grid = np.where((crossing & (sign * look.contrast > CONTRAST * contrast))[..., None], look.grid, np.nan)
+    sign = 1 if nodes.contrast[crossing].sum() >= 0 else -1
+    contrast = float(np.median(np.abs(nodes.contrast[crossing])))
+    grid = np.where((crossing & (sign * nodes.contrast > CONTRAST * contrast))[..., None], nodes.grid, np.nan)
     grid[grids.stray(grid) > STRAY] = np.nan
     checker = Checker(grid, sign, contrast)
     for _ in range(sum(start.shape[:2])):
@@ -129,26 +129,26 @@ def extended(gray: Array, checker: Checker) -> Checker:
         places = np.where(beyond[..., None], grids.predict(wide), wide)
         if not any(_sides(_hinted(gray, places, beyond, checker))):
             break
-        look = _look(gray, places, beyond & ~np.isnan(places[..., 0]), CLEARANCE, far=True)
-        likeness = np.abs(checker.sign * look.contrast / checker.contrast - 1)
-        same = look.crossing(REPAIR) & (look.agreement > SAME_AGREEMENT) & (likeness < SAME_CONTRAST)
+        nodes = _measured_nodes(gray, places, beyond & ~np.isnan(places[..., 0]), CLEARANCE, far=True)
+        likeness = np.abs(checker.sign * nodes.contrast / checker.contrast - 1)
+        same = nodes.crossing(REPAIR) & (nodes.agreement > SAME_AGREEMENT) & (likeness < SAME_CONTRAST)
         top, bottom, left, right = _sides(same)
         if not (top or bottom or left or right):
             break
-        grid = np.where(same[..., None], look.grid, wide)
+        grid = np.where(same[..., None], nodes.grid, wide)
         grid = grid[(not top) : len(grid) - (not bottom), (not left) : grid.shape[1] - (not right)]
         checker = Checker(grid, checker.sign * (-1) ** (top + left), checker.contrast)
     return checker
 
 
 def _hinted(gray: Array, places: Array, where: Array, checker: Checker) -> Array:
-    """Return where (rows, columns), by a glance, there may be one more corner just at its place beyond a pattern."""
+    """Return where (rows, columns), by their contrast, there may be one more corner just at its place beyond a pattern."""
     where = where & ~np.isnan(places[..., 0])
     row, column = np.nonzero(where)
-    looks = glance(gray, places[where], grids.steps(places)[where], CLEARANCE)
-    contrast = looks.contrast * np.where((row + column) % 2, -1, 1)
+    found = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
+    contrast = found.contrast * np.where((row + column) % 2, -1, 1)
     result = np.zeros(where.shape, dtype=bool)
-    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (looks.agreement > HINT)
+    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (found.agreement > HINT)
     return result
 
 
@@ -163,7 +163,7 @@ def _grown(gray: Array, checker: Checker, clearance: float) -> Checker:
     return _filled(gray, checker, grids.predict(checker.grid), clearance)
 
 
-def revisited(gray: Array, checker: Checker, clearance: float) -> Checker:
+def with_hidden_corners(gray: Array, checker: Checker, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen where all the others put them, as behind a hand."""
     known = checker.found
     if known.sum() < MAPPED or known.all():
@@ -177,38 +177,40 @@ def revisited(gray: Array, checker: Checker, clearance: float) -> Checker:
 def _filled(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen near where they are predicted (rows, columns, 2)."""
     places = np.where(checker.found[..., None], checker.grid, predicted)
-    look = _look(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
-    seen = look.crossing(REPAIR) & (checker.sign * look.contrast > CONTRAST * checker.contrast)
-    return Checker(np.where(seen[..., None], look.grid, checker.grid), checker.sign, checker.contrast)
+    nodes = _measured_nodes(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
+    seen = nodes.crossing(REPAIR) & (checker.sign * nodes.contrast > CONTRAST * checker.contrast)
+    return Checker(np.where(seen[..., None], nodes.grid, checker.grid), checker.sign, checker.contrast)
 
 
-def undisturbed(gray: Array, checker: Checker, clearance: float = CLEARANCE) -> Array:
+def clear_corners(gray: Array, checker: Checker, clearance: float = CLEARANCE) -> Array:
     """Return the corners (rows, columns, 2) that look as clear as the others, good to some tenths of a pixel.
 
     One that a finger touches, or a shadow's edge, would be drawn towards it.
     """
     known, grid = checker.found, checker.grid.copy()
     if known.any():
-        looks = glance(gray, grid[known], grids.steps(grid)[known], clearance)
-        unlike = 1 - looks.agreement
-        clear = (looks.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
+        found = measure_saddles_at(gray, grid[known], grids.steps(grid)[known], clearance)
+        unlike = 1 - found.agreement
+        clear = (found.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
         grid[known] = np.where(clear[:, None], grid[known], np.nan)
     return grid
 
 
-def _look(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> _NodeMeasurements:
+def _measured_nodes(
+    gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False
+) -> _NodeMeasurements:
     """Return what is seen near the nodes `where` (rows, columns) of a grid; far: the corners may be steps/2 away."""
     shape = grid.shape[:2]
     result = _NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
     if not where.any():
         return result
     steps = grids.steps(grid)[where]
-    looks = look(gray, grid[where], steps, clearance, far=far)
+    found = measure_saddles(gray, grid[where], steps, clearance, far=far)
     row, column = np.nonzero(where)
-    result.grid[where] = looks.pixels
-    result.contrast[where] = looks.contrast * np.where((row + column) % 2, -1, 1)
-    result.agreement[where] = looks.agreement
-    result.moved[where] = np.linalg.norm(looks.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
+    result.grid[where] = found.pixels
+    result.contrast[where] = found.contrast * np.where((row + column) % 2, -1, 1)
+    result.agreement[where] = found.agreement
+    result.moved[where] = np.linalg.norm(found.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
     return result
 
 
@@ -227,7 +229,7 @@ LARGEST_STEP = 0.5  # of the reach in a round
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class SaddleMeasurements:
     """What is seen at N places.
 
     pixels: (N, 2). contrast: (N,) gray levels, half of bright minus dark, positive where the square before both steps
@@ -254,7 +256,9 @@ class _Stencil:
     peak: Array
 
 
-def look(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf, *, far: bool = False) -> Looks:
+def measure_saddles(
+    gray: Array, pixels: Array, steps: Array, clearance: float = np.inf, *, far: bool = False
+) -> SaddleMeasurements:
     """Return the corners that are seen near pixels (N, 2) of `gray`, (H, W) uint8.
 
     steps: (N, 2, 2), columns are the vectors to the next corner along the row and down the column. clearance: how far
@@ -262,11 +266,11 @@ def look(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf, *,
     """
     for limit in (*FAR, *NEAR) if far else NEAR:
         pixels = _refined(gray, pixels, steps, clearance, limit)
-    return glance(gray, pixels, steps, clearance)
+    return measure_saddles_at(gray, pixels, steps, clearance)
 
 
-def glance(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf) -> Looks:
-    """Return what is seen of corners just at pixels (N, 2), see `look`."""
+def measure_saddles_at(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf) -> SaddleMeasurements:
+    """Return what is seen of corners just at pixels (N, 2), see `measure_saddles`."""
     stencil, frames = _stencil_for(steps, clearance, VERDICT)
     values = _values(gray, pixels, stencil, frames) @ stencil.plane
     total = (values**2).sum(axis=1)
@@ -276,7 +280,7 @@ def glance(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf) 
     inside = ((pixels > -0.5) & (pixels < np.array(gray.shape[::-1]) - 0.5)).all(axis=1)
     rounding = values.shape[1] / 12  # gray levels squared
     agreement = np.where(inside, score**2 / (total + rounding), 0.0)
-    return Looks(pixels, -score * stencil.peak[best], agreement)
+    return SaddleMeasurements(pixels, -score * stencil.peak[best], agreement)
 
 
 def _refined(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:

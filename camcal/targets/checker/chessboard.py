@@ -18,7 +18,7 @@ from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_types import dotted_squares
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker.checker import SIDE, Checker, extended, trimmed, undisturbed, verified_corners
+from camcal.targets.checker.checker import SIDE, Checker, clear_corners, extended, trimmed, verified_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import BoardDetection
 
@@ -68,7 +68,7 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
         places = with_dots(gray, checker, places, board)
     grid = numbered(places, checker, board)
     if grid is not None:
-        return BoardDetection.of(undisturbed(gray, Checker(grid, checker.sign, checker.contrast)))
+        return BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
     if whole and board.dots:
         return BoardDetection.nothing("the three dots that tell its corners apart are not to be seen")
     seen = _part_or_another(gray, checker, board)

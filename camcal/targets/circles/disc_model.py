@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from camcal.arrays import Array
 from camcal.solve.descent import Stopping
-from camcal.solve.independent import Models, Tried, minimise_each
+from camcal.solve.independent import Models, Trial, minimise_each
 from camcal.targets.circles.blobs import Ellipses
 
 
@@ -144,7 +144,7 @@ def minimise(samples: RimSamples, parameters: Array, tone_spread: float, settled
     precision[TONE], precision[GRADIENT] = tone_spread**-2, _GRADIENT**-2
     discs = _Discs(samples, precision, np.maximum(samples.used.sum(axis=1) - COUNT, 1))
 
-    def enough(tried: Tried) -> Array:
+    def enough(tried: Trial) -> Array:
         return np.asarray(2 * tried.promised <= settled)
 
     found = minimise_each(discs, parameters, np.arange(len(parameters)), _STOPPING, enough=enough)

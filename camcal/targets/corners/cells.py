@@ -60,7 +60,7 @@ class Cells:
         return Cells(self.steps[rows], self.bends[rows], self.reach[rows], self.depth[rows], beside)
 
     def narrow(self) -> "Cells":
-        """Return the cells for a first look: with straight edges, and as little depth everywhere as anywhere."""
+        """Return the cells for a first measurement: with straight edges, and as little depth everywhere as anywhere."""
         return replace(self, bends=np.zeros_like(self.bends), depth=np.full_like(self.depth, self.depth.min(initial=1)))
 
 
@@ -134,7 +134,7 @@ class CellWindow:
         return self.x + x, self.y + y
 
 
-def look(
+def sample_cells(
     gray: Array,
     pixels: Array,
     cells: Cells,

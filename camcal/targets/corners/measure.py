@@ -211,8 +211,8 @@ def seen_cells(
     next ones are looked for only where it may bring them into the picture. first: see BoardEdges.of.
     """
     edges = BoardEdges.of(board, first)
-    look = _BoardSteps(points, edges.length, project)
-    middle, *ends = look.at([(0, 0), (-_HALF, 0), (_HALF, 0), (0, -_HALF), (0, _HALF)])
+    board_steps = _BoardSteps(points, edges.length, project)
+    middle, *ends = board_steps.at([(0, 0), (-_HALF, 0), (_HALF, 0), (0, -_HALF), (0, _HALF)])
     steps, bends = np.empty((len(points), 2, 2)), np.empty((len(points), 2))
     for edge in (0, 1):
         before, after = ends[2 * edge : 2 * edge + 2]
@@ -221,7 +221,7 @@ def seen_cells(
         bends[:, edge] = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1) ** 3
     cells = Cells(steps, bends, edges.reach[ids], edges.depth[ids])
     if board.checker and cells.narrowest() < CROWDED * blur_px:
-        cells = replace(cells, beside=_seen_beside(board, ids, middle, look))
+        cells = replace(cells, beside=_seen_beside(board, ids, middle, board_steps))
     return middle, cells
 
 
@@ -240,7 +240,7 @@ class _BoardSteps:
         return self.project(places.reshape(-1, 3)).reshape(len(steps), -1, 2)
 
 
-def _seen_beside(board: Board, ids: Array, middle: Array, look: _BoardSteps) -> Beside:
+def _seen_beside(board: Board, ids: Array, middle: Array, board_steps: _BoardSteps) -> Beside:
     """Return the edges beside those of a checker pattern's corners at pixels `middle` (N, 2)."""
     row, column = np.divmod(ids, board.columns)
     ends = ((row, board.rows - 1), (column, board.columns - 1))
@@ -248,7 +248,7 @@ def _seen_beside(board: Board, ids: Array, middle: Array, look: _BoardSteps) -> 
     for edge, (place, last) in enumerate(ends):
         for index, sign in enumerate((-1, 1)):
             shifts = [(share, sign) if edge == 0 else (sign, share) for share in (0, -_HALF, _HALF)]
-            there, before, after = look.at(shifts)
+            there, before, after = board_steps.at(shifts)
             lines[:, edge, index] = Beside.line(there - middle, after - before)
             border[:, edge, index] = place == (0 if sign < 0 else last)
     return Beside.sorted(lines, border)
@@ -280,7 +280,7 @@ class Expected:
         object.__setattr__(self, "signs", readonly(self.signs, (count,), "signs"))
 
 
-def look_again(samples: MaskedImage, view: BoardDetection, expected: Expected) -> BoardDetection:
+def remeasure(samples: MaskedImage, view: BoardDetection, expected: Expected) -> BoardDetection:
     """Return a view of a board that has been calibrated with, its corners measured again and those that were missed
     added; as it was where none is seen again. Corners that the model does not bear out, along the edges that are
     expected, are left out.

@@ -14,8 +14,8 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.solve.descent import Stopping
-from camcal.solve.independent import Minima, Models, Tried, minimise_each
-from camcal.targets.corners.cells import LONGEST_PX, Beside, Cells, CellWindow, look
+from camcal.solve.independent import Minima, Models, Trial, minimise_each
+from camcal.targets.corners.cells import LONGEST_PX, Beside, Cells, CellWindow, sample_cells
 from camcal.targets.corners.checker_picture import PIXEL_VARIANCE, STRONGEST, CheckerPicture, alone, crowded, toned
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
@@ -75,7 +75,7 @@ def refine(
     colour of a mosaic; None for all. longest_px: how far along an edge to look at most; the farther, the more it
     matters how the edge bends.
     """
-    window = look(gray, pixels, cells, blur_px, sites, longest_px)
+    window = sample_cells(gray, pixels, cells, blur_px, sites, longest_px)
     corners = _Corners(window, _Scene.of(cells, pixels, blur_px))
     states, every = corners.start(pixels, cells, blur_px), np.arange(len(pixels))
     fit = minimise_each(corners, states, every, _STOPPING, enough=corners.enough)
@@ -154,7 +154,7 @@ class _Corners:
         moved[:, _TONE] = np.clip(moved[:, _TONE], -STRONGEST, STRONGEST)
         return moved
 
-    def enough(self, tried: Tried) -> Array:
+    def enough(self, tried: Trial) -> Array:
         """Return after which steps (A,) a corner stays where it is, and its picture has come to its level."""
         level = tried.taken & (tried.fall <= _LEVEL * tried.before.cost)
         small = self._small(tried.before, tried.which, _SETTLED_PX, _SETTLED)

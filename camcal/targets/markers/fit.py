@@ -113,7 +113,7 @@ class Window:
     bends: Array
 
 
-def look(gray: Array, middle: Array, entries: Array, drawing: MarkerDrawing, most: int) -> Window:
+def marker_window(gray: Array, middle: Array, entries: Array, drawing: MarkerDrawing, most: int) -> Window:
     """Return the pixels of a marker and its margin, of a large one about `most` by its edges.
 
     gray: (H, W). middle: (2,) px, whole. entries: (8,) of the homography from the drawing to pixels from there.
@@ -200,7 +200,7 @@ def fit_marker(gray: Array, corners: Array, drawing: MarkerDrawing) -> MarkerFit
     parameters = np.zeros(_COUNT)
     parameters[_ENTRIES], parameters[_EXPECTATIONS] = homography(corners - middle), _EXPECTED
     for most, stopping in _PASSES:
-        window = look(gray, middle, parameters[_ENTRIES], drawing, most)
+        window = marker_window(gray, middle, parameters[_ENTRIES], drawing, most)
         if len(window.values) < 2 * _COUNT:
             return None
         problem, parameters = _MarkerProblem.lit(window, drawing, parameters)

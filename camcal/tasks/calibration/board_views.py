@@ -8,7 +8,7 @@ from camcal.formats import boards, detections
 from camcal.options import given_words
 from camcal.progress import Progress
 from camcal.raw.detection_image import read_detection_image
-from camcal.raw.options import AS_IMAGES, Reading
+from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.detect import detect_images
@@ -42,7 +42,7 @@ def board_views(
     jobs: int | None,
     progress: Progress,
     image_size: tuple[int, int] | None = None,
-    reading: Reading = AS_IMAGES,
+    reading: ImageReadOptions = AS_IMAGES,
     frames: FrameOptions = BEST_FRAMES,
     parts: bool = False,
     mixed_sizes: bool | None = None,

@@ -16,7 +16,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
-from camcal.calibrate.jackknife import Contender
+from camcal.calibrate.jackknife import CandidateModel
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
@@ -34,7 +34,7 @@ from camcal.progress import SILENT, Progress
 from camcal.quality.advise import Advice, advise
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.raw.detection_image import COLOURS
-from camcal.report.calibration import as_data, contenders_data, uncertainty_data, view_record
+from camcal.report.calibration import as_data, candidates_data, uncertainty_data, view_record
 from camcal.run.paths import find_media, refuse_overwriting, split_address
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
@@ -63,7 +63,7 @@ class CalibrateReport:
     """The calibration, its projection uncertainty, what is to be said of it, the file that was written, remarks of the
     detection, failed inputs.
 
-    channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos. contenders:
+    channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos. candidates:
     the lens models that were compared, none where the model was given.
     """
 
@@ -75,7 +75,7 @@ class CalibrateReport:
     failed: tuple[str, ...]
     channels: Mapping[str, Channel] = field(default_factory=dict)
     frames: tuple[FrameRecord, ...] = ()
-    contenders: tuple[Contender, ...] = ()
+    candidates: tuple[CandidateModel, ...] = ()
 
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
@@ -128,7 +128,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         failed=seen.failed,
         channels=channels,
         frames=seen.frames,
-        contenders=selection.contenders,
+        candidates=selection.candidates,
     )
 
 
@@ -288,7 +288,7 @@ def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, An
         "reasons": advice.reasons,
         "remarks": advice.remarks,
         "findings": [vars(found) for found in advice.findings],
-        "contenders": contenders_data(report.contenders),
+        "candidates": candidates_data(report.candidates),
         "frames": [frame_data(record) for record in report.frames],
         "notes": report.notes,
         "failed": report.failed,

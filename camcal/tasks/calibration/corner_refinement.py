@@ -11,9 +11,9 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.progress import Progress
 from camcal.raw.detection_image import read_detection_image
-from camcal.raw.options import Reading
+from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
-from camcal.targets.corners.measure import Expected, look_again, seen_cells, signs
+from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
 from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
 from camcal.tasks.calibration.video_frames import Video
 
@@ -34,7 +34,7 @@ class CornerRefinement:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
+class _ExpectedView:
     """A view to be looked at again, and what is expected of it; gray: of a frame of a video, None for an image file."""
 
     view: BoardDetection
@@ -46,7 +46,7 @@ def refine_corners(
     calibration: Calibration,
     detections: Sequence[BoardDetection],
     videos: Sequence[Video],
-    reading: Reading,
+    reading: ImageReadOptions,
     jobs: int | None,
     progress: Progress,
 ) -> CornerRefinement:
@@ -58,13 +58,13 @@ def refine_corners(
     turns = calibration.board.symmetries()
     pairs = zip(detections, calibration.views, strict=True)
     expected = {
-        view.image: _Sight(view.renumbered(turns[record.symmetry]), _expected(calibration, record))
+        view.image: _ExpectedView(view.renumbered(turns[record.symmetry]), _expected(calibration, record))
         for view, record in pairs
         if record.used
     }
-    work = partial(_look_again, reading=reading)
+    work = partial(_remeasured, reading=reading)
     outcomes = fan_out(
-        work, _sights(expected, videos), jobs=jobs, processes=True, what="measuring corners", progress=progress
+        work, _expected_views(expected, videos), jobs=jobs, processes=True, what="measuring corners", progress=progress
     )
     again = {outcome.value.image: outcome.value for outcome in outcomes if outcome.value is not None}
     numbers = [(expected[image].view.ids, view.ids) for image, view in again.items()]
@@ -75,24 +75,24 @@ def refine_corners(
     )
 
 
-def _sights(expected: Mapping[str, _Sight], videos: Sequence[Video]) -> Iterator[_Sight]:
+def _expected_views(expected: Mapping[str, _ExpectedView], videos: Sequence[Video]) -> Iterator[_ExpectedView]:
     """Yield what is to be looked at: image files first, then the frames of one video after another."""
     from_videos = frozenset(name for video in videos for name in video.names)
-    yield from (sight for image, sight in expected.items() if image not in from_videos)
+    yield from (expected_view for image, expected_view in expected.items() if image not in from_videos)
     for video in videos:
         for frame in video.only(expected).frames():
-            sight = expected[frame.name]
-            yield _Sight(sight.view, sight.expected, frame.image.pixels)
+            expected_view = expected[frame.name]
+            yield _ExpectedView(expected_view.view, expected_view.expected, frame.image.pixels)
 
 
-def _look_again(sight: _Sight, reading: Reading) -> BoardDetection:
+def _remeasured(expected_view: _ExpectedView, reading: ImageReadOptions) -> BoardDetection:
     """Return a view with its corners measured again."""
-    view = sight.view
-    samples = MaskedImage(sight.gray) if sight.gray is not None else _samples(view, reading)
-    return view if samples is None else look_again(samples, view, sight.expected)
+    view = expected_view.view
+    samples = MaskedImage(expected_view.gray) if expected_view.gray is not None else _samples(view, reading)
+    return view if samples is None else remeasure(samples, view, expected_view.expected)
 
 
-def _samples(view: BoardDetection, reading: Reading) -> MaskedImage | None:
+def _samples(view: BoardDetection, reading: ImageReadOptions) -> MaskedImage | None:
     """Return the samples of a view's image, None where the view's pixels are not those of its file (--mixed-sizes)."""
     image = read_detection_image(Path(view.image), reading)
     height, width = image.gray.shape

@@ -12,7 +12,7 @@ from camcal.formats import boards, detections, native_entry
 from camcal.images.save import save
 from camcal.progress import SILENT, Progress, values_of
 from camcal.raw.detection_image import is_raw, read_detection_image
-from camcal.raw.options import AS_IMAGES, Reading
+from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.report.overlays import corner_overlay
 from camcal.run.fanout import fan_out
 from camcal.run.paths import (
@@ -250,7 +250,7 @@ def draw(
     views: Sequence[BoardDetection],
     outputs: Mapping[str, Path],
     videos: Sequence[Video],
-    reading: Reading,
+    reading: ImageReadOptions,
     jobs: int | None,
     progress: Progress,
 ) -> tuple[Path, ...]:
@@ -274,7 +274,7 @@ def _sheets(views: Sequence[BoardDetection], outputs: Mapping[str, Path], videos
             yield _Sheet(from_videos[frame.name], outputs[frame.name], frame.image.pixels)
 
 
-def _draw(sheet: _Sheet, reading: Reading) -> Path:
+def _draw(sheet: _Sheet, reading: ImageReadOptions) -> Path:
     gray = sheet.gray if sheet.gray is not None else read_detection_image(Path(sheet.view.image), reading).gray
     save(sheet.output, corner_overlay(gray, sheet.view))
     return sheet.output

@@ -10,13 +10,13 @@ from camcal.errors import CamcalError
 from camcal.formats.camera_file import CameraEntry
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
 from camcal.raw.detection_image import read_detection_image
-from camcal.raw.options import Reading
+from camcal.raw.options import ImageReadOptions
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.mixed_sizes import usual_size
 from camcal.tasks.calibration.video_frames import Video
 
 
-def with_circle(detections: Detections, videos: Sequence[Video], reading: Reading) -> Detections:
+def with_circle(detections: Detections, videos: Sequence[Video], reading: ImageReadOptions) -> Detections:
     """Return what was found in images of one camera without a name with its image circle, if the images show one.
 
     videos: the videos that frames among the images are from. Some images are read once more, until it is clear that
@@ -47,7 +47,9 @@ def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
     return (f"image circle of radius {circle.radius:.1f} px around ({x:.1f}, {y:.1f})",)
 
 
-def _measured(views: Sequence[BoardDetection], videos: Sequence[Video], reading: Reading) -> ImageCircle | None:
+def _measured(
+    views: Sequence[BoardDetection], videos: Sequence[Video], reading: ImageReadOptions
+) -> ImageCircle | None:
     """Return the image circle that images show, None if they show none or points of a board lie outside of it."""
     size = usual_size(views)
     names = [view.image for view in views if view.size == size]
@@ -72,7 +74,7 @@ def _fits(circle: ImageCircle, views: Sequence[BoardDetection]) -> bool:
     return circle.image_size == size and all(inside)
 
 
-def _images(names: Sequence[str], videos: Sequence[Video], reading: Reading) -> Iterator[Array]:
+def _images(names: Sequence[str], videos: Sequence[Video], reading: ImageReadOptions) -> Iterator[Array]:
     """Yield the gray images (H, W) of that name that can be read, frames of videos last."""
     from_videos = frozenset(name for video in videos for name in video.names)
     for name in names:

@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.calibrate import intrinsics
 from camcal.calibrate.intrinsics import Calibration, compare_models
-from camcal.calibrate.jackknife import GAIN, Contender, chosen
+from camcal.calibrate.jackknife import GAIN, CandidateModel, chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
@@ -27,7 +27,7 @@ class Selection:
     """A calibration, the models that it was chosen from (none where the model was given), and what to say of that."""
 
     calibration: Calibration
-    contenders: tuple[Contender, ...] = ()
+    candidates: tuple[CandidateModel, ...] = ()
     remarks: tuple[str, ...] = ()
 
 
@@ -39,9 +39,9 @@ def select(
 
     Raises InsufficientData, InvalidInput or NotConverged where no model leads to a calibration.
     """
-    contenders = _compared(views, board, options)
-    first = chosen(contenders, DEFAULT_MODEL)
-    others = sorted((own for own in contenders if own is not first), key=lambda own: -own.score)
+    candidates = _compared(views, board, options)
+    first = chosen(candidates, DEFAULT_MODEL)
+    others = sorted((own for own in candidates if own is not first), key=lambda own: -own.score)
     failure: CamcalError | None = None
     for own in (first, *others):
         try:
@@ -49,7 +49,7 @@ def select(
         except _FAILURES as error:
             failure = failure or error
             continue
-        selection = Selection(calibration, contenders)
+        selection = Selection(calibration, candidates)
         if failure is not None:
             return replace(
                 selection, remarks=(f"lens model {own.name} is used: {first.name} fails ({failure.message})",)
@@ -58,8 +58,8 @@ def select(
     raise failure or NotConverged("no lens model was found")
 
 
-def _compared(views: Sequence[BoardDetection], board: Board, options: intrinsics.Options) -> tuple[Contender, ...]:
-    """Return the contenders, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
+def _compared(views: Sequence[BoardDetection], board: Board, options: intrinsics.Options) -> tuple[CandidateModel, ...]:
+    """Return the candidates, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
     wide = [name for name in CANDIDATES if name not in _CONTAINED]
     found = {own.name: own for own in compare_models(views, board, options, [model_named(name) for name in wide])}
     if found[DEFAULT_MODEL].scores is None:
@@ -80,8 +80,8 @@ def _without_fold(
     invertible.
     """
     taken = selection.calibration.camera.model.name
-    best = max(own.score for own in selection.contenders)
-    near = [own for own in selection.contenders if own.score >= best - GAIN and own.name != taken]
+    best = max(own.score for own in selection.candidates)
+    near = [own for own in selection.candidates if own.score >= best - GAIN and own.name != taken]
     folds = folds_inside(selection.calibration.camera, circle).folds
     for own in sorted(near, key=lambda own: -own.score) if folds else ():
         try:
@@ -90,7 +90,7 @@ def _without_fold(
             continue
         if not folds_inside(calibration.camera, circle).folds and _known_everywhere(calibration, circle):
             remark = f"{own.name} is used: {taken} predicts as well, but is not invertible in the whole image"
-            return Selection(calibration, selection.contenders, (remark,))
+            return Selection(calibration, selection.candidates, (remark,))
     return replace(selection, remarks=_words(selection))
 
 
@@ -103,7 +103,7 @@ def _known_everywhere(calibration: Calibration, circle: ImageCircle | None) -> b
 def _words(selection: Selection) -> tuple[str, ...]:
     """Return why another model than the default one was taken."""
     name = selection.calibration.camera.model.name
-    scores = {own.name: own for own in selection.contenders}
+    scores = {own.name: own for own in selection.candidates}
     if name == DEFAULT_MODEL:
         return ()
     default, taken = scores[DEFAULT_MODEL], scores[name]

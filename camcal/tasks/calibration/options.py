@@ -19,7 +19,7 @@ from camcal.options import (
     OptionsRecord,
     Without,
 )
-from camcal.raw.options import AS_IMAGES, Reading
+from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.options import (
     BOARD_OPTION,
     OUTPUT_OPTION,
@@ -103,7 +103,7 @@ class DetectOptions(OptionsRecord):
     output: Annotated[Path | None, OUTPUT_OPTION] = None
     recursive: Recursive = False
     jobs: Jobs = None
-    reading: Annotated[Reading, Without(("colours",))] = AS_IMAGES
+    reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     draw: Annotated[
         Path | None,
@@ -193,7 +193,7 @@ class CalibrateOptions(OptionsRecord):
     ] = None
     recursive: Recursive = False
     jobs: Jobs = None
-    reading: Reading = AS_IMAGES
+    reading: ImageReadOptions = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False
     refine: Annotated[

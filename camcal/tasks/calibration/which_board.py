@@ -18,7 +18,7 @@ from camcal.formats.boards import short_form
 from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress
 from camcal.raw.detection_image import read_detection_image
-from camcal.raw.options import Reading
+from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
@@ -171,7 +171,7 @@ class Material:
 
     images: Sequence[Path]
     videos: Sequence[Video]
-    reading: Reading
+    reading: ImageReadOptions
     jobs: int | None
     progress: Progress
 
@@ -265,12 +265,12 @@ def _searched(asked: Board, material: Material) -> OtherBoard | None:
     return OtherBoard(common.board(asked), shown, tried)
 
 
-def _layout_in(task: tuple[str, Path | Frame], reading: Reading, like: Board) -> CharucoLayout | None:
+def _layout_in(task: tuple[str, Path | Frame], reading: ImageReadOptions, like: Board) -> CharucoLayout | None:
     with opencv.repeatable(SEED):
         return search_charuco(_gray(task[1], reading), like)
 
 
-def _gray(source: Path | Frame, reading: Reading) -> Array:
+def _gray(source: Path | Frame, reading: ImageReadOptions) -> Array:
     return source.image.pixels if isinstance(source, Frame) else read_detection_image(source, reading).gray
 
 
@@ -291,13 +291,15 @@ def _with_fewer_rows(
     return OtherBoard(replace(board, rows=rows - 1, legacy=None if rows % 2 else asked.legacy), shown, len(outcomes))
 
 
-def _ends_in(task: tuple[str, Path | Frame, BoardDetection], reading: Reading, board: Board, rows: int) -> bool:
+def _ends_in(
+    task: tuple[str, Path | Frame, BoardDetection], reading: ImageReadOptions, board: Board, rows: int
+) -> bool:
     _, source, view = task
     return ends_after(_gray(source, reading), board, rows, view.ids, view.pixels)
 
 
 def detect_file(
-    task: tuple[Path, Board], reading: Reading, parts: bool = False, hashed: bool = False
+    task: tuple[Path, Board], reading: ImageReadOptions, parts: bool = False, hashed: bool = False
 ) -> BoardDetection:
     """Return what an image file shows of a board, also in each colour if the reading asks for them; hashed: with the
     hash of the file.
@@ -321,7 +323,7 @@ def detect_file(
     )
 
 
-def require_colours(board: Board, reading: Reading) -> None:
+def require_colours(board: Board, reading: ImageReadOptions) -> None:
     """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
     if reading.colours and not board.checker:
         raise InvalidInput(f"colours are measured at the corners of checker patterns, which no {board.words} has")

@@ -16,7 +16,7 @@ from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInpu
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions, PosePrior
 from camcal.formats import correspondences, native, pose_text, poses
 from camcal.formats.camera_file import CameraFile, rig_of
-from camcal.formats.poses.record import PixelNoise, Poses, Sight
+from camcal.formats.poses.record import PixelNoise, PoseKey, Poses
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
@@ -40,15 +40,15 @@ class PnpReport:
     poses: Poses
     notes: tuple[str, ...]
     failed: tuple[str, ...]
-    unsettled: tuple[Sight, ...] = ()
+    unsettled: tuple[PoseKey, ...] = ()
     pictures: tuple[Path, ...] = ()
-    views: Mapping[Sight, Correspondences] = field(default_factory=dict)
+    views: Mapping[PoseKey, Correspondences] = field(default_factory=dict)
     camera: Camera | None = None
 
     def require_good(self, gates: Gates) -> None:
         """Raise GateFailed with a line for each pose that does not pass."""
-        faults = {sight: gates.fault(record) for sight, record in self.poses.estimates.items()}
-        lines = [f"{sight}: {fault}" for sight, fault in faults.items() if fault]
+        faults = {pose_key: gates.fault(record) for pose_key, record in self.poses.estimates.items()}
+        lines = [f"{pose_key}: {fault}" for pose_key, fault in faults.items() if fault]
         if lines:
             raise GateFailed("\n".join(lines))
 
@@ -71,7 +71,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     refused = {**seen.refused, **refused}
     if not found:
         raise _why_no_pose(seen, refused)
-    observations = {each.sight: each for each in seen.observations if each.sight in found}
+    observations = {each.pose_key: each for each in seen.observations if each.pose_key in found}
     for warning in _warnings(observer, seen, found, list(observations.values()), settings):
         progress.warn(warning)
     straight = _poses(options, observer, seen, found, refused)
@@ -82,9 +82,9 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
         result,
         seen.notes,
         failed=(*seen.failed, *map(str, refused)),
-        unsettled=tuple(sight for sight, estimate in found.items() if not estimate.converged),
+        unsettled=tuple(pose_key for pose_key, estimate in found.items() if not estimate.converged),
         pictures=_drawn(options, observer, straight, found, observations, progress),
-        views={} if options.rig else {sight: each.views[0] for sight, each in observations.items()},
+        views={} if options.rig else {pose_key: each.views[0] for pose_key, each in observations.items()},
         camera=None if options.rig else observer.cameras[None],
     )
 
@@ -141,7 +141,7 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
 
 def _seen_points(read: correspondences.PointViews) -> PnpViews:
     pairs = zip(read.views, read.ids, strict=True)
-    observations = tuple(Observation(Sight(view.image), (view,), (ids,)) for view, ids in pairs)
+    observations = tuple(Observation(PoseKey(view.image), (view,), (ids,)) for view, ids in pairs)
     return PnpViews(observations, spread="stated" if read.absolute else "relative")
 
 
@@ -190,37 +190,37 @@ def _poses(
     options: PnpOptions,
     observer: Observer,
     seen: PnpViews,
-    found: Mapping[Sight, PoseEstimate],
-    refused: Mapping[Sight, CamcalError],
+    found: Mapping[PoseKey, PoseEstimate],
+    refused: Mapping[PoseKey, CamcalError],
 ) -> Poses:
     """Return frame_T_object of every sight."""
     some, matched = next(iter(found.values())), options.points is not None
     records = {
-        each.sight: record_of(
-            found[each.sight], each, observer.cameras, all_solutions=options.all_solutions, matched=matched
+        each.pose_key: record_of(
+            found[each.pose_key], each, observer.cameras, all_solutions=options.all_solutions, matched=matched
         )
         for each in seen.observations
-        if each.sight in found
+        if each.pose_key in found
     }
     scale = some.noise_scale if seen.has_covariances and seen.spread != "relative" else None
     noise = PixelNoise(typical_sigma(list(found.values())), scale, some.degrees_of_freedom)
-    missing = {**seen.nothing, **{sight: error.message for sight, error in refused.items()}}
+    missing = {**seen.nothing, **{pose_key: error.message for pose_key, error in refused.items()}}
     return Poses(f"{observer.frame}_T_object", seen.unit, noise, records, missing)
 
 
-def _why_no_pose(seen: PnpViews, refused: Mapping[Sight, CamcalError]) -> CamcalError:
+def _why_no_pose(seen: PnpViews, refused: Mapping[PoseKey, CamcalError]) -> CamcalError:
     if refused:
-        sight, error = next(iter(refused.items()))
-        return type(error)(error.message, where=str(sight))
-    for sight, reason in seen.nothing.items():
-        return InsufficientData(f"no pose from {len(seen.nothing)} images; {reason}", where=str(sight))
+        pose_key, error = next(iter(refused.items()))
+        return type(error)(error.message, where=str(pose_key))
+    for pose_key, reason in seen.nothing.items():
+        return InsufficientData(f"no pose from {len(seen.nothing)} images; {reason}", where=str(pose_key))
     return InsufficientData("no pose; no image could be read")
 
 
 def _warnings(
     observer: Observer,
     seen: PnpViews,
-    found: Mapping[Sight, PoseEstimate],
+    found: Mapping[PoseKey, PoseEstimate],
     observations: Sequence[Observation],
     settings: PoseOptions,
 ) -> list[str]:
@@ -241,17 +241,17 @@ def _drawn(
     options: PnpOptions,
     observer: Observer,
     straight: Poses,
-    found: Mapping[Sight, PoseEstimate],
-    observations: Mapping[Sight, Observation],
+    found: Mapping[PoseKey, PoseEstimate],
+    observations: Mapping[PoseKey, Observation],
     progress: Progress,
 ) -> tuple[Path, ...]:
     """Return the pictures that were drawn of the poses, which take points of the object to the camera or rig."""
     if options.draw is None:
         return ()
     objects: dict[tuple[str, str | None], list[Posed]] = {}
-    for sight, estimate in found.items():
-        words = pose_words.caption(straight, sight, straight.estimates[sight])
-        for key, posed in observer.posed(observations[sight], estimate, words).items():
+    for pose_key, estimate in found.items():
+        words = pose_words.caption(straight, pose_key, straight.estimates[pose_key])
+        for key, posed in observer.posed(observations[pose_key], estimate, words).items():
             objects.setdefault(key, []).append(posed)
     folders = [path.parent for path in (*options.paths, options.points) if path is not None]
     return draw(sheets(objects, options.draw), videos_in(options.paths), folders, options.detection.jobs, progress)

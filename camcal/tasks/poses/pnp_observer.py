@@ -17,7 +17,7 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.formats.camera_file import CalibrationNoise, CameraFile
-from camcal.formats.poses.record import Sight
+from camcal.formats.poses.record import PoseKey
 from camcal.geometry.pose import Pose
 from camcal.images.load import gray_8bit
 from camcal.images.save import save
@@ -76,7 +76,7 @@ class Observer:
 
     def estimates(
         self, observations: Sequence[Observation], settings: PoseOptions
-    ) -> tuple[dict[Sight, PoseEstimate], dict[Sight, CamcalError]]:
+    ) -> tuple[dict[PoseKey, PoseEstimate], dict[PoseKey, CamcalError]]:
         """Return frame_T_object of every sight, and what kept others from a pose."""
         results: list[tuple[PoseEstimate | None, CamcalError | None]]
         if self.rig is None:
@@ -85,9 +85,11 @@ class Observer:
         else:
             joint = estimate_rig_poses(self.rig, [each.views for each in observations], settings)
             results = [(outcome.value, outcome.error) for outcome in joint]
-        sights = [each.sight for each in observations]
-        found = {sight: value for sight, (value, _) in zip(sights, results, strict=True) if value is not None}
-        return found, {sight: error for sight, (_, error) in zip(sights, results, strict=True) if error is not None}
+        pose_keys = [each.pose_key for each in observations]
+        found = {pose_key: value for pose_key, (value, _) in zip(pose_keys, results, strict=True) if value is not None}
+        return found, {
+            pose_key: error for pose_key, (_, error) in zip(pose_keys, results, strict=True) if error is not None
+        }
 
     def posed(
         self, observation: Observation, estimate: PoseEstimate, words: str
@@ -101,7 +103,7 @@ class Observer:
                 pixels=view.pixels,
                 inliers=mask,
                 words=words,
-                name=observation.sight.object,
+                name=observation.pose_key.object,
             )
             for view, mask in observation.by_view(estimate.inliers)
         }
@@ -139,34 +141,34 @@ def seen_by_rig(
     units = {each.unit for each in seen.values()}
     if len(units) > 1:
         raise InvalidInput("one camera's board has a size and another's has none; give the same --board to all")
-    single = all(len({sight.image for sight in _sights(each)}) == 1 for each in seen.values())
+    single = all(len({pose_key.image for pose_key in _sights(each)}) == 1 for each in seen.values())
     observations = [_by_instant(name, each, given[name], single) for name, each in seen.items()]
     together = joined([observation for each in observations for observation in each])
     if len(seen) > 1 and together and not any(len(each.views) > 1 for each in together):
-        alone = f"no two cameras saw an object at one instant, such as {together[0].sight}"
+        alone = f"no two cameras saw an object at one instant, such as {together[0].pose_key}"
         progress.warn(f"{alone}; images of one instant have one name but for that of the camera")
     return replace(rig, cameras=fitted), PnpViews(
         together,
         units.pop(),
-        nothing={sight: reason for each in seen.values() for sight, reason in each.nothing.items()},
-        refused={sight: error for each in seen.values() for sight, error in each.refused.items()},
+        nothing={pose_key: reason for each in seen.values() for pose_key, reason in each.nothing.items()},
+        refused={pose_key: error for each in seen.values() for pose_key, error in each.refused.items()},
         notes=tuple(dict.fromkeys(note for each in seen.values() for note in each.notes)),
         failed=tuple(line for each in seen.values() for line in each.failed),
     )
 
 
 def joined(observations: Iterable[Observation]) -> tuple[Observation, ...]:
-    """Return one observation for each sight: what the cameras saw under that name."""
-    instants: dict[Sight, list[Observation]] = {}
+    """Return one observation for each pose_key: what the cameras saw under that name."""
+    instants: dict[PoseKey, list[Observation]] = {}
     for observation in observations:
-        instants.setdefault(observation.sight, []).append(observation)
+        instants.setdefault(observation.pose_key, []).append(observation)
     return tuple(
         Observation(
-            sight,
+            pose_key,
             tuple(view for part in parts for view in part.views),
             tuple(ids for part in parts for ids in part.ids),
         )
-        for sight, parts in instants.items()
+        for pose_key, parts in instants.items()
     )
 
 
@@ -185,22 +187,22 @@ def _by_camera(inputs: tuple[str, ...], names: Sequence[str]) -> dict[str, tuple
     return found
 
 
-def _sights(seen: PnpViews) -> list[Sight]:
-    return [*(observation.sight for observation in seen.observations), *seen.nothing, *seen.refused]
+def _sights(seen: PnpViews) -> list[PoseKey]:
+    return [*(observation.pose_key for observation in seen.observations), *seen.nothing, *seen.refused]
 
 
 def _by_instant(camera: str, seen: PnpViews, inputs: tuple[str, ...], single: bool) -> list[Observation]:
     """Return what a camera saw by the name of the instant; single: there is one image of every camera."""
     videos = [Path(text).stem for text in inputs if Path(text).suffix.lower() in VIDEO_SUFFIXES]
-    found: dict[Sight, Observation] = {}
+    found: dict[PoseKey, Observation] = {}
     for observation in seen.observations:
-        instant = "instant" if single else _instant(Path(observation.sight.image).name, camera, videos)
-        sight = observation.sight._replace(image=instant)
-        if sight in found:
-            both = f"{found[sight].views[0].image} and {observation.sight.image}"
+        instant = "instant" if single else _instant(Path(observation.pose_key.image).name, camera, videos)
+        pose_key = observation.pose_key._replace(image=instant)
+        if pose_key in found:
+            both = f"{found[pose_key].views[0].image} and {observation.pose_key.image}"
             raise InvalidInput(f"{both} are two images of camera {camera!r} at one instant, {instant!r}; rename one")
         views = tuple(replace(view, camera=camera) for view in observation.views)
-        found[sight] = replace(observation, sight=sight, views=views)
+        found[pose_key] = replace(observation, pose_key=pose_key, views=views)
     return list(found.values())
 
 

@@ -110,12 +110,12 @@ def of_units(estimates: Sequence[PoseEstimate], observations: Sequence[Observati
     warnings = []
     if not nearest <= distance <= farthest:
         warnings.append(f"the object is {distance:.3g} m away from the camera; are the points in metres?")
-    mixed = [str(observation.sight) for observation in observations if _is_mixed(observation)]
+    mixed = [str(observation.pose_key) for observation in observations if _is_mixed(observation)]
     extents = np.array([np.linalg.norm(np.ptp(_points(observation), axis=0)) for observation in observations])
     if mixed:
         warnings.append(f"{mixed[0]}: some points are a hundred times farther apart than others; are all in metres?")
     elif extents.max() > _GAP * extents.min() > 0:
-        small, large = (str(observations[int(place)].sight) for place in (extents.argmin(), extents.argmax()))
+        small, large = (str(observations[int(place)].pose_key) for place in (extents.argmin(), extents.argmax()))
         spans = f"the points of {large} span {extents.max():.3g} m, those of {small} {extents.min():.3g} m"
         warnings.append(f"{spans}; are all in metres?")
     return warnings
@@ -174,7 +174,7 @@ def of_outliers(estimates: Sequence[PoseEstimate], observations: Sequence[Observ
     if not few:
         return []
     (first, observation), more = few[0], f" and so {len(few) - 1} more poses" if len(few) > 1 else ""
-    finding = f"{first.used} of {len(first.inliers)} points agree with the pose of {observation.sight}{more}"
+    finding = f"{first.used} of {len(first.inliers)} points agree with the pose of {observation.pose_key}{more}"
     return [f"{finding}: are u and v exchanged, or the points numbered otherwise? Look at --draw"]
 
 
@@ -183,7 +183,7 @@ def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation
     odd: list[str] = []
     for estimate, observation in zip(estimates, observations, strict=True):
         pairs = observation.by_view(estimate.inliers)
-        odd += [f"{observation.sight} of camera {view.camera}" for view, mask in pairs if not mask.any()]
+        odd += [f"{observation.pose_key} of camera {view.camera}" for view, mask in pairs if not mask.any()]
     if not odd:
         return []
     more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""

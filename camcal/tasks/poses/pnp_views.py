@@ -14,7 +14,7 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.formats import boards, tags
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.poses.record import Sight
+from camcal.formats.poses.record import PoseKey
 from camcal.images.video import frames
 from camcal.progress import Progress
 from camcal.raw.detection_image import read_detection_image
@@ -36,7 +36,7 @@ class Observation:
     views: of the cameras, in their order. ids: of their points (N,), view by view.
     """
 
-    sight: Sight
+    pose_key: PoseKey
     views: tuple[Correspondences, ...]
     ids: tuple[Array, ...]
 
@@ -57,8 +57,8 @@ class PnpViews:
     observations: tuple[Observation, ...]
     unit: str = "m"
     spread: Literal["detected", "stated", "relative"] = "detected"
-    nothing: Mapping[Sight, str] = field(default_factory=dict)
-    refused: Mapping[Sight, CamcalError] = field(default_factory=dict)
+    nothing: Mapping[PoseKey, str] = field(default_factory=dict)
+    refused: Mapping[PoseKey, CamcalError] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
 
@@ -104,8 +104,10 @@ def seen_by(
     return camera, PnpViews(
         tuple(_observation(view, points) for view in fitting),
         found.board.unit,
-        nothing={Sight(view.image): view.reason or "nothing found" for view in views if not view.found},
-        refused={Sight(view.image): _other_size(view.size, camera) for view in shown if view.size != camera.image_size},
+        nothing={PoseKey(view.image): view.reason or "nothing found" for view in views if not view.found},
+        refused={
+            PoseKey(view.image): _other_size(view.size, camera) for view in shown if view.size != camera.image_size
+        },
         notes=(*found.notes, *remark),
         failed=found.failed,
     )
@@ -113,7 +115,7 @@ def seen_by(
 
 def _observation(view: BoardDetection, points: Array) -> Observation:
     correspondences = Correspondences(view.image, points[view.ids], view.pixels, view.covariance)
-    return Observation(Sight(view.image), (correspondences,), (view.ids,))
+    return Observation(PoseKey(view.image), (correspondences,), (view.ids,))
 
 
 def _seen_tags(
@@ -126,9 +128,9 @@ def _seen_tags(
         inputs, objects, detection.recursive, detection.jobs, progress, camera.image_size, keep_repeated=keep
     )
     observations = (
-        Observation(Sight(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
+        Observation(PoseKey(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
     )
-    nothing = {Sight(image): reason for image, reason in found.nothing.items()}
+    nothing = {PoseKey(image): reason for image, reason in found.nothing.items()}
     return camera, PnpViews(tuple(observations), nothing=nothing, notes=found.notes, failed=found.failed)
 
 

@@ -11,11 +11,11 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.segments import Following
+from camcal.estimate.tracking.segments import GateOptions
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.estimate.tracking.view_track import track_views
 from camcal.formats import poses, trajectories
-from camcal.formats.poses.record import PoseRecord, Poses, Sight
+from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 from camcal.formats.trajectories.tracked import SUFFIXES, TrackedObject, write_tracks
 from camcal.geometry.pose import Trajectory
 from camcal.parsing import did_you_mean
@@ -26,13 +26,13 @@ from camcal.targets.markers.tags import single_name
 from camcal.tasks.poses.frame_times import frame_times, require_times
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.pnp import pnp
-from camcal.tasks.poses.track_options import FollowOptions
+from camcal.tasks.poses.track_options import TrackingOptions
 
 _OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an object
 
 
 @dataclass(frozen=True, eq=False)
-class FollowReport:
+class TrackReport:
     """The tracks by object, the names of their frames, objects that could not be followed, and remarks.
 
     failed: images that could not be read. outputs: the files that were written.
@@ -58,11 +58,11 @@ class _FramePoses:
     videos: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
-    views: Mapping[Sight, Correspondences] = field(default_factory=dict)
+    views: Mapping[PoseKey, Correspondences] = field(default_factory=dict)
     camera: Camera | None = None
 
 
-def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
+def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
     """Return the tracks of all objects, after writing them and their picture where that is asked for.
 
     Raises InvalidInput, FileError, or InsufficientData if no object can be followed; nothing is written then.
@@ -80,7 +80,7 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
     progress.start("following", len(names))
     for name in names:
         progress.advance()
-        single = [straight.estimates.get(Sight(image, name)) for image in seen.images]
+        single = [straight.estimates.get(PoseKey(image, name)) for image in seen.images]
         try:
             found = _followed(options, seen, name, stamps, single, straight.frames)
         except InsufficientData as error:
@@ -92,11 +92,11 @@ def track(options: FollowOptions, progress: Progress = SILENT) -> FollowReport:
     if not objects:
         raise next(iter(lost.values()))
     outputs = _written(options, seen.images, objects)
-    return FollowReport(seen.images, objects, lost, seen.notes, seen.failed, outputs)
+    return TrackReport(seen.images, objects, lost, seen.notes, seen.failed, outputs)
 
 
 def _followed(
-    options: FollowOptions,
+    options: TrackingOptions,
     seen: _FramePoses,
     name: str,
     stamps: Array,
@@ -106,17 +106,17 @@ def _followed(
     """Return the track of an object, from its pixels where there are any."""
     if seen.camera is None:
         return track_poses(stamps, single, _tracking(options), frames)
-    views = [seen.views.get(Sight(image, name)) for image in seen.images]
+    views = [seen.views.get(PoseKey(image, name)) for image in seen.images]
     return track_views(seen.camera, stamps, views, single, _tracking(options), options.noise_px)
 
 
-def _tracking(options: FollowOptions) -> TrackOptions:
+def _tracking(options: TrackingOptions) -> TrackOptions:
     noise = None if options.process_noise is None else ProcessNoise(*options.process_noise)
     lag = 0 if options.causal else options.lag
-    return TrackOptions(noise, Following(options.gate, options.max_gap), lag, options.fill)
+    return TrackOptions(noise, GateOptions(options.gate, options.max_gap), lag, options.fill)
 
 
-def _check(options: FollowOptions) -> None:
+def _check(options: TrackingOptions) -> None:
     if options.output is not None:
         if options.kind is not None or options.output.suffix.lower() not in SUFFIXES:
             trajectories.kind_of(options.output, options.kind)
@@ -134,7 +134,7 @@ def _check(options: FollowOptions) -> None:
         raise InvalidInput("would be both the track and its picture", where=str(outputs[0]))
 
 
-def _of_file(options: FollowOptions) -> _FramePoses:
+def _of_file(options: TrackingOptions) -> _FramePoses:
     if len(options.frames) != 1:
         raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
     if options.detection.board or options.detection.tags:
@@ -144,11 +144,11 @@ def _of_file(options: FollowOptions) -> _FramePoses:
     path = Path(options.frames[0])
     require_there(path)
     read = poses.read(path)
-    images = {sight.image for sight in (*read.estimates, *read.missing)}
+    images = {pose_key.image for pose_key in (*read.estimates, *read.missing)}
     return _FramePoses(read, tuple(sorted(images, key=files.natural_key)))
 
 
-def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _FramePoses:
+def _of_images(camera: str, options: TrackingOptions, progress: Progress) -> _FramePoses:
     media = find_media(options.frames, options.detection.recursive)
     if len(media.videos) > 1 or (media.videos and media.images):
         raise InvalidInput(
@@ -165,7 +165,7 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Fram
         ),
         progress,
     )
-    known = {str(sight) for sight in found.poses.missing}
+    known = {str(pose_key) for pose_key in found.poses.missing}
     failed = tuple(line for line in found.failed if line not in known)
     return _FramePoses(
         found.poses,
@@ -180,11 +180,13 @@ def _of_images(camera: str, options: FollowOptions, progress: Progress) -> _Fram
 
 def _frame_names(seen: Poses, media: Media) -> tuple[str, ...]:
     """Return the names of all frames, in natural order, images that could not be read included."""
-    names = {sight.image for sight in (*seen.estimates, *seen.missing)} | {path.as_posix() for path in media.images}
+    names = {pose_key.image for pose_key in (*seen.estimates, *seen.missing)} | {
+        path.as_posix() for path in media.images
+    }
     return tuple(sorted(names, key=files.natural_key))
 
 
-def _direction(options: FollowOptions, seen: Poses) -> str:
+def _direction(options: TrackingOptions, seen: Poses) -> str:
     """Return the frames that are written; raises InvalidInput for a name that is neither of both."""
     straight = seen.frames if seen.of_object else seen.inverse().frames
     turned = "_T_".join(reversed(straight.split("_T_")))
@@ -195,7 +197,7 @@ def _direction(options: FollowOptions, seen: Poses) -> str:
     return turned if options.output is not None and _form(options) in _OF_CAMERA else straight
 
 
-def _form(options: FollowOptions) -> str | None:
+def _form(options: TrackingOptions) -> str | None:
     """Return the form of trajectory that is written, None for a track with all its frames."""
     if options.output is None or (options.kind is None and options.output.suffix.lower() in SUFFIXES):
         return None
@@ -204,7 +206,7 @@ def _form(options: FollowOptions) -> str | None:
 
 def _chosen(seen: Poses, wanted: str | None) -> list[str]:
     """Return the names of the objects to follow, in natural order."""
-    names = sorted({sight.object for sight in seen.estimates}, key=files.natural_key)
+    names = sorted({pose_key.object for pose_key in seen.estimates}, key=files.natural_key)
     if wanted is None:
         return names
     if names == [""]:
@@ -214,7 +216,7 @@ def _chosen(seen: Poses, wanted: str | None) -> list[str]:
     return [wanted]
 
 
-def _written(options: FollowOptions, images: Sequence[str], objects: Mapping[str, TrackedObject]) -> tuple[Path, ...]:
+def _written(options: TrackingOptions, images: Sequence[str], objects: Mapping[str, TrackedObject]) -> tuple[Path, ...]:
     """Write the tracks and their pictures as far as they are asked for, and return the files."""
     outputs = []
     if options.output is not None:
@@ -267,7 +269,7 @@ def _trajectory(output: Path, objects: Mapping[str, TrackedObject]) -> Trajector
     )
 
 
-def document(report: FollowReport) -> dict[str, Any]:
+def document(report: TrackReport) -> dict[str, Any]:
     """Return the report as plain data for --json; the poses themselves are in the file."""
     return {
         "frame_count": len(report.images),

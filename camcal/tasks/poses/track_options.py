@@ -62,7 +62,7 @@ class Timing(OptionsRecord):
 
 
 @dataclass(frozen=True)
-class FollowOptions(OptionsRecord):
+class TrackingOptions(OptionsRecord):
     """A camera file (FILE or FILE#NAME) and the video or images it took; or a pose file alone.
 
     name: of the camera in its file. noise_px: standard deviation of every pixel coordinate, None to find it out.

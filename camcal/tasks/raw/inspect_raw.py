@@ -40,7 +40,7 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in RAW_SUFFIXES | BARE_SUFFIXES | HEADERLESS_SUFFIXES
 
 
-def says_too_little(options: InspectOptions) -> bool:
+def lacks_layout(options: InspectOptions) -> bool:
     """Return whether the file has no header and its layout is not given."""
     unknown = None in (options.layout.format, options.layout.size)
     return options.address[0].suffix.lower() in HEADERLESS_SUFFIXES and unknown

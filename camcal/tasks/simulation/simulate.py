@@ -28,7 +28,7 @@ from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics
-from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, ladder, lenses
+from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series, lenses
 from camcal.simulate.render import FLAT, Shape, render
 from camcal.simulate.scene import Truth, make_camera, observe, view_name, views
 from camcal.targets.board import Board
@@ -281,14 +281,14 @@ def _take(raw: RawCamera, size: tuple[int, int], vignetting: float, seed: int, f
 
 
 def _flats(folder: Path, raw: RawCamera, levels: int, vignetting: float) -> Iterator[Frame]:
-    shots = [shot for shot in ladder(raw, levels, vignetting) for _ in range(FRAMES_A_LEVEL)]
+    shots = [shot for shot in exposure_series(raw, levels, vignetting) for _ in range(FRAMES_A_LEVEL)]
     for number, shot in enumerate(shots):
         yield Frame(folder / FLATS / _exposure_name(shot) / f"flat{number:04d}.png", shot, (number, _FLAT_STREAM))
 
 
 def _darks(folder: Path, raw: RawCamera, options: RawOptions, vignetting: float) -> Iterator[Frame]:
     """Yield half of the frames at the shortest and half at the longest exposure of the flat frames."""
-    taken = [shot.exposure_s for shot in ladder(raw, options.flats, vignetting)] or _DARK_EXPOSURES
+    taken = [shot.exposure_s for shot in exposure_series(raw, options.flats, vignetting)] or _DARK_EXPOSURES
     first = options.darks if options.darks < _FEW_DARKS else (options.darks + 1) // 2
     for number in range(options.darks):
         shot = Shot(taken[0] if number < first else taken[-1], 0.0)

@@ -31,8 +31,8 @@ from camcal.stereo.truth import (
     Prediction,
     evaluate,
     mean_of,
-    seen_by_both,
-    unhidden,
+    unoccluded,
+    visible_in_both,
 )
 from camcal.tasks.stereo.options import EvalOptions, TruthPair
 from camcal.tasks.stereo.rectified_pair import geometry_of, named_file, warn_of_file
@@ -187,8 +187,8 @@ def _visible(files: TruthPair, options: EvalOptions, truth: Array) -> tuple[Arra
         return _read_mask(files.mask), f"mask {files.mask.name}"
     if files.right_truth is not None:
         right = disparity.read(files.right_truth, options.truth_scale).matched()
-        return seen_by_both(truth, right), "left-right check of the truths"
-    return unhidden(truth), "the truth warped to the right image"
+        return visible_in_both(truth, right), "left-right check of the truths"
+    return unoccluded(truth), "the truth warped to the right image"
 
 
 def _read_mask(path: Path) -> Array:

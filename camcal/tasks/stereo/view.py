@@ -252,7 +252,7 @@ def cloud_in(path: Path, frame: str | None = None) -> VertexStream:
     Raises InvalidInput for words that do not say where x, y and z point, FileError if the file cannot be read.
     """
     words = None if frame is None else _AXES.get(frame, frame)
-    if words is not None and not says_axes(words):
+    if words is not None and not states_axes(words):
         raise InvalidInput(
             f"frame {frame!r} does not say where the axes point; use {', '.join(_AXES)}, or words such as {_EXAMPLE!r}"
         )
@@ -271,7 +271,7 @@ def cloud_in(path: Path, frame: str | None = None) -> VertexStream:
     )
 
 
-def says_axes(frame: str) -> bool:
+def states_axes(frame: str) -> bool:
     """Return whether words say where x, y and z point."""
     return _CAMERA in frame or not np.array_equal(rotation_of(frame), np.eye(3))
 

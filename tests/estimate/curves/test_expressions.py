@@ -135,7 +135,7 @@ def test_an_unknown_name_is_told_with_its_place_and_the_nearest():
         parse("a + 2*slpoe").require_known(["a", "slope"], "parameters are slope")
 
 
-HOSTILE = [
+UNTRUSTED = [
     "__import__('os').system('touch pwned')",
     "open('pwned', 'w')",
     "().__class__.__bases__[0].__subclasses__()",
@@ -160,8 +160,8 @@ HOSTILE = [
 ]
 
 
-@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
-def test_hostile_text_is_refused_and_never_run(text, tmp_path, monkeypatch):
+@pytest.mark.parametrize("text", UNTRUSTED, ids=range(len(UNTRUSTED)))
+def test_untrusted_text_is_refused_and_never_run(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InvalidInput):
         parse(text)

@@ -230,17 +230,17 @@ def test_pose_and_lens_jacobians_are_the_derivatives_of_the_whitened_residuals()
     spreads = rng.normal(size=(len(view.points), 2, 2))
     covariance = spreads @ spreads.transpose(0, 2, 1) + 0.1 * np.eye(2)
     frame = Pose.from_vector(np.array([0.1, 0.3, -0.2]), np.array([0.1, 0.0, 0.05]))
-    sight = PackedCorrespondences.of(WIDE, [Correspondences("a", view.points, view.pixels, covariance)], frame)
+    packed = PackedCorrespondences.of(WIDE, [Correspondences("a", view.points, view.pixels, covariance)], frame)
     state, only = se3.of_poses([frame.inverse() @ pose]), np.zeros(1, int)
-    rows, by_lens, inside = sight.rows(state, only, sight.present)
+    rows, by_lens, inside = packed.rows(state, only, packed.present)
     assert inside.all()
 
     def by_step(step):
-        return sight.rows(se3.retract(state, step[None]), only, sight.present)[0][:, 6]
+        return packed.rows(se3.retract(state, step[None]), only, packed.present)[0][:, 6]
 
     def by_parameters(parameters):
-        lens = replace(sight, camera=replace(WIDE, parameters=parameters))
-        return lens.rows(state, only, sight.present)[0][:, 6]
+        lens = replace(packed, camera=replace(WIDE, parameters=parameters))
+        return lens.rows(state, only, packed.present)[0][:, 6]
 
     # slopes of up to 1e4 px; rounding of 1e3 px over steps of 1e-4: 1e-9
     numeric = central_jacobian(by_step, np.zeros(6), 1e-4)
@@ -482,12 +482,12 @@ def test_squared_residuals_are_those_of_mahalanobis():
     view, truth = observed(camera, some_pose(rng), points, rng, noise_px=1.0), some_pose(rng)
     shapes = rng.normal(size=(20, 2, 2))
     covariance = 0.1 * np.eye(2) + shapes @ shapes.swapaxes(1, 2)
-    sight = PackedCorrespondences.of(camera, [replace(view, covariance=covariance)], Pose.identity())
-    found = sight.squared(se3.of_poses([truth]), np.zeros(1, int))[0]
+    packed = PackedCorrespondences.of(camera, [replace(view, covariance=covariance)], Pose.identity())
+    found = packed.squared(se3.of_poses([truth]), np.zeros(1, int))[0]
     residuals = camera.project(truth.apply(points)).pixels - view.pixels
     expected = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-    np.testing.assert_allclose(sight.variances()[0], np.trace(covariance, axis1=1, axis2=2) / 2, rtol=1e-9)
+    np.testing.assert_allclose(packed.variances()[0], np.trace(covariance, axis1=1, axis2=2) / 2, rtol=1e-9)
 
 
 def test_the_least_depth_is_that_of_the_nearest_inlier_in_front_of_the_camera():

@@ -89,8 +89,8 @@ def test_a_view_is_posed_alike_with_and_without_samples(made):
 def test_well_known_poses_have_the_inverse_normal_matrix_and_others_no_less():
     views, _ = four_points(40, 5)
     problems = PoseProblems.of((PackedCorrespondences.of(PINHOLE, views, Pose.identity()),))
-    sight = problems.sights[0]
-    minima = pose_minima(problems, Extents.of(sight.points, sight.present))
+    packed = problems.packed_views[0]
+    minima = pose_minima(problems, Extents.of(packed.points, packed.present))
     minima = minima.take(lowest(minima))
     for sigma in (1e-4, 1.0):
         linear = sigma**2 * inverses(minima.models.normal)
@@ -106,7 +106,7 @@ def test_second_moments_are_those_of_the_density_of_the_pixels():
     rng = np.random.default_rng(8)
     views, _ = four_points(400, 5)
     problems = PoseProblems.of((PackedCorrespondences.of(PINHOLE, views, Pose.identity()),))
-    minima = pose_minima(problems, Extents.of(problems.sights[0].points, problems.sights[0].present))
+    minima = pose_minima(problems, Extents.of(problems.packed_views[0].points, problems.packed_views[0].present))
     minima = minima.take(np.flatnonzero(np.bincount(minima.which)[minima.which] == 1))
     linear = NOISE_PX**2 * inverses(minima.models.normal)
     found = covariances(problems, minima, np.zeros((len(views), 3)), NOISE_PX)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from camcal.estimate.tracking.free_motion import Flat, MotionState
+from camcal.estimate.tracking.free_motion import MotionState, ObjectPlane
 from camcal.estimate.tracking.hypotheses import MISSED, Hypotheses, with_mirrored
 from camcal.geometry import rotation as so3
 
-TAG = Flat(np.array([0.0, 0.0, 1.0]), np.zeros(3))
+TAG = ObjectPlane(np.array([0.0, 0.0, 1.0]), np.zeros(3))
 
 
 def test_mirrored_states_turn_as_the_mirrored_poses_do():

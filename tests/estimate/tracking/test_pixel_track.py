@@ -74,7 +74,7 @@ def test_a_frame_is_not_changed_by_frames_beyond_the_look_ahead():
 def test_vibration_is_found_and_its_regions_hold():
     rotations, places, views, poses = swaying(0.8, 4, shake=3e-3)
     track = track_views(CAMERA, STAMPS, views, poses, TrackOptions())
-    assert track.shaking.camera_turn == pytest.approx(3e-3, rel=0.35)
+    assert track.jitter_std.camera_turn == pytest.approx(3e-3, rel=0.35)
     steps = np.concatenate([track.translations - places, so3.log(track.rotations @ rotations.swapaxes(-1, -2))], axis=1)
     distances = np.einsum("ni,nij,nj->n", steps, np.linalg.inv(track.covariances), steps)
     assert 0.85 < np.mean(distances < 12.59) <= 1.0  # χ² of 6 degrees of freedom, 120 frames
@@ -82,7 +82,7 @@ def test_vibration_is_found_and_its_regions_hold():
 
 def test_without_vibration_none_is_found():
     _, _, views, poses = swaying(0.8, 5)
-    assert not track_views(CAMERA, STAMPS, views, poses, TrackOptions()).shaking.any
+    assert not track_views(CAMERA, STAMPS, views, poses, TrackOptions()).jitter_std.any
 
 
 def test_wrong_frames_are_left_out():

@@ -12,7 +12,7 @@ from moving_objects import NOISE, errors, glances
 
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.segments import Following
+from camcal.estimate.tracking.segments import GateOptions
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory
@@ -163,7 +163,7 @@ def test_a_long_gap_is_not_bridged():
     assert track.segments[65] == 1
     assert set(track.segments[30:65]) == {-1}
     assert set(track.states[30:65]) == {GAP}
-    longer = follow(truth, seen, following=Following(max_gap=2.0))
+    longer = follow(truth, seen, following=GateOptions(max_gap=2.0))
     assert longer.segments.max() == 0
 
 
@@ -291,4 +291,4 @@ def test_process_noise_that_is_none_is_refused(changes):
 @pytest.mark.parametrize("following", [{"confidence": 1.0}, {"confidence": 0.0}, {"max_gap": 0.0}])
 def test_gates_and_gaps_that_make_no_sense_are_refused(following):
     with pytest.raises(InvalidInput):
-        Following(**following)
+        GateOptions(**following)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.matching.matchers import AGREEMENT, difference_seen, has_texture, in_order, without_specks
+from camcal.stereo.matching.matchers import AGREEMENT, difference_seen, has_texture, ordering_holds, without_speckles
 
 shapes = st.tuples(st.integers(1, 4), st.integers(1, 14))
 
@@ -44,13 +44,13 @@ def test_out_of_order_is_what_something_to_the_right_stands_left_of(shape, seed)
         ]
     )
     known = np.isfinite(disparity)
-    np.testing.assert_array_equal(in_order(disparity)[known], expected[known])
+    np.testing.assert_array_equal(ordering_holds(disparity)[known], expected[known])
 
 
 def test_what_a_near_thing_hides_is_out_of_order():
     disparity = np.full((1, 40), 5.0, np.float32)
     disparity[0, 20:28] = 15
-    hidden = np.flatnonzero(~in_order(disparity)[0])
+    hidden = np.flatnonzero(~ordering_holds(disparity)[0])
     # Columns 10 to 17 are behind it; two more stand to its right in the right image. A pixel of difference is allowed.
     np.testing.assert_array_equal(hidden, range(12, 20))
 
@@ -60,7 +60,7 @@ def test_small_patches_are_left_out_and_large_ones_kept():
     disparity[2:9, 2:9] = 30  # 49 pixels
     disparity[20:30, 20:25] = -30  # 50
     disparity[0, 39] = np.nan
-    cleaned = without_specks(disparity)
+    cleaned = without_speckles(disparity)
     assert np.isnan(cleaned[2:9, 2:9]).all()
     assert np.isnan(cleaned).sum() == 49 + 1
     np.testing.assert_array_equal(cleaned[20:30, 20:25], -30)
@@ -68,7 +68,7 @@ def test_small_patches_are_left_out_and_large_ones_kept():
 
 def test_a_slope_is_one_patch():
     disparity = np.tile(np.linspace(-20, 20, 60, dtype=np.float32), (3, 1))  # 0.68 px from pixel to pixel
-    np.testing.assert_array_equal(without_specks(disparity), disparity)
+    np.testing.assert_array_equal(without_speckles(disparity), disparity)
 
 
 def test_texture_is_missing_only_farther_than_15_pixels_from_any():

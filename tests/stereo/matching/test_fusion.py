@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.matchers import Found, alone, fused
+from camcal.stereo.matching.matchers import Found, fused, single_matcher
 
 NOT = np.nan
 
 
-def found(least, believed, difference=NOT, *, rival=False):
+def found(least, believed, difference=NOT, *, ambiguous=False):
     values = (np.array([[value]], np.float32) for value in (least, believed, difference))
-    return Found(*values, np.array([[rival]]), np.zeros((1, 1), np.int8))
+    return Found(*values, np.array([[ambiguous]]), np.zeros((1, 1), np.int8))
 
 
 @pytest.mark.parametrize(
@@ -37,16 +37,16 @@ def test_two_matchers_make_one_map(census, gray_levels, disparity, confidence):
 
 
 def test_what_has_a_rival_is_as_unsure_as_what_one_matcher_says():
-    result = fused(found(9, 9, rival=True), found(9.25, 9.25))
+    result = fused(found(9, 9, ambiguous=True), found(9.25, 9.25))
     assert result.disparity == 9.125
     assert result.confidence == Confidence.SINGLE
     assert np.isnan(result.difference)
-    assert alone(found(9, 9, 0.1, rival=True)).difference == 1
+    assert single_matcher(found(9, 9, 0.1, ambiguous=True)).difference == 1
 
 
 @pytest.mark.parametrize(("believed", "confidence"), [(9, Confidence.SINGLE), (NOT, Confidence.FILLED)])
 def test_one_matcher_is_taken_at_its_word(believed, confidence):
-    result = alone(found(9, believed, 0.5))
+    result = single_matcher(found(9, believed, 0.5))
     np.testing.assert_array_equal(result.disparity, [[believed]])
     np.testing.assert_array_equal(result.confidence, [[confidence]])
     np.testing.assert_array_equal(result.difference, [[0.5]])

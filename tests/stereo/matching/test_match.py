@@ -329,13 +329,13 @@ def test_results_do_not_depend_on_threads(quality):
     threads = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
-        alone = match(left, right, MatchOptions(quality))
+        single_matcher = match(left, right, MatchOptions(quality))
         cv2.setNumThreads(2)
-        assert same(match(left, right, MatchOptions(quality)), alone)
+        assert same(match(left, right, MatchOptions(quality)), single_matcher)
     finally:
         cv2.setNumThreads(threads)
     with over_threads(2) as each:
-        assert same(match(left, right, MatchOptions(quality), each), alone)
+        assert same(match(left, right, MatchOptions(quality), each), single_matcher)
 
 
 @pytest.mark.parametrize("quality", [BALANCED, BEST])

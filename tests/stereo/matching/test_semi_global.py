@@ -12,14 +12,14 @@ from camcal.stereo.matching.semi_global import (
     UNSEEN,
     aggregate,
     census,
+    equiangular_offset,
     fraction,
-    has_rival,
-    jump_penalties,
+    is_ambiguous,
     least,
     matching_costs,
-    meeting,
+    right_costs,
     rough_fraction,
-    seen_from_the_right,
+    smoothness_penalties,
 )
 
 PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0))
@@ -95,8 +95,8 @@ def test_a_jump_is_cheaper_where_gray_levels_jump():
     levels = np.arange(256, dtype=np.uint8)
     guide = np.stack([np.zeros_like(levels), levels])
     expected = [penalty_of_a_jump(level, 0) for level in levels]
-    np.testing.assert_array_equal(jump_penalties(guide, 0)[1], expected)
-    np.testing.assert_array_equal(jump_penalties(guide.T, 1)[:, 1], expected)
+    np.testing.assert_array_equal(smoothness_penalties(guide, 0)[1], expected)
+    np.testing.assert_array_equal(smoothness_penalties(guide.T, 1)[:, 1], expected)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_the_least_is_the_first_of_the_least(count, seed):
 def test_costs_seen_from_the_right_are_those_of_mirrored_images_swapped(first, count, seed):
     left, right = (census(image) for image in np.random.default_rng(seed).integers(0, 99, (2, 3, 8)).astype(np.uint8))
     mirrored = matching_costs(right[:, ::-1], left[:, ::-1], first, count)[..., ::-1]
-    seen = seen_from_the_right(matching_costs(left, right, first, count), first)
+    seen = right_costs(matching_costs(left, right, first, count), first)
     for index in range(count):
         for x in range(8):
             if 0 <= x + first + index < 8:
@@ -147,13 +147,13 @@ def test_a_least_cost_at_an_end_of_the_range_has_no_fraction():
 
 @given(st.lists(st.floats(0, 1e4, width=32), min_size=3, max_size=3))
 def test_a_fraction_is_at_most_half_a_pixel(three):
-    found = meeting(np.array(three, np.float32).reshape(3, 1, 1), np.ones((1, 1), bool))
+    found = equiangular_offset(np.array(three, np.float32).reshape(3, 1, 1), np.ones((1, 1), bool))
     assert -0.5 <= found[0, 0] <= 0.5
 
 
-@pytest.mark.parametrize(("place", "more", "rival"), [(9, 20, True), (9, 21, False), (6, 20, True), (5, 0, False)])
-def test_a_rival_is_three_places_away_at_least_and_hardly_dearer(place, more, rival):
+@pytest.mark.parametrize(("place", "more", "ambiguous"), [(9, 20, True), (9, 21, False), (6, 20, True), (5, 0, False)])
+def test_a_second_minimum_is_at_least_three_disparities_away_and_hardly_higher(place, more, ambiguous):
     total = np.full((12, 1, 1), 200, np.uint8)
     total[3] = 50
     total[place] = 50 + more
-    assert has_rival(total, np.full((1, 1), 3)).tolist() == [[rival]]
+    assert is_ambiguous(total, np.full((1, 1), 3)).tolist() == [[ambiguous]]

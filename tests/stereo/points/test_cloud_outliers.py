@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from camcal.errors import InvalidInput
-from camcal.stereo.points.selection import NEIGHBOURS, has_company, has_neighbours
+from camcal.stereo.points.selection import NEIGHBOURS, has_neighbours, has_similar_neighbours
 
 VALUES = st.sampled_from([np.nan, 5.0, 5.5, 6.0, 6.5, 7.0, 300.0])
 
@@ -22,14 +22,16 @@ def company_one_by_one(disparity):
 
 @given(arrays(np.float32, array_shapes(min_dims=2, max_dims=2, max_side=9), elements=VALUES))
 def test_company_is_what_counting_neighbours_gives(disparity):
-    np.testing.assert_array_equal(has_company(disparity, slice(0, len(disparity))), company_one_by_one(disparity))
+    np.testing.assert_array_equal(
+        has_similar_neighbours(disparity, slice(0, len(disparity))), company_one_by_one(disparity)
+    )
 
 
 @given(arrays(np.float32, (9, 6), elements=VALUES), st.integers(0, 8), st.integers(1, 9))
 def test_rows_around_the_block_count_too(disparity, start, length):
     stop = min(start + length, 9)
     first, last = max(start - 2, 0), min(stop + 2, 9)
-    found = has_company(disparity[first:last], slice(start - first, stop - first))
+    found = has_similar_neighbours(disparity[first:last], slice(start - first, stop - first))
     np.testing.assert_array_equal(found, company_one_by_one(disparity)[start:stop])
 
 
@@ -38,12 +40,12 @@ def test_a_single_wrong_pixel_and_a_speck_of_six_are_alone_and_seven_are_not():
     disparity[3, 3] = 50
     disparity[10:12, 3:6] = 50
     disparity[10:12, 12:15] = disparity[12, 12] = 50
-    lonely = ~has_company(disparity, slice(0, 20))
+    lonely = ~has_similar_neighbours(disparity, slice(0, 20))
     assert np.argwhere(lonely).tolist() == [[3, 3], *([row, column] for row in (10, 11) for column in (3, 4, 5))]
 
 
 def test_an_empty_map_has_no_company():
-    assert has_company(np.zeros((0, 5), np.float32), slice(0, 0)).shape == (0, 5)
+    assert has_similar_neighbours(np.zeros((0, 5), np.float32), slice(0, 0)).shape == (0, 5)
 
 
 def test_neighbours_in_space_are_what_distances_say():

@@ -97,9 +97,9 @@ def test_lonely_points_are_found_in_space_as_well():
 def test_threads_and_blocks_change_nothing():
     disparity = np.random.default_rng(3).integers(0, 5, (40, 30_000)).astype(np.float32)
     image = StereoImage(disparity, GEOMETRY)
-    alone = select(image, Selection(), Frame())
+    single_matcher = select(image, Selection(), Frame())
     with over_threads(2) as each:
         together = select(image, Selection(), Frame(), each)
-    np.testing.assert_array_equal(alone.kept, together.kept)
-    assert (alone.matched, alone.outliers) == (together.matched, together.outliers)
-    assert 0 < alone.outliers < alone.matched
+    np.testing.assert_array_equal(single_matcher.kept, together.kept)
+    assert (single_matcher.matched, single_matcher.outliers) == (together.matched, together.outliers)
+    assert 0 < single_matcher.outliers < single_matcher.matched

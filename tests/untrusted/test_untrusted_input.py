@@ -1,16 +1,16 @@
 """Damaged files through every reader of every command: a documented exit, lines of our own, little memory, no litter.
 
-`python tests/hostile/hostile_run.py --cases 5000` runs more of them; a violation names the seed that repeats it.
+`python tests/untrusted/untrusted_run.py --cases 5000` runs more of them; a violation names the seed that repeats it.
 """
 
 import subprocess
 import sys
 from pathlib import Path
 
-import hostile_seeds
 import pytest
+import untrusted_seeds
 
-HARNESS = Path(__file__).with_name("hostile_run.py")
+HARNESS = Path(__file__).with_name("untrusted_run.py")
 CASES = 130  # every reader once
 
 
@@ -33,4 +33,4 @@ def test_many_damaged_files_end_in_one_line_and_a_documented_exit():
 
 
 def test_every_reader_of_the_harness_meets_a_case():
-    assert len(hostile_seeds.READERS) <= CASES
+    assert len(untrusted_seeds.READERS) <= CASES

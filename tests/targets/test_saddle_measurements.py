@@ -6,7 +6,7 @@ from drawn import picture, pose, truth
 
 from camcal.targets.board import Board
 from camcal.targets.checker import grid as grids
-from camcal.targets.checker.checker import glance, look
+from camcal.targets.checker.checker import measure_saddles, measure_saddles_at
 
 BOARD = Board("chessboard", 7, 5)
 SIZE = (400, 300)
@@ -20,7 +20,7 @@ CLOSE = 0.15  # px: samples lie a pixel or two apart
 def test_corners_a_few_pixels_away_are_found_whatever_the_blur(blur):
     image = picture(BOARD, TILTED, SIZE, blur=blur, noise=2.0)
     start = PIXELS + np.random.default_rng(0).uniform(-3, 3, PIXELS.shape)
-    looks = look(image, start, STEPS, 0.15)
+    looks = measure_saddles(image, start, STEPS, 0.15)
     assert np.linalg.norm(looks.pixels - PIXELS, axis=1).max() < CLOSE
     assert looks.agreement.min() > 0.9
 
@@ -28,26 +28,26 @@ def test_corners_a_few_pixels_away_are_found_whatever_the_blur(blur):
 def test_from_afar_corners_are_found_a_third_of_a_step_away():
     image = picture(BOARD, TILTED, SIZE)
     start = PIXELS + 0.3 * STEPS[..., 0] - 0.2 * STEPS[..., 1]
-    assert np.linalg.norm(look(image, start, STEPS, far=True).pixels - PIXELS, axis=1).max() < CLOSE
+    assert np.linalg.norm(measure_saddles(image, start, STEPS, far=True).pixels - PIXELS, axis=1).max() < CLOSE
 
 
 def test_contrast_is_about_half_of_bright_minus_dark_and_positive_after_a_dark_square():
     image = picture(BOARD, TILTED, SIZE, blur=0.3)
-    looks = glance(image, PIXELS, STEPS, 0.15)
+    looks = measure_saddles_at(image, PIXELS, STEPS, 0.15)
     row, column = np.divmod(np.arange(BOARD.count), BOARD.columns)
     np.testing.assert_allclose(looks.contrast, np.where((row + column) % 2, -95, 95), rtol=0.2)  # a picture
 
 
 def test_an_edge_and_the_outer_corner_of_a_square_do_not_look_like_corners():
     image = picture(BOARD, TILTED, SIZE)
-    edge = glance(image, PIXELS + STEPS[..., 0] / 2, STEPS, 0.15)
+    edge = measure_saddles_at(image, PIXELS + STEPS[..., 0] / 2, STEPS, 0.15)
     assert edge.agreement.max() < 0.2
     wide = grids.predict(grids.padded(GRID))
     rim = np.concatenate([wide[0, 1:-1], wide[-1, 1:-1]])
     steps = np.concatenate([grids.steps(wide)[0, 1:-1], grids.steps(wide)[-1, 1:-1]])
-    assert glance(image, rim, steps, 0.15).agreement.max() < 0.75  # as checker.AGREEMENT asks
+    assert measure_saddles_at(image, rim, steps, 0.15).agreement.max() < 0.75  # as checker.AGREEMENT asks
 
 
 def test_places_outside_the_image_show_nothing():
     image = picture(BOARD, TILTED, SIZE)
-    assert glance(image, PIXELS - SIZE, STEPS).agreement.max() == 0
+    assert measure_saddles_at(image, PIXELS - SIZE, STEPS).agreement.max() == 0

@@ -1,6 +1,6 @@
 """Damaged files through every command: each in a process of its own with little memory, and what it did wrong.
 
-    python tests/hostile/hostile_run.py --cases 5000 --seed 1
+    python tests/untrusted/untrusted_run.py --cases 5000 --seed 1
 
 prints every violation with the seed that repeats it, and the totals. A case is right if the command ends with a
 documented exit code, says what is wrong in lines of its own (no traceback, no raw warning, no control characters),
@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-import hostile_mutations  # noqa: E402
-import hostile_seeds  # noqa: E402
+import untrusted_mutations  # noqa: E402
+import untrusted_seeds  # noqa: E402
 
 MEMORY = 700 << 20  # bytes that a command may take beyond what its imports have
 MAX_PIXELS = "20000000"  # little, so that no damaged header asks for much within the limit
@@ -51,7 +51,7 @@ _WARNING = re.compile(r"\w+Warning:")
 class Case:
     """A command line, the damaged file, and the name of what was done to it."""
 
-    reader: hostile_seeds.Reader
+    reader: untrusted_seeds.Reader
     mutation: str
     seed: int
     content: bytes
@@ -128,7 +128,7 @@ def make_good_files(folder: Path) -> None:
                     if (code := command(arguments)) not in (0, 7):
                         raise RuntimeError(f"{arguments} ended with {code}")
 
-                hostile_seeds.make(folder, run)
+                untrusted_seeds.make(folder, run)
                 done = 0
         finally:
             os._exit(done)
@@ -138,17 +138,17 @@ def make_good_files(folder: Path) -> None:
 
 def cases(good: Path, count: int, seed: int, only: str = "") -> Iterator[Case]:
     """Yield damaged files, every reader in turn."""
-    readers = [reader for reader in hostile_seeds.READERS if only in reader.name or only in reader.command]
+    readers = [reader for reader in untrusted_seeds.READERS if only in reader.name or only in reader.command]
     for number in range(count):
         reader = readers[number % len(readers)]
         yield case(good, reader, seed * 1_000_003 + number)
 
 
-def case(good: Path, reader: hostile_seeds.Reader, seed: int) -> Case:
+def case(good: Path, reader: untrusted_seeds.Reader, seed: int) -> Case:
     """Return the case that a seed makes for a reader."""
     rng = np.random.default_rng([seed, zlib.crc32(reader.command.encode())])
     content = (good / reader.file).read_bytes()
-    choices = hostile_mutations.mutations_of(reader.file, content)
+    choices = untrusted_mutations.mutations_of(reader.file, content)
     names = []
     for _ in range(int(rng.choice([1, 1, 1, 2]))):
         mutation = choices[int(rng.integers(len(choices)))]

@@ -79,7 +79,7 @@ def wrong_numbers(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def wrong_words(content: bytes, rng: np.random.Generator) -> bytes:
-    """Put hostile text at the start, the end or somewhere."""
+    """Put control characters and markup at the start, the end or somewhere."""
     at = int(rng.choice([0, len(content), _place(rng, len(content))]))
     return content[:at] + str(rng.choice(WORDS)).encode() + content[at:]
 
