@@ -1,13 +1,12 @@
 # The public names of camcal and where they are: the one list, for type checkers and for `import camcal`.
 
 from camcal.calibrate.intrinsics import Calibration as Calibration
-from camcal.calibrate.intrinsics import Options as CalibrationOptions
-from camcal.calibrate.intrinsics import calibrate as calibrate_camera
 from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named
 from camcal.cameras.model import Camera as Camera
 from camcal.cameras.model import CameraModel as CameraModel
 from camcal.cameras.model import Rig as Rig
+from camcal.cameras.model import resized as resized
 from camcal.errors import CamcalError as CamcalError
 from camcal.errors import FileError as FileError
 from camcal.errors import InsufficientData as InsufficientData
@@ -16,6 +15,8 @@ from camcal.errors import NotConverged as NotConverged
 from camcal.estimate.curves.curve import Curve as Curve
 from camcal.estimate.curves.curve import Data as CurveData
 from camcal.estimate.curves.fit import fit_curve as fit_curve
+from camcal.estimate.curves.search import SearchOptions as SearchOptions
+from camcal.estimate.pnp import estimate_pose as estimate_pose
 from camcal.estimate.pnp import estimate_poses as estimate_poses
 from camcal.estimate.pnp import estimate_rig_poses as estimate_rig_poses
 from camcal.estimate.pose_average import average_poses as average_poses
@@ -27,11 +28,14 @@ from camcal.estimate.smoothing.kalman import ExtendedModel as ExtendedModel
 from camcal.estimate.smoothing.kalman import Gaussian as Gaussian
 from camcal.estimate.smoothing.kalman import extended_filter as extended_filter
 from camcal.estimate.smoothing.kalman import extended_smoother as extended_smoother
+from camcal.estimate.smoothing.poses import PosesOptions as PosesOptions
 from camcal.estimate.smoothing.poses import smooth_poses as smooth_poses
 from camcal.estimate.smoothing.series import Series as Series
+from camcal.estimate.smoothing.series import SeriesOptions as SeriesOptions
 from camcal.estimate.smoothing.series import smooth_series as smooth_series
 from camcal.estimate.tracking.track import TrackOptions as TrackOptions
 from camcal.estimate.tracking.track import track_poses as track_poses
+from camcal.estimate.trajectory_error import ErrorOptions as ErrorOptions
 from camcal.estimate.trajectory_error import trajectory_error as trajectory_error
 from camcal.formats.boards import load_board as load_board
 from camcal.formats.camera_file import CameraFile as CameraFile
@@ -55,6 +59,9 @@ from camcal.geometry.frame_graph import FrameGraph as FrameGraph
 from camcal.geometry.pose import NamedTransform as NamedTransform
 from camcal.geometry.pose import Pose as Pose
 from camcal.geometry.pose import Trajectory as Trajectory
+from camcal.images.options import ViewOptions as ViewOptions
+from camcal.images.remap import build_maps as build_maps
+from camcal.images.views import make_view as make_view
 from camcal.raw.demosaic import demosaic as demosaic
 from camcal.raw.develop import develop as develop
 from camcal.raw.mosaic import Mosaic as Mosaic
@@ -63,6 +70,7 @@ from camcal.raw.reading import read_mosaic as read_mosaic
 from camcal.stereo.disparity import Confidence as Confidence
 from camcal.stereo.disparity import Disparity as Disparity
 from camcal.stereo.geometry import StereoGeometry as StereoGeometry
+from camcal.stereo.geometry import of_pair as stereo_geometry
 from camcal.stereo.matching.match import match as match_pair
 from camcal.stereo.options import MatchOptions as MatchOptions
 from camcal.stereo.points.cloud import CloudMaker as CloudMaker
@@ -71,13 +79,23 @@ from camcal.targets.board import Board as Board
 from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
 from camcal.targets.markers.markers import detect_markers as detect_markers
+from camcal.tasks.calibration.calibrate import CalibrateReport as CalibrateReport
+from camcal.tasks.calibration.options import CalibrateOptions as CalibrateOptions
+from camcal.tasks.calibration.options import DetectOptions as DetectOptions
+from camcal.tasks.library import PointCloud as PointCloud
+from camcal.tasks.library import Undistorted as Undistorted
+from camcal.tasks.library import calibrate_camera as calibrate_camera
+from camcal.tasks.library import detect_board as detect_board
+from camcal.tasks.library import point_cloud as point_cloud
+from camcal.tasks.library import undistort_image as undistort_image
 
 __all__ = [
     "MODELS",
     "Board",
     "BoardDetection",
+    "CalibrateOptions",
+    "CalibrateReport",
     "Calibration",
-    "CalibrationOptions",
     "CamcalError",
     "Camera",
     "CameraFile",
@@ -87,9 +105,11 @@ __all__ = [
     "Correspondences",
     "Curve",
     "CurveData",
+    "DetectOptions",
     "Detections",
     "Development",
     "Disparity",
+    "ErrorOptions",
     "ExtendedModel",
     "FileError",
     "FrameGraph",
@@ -100,21 +120,30 @@ __all__ = [
     "Mosaic",
     "NamedTransform",
     "NotConverged",
+    "PointCloud",
     "Pose",
     "PoseEstimate",
     "PoseOptions",
     "PosePrior",
+    "PosesOptions",
     "Rig",
+    "SearchOptions",
     "Series",
+    "SeriesOptions",
     "StereoGeometry",
     "StereoImage",
     "TrackOptions",
     "Trajectory",
+    "Undistorted",
+    "ViewOptions",
     "average_poses",
+    "build_maps",
     "calibrate_camera",
     "demosaic",
+    "detect_board",
     "detect_markers",
     "develop",
+    "estimate_pose",
     "estimate_poses",
     "estimate_rig_poses",
     "extended_filter",
@@ -122,8 +151,10 @@ __all__ = [
     "fit_curve",
     "load_board",
     "load_tags",
+    "make_view",
     "match_pair",
     "model_named",
+    "point_cloud",
     "read_camera",
     "read_camera_file",
     "read_detections",
@@ -133,10 +164,13 @@ __all__ = [
     "read_point_cloud",
     "read_poses",
     "read_trajectory",
+    "resized",
     "smooth_poses",
     "smooth_series",
+    "stereo_geometry",
     "track_poses",
     "trajectory_error",
+    "undistort_image",
     "write_camera_file",
     "write_detections",
     "write_disparity",

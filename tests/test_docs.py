@@ -29,6 +29,8 @@ from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import parse_board
+from camcal.tasks.simulation.options import SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
 
 PROJECT = Path(__file__).parents[1]
 README = PROJECT / "README.md"
@@ -261,6 +263,8 @@ def workplace(tmp_path_factory):
     detections.write(folder / "detections.csv", seen)
     found = calibrate(seen.views, board, Options(camera.model)).camera
     native.write(folder / "camera.yaml", CameraFile({"camera": CameraEntry(found)}))
+    scene = SimulateOptions(folder / "scene", "chessboard:9x6:25mm", views=8, size=(320, 240), jobs=1)
+    simulate(scene).images[0].parent.rename(folder / "photos")
     return folder
 
 
@@ -274,7 +278,11 @@ def python_examples() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(
-    "example", [block for _, block in python_examples()], ids=[name for name, _ in python_examples()]
+    "example",
+    [
+        pytest.param(block, id=name, marks=[pytest.mark.slow] if "calibrate_camera(" in block else [])
+        for name, block in python_examples()
+    ],
 )
 def test_every_python_example_runs(example, workplace, monkeypatch, capsys):
     monkeypatch.chdir(workplace)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
@@ -48,6 +49,20 @@ def estimate_poses(
     ]
     found = estimates(groups, options, CAMERA_T_OBJECT)
     return [_outcome(view, found[item]) for item, view in enumerate(views)]
+
+
+def estimate_pose(
+    camera: Camera, points: ArrayLike, pixels: ArrayLike, options: PoseOptions = DEFAULTS
+) -> PoseEstimate:
+    """Return camera_T_object from points (N, 3) of an object, metres, and the pixels (N, 2) that show them.
+
+    Raises InsufficientData if they have no pose, see `estimate_poses`.
+    """
+    view = Correspondences("image", np.asarray(points, np.float64), np.asarray(pixels, np.float64))
+    outcome = estimate_poses(camera, [view], options)[0]
+    if outcome.value is None:
+        raise outcome.error or InsufficientData("there is no pose")
+    return outcome.value
 
 
 def estimate_rig_poses(

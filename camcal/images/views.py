@@ -27,11 +27,12 @@ _SHRINKS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1, 0.2)
 _CHECKED = 64  # pixels a side that are asked whether a crop holds
 
 
-def make_view(camera: Camera, options: ViewOptions, circle: ImageCircle | None = None) -> Camera:
+def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageCircle | None = None) -> Camera:
     """Return the camera of the view, looking along the same axis; circle: the camera's image circle.
 
     Raises InvalidInput if a pinhole is to hold what it cannot, with the projections that can.
     """
+    options = options or ViewOptions()
     size = options.size or camera.image_size
     if options.keep_k:
         return _kept(camera, size)

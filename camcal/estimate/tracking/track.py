@@ -37,6 +37,9 @@ class TrackOptions:
             raise InvalidInput(f"a lag is 0 frames or more, found {self.lag}")
 
 
+DEFAULTS = TrackOptions()
+
+
 @dataclass(frozen=True, eq=False)
 class Track:
     """A pose over N frames; NaN where there is none.
@@ -127,7 +130,10 @@ class Track:
 
 
 def track_poses(
-    stamps: Array, poses: Sequence[FramePose | None], options: TrackOptions, frames: str = "camera_T_object"
+    stamps: Array,
+    poses: Sequence[FramePose | None],
+    options: TrackOptions = DEFAULTS,
+    frames: str = "camera_T_object",
 ) -> Track:
     """Return the track of an object from its poses in single frames.
 

@@ -1,6 +1,7 @@
 """What is seen of a board, from images or from a detections file: the first step of every task that needs a board."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from camcal.errors import InvalidInput
@@ -24,6 +25,7 @@ class BoardViews:
     """The board, its detections, remarks on them, and the images that could not be read.
 
     frames: what became of the frames of videos. videos: these videos. table: whether all comes from a detections file.
+    files: the images whose names are not their paths.
     """
 
     board: Board
@@ -33,6 +35,7 @@ class BoardViews:
     frames: tuple[FrameRecord, ...] = ()
     videos: tuple[Video, ...] = ()
     table: bool = False
+    files: Mapping[str, Path] = field(default_factory=dict)
 
 
 def board_views(

@@ -5,7 +5,7 @@ The names of images may tell of several cameras: groups of them are passed on, t
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from types import MappingProxyType
@@ -18,6 +18,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.jackknife import CandidateModel
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry, provenance
@@ -36,6 +37,7 @@ from camcal.quality.projection_uncertainty import ProjectionUncertainty, project
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data, view_record
 from camcal.run.paths import find_media, refuse_overwriting, split_address
+from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
 from camcal.tasks.calibration.corner_refinement import refine_corners
@@ -77,18 +79,31 @@ class CalibrateReport:
     frames: tuple[FrameRecord, ...] = ()
     candidates: tuple[CandidateModel, ...] = ()
 
+    @property
+    def camera(self) -> Camera:
+        """The camera with its covariance."""
+        return self.calibration.camera
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the calibration may be trusted."""
+        return self.advice.trustworthy
+
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
-    """Return the calibration of one camera after writing it to options.output.
+    """Return the calibration of one camera after writing it to options.output, if that is given.
 
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
     _require_outputs(options)
-    guess = _guess(options, progress)
-    how = _solver_options(options, guess)
-    seen = board_views(
+    return calibrated(lambda: seen_of(options, options.board, progress), options, progress)
+
+
+def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Progress = SILENT) -> BoardViews:
+    """Return what the inputs show of a board, see `board_views`."""
+    return board_views(
         options.inputs,
-        options.board,
+        board,
         recursive=options.recursive,
         jobs=options.jobs,
         progress=progress,
@@ -98,9 +113,25 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
         parts=options.parts,
         mixed_sizes=options.mixed_sizes,
     )
+
+
+def calibrated(
+    look: Callable[[], BoardViews], options: CalibrateOptions, progress: Progress = SILENT
+) -> CalibrateReport:
+    """Return the calibration from the views that `look` returns, which is called once the options are checked.
+
+    What the options say of inputs and board is not used. Raises and writes as `calibrate` does.
+    """
+    guess = _guess(options, progress)
+    how = _solver_options(options, guess)
+    seen = look()
     looks_again = _looks_again(options, seen)
     how = replace(how, named_groups=name_groups([view.image for view in seen.detections.views]))
-    seen = seen if seen.table else replace(seen, detections=with_circle(seen.detections, seen.videos, options.reading))
+    seen = (
+        seen
+        if seen.table
+        else replace(seen, detections=with_circle(seen.detections, seen.videos, options.reading, seen.files))
+    )
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
@@ -118,7 +149,8 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
     advice = advise(calibration, circle)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
     file = camera_file(calibration, uncertainty, advice, options, channels, circle)
-    native.write(options.output, file)
+    if options.output is not None:
+        native.write(options.output, file)
     return CalibrateReport(
         calibration,
         uncertainty,
@@ -148,12 +180,12 @@ def _require_outputs(options: CalibrateOptions) -> None:
     table = options.save_detections
     if table is not None and table.suffix.lower() not in DETECTION_SUFFIXES:
         raise InvalidInput(f"detections are written as {' or '.join(DETECTION_SUFFIXES)}", where=str(table))
-    if table is not None and table.resolve() == options.output.resolve():
+    outputs = [path for path in (options.output, table) if path is not None]
+    if len(outputs) > 1 and outputs[0].resolve() == outputs[1].resolve():
         raise InvalidInput("is where the camera goes; give the detections a file of their own", where=str(table))
     media = find_media(options.inputs, options.recursive, options.reading.suffixes)
     others = [] if options.board is None else [Path(options.board)]
     others += [] if options.guess is None else [split_address(options.guess)[0]]
-    outputs = [options.output] if table is None else [options.output, table]
     refuse_overwriting(outputs, [*media.images, *media.videos, *others])
 
 
@@ -176,7 +208,7 @@ def _refined(
     A second look that a calibration cannot be made from leaves the first one as it is.
     """
     views = seen.detections.views
-    look = refine_corners(calibration, views, seen.videos, options.reading, options.jobs, progress)
+    look = refine_corners(calibration, views, seen.videos, options.reading, options.jobs, progress, seen.files)
     better = replace(seen, detections=replace(seen.detections, views=look.views))
     progress.start("solving again", None)
     try:

@@ -1,9 +1,10 @@
 """A second look at the images of a calibration, with its lens, its poses and the shape of its board in hand."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -35,11 +36,11 @@ class CornerRefinement:
 
 @dataclass(frozen=True, eq=False)
 class _ExpectedView:
-    """A view to be looked at again, and what is expected of it; gray: of a frame of a video, None for an image file."""
+    """A view to be looked at again, and what is expected of it, with its image: the file, or the frame of a video."""
 
     view: BoardDetection
     expected: Expected
-    gray: Array | None = None
+    image: Path | Array
 
 
 def refine_corners(
@@ -49,16 +50,22 @@ def refine_corners(
     reading: ImageReadOptions,
     jobs: int | None,
     progress: Progress,
+    files: Mapping[str, Path] = MappingProxyType({}),
 ) -> CornerRefinement:
     """Return the views of a calibration with their corners measured along the edges that it expects.
 
-    detections: of calibration.views, in their order. A view that the calibration does not use stays as it is, and so
-    does one whose image can no longer be read, or was made to fit the size of the others (--mixed-sizes).
+    detections: of calibration.views, in their order. files: the images whose names are not their paths. A view that the
+    calibration does not use stays as it is, and so does one whose image can no longer be read, or was made to fit the
+    size of the others (--mixed-sizes).
     """
     turns = calibration.board.symmetries()
     pairs = zip(detections, calibration.views, strict=True)
     expected = {
-        view.image: _ExpectedView(view.renumbered(turns[record.symmetry]), _expected(calibration, record))
+        view.image: _ExpectedView(
+            view.renumbered(turns[record.symmetry]),
+            _expected(calibration, record),
+            files.get(view.image, Path(view.image)),
+        )
         for view, record in pairs
         if record.used
     }
@@ -82,21 +89,21 @@ def _expected_views(expected: Mapping[str, _ExpectedView], videos: Sequence[Vide
     for video in videos:
         for frame in video.only(expected).frames():
             expected_view = expected[frame.name]
-            yield _ExpectedView(expected_view.view, expected_view.expected, frame.image.pixels)
+            yield replace(expected_view, image=frame.image.pixels)
 
 
 def _remeasured(expected_view: _ExpectedView, reading: ImageReadOptions) -> BoardDetection:
     """Return a view with its corners measured again."""
-    view = expected_view.view
-    samples = MaskedImage(expected_view.gray) if expected_view.gray is not None else _samples(view, reading)
+    view, image = expected_view.view, expected_view.image
+    samples = _samples(image, view.size, reading) if isinstance(image, Path) else MaskedImage(image)
     return view if samples is None else remeasure(samples, view, expected_view.expected)
 
 
-def _samples(view: BoardDetection, reading: ImageReadOptions) -> MaskedImage | None:
-    """Return the samples of a view's image, None where the view's pixels are not those of its file (--mixed-sizes)."""
-    image = read_detection_image(Path(view.image), reading)
+def _samples(path: Path, size: tuple[int, int], reading: ImageReadOptions) -> MaskedImage | None:
+    """Return the samples of an image, None where those of a view of that size are not its own (--mixed-sizes)."""
+    image = read_detection_image(path, reading)
     height, width = image.gray.shape
-    same = (width, height) == view.size or size_relation((width, height), view.size) == NEAR
+    same = (width, height) == size or size_relation((width, height), size) == NEAR
     return image.samples if same else None
 
 

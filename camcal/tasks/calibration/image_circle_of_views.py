@@ -1,8 +1,9 @@
 """The image circle of a camera, measured from some of the images in which a board was searched."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
@@ -16,13 +17,18 @@ from camcal.tasks.calibration.mixed_sizes import usual_size
 from camcal.tasks.calibration.video_frames import Video
 
 
-def with_circle(detections: Detections, videos: Sequence[Video], reading: ImageReadOptions) -> Detections:
+def with_circle(
+    detections: Detections,
+    videos: Sequence[Video],
+    reading: ImageReadOptions,
+    files: Mapping[str, Path] = MappingProxyType({}),
+) -> Detections:
     """Return what was found in images of one camera without a name with its image circle, if the images show one.
 
-    videos: the videos that frames among the images are from. Some images are read once more, until it is clear that
-    there is no circle.
+    videos: the videos that frames among the images are from. files: the images whose names are not their paths. Some
+    images are read once more, until it is clear that there is no circle.
     """
-    circle = _measured(detections.views, videos, reading)
+    circle = _measured(detections.views, videos, reading, files)
     return detections if circle is None else replace(detections, circles={"": circle})
 
 
@@ -48,14 +54,14 @@ def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
 
 
 def _measured(
-    views: Sequence[BoardDetection], videos: Sequence[Video], reading: ImageReadOptions
+    views: Sequence[BoardDetection], videos: Sequence[Video], reading: ImageReadOptions, files: Mapping[str, Path]
 ) -> ImageCircle | None:
     """Return the image circle that images show, None if they show none or points of a board lie outside of it."""
     size = usual_size(views)
     names = [view.image for view in views if view.size == size]
     names = [names[index] for index in evenly_spaced(len(names), MOST_IMAGES)]
     search = ImageCircleSearch()
-    for gray in _images(names, videos, reading):
+    for gray in _images(names, videos, reading, files):
         if gray.shape[::-1] != size:  # of the file; the view was made to fit
             continue
         search.add(gray)
@@ -74,14 +80,16 @@ def _fits(circle: ImageCircle, views: Sequence[BoardDetection]) -> bool:
     return circle.image_size == size and all(inside)
 
 
-def _images(names: Sequence[str], videos: Sequence[Video], reading: ImageReadOptions) -> Iterator[Array]:
+def _images(
+    names: Sequence[str], videos: Sequence[Video], reading: ImageReadOptions, files: Mapping[str, Path]
+) -> Iterator[Array]:
     """Yield the gray images (H, W) of that name that can be read, frames of videos last."""
     from_videos = frozenset(name for video in videos for name in video.names)
     for name in names:
         if name in from_videos:
             continue
         try:
-            yield read_detection_image(Path(name), reading).gray
+            yield read_detection_image(files.get(name, Path(name)), reading).gray
         except CamcalError:  # gone since
             continue
     for video in videos:

@@ -98,7 +98,9 @@ class DetectOptions(OptionsRecord):
     known how the sizes are related; None is no, by a command without that option.
     """
 
-    inputs: Annotated[tuple[str, ...], Argument("Images, videos, folders and quoted globs.", metavar="IMAGES…")]
+    inputs: Annotated[
+        tuple[str, ...], Argument("Images, videos, folders and quoted globs.", metavar="IMAGES…", required=True)
+    ] = ()
     board: Annotated["Board | str | None", BOARD_OPTION] = None
     output: Annotated[Path | None, OUTPUT_OPTION] = None
     recursive: Recursive = False
@@ -122,21 +124,22 @@ class DetectOptions(OptionsRecord):
 class CalibrateOptions(OptionsRecord):
     """What to calibrate from and how; see `camcal calibrate --help`.
 
-    inputs: images, folders and globs, or one detections file. model: None for the usual one, or where another one
-    predicts views clearly better, that one. board: a board file or short form, None when the detections file names it.
-    max_rejected: share of the corners, 0 to 1. image_size: (width, height) of the images of a .vnl file. reading: what
-    is made of raw frames, and whether red and blue get lenses of their own. frames: which ones of videos are taken.
-    parts: whether parts of a chessboard will do that show which part they are. refine: measure the corners once more
-    along the edges that the calibrated lens expects, and calibrate with these; None: where there are images.
+    inputs: images, folders and globs, or one detections file. output: None for no file. model: None for the usual one,
+    or where another one predicts views clearly better, that one. board: a board file or short form, None when the
+    detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height) of the images of
+    a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own. frames: which
+    ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are. refine:
+    measure the corners once more along the edges that the calibrated lens expects, and calibrate with these; None:
+    where there are images.
     mixed_sizes: whether images turned by 90°, of half the size or off by a pixel or two are used. require,
     max_uncertainty (px): what the result has to be, see `require_good`.
     """
 
     inputs: Annotated[
         tuple[str, ...],
-        Argument("Images, videos, folders, globs; or a detections file.", metavar="IMAGES…|DETECTIONS"),
-    ]
-    output: Output
+        Argument("Images, videos, folders, globs; or a detections file.", metavar="IMAGES…|DETECTIONS", required=True),
+    ] = ()
+    output: Annotated[Path | None, OUTPUT_OPTION] = None
     board: BoardText = None
     model: Annotated[
         str | None,

@@ -1,0 +1,184 @@
+"""What programs call where the shell has commands: images as files or as arrays, results in memory.
+
+Nothing is written unless the options name a file. Arrays of images are files of a temporary folder while a task works
+on them, so that an array and a file with the same pixels give the same numbers.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from camcal.arrays import FloatArray, PixelArray, require_shape
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats.boards import load_board
+from camcal.images.load import load
+from camcal.images.options import ViewOptions
+from camcal.images.remap import build_maps
+from camcal.images.views import make_view
+from camcal.progress import SILENT, Progress
+from camcal.stereo.disparity import Confidence, Disparity
+from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.cloud import CloudMaker
+from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.points.frames import COLOUR, POSITION
+from camcal.targets.board import Board
+from camcal.targets.detection import BoardDetection, Detections
+from camcal.tasks.calibration.board_views import BoardViews
+from camcal.tasks.calibration.calibrate import CalibrateReport, calibrated, seen_of
+from camcal.tasks.calibration.detect import detect_images
+from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
+
+File = str | Path
+Images = File | PixelArray | Sequence[File] | Sequence[PixelArray]
+
+_CALIBRATE, _DETECT, _VIEW = CalibrateOptions(), DetectOptions(), ViewOptions()
+
+
+def detect_board(
+    images: Images, board: Board | File, options: DetectOptions = _DETECT, progress: Progress = SILENT
+) -> Detections:
+    """Return the points of a board in images and videos, an entry for each image.
+
+    images: files, folders and patterns, or arrays (H, W) gray or (H, W, 3) BGR, uint8 or uint16; arrays are named
+    images[0], images[1] and so on. board: a board, its file or its short form. options: without inputs and board.
+    Raises FileError if nothing can be read, InsufficientData if the board is in no image.
+    """
+    with _inputs(images) as inputs:
+        report = detect_images(replace(options, inputs=inputs.paths, board=_board(board)), progress)
+        return replace(report.detections, views=inputs.renamed(report.detections.views))
+
+
+def calibrate_camera(
+    images: Images | Detections | Sequence[BoardDetection],
+    board: Board | File | None = None,
+    options: CalibrateOptions = _CALIBRATE,
+    progress: Progress = SILENT,
+) -> CalibrateReport:
+    """Return the calibration of one camera from images of a board, or from what was detected in them.
+
+    images: as for `detect_board`, or a detections file. board: a board, its file or its short form; None where the
+    detections name it. options: without inputs and board; nothing is written unless they name an output.
+    Raises InvalidInput, FileError, InsufficientData or NotConverged. A calibration that is not to be trusted is no
+    error: `trustworthy` says so.
+    """
+    known = None if board is None else _board(board)
+    options = replace(options, inputs=(), board=None)
+    if isinstance(images, Detections):
+        return calibrated(lambda: _views(images, known), options, progress)
+    if isinstance(images, Sequence) and all(isinstance(image, BoardDetection) for image in images):
+        detections = Detections(None, tuple(image for image in images if isinstance(image, BoardDetection)))
+        return calibrated(lambda: _views(detections, known), options, progress)
+    with _inputs(images) as inputs:
+
+        def look() -> BoardViews:
+            seen = seen_of(replace(options, inputs=inputs.paths), known, progress)
+            views = inputs.renamed(seen.detections.views)
+            return replace(seen, detections=replace(seen.detections, views=views), files=inputs.files)
+
+        return calibrated(look, options, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Undistorted:
+    """An undistorted image: pixels (H, W) or (H, W, 3), and the camera that would have taken it."""
+
+    pixels: PixelArray
+    camera: Camera
+
+
+def undistort_image(
+    image: File | PixelArray, camera: Camera, options: ViewOptions = _VIEW, interpolation: str = "linear"
+) -> Undistorted:
+    """Return an image without the distortion of the camera's lens; where the camera saw nothing it is black.
+
+    image: a file, or pixels (H, W) or (H, W, 3), uint8, uint16 or float32. For many images, `make_view` and
+    `build_maps` once, and Maps.apply for each. Raises InvalidInput if the image has another size than the camera's.
+    """
+    pixels = image if isinstance(image, np.ndarray) else load(Path(image)).pixels
+    if pixels.shape[1::-1] != camera.image_size:
+        found, wanted = ("{}x{}".format(*size) for size in (pixels.shape[1::-1], camera.image_size))
+        raise InvalidInput(
+            f"the image is {found}, the camera {wanted}; camcal.resized makes a camera for resized images"
+        )
+    view = make_view(camera, options)
+    return Undistorted(build_maps(camera, view, interpolation).apply(pixels), view)
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points (N, 3) in the frame of the rectified left camera, metres, and their colours (N, 3) RGB uint8, if known."""
+
+    points: FloatArray
+    colours: PixelArray | None = None
+
+
+def point_cloud(
+    disparity: Disparity | FloatArray, geometry: StereoGeometry, image: PixelArray | None = None
+) -> PointCloud:
+    """Return the points that a disparity map shows, row by row.
+
+    disparity: what `match_pair` returns, without pixels that were filled in or matched from one side only where it says
+    so; or (H, W) pixels, NaN where there is none. image: the left image (H, W) or (H, W, 3) BGR, for the colours.
+    """
+    if isinstance(disparity, Disparity):
+        values, kept = disparity.values, disparity.confidence >= Confidence.SINGLE
+    else:
+        values = require_shape(disparity, (None, None), "disparity", np.float32)
+        kept = np.ones(values.shape, np.bool_)
+    stereo = StereoImage(values, geometry, pixels=image)
+    kept = kept & stereo.matched(slice(0, len(values)))
+    stream = CloudMaker(stereo, kept).stream()
+    vertices = np.concatenate([np.empty(0, stream.type), *stream.blocks])
+    points = np.column_stack([vertices[name] for name in POSITION]).astype(np.float64)
+    return PointCloud(points, None if image is None else np.column_stack([vertices[name] for name in COLOUR]))
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Images as paths; files: where arrays are kept, by the names that they have in results."""
+
+    paths: tuple[str, ...]
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+    def renamed(self, views: Sequence[BoardDetection]) -> tuple[BoardDetection, ...]:
+        """Return views with the names of arrays in the place of their files'."""
+        names = {path.as_posix(): name for name, path in self.files.items()}
+        return tuple(replace(view, image=names.get(view.image, view.image)) for view in views)
+
+
+@contextmanager
+def _inputs(images: Images | Sequence[BoardDetection]) -> Iterator[_Inputs]:
+    """Yield images as paths; arrays are written into a folder that is there for the block.
+
+    Raises InvalidInput if they are not all files or all arrays.
+    """
+    every = [images] if isinstance(images, (str, Path, np.ndarray)) else list(images)
+    paths = [str(image) for image in every if isinstance(image, (str, Path))]
+    arrays = [image for image in every if isinstance(image, np.ndarray)]
+    if len(every) not in (len(paths), len(arrays)):
+        raise InvalidInput("images are given as files or as arrays, all of one kind")
+    if not arrays:
+        yield _Inputs(tuple(paths))
+    else:
+        with TemporaryDirectory(prefix="camcal-") as folder:
+            files = {f"images[{index}]": Path(folder) / f"{index}.npy" for index in range(len(arrays))}
+            for path, pixels in zip(files.values(), arrays, strict=True):
+                np.save(path, pixels)
+            yield _Inputs(tuple(map(str, files.values())), files)
+
+
+def _board(board: Board | File) -> Board:
+    return board if isinstance(board, Board) else load_board(board)
+
+
+def _views(detections: Detections, board: Board | None) -> BoardViews:
+    """Return detections with their board; raises InvalidInput if none is known."""
+    known = board or detections.board
+    if known is None:
+        raise InvalidInput("the detections name no board: give one, such as 'chessboard:9x6:25mm'")
+    return BoardViews(known, replace(detections, board=known), table=True)
