@@ -7,8 +7,11 @@ are judged by views that they were not estimated from: in one step, the jackknif
 group, so that a small group gains nothing by following its corners.
 """
 
-from collections.abc import Sequence
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 
 import numpy as np
 
@@ -43,6 +46,8 @@ _SOLVING = Stopping(relative_decrease=1e-6, iterations=30)
 _REACH = 20.0  # px: what a corner is off by at most, or without an image
 _LISTED = 3  # images of a group
 _PREFERRED = 1.5  # times clearer must groups be that are told apart by their lenses, where names suggest others
+_MOST_VALUES = 4  # of a part of names that tells cameras apart; what has more of them counts images
+_TOKENS = re.compile(r"[^\W\d_]+|\d+")
 _FAILURES = (InsufficientData, InvalidInput, SingularError, np.linalg.LinAlgError)
 
 
@@ -305,3 +310,36 @@ def _ratio(costs: Array, left_out: Array, count: Array) -> float:
     """
     logs = 0.5 * np.log(np.maximum(costs, FINEST**2 * count) / left_out)
     return float(np.exp(np.mean(logs) - np.std(logs, ddof=1) / np.sqrt(len(logs))))
+
+
+def name_groups(images: Sequence[str]) -> tuple[frozenset[str], ...]:
+    """Return groups of images, each of which may be another camera's than all the rest, by their paths.
+
+    Images are alike in the letters and numbers of their names but for one that takes two to four values (left and
+    right, cam0 and cam1, L and R), in their folder, or in the kind of their names (IMG_0001, scan-3-b).
+    """
+    groups: dict[frozenset[str], None] = {}
+    for keys in _partitions(images):
+        counts = Counter(keys)
+        if not 1 < len(counts) <= _MOST_VALUES:
+            continue
+        for value, count in counts.items():
+            group = frozenset(image for image, key in zip(images, keys, strict=True) if key == value)
+            rest = len(images) - count
+            if min(count, rest) >= LEAST_VIEWS and frozenset(images) - group not in groups:
+                groups[group] = None
+    return tuple(groups)
+
+
+def _partitions(images: Sequence[str]) -> Iterator[list[str]]:
+    """Yield what may tell cameras: a key of every image."""
+    paths = [PurePath(image) for image in images]
+    depth = max((len(path.parts) for path in paths), default=0)
+    for level in range(2, depth + 1):  # the folder itself and those above it
+        yield [path.parts[-level] if len(path.parts) >= level else "" for path in paths]
+    tokens = [_TOKENS.findall(path.name.lower()) for path in paths]
+    kinds = [" ".join("0" if token.isdigit() else token for token in name) for name in tokens]
+    yield kinds
+    longest = max(map(len, tokens), default=0)
+    for place in range(longest):
+        yield [name[place] if place < len(name) else "" for name in tokens]

@@ -157,8 +157,7 @@ def test_corners_are_not_measured_again_in_an_image_of_other_pixels(tmp_path):
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), np.full((240, 320), 120, np.uint8))
     for size, measured in (((320, 240), True), ((321, 240), True), ((640, 480), False), ((240, 320), False)):
-        view = BoardDetection(str(path), size, reason="")
-        assert (_samples(view, AS_IMAGES) is not None) == measured
+        assert (_samples(path, size, AS_IMAGES) is not None) == measured
 
 
 def test_views_without_points_have_no_usual_size():

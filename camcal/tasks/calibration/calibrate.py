@@ -1,13 +1,8 @@
-"""`camcal calibrate`: images or a detections file in, one camera file out.
+"""`camcal calibrate`: images or a detections file in, one camera file out."""
 
-The names of images may tell of several cameras: groups of them are passed on, to be looked at where views disagree.
-"""
-
-import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePath
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -17,6 +12,7 @@ from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_co
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
@@ -46,10 +42,6 @@ from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
-
-_LEAST = 3  # images of a group and outside of it
-_MOST = 4  # values that tell cameras; what has more of them counts images
-_TOKENS = re.compile(r"[^\W\d_]+|\d+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,36 +359,3 @@ def _image(view: View) -> dict[str, Any]:
     path = Path(view.image)
     digest = view.sha256 or (files.sha256(path) if path.is_file() else None)
     return view_record(view) | ({} if digest is None else {"sha256": digest})
-
-
-def name_groups(images: Sequence[str]) -> tuple[frozenset[str], ...]:
-    """Return groups of images, each of which may be another camera's than all the rest, by their paths.
-
-    Images are alike in the letters and numbers of their names but for one that takes two to four values (left and
-    right, cam0 and cam1, L and R), in their folder, or in the kind of their names (IMG_0001, scan-3-b).
-    """
-    groups: dict[frozenset[str], None] = {}
-    for keys in _partitions(images):
-        counts = Counter(keys)
-        if not 1 < len(counts) <= _MOST:
-            continue
-        for value, count in counts.items():
-            group = frozenset(image for image, key in zip(images, keys, strict=True) if key == value)
-            rest = len(images) - count
-            if min(count, rest) >= _LEAST and frozenset(images) - group not in groups:
-                groups[group] = None
-    return tuple(groups)
-
-
-def _partitions(images: Sequence[str]) -> Iterator[list[str]]:
-    """Yield what may tell cameras: a key of every image."""
-    paths = [PurePath(image) for image in images]
-    depth = max((len(path.parts) for path in paths), default=0)
-    for level in range(2, depth + 1):  # the folder itself and those above it
-        yield [path.parts[-level] if len(path.parts) >= level else "" for path in paths]
-    tokens = [_TOKENS.findall(path.name.lower()) for path in paths]
-    kinds = [" ".join("0" if token.isdigit() else token for token in name) for name in tokens]
-    yield kinds
-    longest = max(map(len, tokens), default=0)
-    for place in range(longest):
-        yield [name[place] if place < len(name) else "" for name in tokens]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from camcal.tasks.calibration.calibrate import name_groups
+from camcal.calibrate.several_cameras import name_groups
 
 
 def names(*patterns, count=4):
