@@ -89,9 +89,11 @@ def test_a_type_checker_finds_no_any_in_what_a_program_gets(tmp_path):
         types, errors = revealed(waiting, tmp_path)
         assert errors == []
         found |= types
-        mentioned = {full.rpartition(".") for text in types.values() for full in re.findall(r"camcal(?:\.\w+)+", text)}
+        names = {full for text in types.values() for full in re.findall(r"camcal(?:\.\w+)+", results(text))}
         waiting = sorted(
-            (module, name) for module, _, name in mentioned if name not in known and is_class(module, name)
+            (module, name)
+            for module, _, name in (full.rpartition(".") for full in names)
+            if name not in known and is_class(module, name)
         )
     assert len(found) > 300
     untyped = {name for name, text in found.items() if "Any" in results(text).replace(_SHAPE, "")}

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.noise import CUT, robust_sigma, truncation
 from camcal.cameras.model import Camera, CameraModel
@@ -45,7 +45,7 @@ class ColourLens:
 
     camera: Camera
     terms: tuple[str, ...]
-    difference_covariance: Array
+    difference_covariance: FloatArray
     sigma_px: float
     points: int
     rejected: int
@@ -63,7 +63,7 @@ class Aberration:
     corner_std_px: float
     largest_px: float
     largest_std_px: float
-    largest_at: Array
+    largest_at: FloatArray
 
 
 def fit_colour(calibration: Calibration, views: Sequence[BoardDetection], colour: str) -> ColourLens:

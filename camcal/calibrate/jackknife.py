@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
@@ -183,7 +183,7 @@ class CandidateModel:
     """
 
     name: str
-    scores: Array | None = None
+    scores: FloatArray | None = None
     corners: int = 0
     sigma_px: float | None = None
     reason: str | None = None

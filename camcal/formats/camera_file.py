@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from camcal.arrays import FloatArray, readonly
 from camcal.cameras.model import Camera, Rig
@@ -96,7 +95,7 @@ class CameraEntry:
     sensor: Mapping[str, float] = field(default_factory=dict)
     channels: Mapping[str, Camera] = field(default_factory=dict)
     held_by_prior: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def image_circle(self) -> ImageCircle | None:
@@ -139,9 +138,9 @@ class CameraFile:
     transforms: Mapping[str, Transform] = field(default_factory=dict)
     joint_covariance: JointCovariance | None = None
     board_shape: Surface | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    converted_from: Mapping[str, Any] = field(default_factory=dict)
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, object] = field(default_factory=dict)
+    converted_from: Mapping[str, object] = field(default_factory=dict)
+    extra: Mapping[str, object] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 

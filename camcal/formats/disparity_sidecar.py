@@ -54,7 +54,7 @@ class Sidecar:
     sigma: Path | None = None
     confidence: Path | None = None
     searched: tuple[int, int] | None = None
-    matcher: Mapping[str, Any] = field(default_factory=dict)
+    matcher: Mapping[str, object] = field(default_factory=dict)
     inputs: Mapping[str, SourceFile] = field(default_factory=dict)
     camera_R_rectified: FloatArray | None = None
     relative_sigma: Mapping[str, float] | None = None

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array, BoolArray, Float32Array, PixelArray, readonly
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
@@ -50,17 +50,17 @@ class Maps:
     colour images, valid where these are; gray and alpha never use them.
     """
 
-    x: Array
-    y: Array
+    x: Float32Array
+    y: Float32Array
     source_size: tuple[int, int]
     interpolation: str
     aligned: Mapping[int, "Maps"] = field(default_factory=dict)
 
-    def valid(self) -> Array:
+    def valid(self) -> BoolArray:
         """Return the mask (H, W) of pixels that come from inside the source image."""
         return np.asarray(self.x != np.float32(_OUTSIDE))
 
-    def apply(self, pixels: Array, border: Sequence[float] = (0.0,), scratch: Scratch | None = None) -> Array:
+    def apply(self, pixels: Array, border: Sequence[float] = (0.0,), scratch: Scratch | None = None) -> PixelArray:
         """Return the view (H, W[, C]) of an image (h, w[, C]) of the source's size, in the image's own type.
 
         border: what pixels without a source become, one number for all channels or one for each.

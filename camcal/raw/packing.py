@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camcal.arrays import Array
 
@@ -107,7 +108,7 @@ class WordPacking:
         np.copyto(words, np.ndarray(out.shape, f"{self.order}u{self.reach}", data, 0, (step, self.size)))
         _apply_stages(self.stages, words, spare, out)
 
-    def pack(self, lanes: Array) -> Array:
+    def pack(self, lanes: Array) -> NDArray[np.uint8]:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · pixels) uint16."""
         words = lanes.copy().view(f"u{self.reach}")
         _apply_stages(_backwards(self.stages), words, [np.empty_like(words), np.empty_like(words)], words)
@@ -156,7 +157,7 @@ class HighBytesFirst:
         _apply_stages(self.stages, low, spare, low)
         np.bitwise_or(out, low, out)
 
-    def pack(self, lanes: Array) -> Array:
+    def pack(self, lanes: Array) -> NDArray[np.uint8]:
         """Return the bytes (rows, groups · size) of lanes (rows, groups · 4) uint16."""
         low = lanes.copy().view(np.uint64)
         _apply_stages(_backwards(self.stages), low, [np.empty_like(low), np.empty_like(low)], low)

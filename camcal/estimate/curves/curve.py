@@ -58,7 +58,7 @@ class Data:
     target: (N,) what an explicit curve predicts, None for a shape. sigma: (N,) standard deviations, None if unknown.
     """
 
-    columns: Columns
+    columns: Mapping[str, FloatArray]
     target: FloatArray | None = None
     sigma: FloatArray | None = None
 

@@ -135,8 +135,14 @@ def file_lines(file: CameraFile) -> Iterator[str]:
         yield f"made by {provenance['tool']} {provenance.get('tool_version', '')}".rstrip()
     if "command" in provenance:
         yield f"with {provenance['command']}"
-    if images := provenance.get("images"):
+    if images := _images(file):
         yield f"from {sum(image.get('used', True) for image in images)} of {len(images)} images"
+
+
+def _images(file: CameraFile) -> list[Any]:
+    """Return the images that the provenance lists, as plain data."""
+    images = file.provenance.get("images")
+    return images if isinstance(images, list) else []
 
 
 def _transform_words(transform: Transform) -> str:
@@ -165,7 +171,7 @@ def _board_lines(surface: Surface) -> Iterator[str]:
 def image_rows(file: CameraFile) -> list[list[str]]:
     """Return file, points, RMS and, if it was not used, the reason of every image the provenance lists, as text."""
     rows = []
-    for image in file.provenance.get("images", ()):
+    for image in _images(file):
         rms = f"{image['rms_px']:.3f}" if "rms_px" in image else ""
         reason = "" if image.get("used", True) else image.get("reason", "not used")
         rows.append([image["file"], str(image.get("points", "")), rms, reason])

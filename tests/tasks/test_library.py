@@ -1,0 +1,114 @@
+"""The functions that programs call: arrays and files give the same numbers, and nothing is written unasked."""
+
+import cv2
+import numpy as np
+import pytest
+
+import camcal
+from camcal.tasks.simulation.options import SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
+
+BOARD = "chessboard:6x5:25mm"
+OPTIONS = camcal.CalibrateOptions(model="opencv4", jobs=1)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return simulate(SimulateOptions(tmp_path_factory.mktemp("scene"), BOARD, views=8, size=(320, 240), jobs=1))
+
+
+@pytest.fixture(scope="module")
+def images(scene):
+    return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in scene.images]
+
+
+@pytest.fixture(scope="module")
+def report(images):
+    return camcal.calibrate_camera(images, BOARD, OPTIONS)
+
+
+def test_arrays_and_files_give_the_same_camera(scene, report):
+    folder = str(scene.images[0].parent)
+    from_files = camcal.calibrate_camera(folder, camcal.load_board(BOARD), OPTIONS)
+    np.testing.assert_array_equal(from_files.camera.parameters, report.camera.parameters)
+    np.testing.assert_array_equal(from_files.camera.covariance, report.camera.covariance)
+    truth = scene.truth.camera
+    off = np.abs(report.camera.K - truth.K)
+    assert off.max() < 0.5
+
+
+def test_arrays_have_the_names_of_their_places_and_leave_no_files(report, tmp_path, monkeypatch, images):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    found = camcal.detect_board(images[:2], BOARD, camcal.DetectOptions(jobs=1))
+    assert [view.image for view in found.views] == ["images[0]", "images[1]"]
+    assert [view.image for view in report.calibration.views] == [f"images[{index}]" for index in range(8)]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_detections_lead_to_the_calibration_without_refinement(images, report):
+    found = camcal.detect_board(images, BOARD, camcal.DetectOptions(jobs=1))
+    by_record = camcal.calibrate_camera(found, options=OPTIONS)
+    by_views = camcal.calibrate_camera(found.views, BOARD, OPTIONS)
+    np.testing.assert_array_equal(by_record.camera.parameters, by_views.camera.parameters)
+    np.testing.assert_allclose(by_record.camera.K, report.camera.K, atol=0.5)
+
+
+def test_views_without_a_board_are_refused(images):
+    found = camcal.detect_board(images[:1], BOARD, camcal.DetectOptions(jobs=1))
+    with pytest.raises(camcal.InvalidInput, match="the detections name no board"):
+        camcal.calibrate_camera(found.views)
+
+
+@pytest.mark.parametrize("given", [["a.png", np.zeros((9, 9), np.uint8)], [3, 4], ["a.png", None]])
+def test_images_of_two_kinds_or_of_none_are_refused(given):
+    with pytest.raises(camcal.InvalidInput, match="as files or as arrays"):
+        camcal.detect_board(given, BOARD)
+
+
+def test_a_camera_alone_is_written_and_read_back(report, tmp_path):
+    camcal.write_camera_file(str(tmp_path / "camera.yaml"), report.camera)
+    again = camcal.read_camera(tmp_path / "camera.yaml")
+    np.testing.assert_allclose(again.parameters, report.camera.parameters, rtol=1e-11, atol=1e-15)
+
+
+def test_an_undistorted_image_is_what_its_camera_sees(images, report):
+    straight = camcal.undistort_image(images[0], report.camera)
+    assert straight.pixels.shape == images[0].shape
+    assert straight.camera.model.name == "pinhole"
+    maps = camcal.build_maps(report.camera, straight.camera)
+    np.testing.assert_array_equal(straight.pixels, maps.apply(images[0]))
+    with pytest.raises(camcal.InvalidInput, match="the image is 10x10, the camera 320x240"):
+        camcal.undistort_image(images[0][:10, :10], report.camera)
+
+
+def test_one_pose_is_that_of_the_points(report):
+    points = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0], [0.05, 0.05, 0.1]])
+    truth = camcal.Pose.from_vector([0.1, -0.2, 0.3], [0.02, -0.03, 0.8])
+    pixels = report.camera.project(truth.apply(points)).pixels
+    found = camcal.estimate_pose(report.camera, points.tolist(), pixels.tolist())
+    np.testing.assert_allclose(found.transform.matrix(), truth.matrix(), atol=1e-6)
+    with pytest.raises(camcal.InsufficientData):
+        camcal.estimate_pose(report.camera, points[:2], pixels[:2])
+
+
+def test_points_of_a_cloud_project_to_their_pixels():
+    geometry = camcal.StereoGeometry(100.0, 110.0, 4.5, 3.5, baseline=0.1)
+    disparity = np.full((8, 10), np.nan)
+    disparity[2, 3], disparity[5, 7] = 5.0, 10.0
+    image = np.arange(240, dtype=np.uint8).reshape(8, 10, 3)
+    cloud = camcal.point_cloud(disparity, geometry, image)
+    x, y, z = cloud.points.T
+    np.testing.assert_allclose(z, [2.0, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(100 * x / z + 4.5, [3, 7], rtol=1e-5)
+    np.testing.assert_allclose(110 * y / z + 3.5, [2, 5], rtol=1e-5)
+    np.testing.assert_array_equal(cloud.colours, image[[2, 5], [3, 7], ::-1])
+    assert camcal.point_cloud(disparity, geometry).colours is None
+
+
+def test_a_cloud_of_a_match_holds_no_pixels_without_one():
+    texture = np.random.default_rng(1).integers(0, 256, (60, 108), np.uint8)
+    found = camcal.match_pair(texture[:, :100], texture[:, 8:], camcal.MatchOptions("fast", search=(0, 16)))
+    cloud = camcal.point_cloud(found, camcal.StereoGeometry(100.0, 100.0, 50.0, 30.0, baseline=0.1))
+    assert len(cloud.points) == np.count_nonzero(found.confidence >= camcal.Confidence.SINGLE)
+    np.testing.assert_allclose(np.median(cloud.points[:, 2]), 100 * 0.1 / 8, rtol=1e-2)
