@@ -142,7 +142,7 @@ def extended(gray: Array, checker: Checker) -> Checker:
 
 
 def _hinted(gray: Array, places: Array, where: Array, checker: Checker) -> Array:
-    """Return where (rows, columns), by their contrast, there may be one more corner just at its place beyond a pattern."""
+    """Return where (rows, columns), by contrast, there may be one more corner just at its place beyond a pattern."""
     where = where & ~np.isnan(places[..., 0])
     row, column = np.nonzero(where)
     found = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
