@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from textwrap import indent
 
 import pytest
 
@@ -61,10 +62,9 @@ def is_class(module: str, name: str) -> bool:
         return False
 
 
-def revealed(names: list[tuple[str, str]], folder: Path) -> tuple[dict[str, str], list[str]]:
-    """Return the types of public names by what was asked, and the errors of mypy."""
-    lines = list(asked(names))
-    (folder / "user.py").write_text("\n".join(line for line, _ in lines) + "\n")
+def checked(script: str, folder: Path) -> list[tuple[str, str, str]]:
+    """Return what mypy says of a user's script: line, note or error, and text."""
+    (folder / "user.py").write_text(script)
     done = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(folder / "cache"), "user.py"],
         cwd=folder,
@@ -73,7 +73,13 @@ def revealed(names: list[tuple[str, str]], folder: Path) -> tuple[dict[str, str]
         text=True,
         check=False,
     )
-    said = [match.groups() for match in map(_LINE.match, done.stdout.splitlines()) if match]
+    return [match.group(1, 2, 3) for match in map(_LINE.match, done.stdout.splitlines()) if match]
+
+
+def revealed(names: list[tuple[str, str]], folder: Path) -> tuple[dict[str, str], list[str]]:
+    """Return the types of public names by what was asked, and the errors of mypy."""
+    lines = list(asked(names))
+    said = checked("\n".join(line for line, _ in lines) + "\n", folder)
     types = {lines[int(line) - 1][1]: text for line, kind, text in said if kind == "note"}
     errors = [text for _, kind, text in said if kind == "error" and not any(name in text for name in _GENERIC)]
     return types, errors
@@ -98,6 +104,17 @@ def test_a_type_checker_finds_no_any_in_what_a_program_gets(tmp_path):
     assert len(found) > 300
     untyped = {name for name, text in found.items() if "Any" in results(text).replace(_SHAPE, "")}
     assert {name for name in untyped if name.split(".")[-2] not in _GENERIC} == set()
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_library_page_are_typed(tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "library.md").read_text(), re.DOTALL)
+    assert len(blocks) >= 5
+    assert max(len(block.splitlines()) for block in blocks) <= 15
+    functions = [f"def example{number}() -> None:\n{indent(block, '    ')}" for number, block in enumerate(blocks)]
+    wrong = "import camcal\ncamcal.read_camera(3)\n"
+    said = checked(wrong + "\n".join(functions), tmp_path)
+    assert [(line, kind) for line, kind, _ in said] == [("2", "error")]  # the planted one
 
 
 def test_results_are_told_from_arguments():

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from camcal.arrays import FloatArray, PixelArray, require_shape
+from camcal.arrays import Array, FloatArray, PixelArray, require_shape
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.boards import load_board
@@ -34,7 +34,7 @@ from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 
 File = str | Path
-Images = File | PixelArray | Sequence[File] | Sequence[PixelArray]
+Images = File | Array | Sequence[File] | Sequence[Array]
 
 _CALIBRATE, _DETECT, _VIEW = CalibrateOptions(), DetectOptions(), ViewOptions()
 
@@ -92,7 +92,7 @@ class Undistorted:
 
 
 def undistort_image(
-    image: File | PixelArray, camera: Camera, options: ViewOptions = _VIEW, interpolation: str = "linear"
+    image: File | Array, camera: Camera, options: ViewOptions = _VIEW, interpolation: str = "linear"
 ) -> Undistorted:
     """Return an image without the distortion of the camera's lens; where the camera saw nothing it is black.
 
@@ -117,9 +117,7 @@ class PointCloud:
     colours: PixelArray | None = None
 
 
-def point_cloud(
-    disparity: Disparity | FloatArray, geometry: StereoGeometry, image: PixelArray | None = None
-) -> PointCloud:
+def point_cloud(disparity: Disparity | Array, geometry: StereoGeometry, image: Array | None = None) -> PointCloud:
     """Return the points that a disparity map shows, row by row.
 
     disparity: what `match_pair` returns, without pixels that were filled in or matched from one side only where it says
