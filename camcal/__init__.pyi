@@ -39,14 +39,14 @@ from camcal.estimate.trajectory_error import ErrorOptions as ErrorOptions
 from camcal.estimate.trajectory_error import trajectory_error as trajectory_error
 from camcal.formats.boards import load_board as load_board
 from camcal.formats.camera_file import CameraFile as CameraFile
+from camcal.formats.cameras import read as read_camera_file
+from camcal.formats.cameras import read_camera as read_camera
 from camcal.formats.detections import read as read_detections
 from camcal.formats.detections import write as write_detections
 from camcal.formats.disparity import read as read_disparity
 from camcal.formats.disparity import write as write_disparity
 from camcal.formats.frames import read as read_frames
 from camcal.formats.frames import write as write_frames
-from camcal.formats.native import read as read_camera_file
-from camcal.formats.native import read_camera as read_camera
 from camcal.formats.native import write as write_camera_file
 from camcal.formats.pointclouds import read as read_point_cloud
 from camcal.formats.pointclouds import write as write_point_cloud

@@ -158,6 +158,16 @@ def rig_of(file: CameraFile, where: str) -> tuple[Rig, str]:
     return Rig({name: entry.camera for name, entry in file.cameras.items()}, poses), frame
 
 
+def pose_between(file: CameraFile, target: str, source: str) -> Pose | None:
+    """Return target_T_source by way of the transforms of a file, None if they do not join the two."""
+    transforms = [NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()]
+    graph = FrameGraph(transforms)
+    try:
+        return graph.along(graph.path(target, source)).pose
+    except InvalidInput:
+        return None
+
+
 def _pose(graph: FrameGraph, frame: str, camera: str, where: str) -> Pose:
     """Return frame_T_camera."""
     if camera == frame:

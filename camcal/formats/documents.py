@@ -6,6 +6,8 @@ A text such as 1e-05, which YAML 1.1 does not take for a number, stays text; the
 number is needed.
 
 JSON is taken as strictly: no duplicate keys, no NaN, every fault named by its key path.
+
+Files of other programs are read more leniently, see `parse_foreign`.
 """
 
 import json
@@ -22,6 +24,7 @@ from camcal import files
 from camcal.errors import FileError, InvalidInput
 
 MAX_VALUES = 100_000
+MAX_FOREIGN_VALUES = 300_000  # OpenCV's files may hold every corner of every image
 MAX_DEPTH = 32
 _MAX_LISTED = 50
 _LONGEST = 19  # characters of a whole number in JSON, as 64 bits have them
@@ -116,7 +119,22 @@ def parse(text: str, where: str, check: Check | None = None, max_values: int = M
     """
     if text.startswith("%YAML:"):
         raise FileError("starts with %YAML:, which only OpenCV reads; camcal files start with %YAML 1.1", where=where)
-    builder = _Builder(where, max_values)
+    return _parsed(text, _Builder(where, max_values), check)
+
+
+def parse_foreign(text: str, where: str) -> Document:
+    """Return the document in YAML or JSON as other programs write it.
+
+    Beyond `parse`: a first line %YAML:1.0 or %YAML 1.2 and tags are passed over, and what only YAML 1.1 takes for a
+    number or a date is text. Raises as `parse` does.
+    """
+    text = re.sub(r"\A%YAML[^\n]*", "", text)  # the line stays, so that others keep their numbers
+    return _parsed(text, _Builder(where, MAX_FOREIGN_VALUES, foreign=True), None)
+
+
+def _parsed(text: str, builder: "_Builder", check: Check | None) -> Document:
+    """Return the document of a text, having passed `check` over its data."""
+    where = builder.where
     try:
         data = builder.document(yaml.parse(text, Loader=_LOADER))
     except yaml.MarkedYAMLError as error:
@@ -144,9 +162,10 @@ def child(path: str, key: str | int) -> str:
 class _Builder:
     """Builds plain data from parser events, noting lines and faults on the way."""
 
-    def __init__(self, where: str, max_values: int) -> None:
+    def __init__(self, where: str, max_values: int, *, foreign: bool = False) -> None:
         self.where = where
         self.max_values = max_values
+        self.foreign = foreign
         self.lines: dict[str, int] = {}
         self.faults: list[Fault] = []
         self.without_value: set[str] = set()
@@ -180,7 +199,7 @@ class _Builder:
         self.lines.setdefault(path, _line(event))
         if isinstance(event, yaml.AliasEvent):
             return self.unreadable(event, path, f"alias *{event.anchor} is not accepted; write the value out")
-        if event.anchor or event.tag:
+        if event.anchor or (event.tag and not self.foreign):
             what = f"anchor &{event.anchor}" if event.anchor else f"tag {event.tag}"
             self.fault(event, path, f"{what} is not accepted; leave it out")
         if isinstance(event, yaml.ScalarEvent):
@@ -221,7 +240,7 @@ class _Builder:
         words = _WORDS.get(tag, {})
         if text.lower() in words:
             return words[text.lower()]
-        if tag in _ADVICE:
+        if tag in _ADVICE and not self.foreign:
             return self.unreadable(event, path, f"{text!r} is {_ADVICE[tag]}")
         return text
 

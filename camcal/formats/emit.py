@@ -6,13 +6,15 @@ more, nested lists only indented. Numbers have 12 significant digits and a dot, 
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.errors import InvalidInput
+
+NumberText = Callable[[float], str]
 
 HEADER = "%YAML 1.1\n---\n"
 LINE = 120
@@ -25,14 +27,15 @@ _ILLEGIBLE = "\u2028\u2029\ufeff\ufffe\uffff"  # line breaks and what is no char
 _ESCAPES = {"\\": r"\\", '"': r"\"", "\n": r"\n", "\t": r"\t", "\r": r"\r"}
 
 
-def document(data: Mapping[str, Any], comment: str = "") -> str:
+def document(data: Mapping[str, Any], comment: str = "", number: NumberText | None = None) -> str:
     """Return the text of a YAML file that holds `data`, keys in their order, below the lines of `comment`.
 
-    Keys whose value is None are left out, arrays are lists and paths texts.
+    Keys whose value is None are left out, arrays are lists and paths texts. number: how numbers are written, by
+    default as `number_text` does.
     Raises InvalidInput for a key or a text that OpenCV could not read.
     """
     remarks = "".join(f"# {line}\n" for line in comment.splitlines())
-    return HEADER + remarks + "".join(f"{line}\n" for line in _block(_plain(data), ""))
+    return HEADER + remarks + "".join(f"{line}\n" for line in _block(_plain(data), "", number or number_text))
 
 
 def text_for(path: Path, data: Mapping[str, Any], comment: str = "") -> str:
@@ -47,7 +50,16 @@ def json_text(data: Mapping[str, Any]) -> str:
 
 def number_text(value: float) -> str:
     """Return a number at 12 significant digits and with a dot."""
-    mantissa, exponent, power = f"{value + 0.0:.12g}".partition("e")  # + 0.0 drops the sign of a zero
+    return _with_dot(f"{value + 0.0:.12g}")  # + 0.0 drops the sign of a zero
+
+
+def exact_text(value: float) -> str:
+    """Return the shortest text, with a dot, that gives the very same number back: at most 17 significant digits."""
+    return _with_dot(repr(float(value) + 0.0))
+
+
+def _with_dot(text: str) -> str:
+    mantissa, exponent, power = text.partition("e")
     return mantissa + ("" if "." in mantissa else ".0") + exponent + power
 
 
@@ -71,29 +83,29 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def _block(data: Mapping[str, Any], indent: str) -> Iterator[str]:
+def _block(data: Mapping[str, Any], indent: str, number: NumberText) -> Iterator[str]:
     for key, value in data.items():
         start = f"{indent}{_key(key)}:"
-        line = f"{start} {_flow(value)}"
+        line = f"{start} {_flow(value, number)}"
         if not _is_container(value) or _on_one_line(value, line):
             yield line
         elif isinstance(value, Mapping):
             yield start
-            yield from _block(value, indent + "  ")
+            yield from _block(value, indent + "  ", number)
         else:
             yield start
             for item in value:
-                yield from _item(item, f"{indent}  ")
+                yield from _item(item, f"{indent}  ", number)
 
 
-def _item(value: Any, indent: str) -> Iterator[str]:
+def _item(value: Any, indent: str, number: NumberText) -> Iterator[str]:
     """Yield the lines of an item of a list: one, or a block for a mapping that holds more than scalars."""
     if isinstance(value, Mapping) and any(map(_is_container, value.values())):
-        first, *rest = _block(value, f"{indent}  ")
+        first, *rest = _block(value, f"{indent}  ", number)
         yield f"{indent}- {first.lstrip()}"
         yield from rest
     else:
-        yield f"{indent}- {_flow(value)}"
+        yield f"{indent}- {_flow(value, number)}"
 
 
 def _on_one_line(value: Mapping[str, Any] | Sequence[Any], line: str) -> bool:
@@ -111,18 +123,18 @@ def _is_container(value: Any) -> bool:
     return isinstance(value, (Mapping, list, tuple))
 
 
-def _flow(value: Any) -> str:
+def _flow(value: Any, number: NumberText) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        return number_text(value)
+        return number(value)
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(key)}: {_flow(item)}" for key, item in value.items()) + "}"
-    return "[" + ", ".join(map(_flow, value)) + "]"
+        return "{" + ", ".join(f"{_key(key)}: {_flow(item, number)}" for key, item in value.items()) + "}"
+    return "[" + ", ".join(_flow(item, number) for item in value) + "]"
 
 
 def _key(key: str) -> str:

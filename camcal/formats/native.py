@@ -15,7 +15,6 @@ right:
 A name is that of a camera or a free frame. Between any two frames there is at most one path.
 """
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,13 +27,13 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InvalidInput
 from camcal.formats import covariance, documents, emit, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform, ValidRegion
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import Fault, child
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
+from camcal.formats.plausibility import implausible
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, matrix, number, plain, text
 from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine
@@ -48,13 +47,6 @@ TRANSFORMS = "a_T_b takes points in b to points in a."
 FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*\Z")
 ORTHONORMAL = 1e-6
-
-OFF_CENTRE = 0.25  # of the image's side: more than any lens is decentred, less than a wrong resolution
-ASPECT = (0.9, 1.1)
-FIELD_DEG = (3.0, 200.0)
-LARGE_RMS = 1.0
-FEW_IMAGES = 10
-FAR = 20.0  # metres between two cameras; 20 and more are probably millimetres
 
 _TRANSFORM = mapping({"R": matrix(3, 3), "t": items(number(), 3)}, {"covariance": matrix(6, 6)})
 _JOINT = mapping({}, covariance.KEYS)
@@ -101,7 +93,7 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
         converted_from=document.get("converted_from", {}),
         extra={key: value for key, value in document.items() if key.startswith(VENDOR)},
     )
-    findings += _implausible(file)
+    findings += implausible(file)
     return replace(file, warnings=tuple(map(document.message, findings)))
 
 
@@ -125,17 +117,18 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
     return file.cameras[name or names[0]]
 
 
-def write(path: str | Path, file: CameraFile | Camera) -> None:
+def write(path: str | Path, file: CameraFile | Camera, *, exact: bool = False) -> None:
     """Write a camera file, or a camera alone, under the name `camera`: the same content gives the same bytes, and what
     is written passes `check`.
 
+    exact: numbers with all their digits, not with 12 significant ones.
     Raises InvalidInput if the content breaks a rule, FileError if the file cannot be written.
     """
     path = Path(path)
     if isinstance(file, Camera):
         file = CameraFile({"camera": CameraEntry(file, valid=ValidRegion.of(file))})
     comment = COMMENT + TRANSFORMS if file.transforms else COMMENT
-    content = emit.document(_block(file, path), comment)
+    content = emit.document(block(file, path), comment, emit.exact_text if exact else None)
     documents.parse(content, str(path), check)
     files.write_text(path, content)
 
@@ -187,7 +180,8 @@ def _read_joint(data: Mapping[str, Any] | None, folder: Path) -> JointCovariance
     return None if known is None else JointCovariance(tuple(names), known)
 
 
-def _block(file: CameraFile, path: Path) -> dict[str, Any]:
+def block(file: CameraFile, path: Path) -> dict[str, Any]:
+    """Return a camera file as plain data; path: where it is written to."""
     joint = file.joint_covariance
     return {
         "format": FORMAT,
@@ -202,70 +196,11 @@ def _block(file: CameraFile, path: Path) -> dict[str, Any]:
     }
 
 
-def _implausible(file: CameraFile) -> Iterator[Fault]:
-    """Yield what a reader should know before trusting the file, with the key it is about."""
-    for name, entry in file.cameras.items():
-        path = child("cameras", name)
-        yield from _principal_point(entry.camera, child(path, "intrinsics"))
-        yield from _aspect(entry.camera, child(path, "intrinsics"))
-        if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
-            yield from _opening(entry, child(path, "intrinsics"))
-            yield from _folding(entry, child(path, "distortion"))
-        yield from _quality(entry, child(path, "quality"))
-        yield from _verdict(entry, child(path, "verdict"))
-    for name, transform in file.transforms.items():
-        distance = float(np.linalg.norm(transform.pose.translation))
-        if distance > FAR:
-            yield Fault(child(child("transforms", name), "t"), f"{distance:g} m: are these millimetres?")
-
-
 def _without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Fault]:
     """Yield that a camera's uncertainty cannot be used, if there are parameters without one."""
     if names:
         text = f"no uncertainty of {', '.join(names)}; the camera's uncertainty is not used"
         yield Fault(child(path, "uncertainty"), text)
-
-
-def _principal_point(camera: Camera, path: str) -> Iterator[Fault]:
-    for name, side, what in zip(("cx", "cy"), camera.image_size, ("width", "height"), strict=True):
-        value = camera.value(name)
-        if abs(value - (side - 1) / 2) > OFF_CENTRE * side:
-            yield Fault(child(path, name), f"{name}={value:g} for {what} {side}: are these of another resolution?")
-
-
-def _aspect(camera: Camera, path: str) -> Iterator[Fault]:
-    ratio = camera.value("fx") / camera.value("fy")
-    if not ASPECT[0] <= ratio <= ASPECT[1]:
-        yield Fault(path, f"fx/fy = {ratio:.3g}: anamorphic or stretched video? check the display aspect ratio")
-
-
-def _opening(entry: CameraEntry, path: str) -> Iterator[Fault]:
-    horizontal = math.degrees(field_of_view(entry.camera, entry.image_circle)[0])
-    if horizontal < FIELD_DEG[0] or horizontal > FIELD_DEG[1]:
-        text = f"horizontal field of view {horizontal:.3g}°: are the focal length and image_size of one resolution?"
-        yield Fault(child(path, "fx"), text)
-
-
-def _folding(entry: CameraEntry, path: str) -> Iterator[Fault]:
-    fold = folds_inside(entry.camera, entry.image_circle)
-    if fold.folds:
-        limit = f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre"
-        end = "image corner is at" if entry.image_circle is None else "image circle reaches to"
-        yield Fault(path, f"{limit}; the {end} {fold.corner_px:.0f} px")
-
-
-def _quality(entry: CameraEntry, path: str) -> Iterator[Fault]:
-    rms, images = entry.quality.get("rms_px", 0.0), entry.quality.get("images_used", FEW_IMAGES)
-    if rms > LARGE_RMS:
-        yield Fault(child(path, "rms_px"), f"{rms:g} px is a poor fit; a good calibration is below {LARGE_RMS:g}")
-    if images < FEW_IMAGES:
-        yield Fault(child(path, "images_used"), f"{images} images; take {FEW_IMAGES} or more")
-
-
-def _verdict(entry: CameraEntry, path: str) -> Iterator[Fault]:
-    if entry.verdict is not None and not entry.verdict.trustworthy:
-        reasons = " ".join("; ".join(entry.verdict.reasons).split())  # a warning is one line
-        yield Fault(path, f"do not trust this calibration: {reasons or 'no reason is given'}")
 
 
 def check_name(name: str, path: str) -> Iterator[Fault]:

@@ -1,0 +1,176 @@
+"""Camera files of camcal and of other programs: told by their content, read to one record and written from it.
+
+A format is a module with its FORMAT, and the line with the name of that module here.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+
+from camcal import files
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
+from camcal.formats.documents import Fault
+from camcal.formats.native import select
+from camcal.formats.plausibility import implausible
+from camcal.geometry.pose import frames_of
+from camcal.parsing import did_you_mean
+from camcal.progress import SILENT, Progress
+
+OWN = "camcal"
+
+# In the order in which they are asked whether a file is theirs: those that are told by less come last.
+_MODULES = ("camcal_native", "kalibr", "ros", "opencv")
+_REGISTERED: dict[str, CameraFormat] = {
+    form.name: form for form in (import_module(f"camcal.formats.cameras.{name}").FORMAT for name in _MODULES)
+}
+FORMATS: Mapping[str, CameraFormat] = MappingProxyType(_REGISTERED)
+SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes))
+
+_LARGEST = 64 << 20
+_NOTHING = Given()
+
+
+def read(
+    path: str | Path, progress: Progress = SILENT, given: Given = _NOTHING, second: Path | None = None
+) -> CameraFile:
+    """Return the content of a camera file of any format; progress is told of what looks wrong in it.
+
+    given: what the user says where the file does not. second: the other file of a pair, where it is written as two.
+    Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
+    """
+    path = Path(path)
+    sources = [Source(each, files.read_text(each, _LARGEST)) for each in (path, second) if each is not None]
+    form = _format_of(sources[0])
+    if len(sources) > form.files:
+        raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
+    if len(sources) > 1 and _format_of(sources[1]) != form:
+        raise InvalidInput(f"is not a {form.title} file as {path} is", where=str(second))
+    file = form.read(sources, given)
+    if form.name != OWN:
+        doubts = [Fault(fault.path, fault.text) for fault in implausible(file)]
+        messages = (f"{path}: {fault.path}: {fault.text}" for fault in doubts)
+        origin = {"file": path.name, "format": form.name, "exact": True}
+        file = replace(file, warnings=(*file.warnings, *messages), converted_from=origin)
+    for warning in file.warnings:
+        progress.warn(warning)
+    return file
+
+
+def format_of(path: Path) -> CameraFormat:
+    """Return the format of a camera file, camcal's own if it is of none; raises FileError if it cannot be read."""
+    return _format_of(Source(path, files.read_text(path, _LARGEST)))
+
+
+def _format_of(source: Source) -> CameraFormat:
+    return next((form for form in FORMATS.values() if form.sniff(source.text)), FORMATS[OWN])
+
+
+def read_camera(path: str | Path, name: str | None = None) -> Camera:
+    """Return one camera of a file; the name may be left out where there is only one.
+
+    Raises InvalidInput if it is not clear which one is meant, and as `read` does.
+    """
+    return select(read(path), name, str(path)).camera
+
+
+def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFormat:
+    """Return the format to write to a path: the one that is wanted, or the only one its suffix can mean.
+
+    source: the format of what is written; camera files of other programs become camcal's where nothing says more.
+    Raises InvalidInput for an unknown name, a suffix that does not go with it, and where it is not clear.
+    """
+    if wanted is not None:
+        if wanted not in FORMATS:
+            raise InvalidInput(f"--to {wanted}: no camera format of this name{did_you_mean(wanted, FORMATS)}")
+        form = FORMATS[wanted]
+        if path.suffix and path.suffix.lower() not in form.suffixes:
+            raise InvalidInput(f"{form.title} is written as {' or '.join(form.suffixes)}", where=str(path))
+        return form
+    possible = [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
+    if len(possible) == 1:
+        return possible[0]
+    if possible and source.name != OWN:
+        return FORMATS[OWN]
+    names = ", ".join(form.name for form in possible or FORMATS.values())
+    raise InvalidInput(f"{path.suffix or 'a folder'} is written in several formats: give --to {names}", where=str(path))
+
+
+def prepared(file: CameraFile, form: CameraFormat, where: str) -> CameraFile:
+    """Return a camera file with its lenses as a format can write them exactly.
+
+    Raises InvalidInput, saying what would be lost and what to do, for more cameras than it holds, or a lens that none
+    of its models is.
+    """
+    if form.most_cameras is not None and len(file.cameras) > form.most_cameras:
+        names = ", ".join(file.cameras)
+        most = f"{form.most_cameras} camera{'s' * (form.most_cameras > 1)}"
+        raise InvalidInput(f"{form.title} holds {most}, not {names}: write them one by one, FILE#NAME", where=where)
+    entries = {name: _prepared(entry, name, form, where) for name, entry in file.cameras.items()}
+    return replace(file, cameras=entries)
+
+
+def _prepared(entry: CameraEntry, name: str, form: CameraFormat, where: str) -> CameraEntry:
+    camera = expressed(entry.camera, form.models)
+    if camera is not None:
+        return replace(entry, camera=camera)
+    lost = lost_coefficients(entry.camera, form.models)
+    what = f"{name}: {entry.camera.model.name} cannot be written exactly to {form.title}"
+    if lost:
+        what += f", which has no {', '.join(f'{key} = {value:.4g}' for key, value in lost.items())}"
+    raise InvalidInput(f"{what}; calibrate with --model {_nearest_model(entry.camera, form)}", where=where)
+
+
+def _nearest_model(camera: Camera, form: CameraFormat) -> str:
+    """Return the largest lens model of the camera's family that a format has, or of any."""
+    from camcal.cameras.catalogue import MODELS
+
+    family = [name for name in form.models if type(MODELS[name]) is type(camera.model)]
+    return max(family or form.models, key=lambda name: len(MODELS[name].parameter_names))
+
+
+def left_out(file: CameraFile, form: CameraFormat) -> tuple[str, ...]:
+    """Return in words what a file holds that a format does not, beside lenses, sizes and transforms of cameras."""
+    return tuple(dict.fromkeys(_left_out(file, form)))
+
+
+def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
+    if form.name == OWN:
+        return
+    entries: Sequence[CameraEntry] = list(file.cameras.values())
+    held = {
+        "standard deviations": any(entry.camera.covariance is not None or entry.projection for entry in entries),
+        "valid region": any(entry.valid for entry in entries),
+        "quality": any(entry.quality.keys() - ({"rms_px"} if "rms" in form.keeps else set()) for entry in entries),
+        "noise": any(entry.noise for entry in entries),
+        "verdict": any(entry.verdict for entry in entries),
+        "sensor": any(entry.sensor for entry in entries),
+        "lenses of single colours": any(entry.channels for entry in entries),
+        "covariance of transforms": bool(file.joint_covariance)
+        or any(item.covariance is not None for item in file.transforms.values()),
+        "shape of the board": file.board_shape is not None,
+        "provenance": bool(file.provenance),
+    }
+    yield from (name for name, there in held.items() if there)
+    every = [frame for name in file.transforms for frame in frames_of(name)]
+    for name in file.transforms:
+        ends = [frame for frame in frames_of(name) if every.count(frame) == 1]
+        if any(frame not in file.cameras and frame not in form.frames for frame in ends):
+            yield name
+
+
+def outputs(path: Path, file: CameraFile, form: CameraFormat) -> tuple[Path, ...]:
+    """Return the files that `write` writes."""
+    return form.outputs(path, file)
+
+
+def write(path: Path, file: CameraFile, form: CameraFormat) -> None:
+    """Write a camera file in a format, every number with all its digits.
+
+    Raises InvalidInput as `prepared` does, and for what the format's own `write` says; FileError.
+    """
+    form.write(path, prepared(file, form, str(path)))

@@ -1,0 +1,101 @@
+"""What a camera format is: what it can hold, how its files are told from others, read and written."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from camcal.cameras.catalogue import MODELS
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats.camera_file import CameraFile
+
+CAMERA, LEFT, RIGHT = "camera", "left", "right"  # names of cameras whose file gives none
+
+
+class MissingSize(InvalidInput):
+    """A camera file that does not say the size of its images."""
+
+
+class Source(NamedTuple):
+    """A file and its text."""
+
+    path: Path
+    text: str
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a user says of a camera where its file does not: the size (width, height) of its images, its lens model."""
+
+    image_size: tuple[int, int] | None = None
+    model: str | None = None
+
+    def size(self, known: tuple[int, int] | None, where: str) -> tuple[int, int]:
+        """Return the size of the images, which the file may know.
+
+        Raises MissingSize if neither says it, InvalidInput if they differ.
+        """
+        if known is None and self.image_size is None:
+            raise MissingSize(
+                "has no image size: give --size WxH, or 'camcal convert FILE camera.yaml --size WxH' first", where=where
+            )
+        if known is not None and self.image_size not in (None, known):
+            raise InvalidInput(
+                "the file is for {}x{} images, not for {}x{}".format(*known, *self.image_size), where=where
+            )
+        return known or self.image_size or (0, 0)
+
+
+def _same_path(path: Path, _file: CameraFile) -> tuple[Path, ...]:
+    return (path,)
+
+
+@dataclass(frozen=True)
+class CameraFormat:
+    """A format of camera files.
+
+    title: its name in words. suffixes: of the files it writes, the usual one first. models: the lens models that it
+    writes, the simplest of each family first. most_cameras: None for any number. keeps: what it holds beyond lenses,
+    sizes of images and transforms between cameras, by the names that `left_out` gives it. frames: which others than
+    cameras its transforms may have. files: how many may belong together as IN and --with. sniff: whether a text is of
+    this format. read: the cameras in so many files. write: writes cameras whose lens models are of `models`; outputs:
+    the files that this writes.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    models: tuple[str, ...]
+    sniff: Callable[[str], bool]
+    read: Callable[[Sequence[Source], Given], CameraFile]
+    write: Callable[[Path, CameraFile], None]
+    outputs: Callable[[Path, CameraFile], tuple[Path, ...]] = _same_path
+    most_cameras: int | None = None
+    keeps: frozenset[str] = frozenset()
+    frames: frozenset[str] = frozenset()
+    files: int = 1
+
+
+def expressed(camera: Camera, models: Sequence[str]) -> Camera | None:
+    """Return the camera in the first of these lens models that it can be written in exactly, None if there is none.
+
+    Within a family of models the same name is the same coefficient, and one that is 0 may as well not be there.
+    """
+    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
+    for model in (MODELS[name] for name in models):
+        lost = [name for name in values if name not in model.parameter_names and values[name] != 0]
+        if type(model) is type(camera.model) and not lost:
+            parameters = np.array([values.get(name, 0.0) for name in model.parameter_names])
+            return camera if model == camera.model else Camera(model, camera.image_size, parameters)
+    return None
+
+
+def lost_coefficients(camera: Camera, models: Sequence[str]) -> dict[str, float]:
+    """Return the coefficients, by name, that are not 0 and that no model of the camera's family among these has."""
+    family = [MODELS[name] for name in models if type(MODELS[name]) is type(camera.model)]
+    held = {name for model in family for name in model.parameter_names}
+    values = {name: camera.value(name) for name in camera.model.parameter_names}
+    return {name: value for name, value in values.items() if name not in held and value != 0}

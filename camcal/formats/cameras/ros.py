@@ -1,0 +1,222 @@
+"""ROS camera_info YAML: one camera a file, a pair as two files, left and right.
+
+A file has the lens (camera_matrix, distortion_model, distortion_coefficients) and how its images are rectified:
+rectification_matrix R takes the camera's axes to the rectified ones, projection_matrix P = [K' | K' t] projects from
+there, the right camera with its place t in the pair, metres. Of one camera R is the identity and P = [K | 0]; of a
+fisheye, whose images K would not hold, P is that of the largest pinhole view without an empty pixel.
+R and P of a file that is read are kept (x_ros) and written again. What is written opens in OpenCV's FileStorage, too.
+Source: image_common/camera_calibration_parsers/src/parse_yml.cpp; sensor_msgs/CameraInfo.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats import emit
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
+from camcal.formats.cameras.rectification import Rectified, of_one, of_pair
+from camcal.formats.cameras.values import Values, camera_of
+from camcal.formats.documents import parse_foreign
+from camcal.formats.native import NAME
+from camcal.geometry.pose import JOINT, Pose
+
+VENDOR_KEY = "x_ros"
+PLUMB_BOB, RATIONAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
+MODELS = {"opencv5": PLUMB_BOB, "opencv8": RATIONAL, "kannala_brandt4": EQUIDISTANT}
+
+_BY_COUNT = {
+    PLUMB_BOB: {0: "pinhole", 4: "opencv4", 5: "opencv5"},
+    RATIONAL: {8: "opencv8", 12: "opencv12", 14: "opencv14"},
+    EQUIDISTANT: {4: "kannala_brandt4"},
+}
+_OTHER_NAMES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
+_SAME = 1e-9  # m and pixels, to which R and P that were read still say where the right camera stands
+_KEYS = (
+    re.compile(r"^camera_matrix\s*:", re.MULTILINE),
+    re.compile(r"^(projection_matrix|rectification_matrix|distortion_model)\s*:", re.MULTILINE),
+)
+
+
+def sniff(text: str) -> bool:
+    """Return whether a text has the keys of such a file."""
+    return all(key.search(text) for key in _KEYS)
+
+
+def read(sources: Sequence[Source], given: Given) -> CameraFile:
+    """Return the camera of a file, or those of two files with right_T_left, metres.
+
+    Of two the right one is the one whose P has a place in the pair. Raises InvalidInput, FileError.
+    """
+    values = [Values(parse_foreign(source.text, str(source.path))) for source in sources]
+    entries = [_entry(each, given) for each in values]
+    warnings = tuple(text for each in values for text in each.warnings)
+    if len(entries) == 1:
+        return CameraFile({_name(values[0]): entries[0]}, warnings=warnings)
+    places = [_rectified(each) for each in values]
+    if None in places:
+        raise InvalidInput(
+            "two files are a pair by rectification_matrix and projection_matrix", where=str(sources[0].path)
+        )
+    offsets = [np.abs(place.offset).max() for place in places if place is not None]
+    if offsets[0] > offsets[1]:
+        entries, places, values = entries[::-1], places[::-1], values[::-1]
+    left, right = (place for place in places if place is not None)
+    if not np.abs(right.offset - left.offset).max():
+        raise InvalidInput("P has no fourth column in either file, so they are no pair", where=str(sources[1].path))
+    warnings += tuple(_doubts(values[1], left, right))
+    pose = right.placed_from(left)
+    names = {LEFT: entries[0], RIGHT: entries[1]}
+    return CameraFile(names, {f"{RIGHT}{JOINT}{LEFT}": Transform(pose)}, warnings=warnings)
+
+
+def _entry(values: Values, given: Given) -> CameraEntry:
+    size = values.side("image_width"), values.side("image_height")
+    core = values.camera_matrix("camera_matrix")
+    count = len(values.numbers("distortion_coefficients")) if "distortion_coefficients" in values else 0
+    model = _model(values, count)
+    coefficients = values.numbers("distortion_coefficients") if count else np.zeros(0)
+    camera = camera_of(model, given.size(size, values.document.where), core, coefficients)
+    found = _rectified(values)
+    if found is None:
+        return CameraEntry(camera)
+    kept = {"rectification": found.rotation.ravel().tolist(), "projection": found.projection.ravel().tolist()}
+    return CameraEntry(camera, extra={VENDOR_KEY: kept})
+
+
+def _model(values: Values, count: int) -> str:
+    told = values.text("distortion_model")
+    if not told and count:
+        values.warn("distortion_coefficients", f"no distortion_model; taken as {PLUMB_BOB if count < 8 else RATIONAL}")
+    name = _OTHER_NAMES.get(told, told)
+    if not told and count >= 8:
+        name = RATIONAL
+    if name not in _BY_COUNT:
+        raise values.wrong("distortion_model", f"{told!r} is not one of {', '.join(_BY_COUNT)}")
+    counts = _BY_COUNT[name]
+    if count not in counts:
+        needed = " or ".join(map(str, counts))
+        raise values.wrong("distortion_coefficients", f"{count} numbers; {name} has {needed}")
+    return counts[count]
+
+
+def _rectified(values: Values) -> Rectified | None:
+    """Return R and P, None without them."""
+    if "rectification_matrix" not in values or "projection_matrix" not in values:
+        return None
+    rotation = values.matrix("rectification_matrix", 3, 3)
+    projection = values.matrix("projection_matrix", 3, 4)
+    if not (projection[0, 0] > 0 and projection[1, 1] > 0):
+        return None  # an uncalibrated camera has zeros there
+    pose = values.pose("rectification_matrix", rotation, np.zeros(3))
+    return Rectified(np.array(pose.rotation), projection)
+
+
+def _doubts(right: Values, of_left: Rectified, of_right: Rectified) -> list[str]:
+    """Return what looks wrong in the P of a pair."""
+    doubts = Values(right.document)
+    if of_right.offset[0] > 0:
+        baseline = f"P[0,3] = {of_right.projection[0, 3]:+.6g}"
+        doubts.warn("projection_matrix", f"{baseline}: the left file and the right one may be swapped")
+    if not np.allclose(of_left.projection[:, :3], of_right.projection[:, :3], rtol=1e-6, atol=1e-3):
+        doubts.warn(
+            "projection_matrix", "differs from the left one's in more than the baseline; is it of the same pair?"
+        )
+    return doubts.warnings
+
+
+def _name(values: Values) -> str:
+    name = re.sub(r"[^A-Za-z0-9]+", "_", values.text("camera_name")).strip("_")
+    return name if NAME.match(name) and JOINT not in name else CAMERA
+
+
+def outputs(path: Path, file: CameraFile) -> tuple[Path, ...]:
+    """Return the files that are written: the path itself, of a pair one in it for each camera."""
+    return (path,) if len(file.cameras) == 1 else tuple(path / f"{name}.yaml" for name in file.cameras)
+
+
+def write(path: Path, file: CameraFile) -> None:
+    """Write one camera to a file, or a pair into a folder; see `rectification.of_pair`.
+
+    Raises InvalidInput for a pair of which nothing says how it stands, or whose path is no folder; FileError.
+    """
+    names, entries = list(file.cameras), list(file.cameras.values())
+    if len(entries) == 1:
+        files.write_text(path, _text(names[0], entries[0].camera, _kept(entries[0]) or of_one(entries[0].camera)))
+        return
+    if path.suffix or path.is_file():
+        raise InvalidInput(
+            f"a pair is two files for ROS ({names[0]}.yaml, {names[1]}.yaml): give a folder", where=str(path)
+        )
+    pose = pose_between(file, names[1], names[0])
+    if pose is None:
+        raise InvalidInput(
+            f"no transform joins {names[0]} and {names[1]}; write them one by one, FILE#NAME", where=str(path)
+        )
+    left, right = entries[0].camera, entries[1].camera
+    for target, name, entry, rectified in zip(
+        outputs(path, file), names, entries, _kept_pair(entries, pose) or of_pair(left, right, pose), strict=True
+    ):
+        files.write_text(target, _text(name, entry.camera, rectified))
+
+
+def _kept(entry: CameraEntry) -> Rectified | None:
+    """Return the R and P that the camera's file had, None if there are none."""
+    block: Any = entry.extra.get(VENDOR_KEY)
+    try:
+        rotation, projection = (np.array(block[key], dtype=float) for key in ("rectification", "projection"))
+        return Rectified(rotation.reshape(3, 3), projection.reshape(3, 4))
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _kept_pair(entries: Sequence[CameraEntry], right_T_left: Pose) -> tuple[Rectified, Rectified] | None:
+    """Return the R and P that the files of a pair had, if they still say where the right camera stands."""
+    left, right = map(_kept, entries)
+    if left is None or right is None:
+        return None
+    pose = right.placed_from(left)
+    same = np.allclose(pose.matrix(), right_T_left.matrix(), rtol=0, atol=_SAME)
+    return (left, right) if same else None
+
+
+def _text(name: str, camera: Camera, rectified: Rectified) -> str:
+    fx, fy, cx, cy = camera.parameters[:4].tolist()
+    data: dict[str, Any] = {
+        "image_width": camera.image_size[0],
+        "image_height": camera.image_size[1],
+        "camera_name": name,
+        "camera_matrix": _matrix(np.array([(fx, 0, cx), (0, fy, cy), (0, 0, 1)], dtype=float)),
+        "distortion_model": MODELS[camera.model.name],
+        "distortion_coefficients": _matrix(camera.parameters[4:][None]),
+        "rectification_matrix": _matrix(rectified.rotation),
+        "projection_matrix": _matrix(rectified.projection),
+    }
+    return emit.document(data, number=emit.exact_text)
+
+
+def _matrix(matrix: Array) -> Mapping[str, Any]:
+    """Return a matrix as ROS reads it, with the dt that OpenCV asks for."""
+    rows, columns = matrix.shape
+    return {"rows": rows, "cols": columns, "dt": "d", "data": matrix.ravel().tolist()}
+
+
+FORMAT = CameraFormat(
+    name="ros",
+    title="ROS camera_info",
+    suffixes=(".yaml", ".yml"),
+    models=tuple(MODELS),
+    sniff=sniff,
+    read=read,
+    write=write,
+    outputs=outputs,
+    most_cameras=2,
+    files=2,
+)
