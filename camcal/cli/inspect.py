@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from camcal.cli import show
 from camcal.cli.command import ImageCall
 from camcal.report.table import Column
-from camcal.tasks.options import InspectOptions
+from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.inspect import Inspection
@@ -18,7 +18,6 @@ IMAGE_COLUMNS = (
     Column("RMS", "px"),
     Column("not used because", wraps=True),
 )
-CAMERA_SUFFIXES = (".yaml", ".yml")  # for these, what reads images need not be loaded
 
 
 def inspect(options: InspectOptions, call: ImageCall) -> None:
@@ -29,7 +28,7 @@ def inspect(options: InspectOptions, call: ImageCall) -> None:
     a header, until --format and --size are given, what it may be by its length.
     """
     path, _ = options.address
-    if path.suffix.lower() in CAMERA_SUFFIXES or not _is_raw(path):
+    if path.suffix.lower() in CAMERA_SUFFIXES or not _is_raw(path):  # what reads raw frames need not be loaded
         _inspect_camera(options, call)
     else:
         _inspect_raw(options, call)

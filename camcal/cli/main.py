@@ -40,6 +40,7 @@ COMMANDS = (
     Entry("detect", "calibrate:detect", "Find the corners of a board in images."),
     Entry("calibrate", "calibrate:calibrate", "Calibrate one camera from images of a board."),
     Entry("undistort", "undistort:undistort", "Undistort images, videos or points."),
+    Entry("convert", "convert:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("demosaic", "raw:demosaic", "Make colour images from raw frames."),
     Entry("sensor", "raw:sensor", "Measure a sensor by photon transfer (EMVA 1288)."),

@@ -35,7 +35,7 @@ def document(data: Mapping[str, Any], comment: str = "", number: NumberText | No
     Raises InvalidInput for a key or a text that OpenCV could not read.
     """
     remarks = "".join(f"# {line}\n" for line in comment.splitlines())
-    return HEADER + remarks + "".join(f"{line}\n" for line in _block(_plain(data), "", number or number_text))
+    return HEADER + remarks + "".join(f"{line}\n" for line in _block(plain(data), "", number or number_text))
 
 
 def text_for(path: Path, data: Mapping[str, Any], comment: str = "") -> str:
@@ -72,12 +72,12 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.12g}") if isinstance(value, float) else value
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return data as dicts, lists and Python scalars, keys whose value is None left out."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items() if item is not None}
+        return {key: plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     return str(value) if isinstance(value, Path) else value

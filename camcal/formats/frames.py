@@ -9,7 +9,7 @@ The rotation is one of R, quaternion, rotation_vector (rad), rotation_vector_deg
 translation too. Unlike in a camera file, transforms may form loops.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import emit, native, poses
+from camcal.formats import cameras, emit, native, poses
 from camcal.formats.covariance import QUATERNION, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child, load_either
 from camcal.formats.native import check_name
@@ -83,17 +83,23 @@ def read(path: str | Path) -> tuple[NamedTransform, ...]:
     path = Path(path)
     if path.suffix.lower() == ".csv":
         return _of_poses(path)
+    if cameras.format_of(path).name != cameras.OWN:
+        return _of_cameras(path, lambda _key: str(path))
     document = load_either(path)
     match document.get("format"):
         case native.FORMAT:
-            block = native.read(path).transforms
-            return tuple(
-                NamedTransform(*frames_of(name), item.pose, item.covariance, _where(document, f"transforms.{name}"))
-                for name, item in block.items()
-            )
+            return _of_cameras(path, lambda key: _where(document, key))
         case plain_poses.FORMAT:
             return _of_poses(path)
     return tuple(item.named() for item in _own(document))
+
+
+def _of_cameras(path: Path, place: Callable[[str], str]) -> tuple[NamedTransform, ...]:
+    """Return the transforms of a camera file; place: what a message calls the place of a key path."""
+    return tuple(
+        NamedTransform(*frames_of(name), item.pose, item.covariance, place(f"transforms.{name}"))
+        for name, item in cameras.read(path).transforms.items()
+    )
 
 
 def read_loose(path: Path) -> tuple[LooseTransform, ...]:

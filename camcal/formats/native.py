@@ -27,7 +27,6 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
 from camcal.formats import covariance, documents, emit, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform, ValidRegion
 from camcal.formats.covariance import why_no_covariance
@@ -37,7 +36,7 @@ from camcal.formats.plausibility import implausible
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, matrix, number, plain, text
 from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine
-from camcal.parsing import did_you_mean, nearest
+from camcal.parsing import nearest
 from camcal.progress import SILENT, Progress
 
 FORMAT = "camcal-calibration"
@@ -95,26 +94,6 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
     )
     findings += implausible(file)
     return replace(file, warnings=tuple(map(document.message, findings)))
-
-
-def read_camera(path: str | Path, name: str | None = None) -> Camera:
-    """Return one camera of a file; the name may be left out where there is only one.
-
-    Raises InvalidInput if it is not clear which one is meant.
-    """
-    path = Path(path)
-    return select(read(path), name, str(path)).camera
-
-
-def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
-    """Return the camera of that name, or the only one."""
-    names = list(file.cameras)
-    if name is None and len(names) > 1:
-        one = f"{where}#{names[0]}"
-        raise InvalidInput(f"holds {len(names)} cameras ({', '.join(names)}); say which, such as {one}", where=where)
-    if name is not None and name not in names:
-        raise InvalidInput(f"no camera {name!r}{did_you_mean(name, names)}", where=where)
-    return file.cameras[name or names[0]]
 
 
 def write(path: str | Path, file: CameraFile | Camera, *, exact: bool = False) -> None:

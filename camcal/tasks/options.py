@@ -3,12 +3,30 @@
 No module of options imports the core: a command knows its options before it runs, and its help is there at once.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import BOARD, GENERAL, INPUT, OUTPUT, RAW_FRAMES, TEXT, Argument, Option, OptionsRecord
+from camcal.errors import InvalidInput
+from camcal.options import (
+    BOARD,
+    GENERAL,
+    INPUT,
+    NUMBERS,
+    OUTPUT,
+    RAW_FRAMES,
+    SIZE,
+    TEXT,
+    Argument,
+    Option,
+    OptionsRecord,
+    Without,
+    separated,
+)
 from camcal.raw.options import MONO, NO_LAYOUT, PATTERNS, GivenLayout
+
+CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json")  # of camera files, of all formats
 
 
 def output_option(help: str, metavar: str = "PATH", *, required: bool = False) -> Option:  # noqa: A002 - as Option has it
@@ -48,6 +66,63 @@ CameraName = Annotated[
         names="--camera",
     ),
 ]
+_INTRINSICS = separated("FX,FY,CX,CY in pixels, such as 1400,1400,959.5,539.5", count=4)
+
+
+@dataclass(frozen=True)
+class GivenCamera(OptionsRecord):
+    """A camera in place of a file, and what a file may not say of one.
+
+    camera_matrix: fx, fy, cx, cy, pixels; None for a file. distortion: OpenCV's coefficients. size: (width, height) of
+    the images, None for that of the first one. model: the lens model of four coefficients, which may be a fisheye's.
+    """
+
+    camera_matrix: Annotated[
+        tuple[float, ...] | None,
+        Option("Intrinsics in place of a camera file, pixels.", metavar="FX,FY,CX,CY", group=INPUT, type=_INTRINSICS),
+    ] = None
+    distortion: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            "Coefficients of --camera-matrix in OpenCV's order, 4, 5, 8, 12 or 14; of a fisheye k1,k2,k3,k4. "
+            "By default none.",
+            metavar="K1,K2,P1,P2[,K3…]",
+            group=INPUT,
+            type=NUMBERS,
+        ),
+    ] = None
+    size: Annotated[
+        tuple[int, int] | None,
+        Option(
+            "Size of the camera's images, where its file does not say it; by default that of the first image.",
+            metavar="WxH",
+            group=INPUT,
+            type=SIZE,
+        ),
+    ] = None
+    model: Annotated[
+        str | None,
+        Option(
+            "What four coefficients are of, where the file does not say it: fisheye, or opencv4 for k1,k2,p1,p2.",
+            metavar="NAME",
+            group=INPUT,
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.distortion is not None and self.camera_matrix is None:
+            raise InvalidInput("--distortion goes with --camera-matrix FX,FY,CX,CY; give both")
+
+    def without_file(self, positional: Sequence[str]) -> bool:
+        """Return whether this is the camera; raises InvalidInput if the first argument is a camera file, too."""
+        if self.camera_matrix is None:
+            return False
+        if positional and Path(positional[0].rpartition("#")[0] or positional[0]).suffix.lower() in CAMERA_SUFFIXES:
+            raise InvalidInput(f"{positional[0]} and --camera-matrix are two cameras; leave one of them out")
+        return True
+
+
 Pattern = Annotated[
     str | None,
     Option(
@@ -89,6 +164,44 @@ class InspectOptions(OptionsRecord):
 
         path, name = split_address(self.file)
         return path, self.camera or name
+
+
+def camera_formats() -> str:
+    """Return the help of --to, which names the camera formats: only that imports them."""
+    from camcal.formats.cameras import FORMATS
+
+    named = ", ".join(f"{form.name} ({form.title})" for form in FORMATS.values())
+    return f"Format of OUT, where its suffix leaves that open: {named}."
+
+
+@dataclass(frozen=True)
+class ConvertFileOptions(OptionsRecord):
+    """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as its suffix says.
+
+    second: the other file of a pair that is written as two. given: what the file does not say.
+    """
+
+    source: Annotated[
+        str, Argument("Camera file of camcal, OpenCV, ROS or Kalibr, or FILE#NAME for one camera of it.", metavar="IN")
+    ]
+    output: Annotated[
+        Path,
+        Argument(
+            "The file to write; a folder for a pair in ROS's format.", metavar="OUT", group=OUTPUT, recorded=False
+        ),
+    ]
+    to: Annotated[str | None, Option(camera_formats, metavar="FORMAT", group=OUTPUT)] = None
+    second: Annotated[
+        Path | None,
+        Option(
+            "Second file of a pair: the other camera's of ROS, extrinsics.yml of OpenCV.",
+            metavar="FILE",
+            group=INPUT,
+            names="--with",
+        ),
+    ] = None
+    given: Annotated[GivenCamera, Without(("camera_matrix", "distortion"))] = field(default_factory=GivenCamera)
+    camera: CameraName = None
 
 
 def lens_models() -> str:

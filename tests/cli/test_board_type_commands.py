@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from camcal.formats import boards, native
+from camcal.formats import boards, cameras
 from camcal.tasks.simulation.options import BoardShape, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate
 
@@ -41,8 +41,8 @@ def test_a_simulated_camera_is_calibrated_with_any_board(run, tmp_path, scenes, 
     assert boards.read(board) == boards.load_board(BOARDS[kind])
     code, _, error = run("calibrate", folder / "images", "--board", board, "-o", camera, "--jobs", "1", "--quiet")
     assert (code, error) == (0, "")
-    truth = native.read_camera(folder / "truth.yaml")
-    found = native.read_camera(camera)
+    truth = cameras.read_camera(folder / "truth.yaml")
+    found = cameras.read_camera(camera)
     for name in ("fx", "fy", "cx", "cy"):
         # 1 px of some 460: 6 views of 48 points or more, each good to 0.02 px, know the focal length to 0.2 px
         assert found.value(name) == pytest.approx(truth.value(name), abs=1.0)

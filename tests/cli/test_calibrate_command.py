@@ -10,7 +10,7 @@ from camcal.calibrate.intrinsics import RejectedCorner
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cli import calibrate
-from camcal.formats import boards, detections, native
+from camcal.formats import boards, cameras, detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -135,9 +135,9 @@ def test_fix_and_guess_reach_the_solver(run, table, tmp_path):
     guess, output = tmp_path / "guess.yaml", tmp_path / "camera.yaml"
     assert run("calibrate", table, "-o", guess, "--model", "opencv4")[0] == 0
     assert run("calibrate", table, "-o", output, "--guess", guess, "--fix", "fx,k3")[0] == 0
-    camera = native.read_camera(output)
+    camera = cameras.read_camera(output)
     assert camera.fixed == ("fx", "k3")
-    assert camera.value("fx") == native.read_camera(guess).value("fx")
+    assert camera.value("fx") == cameras.read_camera(guess).value("fx")
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ def test_a_lens_that_the_default_model_cannot_hold_gets_another_and_it_is_said(r
     detections.write(path, found)
     code, out, _ = run("calibrate", path, "-o", output)
     assert code == 0
-    assert native.read_camera(output).model.name == "kannala_brandt4"
+    assert cameras.read_camera(output).model.name == "kannala_brandt4"
     assert "kannala_brandt4 is used" in out or "kannala_brandt4" in out.splitlines()[0]
 
 
@@ -298,7 +298,7 @@ def test_mrcal_corner_files_are_calibrated_from(run, seen, tmp_path):
     detections.write(path, seen)
     size = ["--image-size", "1600x1200"]
     assert run("calibrate", path, "-o", output, "--board", "chessboard:9x6:40mm", *size)[0] == 0
-    assert abs(native.read_camera(output).value("fx") - 1200) < 5
+    assert abs(cameras.read_camera(output).value("fx") - 1200) < 5
     code, _, err = run("calibrate", path, "-o", tmp_path / "b.yaml", "--board", "chessboard:9x6:40mm")
     assert code == 2
     assert "--image-size" in err

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camcal.formats import boards, detections, native
+from camcal.formats import boards, cameras, detections, native
 from camcal.images.load import load
 from camcal.targets.board import parse_board
 
@@ -102,14 +102,14 @@ def test_a_camera_file_can_be_given(run, folder, tmp_path):
     run("simulate", BOARD, "-o", folder, *SMALL, "--model", "kannala_brandt4", "--fov", "150")
     known = folder / "truth.yaml"
     assert run("simulate", BOARD, f"{known}#camera", "-o", tmp_path / "again", "--views", "1", "--quiet")[0] == 0
-    first, second = (native.read_camera(path / "truth.yaml") for path in (folder, tmp_path / "again"))
+    first, second = (cameras.read_camera(path / "truth.yaml") for path in (folder, tmp_path / "again"))
     assert second.model.name == "kannala_brandt4"
     assert np.array_equal(first.parameters, second.parameters)
 
 
 def test_coefficients_and_depth_are_taken(run, folder):
     run("simulate", BOARD, "-o", folder, *SMALL, "--distortion", "k1=-0.1,p2=0.001", "--depth", "16", "--gamma", "2.2")
-    camera = native.read_camera(folder / "truth.yaml")
+    camera = cameras.read_camera(folder / "truth.yaml")
     assert (camera.value("k1"), camera.value("p2"), camera.value("k2")) == (-0.1, 0.001, 0.0)
     assert load(folder / "images" / "view0000.png").pixels.dtype == np.uint16
 

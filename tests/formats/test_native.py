@@ -16,7 +16,7 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import native
+from camcal.formats import cameras, native
 from camcal.formats.camera_file import (
     CalibrationNoise,
     CalibrationVerdict,
@@ -220,7 +220,7 @@ def test_every_model_is_written_and_read(tmp_path, name):
     parameters[4:] = 0.001 * np.arange(1, len(parameters) - 3)  # no two alike
     camera = Camera(model, (640, 480), parameters)
     native.write(tmp_path / "a.yaml", CameraFile({"cam": CameraEntry(camera)}))
-    assert_same_camera(native.read_camera(tmp_path / "a.yaml"), camera)
+    assert_same_camera(cameras.read_camera(tmp_path / "a.yaml"), camera)
 
 
 def test_opencv_and_pyyaml_open_what_was_written(tmp_path):
@@ -246,7 +246,7 @@ def test_rows_of_fixed_parameters_are_zero_and_std_alone_means_no_correlation(sa
         "      std: {fx: 0.4, fy: 0.5, cx: 0.3, cy: 0.3, k1: 0.001, k2: 0.002, p1: 4.0e-05, p2: 3.9e-05}\n"
         "      covariance_order: [fy, fx]\n      covariance: [[0.25, 0.1], [0.1, 0.16]]\n"
     )
-    camera = native.read_camera(saved(GOOD + block))
+    camera = cameras.read_camera(saved(GOOD + block))
     assert camera.covariance[0, 1] == camera.covariance[1, 0] == 0.1
     assert (camera.std("fy"), camera.std("k3")) == (0.5, None)
     assert not camera.covariance[8].any()
@@ -262,11 +262,11 @@ def test_a_partial_uncertainty_is_not_used_and_said(saved):
 
 def test_one_of_several_cameras_must_be_named(saved):
     path = saved(RIG)
-    assert native.read_camera(path, "right").value("fx") == 458.5
+    assert cameras.read_camera(path, "right").value("fx") == 458.5
     with pytest.raises(InvalidInput, match=r"holds 2 cameras \(left, right\); say which, such as .*left.yaml#left"):
-        native.read_camera(path)
+        cameras.read_camera(path)
     with pytest.raises(InvalidInput, match=r"no camera 'rihgt'\. Did you mean 'right'"):
-        native.read_camera(path, "rihgt")
+        cameras.read_camera(path, "rihgt")
 
 
 @pytest.mark.parametrize("name", ["mono.camcal.yaml", "rig.camcal.yaml"])

@@ -7,7 +7,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
-from camcal.formats import native
+from camcal.formats import cameras, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.options import ViewOptions
 from camcal.tasks.calibration.options import UndistortOptions
@@ -60,7 +60,7 @@ def test_there_and_back_is_where_it_began(folder):
 
 def test_the_camera_beside_the_table_is_the_one_the_pixels_belong_to(folder):
     report = run(folder, "u,v\n600,400\n", view=ViewOptions(alpha=1))
-    view = native.read_camera(report.camera_file)
+    view = cameras.read_camera(report.camera_file)
     assert report.camera_file.name == "moved.camera.yaml"
     moved = np.array(rows(folder / "moved.csv")[1], dtype=float)
     np.testing.assert_allclose(move_pixels(LENS, view, np.array([[600.0, 400]]))[0], moved, atol=1e-8)

@@ -11,7 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import native
+from camcal.formats import cameras, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.image import Image
 from camcal.images.load import load
@@ -277,7 +277,7 @@ def test_a_pinhole_that_shrinks_the_middle_is_warned_of(folder):
 def test_a_fisheye_becomes_a_panorama_that_other_commands_can_read(folder):
     view = ViewOptions(projection="equirectangular", size=(300, 150), fov_deg=360)
     run(folder, camera="lens.yaml#fish", view=view)
-    camera = native.read_camera(folder / "out" / "camera.yaml")
+    camera = cameras.read_camera(folder / "out" / "camera.yaml")
     assert (camera.model.name, camera.image_size) == ("equirectangular", (300, 150))
     assert load(folder / "out" / "1.png").size == (300, 150)
     again = undistort(UndistortOptions("out/camera.yaml", folder / "back", ("out",), view=ViewOptions(fov_deg=60)))

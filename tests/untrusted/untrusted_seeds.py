@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from camcal.formats import detections, disparity_sidecar, native, pointclouds
+from camcal.formats import cameras, detections, disparity_sidecar, native, pointclouds
 from camcal.formats import disparity as disparity_map
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.disparity_sidecar import Sidecar
@@ -223,7 +223,7 @@ def _correspondences(form: str) -> str:
 
 
 def _make_detections(folder: Path, rng: np.random.Generator) -> None:
-    camera = native.read_camera(folder / "camera.yaml")
+    camera = cameras.read_camera(folder / "camera.yaml")
     board = Board("chessboard", 7, 5, 0.025)
     small = replace(
         camera, image_size=_SIZE, parameters=np.array([100.0, 100, 47, 35, -0.1, 0.02, 0, 0, 0]), covariance=None

@@ -15,7 +15,6 @@ from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
 from camcal.formats.documents import Fault
-from camcal.formats.native import select
 from camcal.formats.plausibility import implausible
 from camcal.geometry.pose import frames_of
 from camcal.parsing import did_you_mean
@@ -70,12 +69,29 @@ def _format_of(source: Source) -> CameraFormat:
     return next((form for form in FORMATS.values() if form.sniff(source.text)), FORMATS[OWN])
 
 
+def is_camera_file(path: Path) -> bool:
+    """Tell whether a file is of one of the formats; raises FileError if it cannot be read."""
+    text = files.read_text(path, _LARGEST)
+    return any(form.sniff(text) for form in FORMATS.values())
+
+
 def read_camera(path: str | Path, name: str | None = None) -> Camera:
     """Return one camera of a file; the name may be left out where there is only one.
 
     Raises InvalidInput if it is not clear which one is meant, and as `read` does.
     """
     return select(read(path), name, str(path)).camera
+
+
+def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
+    """Return the camera of that name, or the only one."""
+    names = list(file.cameras)
+    if name is None and len(names) > 1:
+        one = f"{where}#{names[0]}"
+        raise InvalidInput(f"holds {len(names)} cameras ({', '.join(names)}); say which, such as {one}", where=where)
+    if name is not None and name not in names:
+        raise InvalidInput(f"no camera {name!r}{did_you_mean(name, names)}", where=where)
+    return file.cameras[name or names[0]]
 
 
 def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFormat:
@@ -88,7 +104,7 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFo
         if wanted not in FORMATS:
             raise InvalidInput(f"--to {wanted}: no camera format of this name{did_you_mean(wanted, FORMATS)}")
         form = FORMATS[wanted]
-        if path.suffix and path.suffix.lower() not in form.suffixes:
+        if path.suffix.lower() not in form.suffixes and not (form.in_folder and not path.suffix):
             raise InvalidInput(f"{form.title} is written as {' or '.join(form.suffixes)}", where=str(path))
         return form
     possible = [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from camcal import files
+from camcal.cameras.catalogue import MODELS as LENSES
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
+from camcal.cameras.model import OPENCV, Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage
@@ -27,7 +28,7 @@ from camcal.geometry.pose import JOINT
 
 FISHEYE = "kannala_brandt4"
 MODELS = ("opencv5", "opencv8", "opencv12", "opencv14", FISHEYE)
-BY_COUNT = {0: "pinhole", 4: "opencv4", 5: "opencv5", 8: "opencv8", 12: "opencv12", 14: "opencv14"}
+BY_COUNT = {len(model.parameter_names) - 4: name for name, model in LENSES.items() if model.opencv == OPENCV}
 
 # The names that camera matrix and coefficients go by, those of OpenCV's programs first.
 _MATRIX = (
@@ -56,9 +57,7 @@ _OF_PAIR = (
 _SIDES = ("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("Left", "Right"), ("L", "R")
 _FLAGS = ("fisheye_model", "fisheye")
 _RMS, _COUNT = ("avg_reprojection_error", "Avg_Reprojection_Error"), ("nframes", "nr_of_frames", "nrOfFrames")
-_KEY = re.compile(
-    r"^\s*[\"']?(?:{})[\"']?\s*:".format("|".join((*_MATRIX, "M1", "K1", "cameraMatrix1", "T"))), re.MULTILINE
-)
+_KEY = re.compile(r"^\s*[\"']?(?:{})[\"']?\s*:".format("|".join((*_MATRIX, "M1", "K1", "cameraMatrix1"))), re.MULTILINE)
 
 
 def sniff(text: str) -> bool:
@@ -202,11 +201,7 @@ def write(path: Path, file: CameraFile) -> None:
 
 
 def _items(camera: Camera, matrix: str, coefficients: str) -> dict[str, file_storage.Item]:
-    fx, fy, cx, cy = camera.parameters[:4].tolist()
-    return {
-        matrix: np.array([(fx, 0, cx), (0, fy, cy), (0, 0, 1)], dtype=float),
-        coefficients: np.array(camera.parameters[4:])[None],
-    }
+    return {matrix: camera.K, coefficients: camera.dist[None]}
 
 
 def _extrinsics(file: CameraFile) -> dict[str, file_storage.Item]:

@@ -62,7 +62,7 @@ class CameraFormat:
     sizes of images and transforms between cameras, by the names that `left_out` gives it. frames: which others than
     cameras its transforms may have. files: how many may belong together as IN and --with. sniff: whether a text is of
     this format. read: the cameras in so many files. write: writes cameras whose lens models are of `models`; outputs:
-    the files that this writes.
+    the files that this writes. in_folder: whether a path without a suffix is a folder with a file for each camera.
     """
 
     name: str
@@ -77,6 +77,7 @@ class CameraFormat:
     keeps: frozenset[str] = frozenset()
     frames: frozenset[str] = frozenset()
     files: int = 1
+    in_folder: bool = False
 
 
 def expressed(camera: Camera, models: Sequence[str]) -> Camera | None:

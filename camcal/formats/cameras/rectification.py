@@ -14,7 +14,8 @@ from camcal.images.views import make_view
 
 _WIDEST = np.tan(np.radians(80))  # rays farther from the axis do not count in where the view's centre lies
 _SAMPLES = 9  # a side of the image
-_X, _Y, _Z = np.eye(3)
+_BESIDE = 1e-3  # of the baseline, which no pair that looks along it reaches
+_Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,11 @@ class Rectified:
     def offset(self) -> Array:
         """The translation (3,), metres, by which points of the pair's rectified frame come to the camera's."""
         return np.asarray(np.linalg.solve(self.projection[:, :3], self.projection[:, 3]))
+
+    def leaves(self, camera: Camera) -> bool:
+        """Return whether R and P are those of a camera that is not rectified: R = 1, P = [K | 0]."""
+        same = of_matrix(camera)
+        return np.array_equal(self.rotation, same.rotation) and np.array_equal(self.projection, same.projection)
 
     def placed_from(self, left: "Rectified") -> Pose:
         """Return right_T_left, if this is the right camera's."""
@@ -43,8 +49,12 @@ def of_one(camera: Camera) -> Rectified:
             view = make_view(camera, ViewOptions())
         except InvalidInput:  # more than a pinhole holds
             view = camera
-    fx, fy, cx, cy = view.parameters[:4].tolist()
-    return Rectified(np.eye(3), np.array([(fx, 0, cx, 0), (0, fy, cy, 0), (0, 0, 1, 0)], dtype=float))
+    return of_matrix(view)
+
+
+def of_matrix(camera: Camera) -> Rectified:
+    """Return R = 1 and P = [K | 0]."""
+    return Rectified(np.eye(3), np.column_stack([camera.K, np.zeros(3)]))
 
 
 def of_pair(left: Camera, right: Camera, right_T_left: Pose) -> tuple[Rectified, Rectified]:
@@ -62,7 +72,8 @@ def of_pair(left: Camera, right: Camera, right_T_left: Pose) -> tuple[Rectified,
     seen = np.mean([_centre(camera, turn) for camera, turn in zip((left, right), rotations, strict=True)], axis=0)
     cx, cy = (width - 1) / 2 - focal * seen[0], (height - 1) / 2 - focal * seen[1]
     matrix = np.array([(focal, 0, cx), (0, focal, cy), (0, 0, 1)])
-    offsets = np.zeros(3), align @ baseline
+    length = np.linalg.norm(baseline)
+    offsets = np.zeros(3), length * np.round(align @ baseline / length)  # along one axis, without rounding errors
     first, second = (
         Rectified(turn, np.column_stack([matrix, matrix @ offset]))
         for turn, offset in zip(rotations, offsets, strict=True)
@@ -73,8 +84,8 @@ def of_pair(left: Camera, right: Camera, right_T_left: Pose) -> tuple[Rectified,
 def _along_rows(baseline: Array) -> Array:
     """Return the rotation (3, 3) to axes of which x, or y where the cameras stand above each other, is the baseline."""
     length = np.linalg.norm(baseline)
-    if not length:
-        raise InvalidInput("the two cameras stand in one place; they are no pair to rectify")
+    if np.hypot(baseline[0], baseline[1]) <= _BESIDE * length:
+        raise InvalidInput("the two cameras stand in one place or behind each other; they are no pair to rectify")
     if abs(baseline[0]) >= abs(baseline[1]):
         x = baseline / length * np.copysign(1, baseline[0])
         y = np.cross(_Z, x)

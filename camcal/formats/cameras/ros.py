@@ -85,7 +85,7 @@ def _entry(values: Values, given: Given) -> CameraEntry:
     coefficients = values.numbers("distortion_coefficients") if count else np.zeros(0)
     camera = camera_of(model, given.size(size, values.document.where), core, coefficients)
     found = _rectified(values)
-    if found is None:
+    if found is None or found.leaves(camera):
         return CameraEntry(camera)
     kept = {"rectification": found.rotation.ravel().tolist(), "projection": found.projection.ravel().tolist()}
     return CameraEntry(camera, extra={VENDOR_KEY: kept})
@@ -138,8 +138,8 @@ def _name(values: Values) -> str:
 
 
 def outputs(path: Path, file: CameraFile) -> tuple[Path, ...]:
-    """Return the files that are written: the path itself, of a pair one in it for each camera."""
-    return (path,) if len(file.cameras) == 1 else tuple(path / f"{name}.yaml" for name in file.cameras)
+    """Return the files that are written: the path itself, or in a folder one for each camera."""
+    return (path,) if path.suffix else tuple(path / f"{name}.yaml" for name in file.cameras)
 
 
 def write(path: Path, file: CameraFile) -> None:
@@ -149,7 +149,9 @@ def write(path: Path, file: CameraFile) -> None:
     """
     names, entries = list(file.cameras), list(file.cameras.values())
     if len(entries) == 1:
-        files.write_text(path, _text(names[0], entries[0].camera, _kept(entries[0]) or of_one(entries[0].camera)))
+        files.write_text(
+            outputs(path, file)[0], _text(names[0], entries[0].camera, _kept(entries[0]) or of_one(entries[0].camera))
+        )
         return
     if path.suffix or path.is_file():
         raise InvalidInput(
@@ -188,12 +190,11 @@ def _kept_pair(entries: Sequence[CameraEntry], right_T_left: Pose) -> tuple[Rect
 
 
 def _text(name: str, camera: Camera, rectified: Rectified) -> str:
-    fx, fy, cx, cy = camera.parameters[:4].tolist()
     data: dict[str, Any] = {
         "image_width": camera.image_size[0],
         "image_height": camera.image_size[1],
         "camera_name": name,
-        "camera_matrix": _matrix(np.array([(fx, 0, cx), (0, fy, cy), (0, 0, 1)], dtype=float)),
+        "camera_matrix": _matrix(camera.K),
         "distortion_model": MODELS[camera.model.name],
         "distortion_coefficients": _matrix(camera.parameters[4:][None]),
         "rectification_matrix": _matrix(rectified.rotation),
@@ -219,4 +220,5 @@ FORMAT = CameraFormat(
     outputs=outputs,
     most_cameras=2,
     files=2,
+    in_folder=True,
 )

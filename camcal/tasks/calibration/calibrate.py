@@ -17,7 +17,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
-from camcal.formats import detections, native, native_entry, provenance
+from camcal.formats import cameras, detections, native, native_entry, provenance
 from camcal.formats.camera_file import (
     CalibrationNoise,
     CalibrationVerdict,
@@ -235,8 +235,8 @@ def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
         return None
     path, name = split_address(options.guess)
     # a start may be poor; what is held at its value may not
-    file = native.read(path, progress) if options.fix else native.read(path)
-    return native.select(file, name, str(path))
+    file = cameras.read(path, progress) if options.fix else cameras.read(path)
+    return cameras.select(file, name, str(path))
 
 
 def _solver_options(options: CalibrateOptions, guess: CameraEntry | None) -> intrinsics.Options:

@@ -10,7 +10,7 @@ import numpy as np
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view
 from camcal.errors import InvalidInput
-from camcal.formats import documents, native
+from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
@@ -32,12 +32,18 @@ class Inspection:
 
 
 def inspect(options: InspectOptions) -> Inspection:
-    """Return what a camera file holds; raises InvalidInput or FileError as `native.read` does."""
+    """Return what a camera file holds; raises InvalidInput or FileError as `cameras.read` does.
+
+    The document of a file of another program is what camcal would write of it.
+    """
     path, camera = options.address
-    document = documents.load(path, native.check)
-    file = native.from_document(document, path.parent)
+    file = cameras.read(path)
+    foreign = cameras.format_of(path).name != cameras.OWN
+    document = (
+        documents.Document(str(path), emit.plain(native.block(file, path)), {}) if foreign else documents.load(path)
+    )
     if camera is not None:
-        native.select(file, camera, str(path))
+        cameras.select(file, camera, str(path))
     names = list(file.cameras) if camera is None else [camera]
     return Inspection(document, file, {name: _field_deg(file.cameras[name]) for name in names})
 

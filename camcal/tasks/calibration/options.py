@@ -37,7 +37,7 @@ from dataclasses import field
 
 from camcal.images.options import JPEG_QUALITY, ViewOptions
 from camcal.options import NUMBERS
-from camcal.tasks.options import CameraName
+from camcal.tasks.options import CameraName, GivenCamera
 
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
@@ -319,16 +319,21 @@ class DemoOptions(OptionsRecord):
 class UndistortOptions(OptionsRecord):
     """What to undistort and how; see `camcal undistort --help`.
 
-    camera: a camera file or FILE#NAME. output: a folder; of points a CSV file, or a folder for one of the same name.
+    camera: a camera file or FILE#NAME; an input where `given` is the camera itself.
+    output: a folder; of points a CSV file, or a folder for one of the same name.
     border: one number, or one for each channel. format: one of FORMATS, None keeps the type of the source. mask: write
     which pixels have a source, too. rescale: fit the camera to images that were resized. align_channels: draw the
     colours of colour images through their own lenses, where the camera file has them. points: a CSV file with columns
     u, v and any others, in place of images. distort: from pixels of the view to pixels of the image the camera took.
     """
 
-    camera: Annotated[str, Argument("A camera file, or FILE#NAME for one of several.", metavar="CAMERA")]
-    output: Output
+    camera: Annotated[
+        str | None,
+        Argument("A camera file, or FILE#NAME for one of several; left out with --camera-matrix.", metavar="CAMERA"),
+    ] = None
+    output: Output = Path("undistorted")
     inputs: Annotated[tuple[str, ...], Argument("Images, videos, folders, globs.", metavar="IMAGES…")] = ()
+    given: Annotated[GivenCamera, Without(("size",))] = field(default_factory=GivenCamera)
     camera_name: CameraName = None
     points: Annotated[
         Path | None,
@@ -376,7 +381,21 @@ class UndistortOptions(OptionsRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.points is not None and self.inputs:
-            raise InvalidInput(f"--points takes no images, found {self.inputs[0]}")
+        alone = self.given.without_file([self.camera] if self.camera else [])
+        if self.camera is None and not alone:
+            raise InvalidInput("which camera? Give a camera file, or --camera-matrix FX,FY,CX,CY")
+        if self.points is not None and self.images:
+            raise InvalidInput(f"--points takes no images, found {self.images[0]}")
         if self.points is None and self.distort:
             raise InvalidInput("--distort is for --points")
+
+    @property
+    def camera_file(self) -> str | None:
+        """The camera file or FILE#NAME, None for a camera that is given itself."""
+        return None if self.given.camera_matrix is not None else self.camera
+
+    @property
+    def images(self) -> tuple[str, ...]:
+        """The images: without a camera file also what stands for it."""
+        first = (self.camera,) if self.camera is not None and self.camera_file is None else ()
+        return (*first, *self.inputs)

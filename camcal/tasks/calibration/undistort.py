@@ -3,8 +3,9 @@
 With --points, a table of pixels of the distorted image to pixels of the view, and the reverse.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import native, provenance
+from camcal.formats import cameras, native, provenance
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.load import load
@@ -37,6 +38,7 @@ from camcal.run.paths import (
 )
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
 from camcal.tasks.calibration.options import UndistortOptions
+from camcal.tasks.given_camera import read_camera_file
 
 _COMMAND = "camcal undistort"
 CAMERA_FILE = "camera.yaml"
@@ -50,14 +52,29 @@ _DIGITS = 12
 
 @dataclass(frozen=True, eq=False)
 class SourceCamera:
-    """A camera of a file, its name there, the lenses of single colours and what else is known of it."""
+    """A camera of a file, its name there, the lenses of single colours and what else is known of it.
 
-    path: Path
+    path: None for a camera that the command line gives.
+    """
+
+    path: Path | None
     name: str
     camera: Camera
     channels: Mapping[str, Camera] = field(default_factory=dict)
     circle: ImageCircle | None = None
     verdict: CalibrationVerdict | None = None
+
+    @property
+    def files(self) -> list[Path]:
+        """The camera file, if there is one."""
+        return [] if self.path is None else [self.path]
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """Where the camera comes from, for the provenance of what is made with it."""
+        if self.path is None:
+            return {"name": self.name, "given_by": "--camera-matrix"}
+        return {"file": self.path.as_posix(), "name": self.name, "sha256": files.sha256(self.path)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +102,12 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     Raises InvalidInput for a view the camera cannot give, or an output that would replace an input; FileError; and
     the first image's error when there is none that could be written.
     """
-    source = read_source(options.camera, options.camera_name, progress)
-    media = find_media(options.inputs, recursive=options.recursive)
+    media = find_media(options.images, recursive=options.recursive)
+    source = read_source(options, partial(_first_size, media), progress)
     outputs = {path: options.output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
     camera_file, mask_file = options.output / CAMERA_FILE, options.output / MASK_FILE
     refuse_collisions(outputs)
-    refuse_overwriting([*outputs.values(), camera_file, mask_file], [source.path, *media.images])
+    refuse_overwriting([*outputs.values(), camera_file, mask_file], [*source.files, *media.images])
     require_own(camera_file)
     if options.rescale:
         source = _rescaled(source, media)
@@ -196,12 +213,14 @@ def document(report: UndistortReport) -> dict[str, Any]:
     }
 
 
-def read_source(address: str, name: str | None, progress: Progress) -> SourceCamera:
-    """Return the camera of FILE or FILE#NAME; raises InvalidInput if it is not clear which one is meant."""
-    path, addressed = split_address(address)
-    file = native.read(path, progress)
-    wanted = name or addressed
-    entry = native.select(file, wanted, str(path))
+def read_source(
+    options: UndistortOptions, size_of_images: Callable[[], tuple[int, int] | None], progress: Progress
+) -> SourceCamera:
+    """Return the camera that is meant; raises InvalidInput if that is not clear, and as `read_camera_file` does."""
+    path, addressed = (None, None) if options.camera_file is None else split_address(options.camera_file)
+    file = read_camera_file(options.camera_file, options.given, progress, size_of_images)
+    wanted = options.camera_name or addressed
+    entry = cameras.select(file, wanted, str(path or "--camera-matrix"))
     return SourceCamera(
         path, wanted or next(iter(file.cameras)), entry.camera, entry.channels, entry.image_circle, entry.verdict
     )
@@ -220,8 +239,11 @@ def write_view(
     aligned: the colours that were drawn through a lens of their own.
     """
     before = _earlier(path)
-    origin = {"camera": {"file": source.path.as_posix(), "name": source.name, "sha256": files.sha256(source.path)}}
-    block = provenance.build(arguments, None) | origin | ({"aligned_channels": list(aligned)} if aligned else {})
+    block = (
+        provenance.build(arguments, None)
+        | {"camera": source.origin}
+        | ({"aligned_channels": list(aligned)} if aligned else {})
+    )
     native.write(path, CameraFile({source.name: CameraEntry(view, verdict=source.verdict)}, provenance=block))
     if before is not None and not _same(before, view):
         progress.warn(f"{path}: replaces the camera of another view; images of that one no longer fit it")
@@ -270,11 +292,11 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
     """
     if options.points is None:
         raise InvalidInput("no points are given; name a table with --points")
-    source = read_source(options.camera, options.camera_name, progress)
+    source = read_source(options, lambda: options.view.size, progress)
     output = options.output if options.output.suffix else options.output / options.points.name
     camera_file = None if options.distort else output.with_suffix(".camera.yaml")
     outputs = [output] if camera_file is None else [output, camera_file]
-    refuse_overwriting(outputs, [source.path, options.points])
+    refuse_overwriting(outputs, [*source.files, options.points])
     if camera_file is not None:
         require_own(camera_file)
     view = make_view(source.camera, options.view, source.circle)

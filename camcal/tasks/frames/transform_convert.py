@@ -9,7 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.formats import documents, native, trajectories
+from camcal.formats import cameras, trajectories
 from camcal.formats.pose_text import form_of
 from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
 from camcal.geometry.pose import NamedTransform, Trajectory, carried, frames_of, inverse_jacobian
@@ -22,7 +22,6 @@ from camcal.tasks.frames.options import ConvertOptions, Output
 from camcal.tasks.frames.transform import require_own, write
 
 _UNNAMED = ("a", "b")
-_CAMERA_FILES = (".yaml", ".yml")
 _KINDS = {"tum": "tum", "kitti": "kitti", "ros": "tf"}
 
 
@@ -161,9 +160,9 @@ def _principal_points_of(sources: Sequence[str], progress: Progress) -> dict[str
     """Return cx and cy (px) of the cameras of camera files among the sources, which count from pixel centres."""
     found: dict[str, tuple[float, float]] = {}
     for path in dict.fromkeys(files_of(sources)):
-        if path.suffix.lower() in _CAMERA_FILES and documents.load(path).get("format") == native.FORMAT:
-            cameras = {name: entry.camera for name, entry in native.read(path, progress).cameras.items()}
-            found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in cameras.items()}
+        if path.suffix.lower() in cameras.SUFFIXES and cameras.is_camera_file(path):
+            known = {name: entry.camera for name, entry in cameras.read(path, progress).cameras.items()}
+            found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in known.items()}
     return found
 
 

@@ -10,7 +10,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
 from camcal.errors import InvalidInput
-from camcal.formats import native
+from camcal.formats import cameras
 from camcal.optics import lens
 from camcal.optics.lens import effective_f_number
 from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
@@ -91,8 +91,8 @@ def set_up(options: OpticsOptions) -> Setup:
 
 def _with_camera(setup: Setup, address: str) -> Setup:
     path, fragment = split_address(address)
-    file = native.read(path)
-    entry = native.select(file, fragment or setup.options.name, str(path))
+    file = cameras.read(path)
+    entry = cameras.select(file, fragment or setup.options.name, str(path))
     size = entry.camera.image_size
     if setup.size not in (None, size):
         raise InvalidInput(f"--size: the camera file is for {size[0]}x{size[1]} images; leave it out")

@@ -20,7 +20,7 @@ from camcal.options import (
     separated,
 )
 from camcal.parsing import parse_number
-from camcal.tasks.options import BoardText, CameraName, Jobs, Recursive, output_option
+from camcal.tasks.options import BoardText, CameraName, GivenCamera, Jobs, Recursive, output_option
 
 if TYPE_CHECKING:
     from camcal.formats.poses.record import PoseRecord
@@ -161,6 +161,8 @@ class PriorOptions(OptionsRecord):
 class PnpOptions(OptionsRecord):
     """A camera file (FILE or FILE#NAME), or a rig's, and what was seen: `points`, or `inputs` of a board or of tags.
 
+    given: the camera itself; what stands for its file is an input then.
+
     points: a file of correspondences. inputs: images, videos, folders and globs, or one detections file; of a rig
     CAMERA=PATH. rig: the camera file of a rig; what stands for the camera is an input then. name: of the camera in its
     file. pose: camera_T_object, object_T_camera (of a rig: of its frame). outliers: auto is many for points, few for
@@ -170,7 +172,10 @@ class PnpOptions(OptionsRecord):
     camera's covariance. draw: a folder for pictures.
     """
 
-    camera: Annotated[str | None, Argument("Camera file, or FILE#NAME; left out with --rig.", metavar="CAMERA")] = None
+    camera: Annotated[
+        str | None, Argument("Camera file, or FILE#NAME; left out with --camera-matrix and --rig.", metavar="CAMERA")
+    ] = None
+    given: GivenCamera = field(default_factory=GivenCamera)
     points: Annotated[
         Path | None,
         Option(
@@ -268,18 +273,31 @@ class PnpOptions(OptionsRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.camera is None and self.rig is None:
-            raise InvalidInput("which camera? Give a camera file, or --rig")
+        alone = self.given.without_file([self.camera] if self.camera else [])
+        if self.rig is not None and alone:
+            raise InvalidInput("--rig and --camera-matrix both say which camera; leave one of them out")
+        if self.camera is None and self.rig is None and not alone:
+            raise InvalidInput("which camera? Give a camera file, --camera-matrix FX,FY,CX,CY, or --rig")
 
     @property
-    def camera_file(self) -> str:
-        """The file of the camera (FILE or FILE#NAME) or of the rig."""
-        return str(self.camera if self.rig is None else self.rig)
+    def camera_file(self) -> str | None:
+        """The file of the camera (FILE or FILE#NAME) or of the rig, None for a camera that is given itself."""
+        if self.rig is not None:
+            return str(self.rig)
+        return None if self.given.camera_matrix is not None else self.camera
+
+    @property
+    def address(self) -> tuple[Path | None, str | None]:
+        """The file of the camera or rig, and the name of the camera in it that is meant, as far as there are any."""
+        from camcal.run.paths import split_address
+
+        path, name = (None, None) if self.camera_file is None else split_address(self.camera_file)
+        return path, name or self.name
 
     @property
     def seen(self) -> tuple[str, ...]:
-        """What was seen: of a rig also what stands for the camera."""
-        first = (self.camera,) if self.rig is not None and self.camera is not None else ()
+        """What was seen: without a camera file also what stands for it."""
+        first = (self.camera,) if self.camera is not None and self.camera_file != self.camera else ()
         return (*first, *self.inputs)
 
     @property

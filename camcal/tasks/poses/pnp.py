@@ -5,6 +5,7 @@ A pose that is known beforehand is one of a pose file, or of a file with a pose 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,21 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions, PosePrior
-from camcal.formats import correspondences, native, pose_text, poses
+from camcal.formats import cameras, correspondences, pose_text, poses
 from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.poses.record import PixelNoise, PoseKey, Poses
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.progress import SILENT, Progress
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
-from camcal.run.paths import refuse_overwriting, require_folder, split_address
+from camcal.run.paths import refuse_overwriting, require_folder
+from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
+from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_observer import Observer, draw, joined, seen_by_rig, sheets, videos_in
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
-from camcal.tasks.poses.pnp_views import Observation, PnpViews, seen_by
+from camcal.tasks.poses.pnp_views import Observation, PnpViews, first_size, seen_by
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     Raises InvalidInput, FileError, or what kept the first image from a pose if none has one; nothing is written then.
     """
     _check(options)
-    file = native.read(split_address(options.camera_file)[0], progress)
+    file = read_camera_file(options.camera_file, options.given, progress, partial(_first_size_of, options))
     observer = _observer(options, file)
     inverse = _is_inverse(options.pose, observer.frame)
     settings = _settings(options)
@@ -97,7 +100,8 @@ def _check(options: PnpOptions) -> None:
         raise InvalidInput("--points has its own points; leave --board, --tags and the images out")
     if options.points is not None and detection.scale:
         raise InvalidInput("--scale-intrinsics goes by the size of images, which a file of points does not have")
-    if options.rig and (options.name or split_address(options.camera_file)[1]):
+    path, name = options.address
+    if options.rig and name:
         raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
     if detection.board and detection.tags:
         raise InvalidInput("a run looks for --board or for --tags, not for both")
@@ -110,17 +114,23 @@ def _check(options: PnpOptions) -> None:
     if options.output is None:
         return
     poses.require_suffix(options.output)
-    inputs = [split_address(options.camera_file)[0], *options.paths]
-    inputs += [path for path in (options.points, options.prior.path) if path]
+    named = (path, options.points, options.prior.path)
+    inputs = [*options.paths, *(each for each in named if each is not None)]
     refuse_overwriting([options.output], inputs)
 
 
+def _first_size_of(options: PnpOptions) -> tuple[int, int] | None:
+    """Return the size of the first image that was seen, None if there is none."""
+    pictures = [text for text in options.seen if Path(text).suffix.lower() not in DETECTION_SUFFIXES]
+    return first_size(tuple(pictures), options.detection.recursive)[0] if pictures and not options.rig else None
+
+
 def _observer(options: PnpOptions, file: CameraFile) -> Observer:
-    path, name = split_address(options.camera_file)
+    path, name = options.address
     if options.rig:
         rig, frame = rig_of(file, str(path))
         return Observer.of_rig(rig, frame, {name: file.cameras[name].noise for name in rig.cameras})
-    entry = native.select(file, name or options.name, str(path))
+    entry = cameras.select(file, name, str(path or "--camera-matrix"))
     return Observer.of_camera(entry.camera, entry.noise)
 
 
@@ -134,7 +144,7 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
     if rig is not None:
         rig, seen = seen_by_rig(rig, file, options.seen, detection, progress)
         return observer.resized(dict(rig.cameras.items()), rig), seen
-    name = split_address(options.camera_file)[1] or options.name
+    _, name = options.address
     camera, seen = seen_by(observer.cameras[None], name, file, options.seen, detection, progress)
     return observer.resized({None: camera}, None), seen
 

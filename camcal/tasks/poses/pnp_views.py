@@ -94,7 +94,7 @@ def seen_by(
         return _seen_tags(camera, inputs, detection, progress)
     board = _board(detection, file, tables)
     if not tables:
-        camera = _fitting(camera, *_first_size(inputs, detection.recursive), detection.scale)
+        camera = _fitting(camera, *first_size(inputs, detection.recursive), detection.scale)
     found = _boards(inputs, board, detection, progress)
     views = _of_one_camera(found.detections.views, name)
     camera = _fitting(camera, *_usual_size(views, camera), detection.scale)
@@ -122,7 +122,7 @@ def _seen_tags(
     camera: Camera, inputs: tuple[str, ...], detection: DetectionOptions, progress: Progress
 ) -> tuple[Camera, PnpViews]:
     objects = tags.load_tags(str(detection.tags))
-    camera = _fitting(camera, *_first_size(inputs, detection.recursive), detection.scale)
+    camera = _fitting(camera, *first_size(inputs, detection.recursive), detection.scale)
     keep = detection.repeated_ids == "keep"
     found = tag_views(
         inputs, objects, detection.recursive, detection.jobs, progress, camera.image_size, keep_repeated=keep
@@ -200,7 +200,7 @@ def _usual_size(views: Sequence[BoardDetection], camera: Camera) -> tuple[tuple[
     return size, next(view.image for view in views if view.found and view.size == size)
 
 
-def _first_size(inputs: tuple[str, ...], recursive: bool) -> tuple[tuple[int, int] | None, str]:
+def first_size(inputs: tuple[str, ...], recursive: bool) -> tuple[tuple[int, int] | None, str]:
     """Return the size of the first image or video that can be read, and its name."""
     media = find_media(inputs, recursive)
     for path in (*media.images, *media.videos):

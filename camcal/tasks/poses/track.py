@@ -23,6 +23,7 @@ from camcal.progress import SILENT, Progress
 from camcal.report import track_words
 from camcal.run.paths import Media, find_media, refuse_collisions, refuse_overwriting, require_there
 from camcal.targets.markers.tags import single_name
+from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.poses.frame_times import frame_times, require_times
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.pnp import pnp
@@ -68,7 +69,7 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
     Raises InvalidInput, FileError, or InsufficientData if no object can be followed; nothing is written then.
     """
     _check(options)
-    seen = _of_file(options) if options.camera is None else _of_images(options.camera, options, progress)
+    seen = _of_file(options) if options.of_poses else _of_images(options, progress)
     if seen.poses.unit != "m":
         raise InvalidInput(f"lengths are in {seen.poses.unit}, not in metres; give the board's squares a size")
     direction = _direction(options, seen.poses)
@@ -143,12 +144,13 @@ def _of_file(options: TrackingOptions) -> _FramePoses:
         raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
     path = Path(options.frames[0])
     require_there(path)
+    require_no_image(path)
     read = poses.read(path)
     images = {pose_key.image for pose_key in (*read.estimates, *read.missing)}
     return _FramePoses(read, tuple(sorted(images, key=files.natural_key)))
 
 
-def _of_images(camera: str, options: TrackingOptions, progress: Progress) -> _FramePoses:
+def _of_images(options: TrackingOptions, progress: Progress) -> _FramePoses:
     media = find_media(options.frames, options.detection.recursive)
     if len(media.videos) > 1 or (media.videos and media.images):
         raise InvalidInput(
@@ -157,8 +159,9 @@ def _of_images(camera: str, options: TrackingOptions, progress: Progress) -> _Fr
     require_times(media.videos, options.timing)
     found = pnp(
         PnpOptions(
-            camera,
+            options.camera,
             inputs=options.frames,
+            given=options.given,
             detection=options.detection,
             name=options.name,
             noise_px=options.noise_px,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, ValueType, Without, separated
-from camcal.tasks.options import CameraName, output_option
+from camcal.tasks.options import CameraName, GivenCamera, output_option
 from camcal.tasks.poses.options import AUTO, DetectionOptions
 
 POSE_SUFFIXES = (".yaml", ".yml", ".json")
@@ -65,6 +65,8 @@ class Timing(OptionsRecord):
 class TrackingOptions(OptionsRecord):
     """A camera file (FILE or FILE#NAME) and the video or images it took; or a pose file alone.
 
+    given: the camera itself; all inputs are images or a video then.
+
     name: of the camera in its file. noise_px: standard deviation of every pixel coordinate, None to find it out.
     timing: when frames were taken. object: the one to follow, None for all; tag_id: the same by the id of a tag.
     process_noise: strength of the accelerations (m²/s³, rad²/s³), None for what the frames make likeliest. pose: what
@@ -75,10 +77,12 @@ class TrackingOptions(OptionsRecord):
     inputs: Annotated[
         tuple[str, ...],
         Argument(
-            "Camera file (or FILE#NAME) and a video, a folder or images; or a pose file of 'camcal pnp' alone.",
+            "Camera file (or FILE#NAME; left out with --camera-matrix) and a video, a folder or images; or a pose "
+            "file of 'camcal pnp' alone.",
             metavar="CAMERA VIDEO|IMAGES… | POSES",
         ),
     ]
+    given: GivenCamera = field(default_factory=GivenCamera)
     detection: Annotated[DetectionOptions, Without(("board_shape", "scale", "repeated_ids"))] = field(
         default_factory=DetectionOptions
     )
@@ -147,15 +151,23 @@ class TrackingOptions(OptionsRecord):
             raise InvalidInput("--causal looks no frame ahead and --lag some: give one of them")
         if self.object is not None and self.tag_id is not None:
             raise InvalidInput("--object and --id both choose an object: give one of them")
+        self.given.without_file(self.inputs)
 
     @property
     def camera(self) -> str | None:
-        """The camera file, None for a pose file."""
-        return self.inputs[0] if names_camera(self.inputs) else None
+        """The camera file, None for a camera that is given itself and for a pose file."""
+        return self.inputs[0] if self.given.camera_matrix is None and names_camera(self.inputs) else None
+
+    @property
+    def of_poses(self) -> bool:
+        """Whether a pose file is followed."""
+        return self.given.camera_matrix is None and self.camera is None
 
     @property
     def frames(self) -> tuple[str, ...]:
         """The video or images, or the pose file."""
+        if self.given.camera_matrix is not None:
+            return self.inputs
         return self.inputs[1:] if self.camera else self.inputs[-1:]
 
 

@@ -17,7 +17,7 @@ from camcal import files
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import boards, detections, native, provenance
+from camcal.formats import boards, cameras, detections, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.formats.emit import number_text
 from camcal.geometry import rotation as so3
@@ -114,7 +114,7 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
     if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
         raise InvalidInput("a camera file says it all: leave out --model, --size, --fov and --distortion")
     path, name = split_address(options.camera)
-    known = native.select(native.read(path, progress), options.name or name, str(path)).camera
+    known = cameras.select(cameras.read(path, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
 
 

@@ -1,7 +1,7 @@
 """The options of the commands about rectified pairs and point clouds."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -18,12 +18,13 @@ from camcal.options import (
     Without,
 )
 from camcal.stereo.options import MatchOptions
-from camcal.tasks.options import CameraName, Jobs, Output, Recursive, output_option
+from camcal.tasks.options import CameraName, GivenCamera, Jobs, Output, Recursive, output_option
 
 CAMERA = "Camera of the pair"
 MAP_TYPES = ("pfm", "tiff", "tif", "png", "npy", "npz", "exr")
 OWN, ONNX = "own", "onnx"
 ENGINES = (OWN, ONNX)
+INTRINSICS = ("fx", "fy", "cx", "cy")
 ONE_SIDE = ValueType(lambda text: (text,), lambda paths: " ".join(map(str, paths)), "a path")
 
 PairCamera = Annotated[
@@ -34,9 +35,13 @@ PairCamera = Annotated[
 
 @dataclass(frozen=True)
 class GeometryOptions(OptionsRecord):
-    """What the command line says of a pair. camera: name of the left one in the file. fx … doffs: pixels and metres."""
+    """What the command line says of a pair. camera: name of the left one in the file. fx … doffs: pixels and metres.
+
+    given: the left camera at once, in place of fx … cy; rectified, so that its distortion can only be zero.
+    """
 
     camera: CameraName = None
+    given: Annotated[GivenCamera, Without(("model",))] = field(default_factory=GivenCamera)
     fx: Annotated[float | None, Option("Focal length.", metavar="PIXELS", group=CAMERA)] = None
     fy: Annotated[float | None, Option("Focal length along y; by default fx.", metavar="PIXELS", group=CAMERA)] = None
     cx: Annotated[float | None, Option("Principal point of the left image, x.", metavar="PIXELS", group=CAMERA)] = None
@@ -47,9 +52,21 @@ class GeometryOptions(OptionsRecord):
         Option("cx of the right image minus cx of the left; by default 0.", metavar="PIXELS", group=CAMERA),
     ] = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if any(self.given.distortion or ()):
+            raise InvalidInput(
+                "--distortion: rectified images have none; give the camera matrix of the rectified camera"
+            )
+        twice = [f"--{name}" for name in INTRINSICS if self.given.camera_matrix and getattr(self, name) is not None]
+        if twice:
+            raise InvalidInput(f"--camera-matrix and {', '.join(twice)} say the same twice; leave one of them out")
+
     def numbers(self) -> dict[str, float]:
         """Return the numbers that are given, by name."""
-        return {name: value for name, value in asdict(self).items() if name != "camera" and value is not None}
+        known = dict(zip(INTRINSICS, self.given.camera_matrix or (), strict=False))
+        single = {name: getattr(self, name) for name in (*INTRINSICS, "baseline", "doffs")}
+        return known | {name: value for name, value in single.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -178,6 +195,9 @@ class TruthPair(OptionsRecord):
         return {name: path for name, path in found.items() if path is not None}
 
 
+_MATRIX = ("given.camera_matrix", "given.distortion", "given.size")
+
+
 @dataclass(frozen=True)
 class EvalOptions(OptionsRecord):
     """Disparity maps and truths, how to read them, and what is asked of them.
@@ -212,7 +232,7 @@ class EvalOptions(OptionsRecord):
         float | None,
         Option("The same of the truth, such as 4 for Middlebury 2003.", metavar="COUNTS", group=INPUT),
     ] = None
-    geometry: Annotated[GeometryOptions, Without(("fy", "cx", "cy"))] = field(default_factory=GeometryOptions)
+    geometry: Annotated[GeometryOptions, Without(("fy", "cx", "cy", *_MATRIX))] = field(default_factory=GeometryOptions)
     gates: Annotated[
         tuple[str, ...],
         Option(

@@ -4,6 +4,7 @@ The other files that a sidecar names become the image that points are made of.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -11,8 +12,9 @@ import numpy as np
 
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import disparity, disparity_sidecar, native, pair_calibration
+from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
 from camcal.formats.camera_file import CameraFile, Transform
+from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
@@ -20,9 +22,11 @@ from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.stereo.points.depth import StereoImage
+from camcal.tasks.given_camera import read_camera_file
+from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
 from camcal.tasks.stereo.options import GeometryOptions
 
-SUFFIXES = (".yaml", ".yml", pair_calibration.SUFFIX)  # of files that know cameras
+SUFFIXES = (*CAMERA_SUFFIXES, pair_calibration.SUFFIX)  # of files that know cameras
 
 _NEEDED = ("fx", "cx", "cy", "baseline")
 
@@ -78,6 +82,7 @@ def pair_of(
     Raises InvalidInput if only a part is known, the file is of a pair that is not rectified or of images of another
     size; FileError.
     """
+    _require_size(options.given.size, size, "--size")
     sources = [_of_sidecar(sidecar), _of_file(address, options.camera, size, progress), _Source(options.numbers())]
     numbers: dict[str, float] = {}
     sigma: dict[str, float] = {}
@@ -96,11 +101,12 @@ def pair_of(
 def warn_of_file(address: str | None, progress: Progress) -> None:
     """Give the warnings of a pair's camera file, for commands that ask for the geometry of every pair anew.
 
-    address: as in `pair_of`. Raises InvalidInput and FileError as `native.read` does.
+    address: as in `pair_of`. Raises InvalidInput and FileError as `cameras.read` does.
     """
     path = None if address is None else split_address(address)[0]
     if path is not None and path.suffix.lower() != pair_calibration.SUFFIX:
-        native.read(path, progress)
+        with suppress(MissingSize):  # the images have one
+            cameras.read(path, progress)
 
 
 def _of_sidecar(sidecar: Sidecar | None) -> _Source:
@@ -124,9 +130,9 @@ def _of_file(address: str | None, camera: str | None, size: tuple[int, int], pro
 
 def _of_camera_file(path: Path, name: str | None, size: tuple[int, int], address: str, progress: Progress) -> _Source:
     """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
-    file = native.read(path, progress)
+    file = read_camera_file(str(path), GivenCamera(), progress, lambda: size)
     pair = _pair(file, name)
-    left = file.cameras[pair[0]].camera if pair else native.select(file, name, str(path)).camera
+    left = file.cameras[pair[0]].camera if pair else cameras.select(file, name, str(path)).camera
     _require_size(left.image_size, size, address)
     try:
         if pair is None:

@@ -1,0 +1,82 @@
+"""The camera of a command: one of a camera file of any format, or one whose numbers the command line gives."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import FISHEYE, Camera
+from camcal.errors import InvalidInput
+from camcal.formats import cameras
+from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.cameras.record import CAMERA, Given, MissingSize
+from camcal.progress import SILENT, Progress
+from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, split_address
+from camcal.tasks.options import GivenCamera
+
+Size = tuple[int, int]
+
+
+def _unknown() -> None:
+    return None
+
+
+def read_camera_file(
+    address: str | None,
+    given: GivenCamera,
+    progress: Progress = SILENT,
+    size_of_images: Callable[[], Size | None] = _unknown,
+) -> CameraFile:
+    """Return the content of the camera file FILE or FILE#NAME, or one with the camera that is given in its place.
+
+    size_of_images: asked where neither the options nor the file say for which size of images the camera is.
+    Raises InvalidInput for an image in place of the file, where the size remains unknown, and as `cameras.read` does.
+    """
+    if given.camera_matrix is not None:
+        size = given.size or size_of_images()
+        if size is None:
+            raise InvalidInput("--camera-matrix: for which size of images? Give --size WxH")
+        return CameraFile({CAMERA: CameraEntry(camera_of(given, size))})
+    if address is None:
+        raise InvalidInput("which camera? Give a camera file, or --camera-matrix FX,FY,CX,CY")
+    path = split_address(address)[0]
+    require_no_image(path)
+    try:
+        return cameras.read(path, progress, Given(given.size, given.model))
+    except MissingSize:
+        if (size := size_of_images()) is None:
+            raise
+        return cameras.read(path, progress, Given(size, given.model))
+
+
+def require_no_image(path: Path) -> None:
+    """Raise InvalidInput if what stands for a camera file is an image, a video or a folder of them."""
+    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES:
+        what = "a folder" if path.is_dir() else "an image or video"
+        raise InvalidInput(
+            f"is {what} where a camera file is needed: put CAMERA first, or give --camera-matrix FX,FY,CX,CY",
+            where=str(path),
+        )
+
+
+def camera_of(given: GivenCamera, size: Size) -> Camera:
+    """Return the camera of --camera-matrix and --distortion for images of (width, height).
+
+    Raises InvalidInput if the coefficients are not as many as their lens model has.
+    """
+    fx, fy, cx, cy = given.camera_matrix or ()
+    matrix = np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
+    distortion: Sequence[float] = given.distortion or ()
+    model = None if given.model is None else model_named(given.model)
+    if model is not None and len(distortion) != len(model.parameter_names) - 4:
+        names = ",".join(model.parameter_names[4:])
+        raise InvalidInput(
+            f"--distortion: {model.name} has {names or 'no coefficients'}, found {len(distortion)} numbers"
+        )
+    if model is not None and not model.opencv:
+        raise InvalidInput(f"--model {given.model}: OpenCV has no such lens; write a camera file")
+    try:
+        return Camera.from_opencv(matrix, distortion, size, fisheye=model is not None and model.opencv == FISHEYE)
+    except InvalidInput as error:
+        raise InvalidInput(f"--camera-matrix, --distortion: {error.message}") from error
