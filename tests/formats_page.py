@@ -1,6 +1,6 @@
-"""The table of lens models in docs/formats.md, as the models describe themselves.
+"""The tables of lens models and camera formats in docs/formats.md, as models and formats describe themselves.
 
-Run as a script, this writes it anew.
+Run as a script, this writes them anew.
 """
 
 from collections.abc import Iterable
@@ -8,10 +8,12 @@ from pathlib import Path
 
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import CameraModel
+from camcal.formats.cameras import FORMATS
+from camcal.formats.cameras.record import CameraFormat
 from camcal.formats.native_entry import CORE
 
 PAGE = Path(__file__).parents[1] / "docs" / "formats.md"
-_START, _END = "<!-- lens models -->\n", "<!-- end -->"
+_LENSES, _FORMATS, _END = "<!-- lens models -->\n", "<!-- camera formats -->\n", "<!-- end -->"
 
 
 def row(model: CameraModel) -> str:
@@ -23,10 +25,30 @@ def row(model: CameraModel) -> str:
 
 def with_models(page: str, models: Iterable[CameraModel]) -> str:
     """Return the page with a row for every model."""
-    before, _, rest = page.partition(_START)
-    table = "\n".join(["| model | `distortion` | | other names |", "|---|---|---|---|", *map(row, models), ""])
-    return before + _START + table + _END + rest.partition(_END)[2]
+    return _with_table(
+        page, _LENSES, ["| model | `distortion` | | other names |", "|---|---|---|---|", *map(row, models)]
+    )
+
+
+def format_row(form: CameraFormat) -> str:
+    """Return a camera format's row of the table."""
+    suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes)
+    lenses = "all" if set(form.models) == set(MODELS) else " ".join(f"`{name}`" for name in form.models)
+    cameras = "any number" if form.most_cameras is None else f"up to {form.most_cameras}"
+    return f"| {form.title} | `{form.name}` | {suffixes} | {cameras} | {lenses} |"
+
+
+def with_formats(page: str, forms: Iterable[CameraFormat]) -> str:
+    """Return the page with a row for every camera format."""
+    head = ["| format | `--to` | written as | cameras | lens models written |", "|---|---|---|---|---|"]
+    return _with_table(page, _FORMATS, [*head, *map(format_row, forms)])
+
+
+def _with_table(page: str, start: str, lines: Iterable[str]) -> str:
+    before, _, rest = page.partition(start)
+    return before + start + "\n".join([*lines, ""]) + _END + rest.partition(_END)[2]
 
 
 if __name__ == "__main__":
-    PAGE.write_text(with_models(PAGE.read_text(encoding="utf-8"), MODELS.values()), encoding="utf-8")
+    written = with_formats(with_models(PAGE.read_text(encoding="utf-8"), MODELS.values()), FORMATS.values())
+    PAGE.write_text(written, encoding="utf-8")

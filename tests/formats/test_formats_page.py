@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from formats_page import with_models
+from formats_page import with_formats, with_models
 
 from camcal.cameras.catalogue import MODELS
 from camcal.formats import (
@@ -19,6 +19,7 @@ from camcal.formats import (
     trajectories,
 )
 from camcal.formats.boards import BOARD_KEYS, SPACING, lengths
+from camcal.formats.cameras import FORMATS
 from camcal.formats.detections import COLUMNS, OPTIONAL
 from camcal.formats.native_entry import KEY_OF_CLASS, KEY_OF_TERM, PROJECTION_FIGURES
 from camcal.targets.board import parse_board
@@ -121,3 +122,9 @@ def test_the_table_of_lens_models_is_what_the_models_say():
     page = with_models(PAGE, list(MODELS.values())[1:])
     assert "| `pinhole` |" not in page
     assert with_models(page, MODELS.values()) == PAGE, "run: python tests/formats_page.py"
+
+
+def test_the_table_of_camera_formats_is_what_the_formats_say():
+    page = with_formats(PAGE, list(FORMATS.values())[1:])
+    assert "| `camcal` |" not in page
+    assert with_formats(page, FORMATS.values()) == PAGE, "run: python tests/formats_page.py"

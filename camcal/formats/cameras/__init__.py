@@ -112,6 +112,8 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFo
         return possible[0]
     if possible and source.name != OWN:
         return FORMATS[OWN]
+    if not possible and path.suffix:
+        raise InvalidInput(f"{path.suffix} is no camera file; known are {' '.join(SUFFIXES)}", where=str(path))
     names = ", ".join(form.name for form in possible or FORMATS.values())
     raise InvalidInput(f"{path.suffix or 'a folder'} is written in several formats: give --to {names}", where=str(path))
 

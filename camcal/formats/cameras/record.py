@@ -39,9 +39,8 @@ class Given:
         Raises MissingSize if neither says it, InvalidInput if they differ.
         """
         if known is None and self.image_size is None:
-            raise MissingSize(
-                "has no image size: give --size WxH, or 'camcal convert FILE camera.yaml --size WxH' first", where=where
-            )
+            advice = f"give --size WxH, or 'camcal convert {where} camera.yaml --size WxH' first"
+            raise MissingSize(f"has no image size: {advice}", where=where)
         if known is not None and self.image_size not in (None, known):
             raise InvalidInput(
                 "the file is for {}x{} images, not for {}x{}".format(*known, *self.image_size), where=where

@@ -38,7 +38,7 @@ from camcal.run.paths import (
 )
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
 from camcal.tasks.calibration.options import UndistortOptions
-from camcal.tasks.given_camera import read_camera_file
+from camcal.tasks.given_camera import read_camera_file, require_no_image
 
 _COMMAND = "camcal undistort"
 CAMERA_FILE = "camera.yaml"
@@ -102,6 +102,8 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     Raises InvalidInput for a view the camera cannot give, or an output that would replace an input; FileError; and
     the first image's error when there is none that could be written.
     """
+    if options.camera_file is not None:
+        require_no_image(split_address(options.camera_file)[0])
     media = find_media(options.images, recursive=options.recursive)
     source = read_source(options, partial(_first_size, media), progress)
     outputs = {path: options.output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}

@@ -15,7 +15,9 @@ from camcal.optics import lens
 from camcal.optics.lens import effective_f_number
 from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
 from camcal.run.paths import split_address
+from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.lenses.options import OpticsOptions, is_possible
+from camcal.tasks.options import GivenCamera
 
 _DISAGREE = 0.05  # of two ways to the same length: more than lenses and data sheets are off
 _FILE, _SOLVER = "camera file", "--solve"
@@ -91,7 +93,7 @@ def set_up(options: OpticsOptions) -> Setup:
 
 def _with_camera(setup: Setup, address: str) -> Setup:
     path, fragment = split_address(address)
-    file = cameras.read(path)
+    file = read_camera_file(address, GivenCamera(), size_of_images=lambda: setup.size)
     entry = cameras.select(file, fragment or setup.options.name, str(path))
     size = entry.camera.image_size
     if setup.size not in (None, size):

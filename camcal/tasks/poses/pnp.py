@@ -24,7 +24,7 @@ from camcal.report import pose_words
 from camcal.report.overlays import Posed
 from camcal.run.paths import refuse_overwriting, require_folder
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
-from camcal.tasks.given_camera import read_camera_file
+from camcal.tasks.given_camera import read_camera_file, require_no_image
 from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_observer import Observer, draw, joined, seen_by_rig, sheets, videos_in
@@ -94,13 +94,15 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
 
 def _check(options: PnpOptions) -> None:
     detection = options.detection
+    path, name = options.address
+    if path is not None:
+        require_no_image(path)
     if options.points is None and not options.seen:
         raise InvalidInput("nothing to work on: give --points FILE, or images with --board BOARD or --tags TAGS")
     if options.points is not None and (options.seen or detection.board or detection.tags):
         raise InvalidInput("--points has its own points; leave --board, --tags and the images out")
     if options.points is not None and detection.scale:
         raise InvalidInput("--scale-intrinsics goes by the size of images, which a file of points does not have")
-    path, name = options.address
     if options.rig and name:
         raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
     if detection.board and detection.tags:

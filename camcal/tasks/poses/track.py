@@ -136,15 +136,15 @@ def _check(options: TrackingOptions) -> None:
 
 
 def _of_file(options: TrackingOptions) -> _FramePoses:
+    path = Path(options.frames[0])
+    require_no_image(path)
     if len(options.frames) != 1:
         raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
     if options.detection.board or options.detection.tags:
         raise InvalidInput("a pose file has its poses already; leave --board and --tags out")
     if options.noise_px is not None:
         raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
-    path = Path(options.frames[0])
     require_there(path)
-    require_no_image(path)
     read = poses.read(path)
     images = {pose_key.image for pose_key in (*read.estimates, *read.missing)}
     return _FramePoses(read, tuple(sorted(images, key=files.natural_key)))

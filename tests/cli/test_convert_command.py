@@ -1,0 +1,112 @@
+"""`camcal convert`: what it says, its document, its exit codes; every camera argument reads what it writes."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.formats import cameras, native
+from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile, Transform
+from camcal.geometry.pose import Pose
+
+LENS = Camera(model_named("opencv5"), (640, 480), [512.0, 511.5, 321.5, 238.25, -0.2, 0.05, 1e-3, -2e-4, 0.01])
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """The path of a file with two cameras, one of them with noise, and the transform between them."""
+    entries = {"left": CameraEntry(LENS, noise=CalibrationNoise(0.1)), "right": CameraEntry(LENS)}
+    path = tmp_path / "rig.yaml"
+    native.write(path, CameraFile(entries, {"right_T_left": Transform(Pose(np.eye(3), [-0.12, 0.0, 0.0]))}))
+    return path
+
+
+def test_one_line_says_what_was_written_and_what_is_not_held(run, tmp_path, rig):
+    code, out, err = run("convert", f"{rig}#left", tmp_path / "left.yaml", "--to", "ros")
+    assert (code, err) == (0, "")
+    assert out == f"wrote {tmp_path / 'left.yaml'}: ROS camera_info, exact; not held there: noise\n"
+    assert yaml.safe_load((tmp_path / "left.yaml").read_text())["camera_name"] == "left"
+
+
+def test_the_document(run, tmp_path, rig):
+    code, out, _ = run("convert", rig, tmp_path / "rig.json", "--json")
+    assert code == 0
+    assert json.loads(out) == {
+        "schema": "camcal/convert/1",
+        "source_format": "camcal",
+        "format": "opencv",
+        "outputs": [str(tmp_path / "rig.json")],
+        "cameras": [
+            {"name": "left", "model": "opencv5", "image_size": [640, 480]},
+            {"name": "right", "model": "opencv5", "image_size": [640, 480]},
+        ],
+        "transforms": ["right_T_left"],
+        "left_out": ["noise"],
+    }
+
+
+def test_a_pair_goes_to_ros_and_back(run, tmp_path, rig):
+    assert run("convert", rig, tmp_path / "ros", "--to", "ros")[0] == 0
+    left, right = tmp_path / "ros" / "left.yaml", tmp_path / "ros" / "right.yaml"
+    code, _, err = run("convert", left, tmp_path / "back.yaml", "--with", right)
+    assert (code, err) == (0, "")
+    file = cameras.read(tmp_path / "back.yaml")
+    assert file.transforms["right_T_left"].pose.translation == pytest.approx([-0.12, 0.0, 0.0], abs=1e-12)
+    assert file.converted_from == {"file": "left.yaml", "format": "ros", "exact": True}
+    assert file.provenance["command"].startswith("camcal convert")
+
+
+def test_what_is_refused_and_how(run, tmp_path, rig):
+    out = tmp_path / "out.yaml"
+    rows = [
+        ((rig, out), 2, "out.yaml: .yaml is written in several formats: give --to camcal, kalibr, ros, opencv"),
+        ((f"{rig}#left", out, "--to", "kalibr"), 2, "left: opencv5 cannot be written exactly to Kalibr camchain"),
+        ((rig, out, "--to", "rso"), 2, "--to rso: no camera format of this name. Did you mean 'ros'?"),
+        ((rig, out, "--to", "ros"), 2, "out.yaml: a pair is two files for ROS (left.yaml, right.yaml): give a folder"),
+        ((rig, tmp_path / "out.xml", "--to", "ros"), 2, "out.xml: ROS camera_info is written as .yaml or .yml"),
+        ((rig, tmp_path / "out.txt"), 2, "out.txt: .txt is no camera file"),
+        ((rig, rig, "--to", "camcal"), 2, "rig.yaml: is an input and is not overwritten"),
+        ((rig, out, "--to", "camcal", "--with", rig), 2, "are all in one"),
+        ((f"{rig}#middle", out, "--to", "ros"), 2, "no camera 'middle'"),
+        ((tmp_path / "none.yaml", out), 3, "none.yaml"),
+        ((tmp_path, out), 2, "is a folder where a camera file is needed"),
+    ]
+    for arguments, expected, said in rows:
+        code, printed, err = run("convert", *arguments)
+        assert (code, printed) == (expected, ""), arguments
+        assert said in err
+        assert err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_file_without_a_size_gets_one(run, tmp_path):
+    bare = tmp_path / "bare.yml"
+    bare.write_text("K: [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]\nD: [0.1, 0.0, 0.0, 0.0, 0.0]\n")
+    assert "has no image size: give --size WxH" in run("convert", bare, tmp_path / "a.yaml")[2]
+    assert "has no image size" in run("inspect", bare)[2]
+    assert run("convert", bare, tmp_path / "a.yaml", "--size", "640x480")[0] == 0
+    assert cameras.read_camera(tmp_path / "a.yaml").image_size == (640, 480)
+
+
+def test_inspect_reads_other_programs_files(run, tmp_path, rig):
+    run("convert", f"{rig}#left", tmp_path / "left.xml")
+    code, out, _ = run("inspect", tmp_path / "left.xml")
+    assert code == 0
+    assert "converted from left.xml (opencv)" in out
+    assert run("inspect", tmp_path / "left.xml", "--get", "cameras.camera.intrinsics.fx")[1] == "512.0\n"
+
+
+def test_transforms_of_a_camchain_are_frames(run, tmp_path, rig):
+    file = cameras.read(rig)
+    flat = CameraFile(
+        {name: CameraEntry(Camera(model_named("pinhole"), (640, 480), LENS.parameters[:4])) for name in file.cameras},
+        file.transforms,
+    )
+    cameras.write(tmp_path / "camchain.yaml", flat, cameras.FORMATS["kalibr"])
+    code, out, _ = run("transform", "chain", tmp_path / "camchain.yaml", "--to", "cam0", "--from", "cam1", "--json")
+    assert code == 0
+    assert json.loads(out)["schema"] == "camcal/transform-chain/1"
+    assert "0.12" in out
