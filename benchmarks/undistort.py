@@ -33,8 +33,8 @@ from camcal.images.remap import build_maps
 from camcal.images.save import save
 from camcal.images.views import make_view
 from camcal.run.process import available_cores
-from camcal.tasks.calibration.options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SIZE = (4000, 3000)
 CAMERA = Camera(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from camcal.cli import show
 from camcal.cli.command import ImageCall
 from camcal.report.table import Column
-from camcal.tasks.calibration.options import UndistortOptions
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.undistort import PointsReport, UndistortReport

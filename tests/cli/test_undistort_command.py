@@ -112,7 +112,7 @@ def test_points_are_undistorted_and_distorted_back(run, folder):
         (["lens.yaml", "-o", "out"], 2, "no images given"),
         (["lens.yaml", "nowhere", "-o", "out"], 3, "no such file"),
         (["none.yaml", "photos", "-o", "out"], 3, "none.yaml"),
-        (["photos/1.png", "photos", "-o", "out"], 3, "photos/1.png"),
+        (["photos/1.png", "photos", "-o", "out"], 2, "photos/1.png: is an image or video where a camera file"),
         (["lens.yaml#right", "photos", "-o", "out"], 2, "no camera 'right'"),
         (["lens.yaml", "photos", "-o", "photos"], 2, "is an input and is not overwritten"),
         (["lens.yaml", "photos", "-o", "out", "--alpha", "2"], 2, "2 is more than 1"),

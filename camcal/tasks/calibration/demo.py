@@ -8,8 +8,9 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.progress import SILENT, Progress
 from camcal.simulate.scene import Truth
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
-from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions, UndistortOptions
+from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
 from camcal.tasks.calibration.undistort import UndistortReport, undistort
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.simulation.options import BoardShape, SimulateOptions
 from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateReport, simulate
 

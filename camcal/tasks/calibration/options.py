@@ -1,4 +1,4 @@
-"""The options of the commands that calibrate, look for boards, undistort, and use cameras."""
+"""The options of the commands that calibrate and look for boards."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,6 @@ from camcal.tasks.options import (
     OUTPUT_OPTION,
     BoardText,
     Jobs,
-    Output,
     Recursive,
     lens_models,
     output_option,
@@ -33,11 +32,6 @@ from camcal.tasks.options import (
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
-from dataclasses import field
-
-from camcal.images.options import JPEG_QUALITY, ViewOptions
-from camcal.options import NUMBERS
-from camcal.tasks.options import CameraName, GivenCamera
 
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
@@ -56,8 +50,6 @@ MixedSizes = Annotated[
         names="--mixed-sizes",
     ),
 ]
-
-FORMATS = ("jpg", "png", "tiff", "npy")
 
 
 @dataclass(frozen=True)
@@ -313,89 +305,3 @@ class DemoOptions(OptionsRecord):
     views: Annotated[int, Option("Number of photographs.", metavar="N", group=INPUT)] = 20
     seed: Annotated[int, Option("Another seed gives other poses and noise.", metavar="N", group=INPUT, least=0)] = 0
     jobs: Jobs = None
-
-
-@dataclass(frozen=True)
-class UndistortOptions(OptionsRecord):
-    """What to undistort and how; see `camcal undistort --help`.
-
-    camera: a camera file or FILE#NAME; an input where `given` is the camera itself.
-    output: a folder; of points a CSV file, or a folder for one of the same name.
-    border: one number, or one for each channel. format: one of FORMATS, None keeps the type of the source. mask: write
-    which pixels have a source, too. rescale: fit the camera to images that were resized. align_channels: draw the
-    colours of colour images through their own lenses, where the camera file has them. points: a CSV file with columns
-    u, v and any others, in place of images. distort: from pixels of the view to pixels of the image the camera took.
-    """
-
-    camera: Annotated[
-        str | None,
-        Argument("A camera file, or FILE#NAME for one of several; left out with --camera-matrix.", metavar="CAMERA"),
-    ] = None
-    output: Output = Path("undistorted")
-    inputs: Annotated[tuple[str, ...], Argument("Images, videos, folders, globs.", metavar="IMAGES…")] = ()
-    given: Annotated[GivenCamera, Without(("size",))] = field(default_factory=GivenCamera)
-    camera_name: CameraName = None
-    points: Annotated[
-        Path | None,
-        Option(
-            "Undistort pixels, not images: columns u, v and any others, which are kept.", metavar="CSV", group=INPUT
-        ),
-    ] = None
-    distort: Annotated[bool, Option("With --points: from the undistorted image back to the camera's.")] = False
-    view: ViewOptions = field(default_factory=ViewOptions)
-    interpolation: Annotated[
-        str,
-        Option(
-            "nearest-truncate (as textbooks print it), nearest (rounded), linear, cubic, lanczos. "
-            "Linear places the image best: cubic and lanczos are off by up to 0.06 and 0.03 px in OpenCV.",
-            metavar="NAME",
-        ),
-    ] = "linear"
-    border: Annotated[
-        tuple[float, ...],
-        Option("Pixels without a source: a number, or one for each channel: B,G,R.", metavar="VALUE", type=NUMBERS),
-    ] = (0.0,)
-    rescale: Annotated[bool, Option("Fit the camera to images that were resized (not cropped).")] = False
-    align_channels: Annotated[
-        bool,
-        Option(
-            "Draw red and blue of colour images through their own lenses, if the camera file has channels "
-            "('camcal calibrate --channels'), so that the colours coincide."
-        ),
-    ] = True
-    mask: Annotated[
-        bool, Option("Write valid_mask.png too: 255 where a pixel has a source.", group=OUTPUT, recorded=False)
-    ] = False
-    format: Annotated[
-        str | None,
-        Option(
-            "jpg, png, tiff or npy; by default as the image (video: jpg).",
-            metavar="NAME",
-            group=OUTPUT,
-            choices=FORMATS,
-        ),
-    ] = None
-    quality: Annotated[int, Option("Of JPEG.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
-    recursive: Recursive = False
-    jobs: Jobs = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        alone = self.given.without_file([self.camera] if self.camera else [])
-        if self.camera is None and not alone:
-            raise InvalidInput("which camera? Give a camera file, or --camera-matrix FX,FY,CX,CY")
-        if self.points is not None and self.images:
-            raise InvalidInput(f"--points takes no images, found {self.images[0]}")
-        if self.points is None and self.distort:
-            raise InvalidInput("--distort is for --points")
-
-    @property
-    def camera_file(self) -> str | None:
-        """The camera file or FILE#NAME, None for a camera that is given itself."""
-        return None if self.given.camera_matrix is not None else self.camera
-
-    @property
-    def images(self) -> tuple[str, ...]:
-        """The images: without a camera file also what stands for it."""
-        first = (self.camera,) if self.camera is not None and self.camera_file is None else ()
-        return (*first, *self.inputs)

@@ -37,7 +37,7 @@ from camcal.run.paths import (
     split_address,
 )
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
-from camcal.tasks.calibration.options import UndistortOptions
+from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import read_camera_file, require_no_image
 
 _COMMAND = "camcal undistort"
