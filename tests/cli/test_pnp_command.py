@@ -232,7 +232,7 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
         (["camera.yaml", "points.csv", "--tags", "none.yaml"], 2, "points.csv: holds corners of a board"),
         (["camera.yaml", "a.png", "--tags", "none.yaml"], 3, "none.yaml: no such file"),
         (["camera.yaml"], 2, "nothing to work on: give --points"),
-        ([], 2, "which camera? Give a camera file, or --rig"),
+        ([], 2, "which camera? Give a camera file, --camera-matrix FX,FY,CX,CY, or --rig"),
         (["camera.yaml", "detections.csv"], 2, "detections.csv: names no board: give --board"),
         (
             ["--rig", "rig.yaml", "photos", "--board", "chessboard:9x6"],
