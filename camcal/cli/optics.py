@@ -39,7 +39,9 @@ def _show_formats() -> None:
 def _show(report: "OpticsReport") -> None:
     from camcal.tasks.lenses import optics_document as words
 
-    show.table("lens and sensor", ["figure", "value", "unit", "from"], list(words.lens_rows(report)))
+    show.table(
+        "lens and sensor", ["figure", "value", "unit", Column("from", wraps=True)], list(words.lens_rows(report))
+    )
     if report.at:
         show.table("at a distance", *words.distance_table(report))
     if report.board is not None:

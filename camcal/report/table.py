@@ -230,13 +230,13 @@ def _under_lines(first: _Laid, block: Sequence[_Laid], width: int) -> Iterator[s
 
 
 def _sized(block: Sequence[_Laid], width: int) -> list[_Laid]:
-    """Return the columns with their widths: what is to spare goes to the first that can use it."""
-    spare, sized = max(0, width - _least(block)), []
-    for each in block:
-        more = min(spare, each.natural - each.least)
-        spare -= more
-        sized.append(replace(each, width=each.least + more))
-    return sized
+    """Return the columns with their widths: what is to spare goes to those that lack the most."""
+    widths = [each.least for each in block]
+    for _ in range(width - _least(block)):
+        lacking = [each.natural - own for each, own in zip(block, widths, strict=True)]
+        if max(lacking, default=0) > 0:
+            widths[lacking.index(max(lacking))] += 1
+    return [replace(each, width=own) for each, own in zip(block, widths, strict=True)]
 
 
 def _row_lines(block: Sequence[_Laid], row: int, indent: int) -> Iterator[str]:

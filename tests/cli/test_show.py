@@ -73,3 +73,44 @@ def work_with(progress, capsys) -> str:
     captured = capsys.readouterr()
     assert captured.out == ""
     return captured.err
+
+
+GOOD, BAD, END = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
+
+
+def said(capsys):
+    show.text("fx 458.65 ± 0.41 px and many words more")
+    show.verdict("trustworthy", good=True)
+    show.verdict("DO NOT TRUST: few views", good=False)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_verdicts_stand_out_and_lines_end_at_words_on_a_terminal_only(capsys, monkeypatch):
+    plain = ["fx 458.65 ± 0.41 px and many words more", "trustworthy", "DO NOT TRUST: few views"]
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert said(capsys) == plain
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert said(capsys) == [plain[0], f"{GOOD}trustworthy{END}", f"{BAD}DO NOT TRUST: few views{END}"]
+    show.text("one two three four five six seven eight nine")
+    assert capsys.readouterr().out == "one two three four five six seven eight\n  nine\n"
+    show.document("fit", {"text": "word " * 20})
+    assert len(max(capsys.readouterr().out.splitlines(), key=len)) > 100
+    for name, value in (("NO_COLOR", "1"), ("TERM", "dumb")):
+        with monkeypatch.context() as changed:
+            changed.setenv(name, value)
+            assert said(capsys) == plain
+
+
+def test_one_line_says_what_was_written(capsys):
+    images = [Path("out") / f"{number}.png" for number in range(20)]
+    show.wrote(Path("camera.yaml"), None, show.several(images, "image"))
+    show.wrote(Path("a"), Path("b"), Path("c"))
+    show.wrote(show.several(images[:1], "image"))
+    show.wrote(None, show.several([], "image"))
+    assert capsys.readouterr().out.splitlines() == [
+        "wrote camera.yaml and 20 images to out/",
+        "wrote a, b and c",
+        "wrote out/0.png",
+    ]
