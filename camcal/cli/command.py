@@ -223,7 +223,7 @@ class _Maker:
         texts = [text for each in inputs for text in each.texts(values[each])]
         refuse_overwriting([path], [Path(text.rpartition("#")[0] or text) for text in texts])
         write_settings(path, self.name, settable(self.every), values)
-        self.call(values).give(lambda: {"output": path}, lambda: show.text(f"wrote {path}"))
+        self.call(values).give(lambda: {"output": path}, lambda: show.wrote(path))
 
     def call(self, values: Mapping[Declared, Any]) -> Call:
         """Return how the command is called."""

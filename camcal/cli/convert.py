@@ -24,6 +24,6 @@ def convert(options: ConvertFileOptions, call: Call) -> None:
 
 
 def _show(converted: "ConvertedFile") -> None:
-    written = ", ".join(map(str, converted.outputs))
     left_out = f"; not held there: {', '.join(converted.left_out)}" if converted.left_out else ""
-    show.text(f"wrote {written}: {converted.target.title}, exact{left_out}")
+    show.text(f"{converted.target.title}, exact{left_out}")
+    show.wrote(*converted.outputs)

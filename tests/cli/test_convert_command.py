@@ -24,10 +24,10 @@ def rig(tmp_path):
     return path
 
 
-def test_one_line_says_what_was_written_and_what_is_not_held(run, tmp_path, rig):
+def test_it_says_what_was_written_and_what_is_not_held(run, tmp_path, rig):
     code, out, err = run("convert", f"{rig}#left", tmp_path / "left.yaml", "--to", "ros")
     assert (code, err) == (0, "")
-    assert out == f"wrote {tmp_path / 'left.yaml'}: ROS camera_info, exact; not held there: noise\n"
+    assert out == f"ROS camera_info, exact; not held there: noise\nwrote {tmp_path / 'left.yaml'}\n"
     assert yaml.safe_load((tmp_path / "left.yaml").read_text())["camera_name"] == "left"
 
 
