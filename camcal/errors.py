@@ -6,13 +6,18 @@ CamcalError             1  never raised itself
 ├── InsufficientData    4  too little or degenerate data
 ├── NotConverged        5  an iteration that did not settle
 ├── ItemsFailed         6  some items failed, the rest is written
-└── GateFailed          7  a quality gate said no
+└── GateFailed          7  a quality gate failed
 
 Every message says what, where, how much and what to do, in one line (several findings: one line each).
 """
 
 import errno
 import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from camcal.messages import Message
 
 EXIT_BUG = 1
 EXIT_INTERRUPTED = 130
@@ -29,15 +34,19 @@ def in_one_line(text: str) -> str:
 
 
 class CamcalError(Exception):
-    """Base of every error a user can cause; `where` names a file, a key path or an option."""
+    """Base of every error a user can cause.
+
+    where: a file, a key path or an option. failures: what a gate or a verdict found, where one raised it.
+    """
 
     exit_code = EXIT_BUG
     kind = "bug"
 
-    def __init__(self, message: str, *, where: str | None = None) -> None:
+    def __init__(self, message: str, *, where: str | None = None, failures: "Sequence[Message]" = ()) -> None:
         super().__init__(message)
         self.message = message
         self.where = where
+        self.failures = tuple(failures)
 
     def __str__(self) -> str:
         return f"{in_one_line(self.where)}: {self.message}" if self.where else self.message
@@ -85,6 +94,11 @@ class ItemsFailed(CamcalError):
 class GateFailed(CamcalError):
     exit_code = 7
     kind = "gate_failed"
+
+    @classmethod
+    def of(cls, failures: "Sequence[Message]") -> "GateFailed":
+        """Return the error of a gate that these failures keep shut, a line each."""
+        return cls("\n".join(map(str, failures)), failures=failures)
 
 
 # When several apply, the first of these is the exit (docs/commands.md).

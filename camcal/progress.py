@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from camcal.errors import CamcalError, ItemsFailed
+from camcal.messages import Message
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -16,7 +17,7 @@ class Progress(Protocol):
     def start(self, what: str, total: int | None) -> None: ...
     def advance(self, count: int = 1) -> None: ...
     def finish(self) -> None: ...
-    def warn(self, message: str) -> None: ...
+    def warn(self, message: Message) -> None: ...
 
 
 class Silent:
@@ -31,11 +32,17 @@ class Silent:
     def finish(self) -> None:
         pass
 
-    def warn(self, message: str) -> None:
+    def warn(self, message: Message) -> None:
         pass
 
 
 SILENT = Silent()
+
+
+def warn_of(messages: Iterable[Message], progress: Progress) -> None:
+    """Give every one of some warnings."""
+    for message in messages:
+        progress.warn(message)
 
 
 @dataclass(frozen=True)

@@ -47,16 +47,14 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     calibration = report.calibration
     if report.frames and verbose:
         _show_frames(report.frames, verbose)
-    for reason in report.advice.reasons:
-        show.verdict(f"DO NOT TRUST: {reason}", good=False)
-    if report.advice.trustworthy:
+    for failure in report.assessment.failures:
+        show.verdict(f"DO NOT TRUST: {failure}", good=False)
+    if report.assessment.trustworthy:
         show.verdict("trustworthy", good=True)
     show.text(headline(calibration))
     show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
-    for remark in report.advice.remarks:
-        show.text(f"note: {remark}")
-    for note in report.notes:
-        show.text(note)
+    for line in report.lines:
+        show.text(line)
     width, height = calibration.camera.image_size
     title = f"{calibration.camera.model.name}, {width}x{height}"
     show.table(title, ["parameter", "value", "± std"], parameter_rows(calibration))
@@ -150,8 +148,8 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
         show.text(f"  … and {len(views) - len(shown)} with corners (--verbose lists all)")
     if report.frames:
         _show_frames(report.frames, verbose)
-    for note in report.notes:
-        show.text(note)
+    for line in report.lines:
+        show.text(line)
     for message in report.failed:
         show.text(f"failed: {message}")
     show.wrote(options.output, show.several(report.pictures, "picture"))

@@ -49,7 +49,7 @@ class Call:
     def give(self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None]) -> None:
         """Print a result: as the one JSON document, or in words, or not at all."""
         if self.json:
-            show.document(self.command, document())
+            show.result(self.command, document())
         elif not self.quiet:
             words()
 

@@ -10,17 +10,17 @@ if TYPE_CHECKING:
 
 
 def doctor(call: Call) -> None:
-    """Say what is installed and what is in the way.
+    """Show versions of camcal and its packages, and check that they work together.
 
-    The exit code is 7 if anything is.
+    The exit code is 7 if a check fails.
     """
     from camcal.errors import GateFailed
     from camcal.tasks.doctor import document, examine
 
     found = examine()
     call.give(lambda: document(found), lambda: _show(found, call.verbose))
-    if found.problems:
-        raise GateFailed("\n".join(found.problems))
+    if found.failures:
+        raise GateFailed.of(found.failures)
 
 
 def _show(found: "Examination", verbose: bool) -> None:
@@ -31,5 +31,5 @@ def _show(found: "Examination", verbose: bool) -> None:
     if verbose:
         for line in (*found.opencv_wheels, *(f"{name}={value}" for name, value in found.environment.items())):
             show.text(line)
-    if not found.problems:
-        show.verdict("Nothing is in the way.", good=True)
+    if not found.failures:
+        show.verdict("all checks passed", good=True)

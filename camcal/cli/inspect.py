@@ -68,6 +68,7 @@ def _show_frame(inspection: "RawInspection") -> None:
 
 
 def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
+    from camcal.progress import warn_of
     from camcal.tasks.calibration.inspect import document, value_at
     from camcal.tasks.calibration.inspect import inspect as run
 
@@ -75,13 +76,11 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
     if options.get is not None:
         value = value_at(inspection, options.get)
         if call.json:
-            show.document("inspect", {"file": options.address[0], "key": options.get, "value": value})
+            show.result("inspect", {"file": options.address[0], "key": options.get, "value": value})
         else:
             show.value(_one_value(value))
         return
-    if not call.json:
-        for warning in inspection.file.warnings:
-            show.warning(warning)
+    warn_of(inspection.file.warnings, call.progress)
     call.give(lambda: document(inspection), lambda: _show(inspection, call.verbose))
 
 

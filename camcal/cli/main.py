@@ -18,7 +18,7 @@ from typer.core import CompletionItem, TyperGroup  # type: ignore[attr-defined] 
 
 from camcal import __version__
 from camcal.cli import show
-from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, InvalidInput, in_one_line, translated
+from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, in_one_line, translated
 from camcal.images import limits
 from camcal.run.process import BLAS_THREADS, Stopped, stop_on_signals
 
@@ -64,7 +64,7 @@ COMMANDS = (
     Entry("transform check", "transform:check", "Say whether poses are valid."),
     Entry("transform points", "transform:points", "Take the points of a file to another frame."),
     Entry("optics", "optics:optics", "Work out field of view, depth of field, resolution."),
-    Entry("doctor", "doctor:doctor", "Say what is installed and what is in the way."),
+    Entry("doctor", "doctor:doctor", "Check the installation."),
 )
 
 
@@ -146,22 +146,24 @@ class Boundary(CommandGroup):
     def main(self, args: Sequence[str] | None = None, *_: Any, **__: Any) -> NoReturn:
         arguments = list(sys.argv[1:] if args is None else args)
         self._main_shell_completion({}, "camcal")  # only where the shell asks, by a variable of the environment
-        with show.documents() as shown:
+        with show.session() as session:
             try:
                 with self.make_context("camcal", list(arguments)) as context:
                     self.invoke(context)
+                if session.command is not None:
+                    session.document(session.command, {})
                 show.flush()
                 code = 0
             except typer.Exit as request:
                 code = request.exit_code
             except (Exception, KeyboardInterrupt, Stopped) as error:
-                code = self.report(error, arguments, silent=bool(shown))
+                code = self.report(error, arguments, session)
                 if code == EXIT_BUG:
                     raise
         sys.exit(code)
 
-    def report(self, error: BaseException, arguments: list[str], *, silent: bool) -> int:
-        """Show what went wrong and return the exit code; `silent` keeps a second document from stdout."""
+    def report(self, error: BaseException, arguments: list[str], session: show.Session) -> int:
+        """Show what went wrong, with what the command had to say until then, and return the exit code."""
         if isinstance(error, BrokenPipeError):
             show.discard_stdout(error)
             return 0
@@ -170,10 +172,15 @@ class Boundary(CommandGroup):
         code, kind, message, where = _described(error)
         if code != EXIT_BUG:
             show.error(f"{in_one_line(where)}: {message}" if where else message)
-        if "--json" in takewhile(lambda argument: argument != "--", arguments) and not silent:
+        if "--json" in takewhile(lambda argument: argument != "--", arguments):
             failure = {"error": {"kind": kind, "message": message, "where": where}, "exit": code}
-            show.document(self.named_in(arguments).removeprefix("camcal "), failure)
-            show.flush()
+            try:
+                name = self.named_in(arguments).removeprefix("camcal ")
+                session.document(name, failure, getattr(error, "failures", ()))
+                show.flush()
+            except FileError as full:
+                show.error(str(full))
+                return full.exit_code if code != EXIT_BUG else code
         return code
 
     def named_in(self, arguments: list[str]) -> str:

@@ -37,8 +37,8 @@ def pnp(options: PnpOptions, call: ImageCall) -> None:
 def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> None:
     from camcal.report import pose_words
 
-    for note in report.notes:
-        show.text(note)
+    for line in report.lines:
+        show.text(line)
     poses = report.poses
     rows = [pose_words.row(poses, pose_key, record) for pose_key, record in poses.estimates.items()]
     show.table(poses.frames, pose_words.columns(poses), rows, verbose=verbose, most=show.LISTED)
@@ -81,8 +81,8 @@ def track(options: TrackingOptions, call: ImageCall) -> None:
 def _show_tracks(report: "TrackReport", verbose: bool) -> None:
     from camcal.report.track_words import lines, plain
 
-    for note in report.notes:
-        show.text(note)
+    for line in report.lines:
+        show.text(line)
     for name, item in report.objects.items():
         show.text(f"{item.track.frames}{f', {name}' if name else ''}:")
         for line in lines(item):

@@ -10,10 +10,12 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from camcal.errors import FileError, in_one_line, reason
+from camcal.messages import Message, as_data
 from camcal.progress import Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
 
@@ -30,7 +32,23 @@ _END = 100  # of them that stay of its end
 _STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _SIGNIFICANT_DIGITS = 12
 
-_documents: ContextVar[list[str] | None] = ContextVar("documents", default=None)
+
+@dataclass
+class Session:
+    """What one command has to say as JSON at its end: the document of its result, if it has one, and all warnings."""
+
+    command: str | None = None
+    result: Mapping[str, Any] = field(default_factory=dict)
+    warnings: list[Message] = field(default_factory=list)
+
+    def document(self, command: str, error: Mapping[str, Any], failures: Sequence[Message] = ()) -> None:
+        """Print the one document: result, warnings, and what failed; `command` counts where there is no result."""
+        found = [*self.result.get("failures", ()), *as_data(failures)]
+        failed = {"failures": [each for place, each in enumerate(found) if each not in found[:place]]} if found else {}
+        document(self.command or command, {**self.result, "warnings": as_data(self.warnings), **failed, **error})
+
+
+_session: ContextVar[Session | None] = ContextVar("session", default=None)
 
 
 def text(line: str) -> None:
@@ -159,25 +177,38 @@ def document(command: str, payload: Mapping[str, Any]) -> None:
     """
     schema = f"camcal/{command.replace(' ', '-')}/1"
     value(json.dumps({"schema": schema, **_plain(payload)}, indent=2, allow_nan=False))
-    shown = _documents.get()
-    if shown is not None:
-        shown.append(schema)
+
+
+def result(command: str, payload: Mapping[str, Any]) -> None:
+    """Keep the document of a command's result until its end, when it is known what failed."""
+    session = _session.get()
+    if session is None:
+        document(command, payload)
+    else:
+        session.command, session.result = command, payload
 
 
 @contextmanager
-def documents() -> Iterator[list[str]]:
-    """Yield a list that receives the schema of every document printed inside the block."""
-    shown: list[str] = []
-    token = _documents.set(shown)
+def session() -> Iterator[Session]:
+    """Yield what collects the result and the warnings of the command inside the block."""
+    found = Session()
+    token = _session.set(found)
     try:
-        yield shown
+        yield found
     finally:
-        _documents.reset(token)
+        _session.reset(token)
 
 
-def warning(message: str) -> None:
-    """Print a warning to stderr, one line for each of its lines."""
-    _complain("warning", message)
+def warning(message: Message) -> None:
+    """Print a warning to stderr."""
+    _collect(message)
+    _complain("warning", str(message))
+
+
+def _collect(message: Message) -> None:
+    session = _session.get()
+    if session is not None:
+        session.warnings.append(message)
 
 
 def error(message: str) -> None:
@@ -193,7 +224,7 @@ def progress(quiet: bool) -> Progress:
 
 
 class _Warnings(Silent):
-    def warn(self, message: str) -> None:
+    def warn(self, message: Message) -> None:
         warning(message)
 
 
@@ -234,11 +265,12 @@ class _Terminal:
             self.bar.stop()
             self.bar = None
 
-    def warn(self, message: str) -> None:
+    def warn(self, message: Message) -> None:
         if self.bar is None:
             warning(message)
             return
-        for line in _lines(message):
+        _collect(message)
+        for line in _lines(str(message)):
             self.bar.console.print(f"camcal: warning: {line}", markup=False, highlight=False, soft_wrap=True)
 
 

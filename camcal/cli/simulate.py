@@ -116,13 +116,13 @@ def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
     ]
     show.table("truth beside estimate", ["parameter", "truth", "estimate", "± std", "off by"], rows)
     calibration = report.calibrated.calibration
-    for line in (*report.calibrated.notes, *summary(calibration)):
+    for line in (*report.calibrated.lines, *summary(calibration)):
         show.text(line)
     if verbose:
         views = [[view.image, view.kept, view.rms_px] for view in calibration.views]
         show.table("images", [Column("image", file=True), Column("corners"), Column("RMS", "px")], views)
-    for reason in report.calibrated.advice.reasons:
-        show.verdict(f"DO NOT TRUST: {reason}", good=False)
+    for failure in report.calibrated.assessment.failures:
+        show.verdict(f"DO NOT TRUST: {failure}", good=False)
     show.wrote(f"{output}{os.sep}")
     show.text(f"next: read {output / 'README.txt'}, which says what each file is and what to try")
 

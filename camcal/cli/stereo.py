@@ -86,16 +86,14 @@ def disparity(options: DisparityOptions, call: ImageCall) -> None:
     and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options. Exit 7 if left and right are swapped,
     rows differ by more than 5 px, or fewer than 15 % of the pixels are matched; the map is written all the same.
     """
-    from camcal.progress import require_all
-    from camcal.tasks.stereo.stereo_disparity import document, require_good, stereo_disparity
+    from camcal.progress import require_all, warn_of
+    from camcal.tasks.stereo.stereo_disparity import document, failures, require_good, stereo_disparity
 
     outcomes = stereo_disparity(options, call.progress)
     matched = [outcome.value for outcome in outcomes if outcome.value is not None]
     call.give(lambda: document(outcomes), lambda: _show_matched(matched, call.verbose))
     if options.force:
-        for pair in matched:
-            for failure in pair.failures:
-                show.warning(f"{pair.left}: {failure}")
+        warn_of(failures(outcomes), call.progress)
     else:
         require_good(outcomes)
     require_all(outcomes, "pairs")
@@ -175,9 +173,8 @@ def evaluate(options: EvalOptions, call: ImageCall) -> None:
 
     report = stereo_eval(options, call.progress)
     call.give(lambda: document(report), lambda: _show_errors(report, call.verbose))
-    broken = [f"{verdict.gate} (found {verdict.value:.4g})" for verdict in report.verdicts if not verdict.passed]
-    if broken:
-        raise GateFailed(f"gate failed: {', '.join(broken)}")
+    if report.failures:
+        raise GateFailed.of(report.failures)
     failed = [outcome for outcome in report.outcomes if outcome.error]
     if failed:
         raise ItemsFailed(f"{len(failed)} of {len(report.outcomes)} maps failed: {failed[0].error}")

@@ -10,6 +10,7 @@ from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, NamedTransform, Pose, frames_of
+from camcal.messages import Message
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.targets.surface import Surface
 
@@ -131,7 +132,7 @@ class JointCovariance:
 class CameraFile:
     """A camera file. transforms: by their names a_T_b. provenance, converted_from: plain data, never interpreted.
 
-    warnings: what a reader should know before trusting the file, a line each; they are not written.
+    warnings: what is implausible in the file, or untrustworthy; they are not written.
     """
 
     cameras: Mapping[str, CameraEntry]
@@ -141,7 +142,7 @@ class CameraFile:
     provenance: Mapping[str, object] = field(default_factory=dict)
     converted_from: Mapping[str, object] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
 
 def rig_of(file: CameraFile, where: str) -> tuple[Rig, str]:

@@ -23,6 +23,7 @@ from camcal.images import exif
 from camcal.images.load import load, require_allowed
 from camcal.images.npy import arrays_of, read_npy, write_npy
 from camcal.images.save import save
+from camcal.messages import Message
 
 KITTI_SCALE = 256.0  # 16-bit disparity is in 1/256 px by the convention of the KITTI benchmark
 OPENCV_SCALE = 16.0  # signed 16-bit disparity is what OpenCV's matchers give
@@ -72,11 +73,11 @@ class DisparityMap:
 
 @dataclass(frozen=True)
 class Written:
-    """How a map was written: counts per pixel, what means "no match", and what the reader of it should know."""
+    """How a map was written: counts per pixel, what means "no match", and warnings."""
 
     scale: float
     invalid: str
-    remark: str | None = None
+    warnings: tuple[Message, ...] = ()
 
 
 def read(path: str | Path, scale: float | None = None, invalid: str | None = None) -> DisparityMap:
@@ -157,10 +158,11 @@ def _write_png(path: Path, values: Array, scale: float | None) -> Written:
         )
     counts = np.maximum(np.rint(np.where(known, values, 0) * chosen), 1)  # 0 would say that there is no match
     save(path, np.where(known, counts, 0).astype(np.uint16))
-    remark = None
-    if scale is None and chosen != KITTI_SCALE:
-        remark = f"{path}: {largest:.2f} px do not fit at 256 counts per pixel; written at {chosen:g}"
-    return Written(chosen, ZERO, remark)
+    if scale is not None or chosen == KITTI_SCALE:
+        return Written(chosen, ZERO)
+    text = f"{largest:.2f} px exceed 16 bits at 256 counts per pixel: written at {chosen:g}"
+    figures = {"largest_px": largest, "scale": chosen}
+    return Written(chosen, ZERO, (Message("reduced_disparity_scale", text, figures, str(path)),))
 
 
 def _fitting_scale(largest: float) -> float:

@@ -14,7 +14,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -22,6 +22,7 @@ import yaml
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput
+from camcal.messages import Message
 
 MAX_VALUES = 100_000
 MAX_FOREIGN_VALUES = 300_000  # OpenCV's files may hold every corner of every image
@@ -87,6 +88,11 @@ class Document(Mapping[str, Any]):
         """Return a fault as one line: file:line: path: text."""
         place = self._place(fault)
         return f"{place}: {fault.path}: {fault.text}" if fault.path else f"{place}: {fault.text}"
+
+    def located(self, message: Message) -> Message:
+        """Return a message about a key path with the file and the line before the path."""
+        place = self._place(Fault(message.where or "", ""))
+        return replace(message, where=f"{place}: {message.where}" if message.where else place)
 
     def _place(self, fault: Fault) -> str:
         return f"{self.where}:{fault.line or self.line(fault.path)}" if self.lines else self.where

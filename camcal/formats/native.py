@@ -36,8 +36,9 @@ from camcal.formats.plausibility import implausible
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, matrix, number, plain, text
 from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine
+from camcal.messages import Message
 from camcal.parsing import nearest
-from camcal.progress import SILENT, Progress
+from camcal.progress import SILENT, Progress, warn_of
 
 FORMAT = "camcal-calibration"
 VERSION = 1
@@ -71,18 +72,17 @@ def read(path: str | Path, progress: Progress = SILENT) -> CameraFile:
     """
     path = Path(path)
     file = from_document(documents.load(path, check), path.parent)
-    for warning in file.warnings:
-        progress.warn(warning)
+    warn_of(file.warnings, progress)
     return file
 
 
 def from_document(document: documents.Document, folder: Path) -> CameraFile:
     """Return the camera file of a document that has passed `check`; folder: where the file lies."""
     cameras: dict[str, CameraEntry] = {}
-    findings: list[Fault] = []
+    found: list[Message] = []
     for name, data in document["cameras"].items():
         cameras[name], unknown = native_entry.read(data, folder)
-        findings += _without_uncertainty(child("cameras", name), unknown)
+        found += _without_uncertainty(child("cameras", name), unknown)
     file = CameraFile(
         cameras,
         transforms=_read_transforms(document.get("transforms", {})),
@@ -92,8 +92,8 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
         converted_from=document.get("converted_from", {}),
         extra={key: value for key, value in document.items() if key.startswith(VENDOR)},
     )
-    findings += implausible(file)
-    return replace(file, warnings=tuple(map(document.message, findings)))
+    found += implausible(file)
+    return replace(file, warnings=tuple(map(document.located, found)))
 
 
 def write(path: str | Path, file: CameraFile | Camera, *, exact: bool = False) -> None:
@@ -175,11 +175,11 @@ def block(file: CameraFile, path: Path) -> dict[str, Any]:
     }
 
 
-def _without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Fault]:
+def _without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Message]:
     """Yield that a camera's uncertainty cannot be used, if there are parameters without one."""
     if names:
-        text = f"no uncertainty of {', '.join(names)}; the camera's uncertainty is not used"
-        yield Fault(child(path, "uncertainty"), text)
+        text = f"no uncertainty of {', '.join(names)}: the uncertainty block is not used"
+        yield Message("incomplete_uncertainty", text, where=child(path, "uncertainty"))
 
 
 def check_name(name: str, path: str) -> Iterator[Fault]:

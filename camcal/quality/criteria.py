@@ -13,6 +13,7 @@ from camcal.calibrate.between_views import BetweenViews, Change
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.refusals import tilt_spread
 from camcal.calibrate.view_records import names_of
+from camcal.messages import Message, Value
 
 _SETS = "24 real sets, halves of them, and simulations"
 _RULE = "usual practice"
@@ -176,31 +177,23 @@ _ALL = (
 CRITERIA = {criterion.code: criterion for criterion in _ALL}
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A criterion that applies: its code, whether it is a failure, and in words what was found and what to do.
+def message(code: str, text: str, value: float, images: Sequence[str] = ()) -> Message:
+    """Return the message of a criterion that applies.
 
-    value: what was found, in the criterion's unit. images: those concerned, none where it is all of them.
+    text: what was found and what to do. value: what was found, in the criterion's unit. images: those concerned, none
+    where it is all of them.
     """
-
-    code: str
-    failure: bool
-    text: str
-    value: float
-    images: tuple[str, ...] = ()
+    criterion = CRITERIA[code]
+    values: dict[str, Value] = {"value": float(value), "limit": float(criterion.limit), "unit": criterion.unit}
+    return Message(code, text, values | ({"images": tuple(images)} if images else {}))
 
 
-def finding(code: str, text: str, value: float, images: tuple[str, ...] = ()) -> Finding:
-    """Return the finding of a criterion of the table."""
-    return Finding(code, CRITERIA[code].failure, text, float(value), images)
-
-
-def between_views(calibration: Calibration) -> Iterator[Finding]:
+def between_views(calibration: Calibration) -> Iterator[Message]:
     """Yield what differs between views and ought to be the same, and whether the views are nearly parallel."""
     ratio = calibration.between_views.proportions
-    for focal in _focal_length(calibration):
+    for clear, focal in _focal_length(calibration):
         # a board of other proportions resembles another focal length, which is less clear then
-        if not _beyond("two_boards", ratio.clear) or focal.value > ratio.clear:
+        if not _beyond("two_boards", ratio.clear) or clear > ratio.clear:
             yield focal
     yield from _boards(calibration.between_views)
     yield from _blur(calibration.between_views)
@@ -211,7 +204,8 @@ def _beyond(code: str, clear: float, px: float = np.inf) -> bool:
     return clear > CRITERIA[code].limit and px > CRITERIA[code].minimum_px
 
 
-def _focal_length(calibration: Calibration) -> Iterator[Finding]:
+def _focal_length(calibration: Calibration) -> Iterator[tuple[float, Message]]:
+    """Yield how clear a change of the focal length is, and the message about it."""
     found = calibration.between_views
     corner_px = float(np.hypot(*calibration.camera.image_size)) / 2
 
@@ -222,21 +216,24 @@ def _focal_length(calibration: Calibration) -> Iterator[Finding]:
     change = max(step, drift, key=lambda change: change.clear)
     words = _drift_words(drift) if change is drift else _step_words(found, step)
     if applies("focal_change", change):
-        yield finding("focal_change", f"the focal length {words}", change.clear, change.images)
+        yield change.clear, message("focal_change", f"the focal length {words}", change.clear, change.images)
     elif applies("focal_varies", views) and views.clear > change.clear:
         text = (
             f"the focal length of {names_of(views.images)} differs by {100 * views.share:+.2g} %: leave out "
             f"{_these(views.images)}, and lock focus and zoom"
         )
-        yield finding("focal_varies", text, views.clear, views.images)
+        yield views.clear, message("focal_varies", text, views.clear, views.images)
     elif applies("focal_varies", unordered) and unordered.clear > change.clear:
         text = (
             f"the focal length varies by {100 * unordered.share:.2g} % from view to view, as with autofocus: lock "
             "focus and zoom, and take all images again"
         )
-        yield finding("focal_varies", text, unordered.clear)
+        yield unordered.clear, message("focal_varies", text, unordered.clear)
     elif applies("focal_varies", change):
-        yield finding("focal_varies", f"it seems that the focal length {words}", change.clear, change.images)
+        yield (
+            change.clear,
+            message("focal_varies", f"it seems that the focal length {words}", change.clear, change.images),
+        )
 
 
 def _step_words(found: BetweenViews, step: Change) -> str:
@@ -254,7 +251,7 @@ def _drift_words(drift: Change) -> str:
     )
 
 
-def _boards(found: BetweenViews) -> Iterator[Finding]:
+def _boards(found: BetweenViews) -> Iterator[Message]:
     ratio, boards = found.proportions, found.boards
     if _beyond("two_boards", ratio.clear) and ratio.clear >= boards.clear:
         what, second, clear = f"its proportions by {100 * abs(ratio.share):.2g} %", ratio.images, ratio.clear
@@ -267,10 +264,10 @@ def _boards(found: BetweenViews) -> Iterator[Finding]:
     else:
         where, remedy = f"is another in {names_of(second)}", f"leave out {_these(second)}"
     text = f"the board {where}, {what}, as where two boards are mixed: use one board, or {remedy}"
-    yield finding("two_boards", text, clear, second)
+    yield message("two_boards", text, clear, second)
 
 
-def _blur(found: BetweenViews) -> Iterator[Finding]:
+def _blur(found: BetweenViews) -> Iterator[Message]:
     blurred = [view for view in found.blurred if _beyond("motion_blur", view.ratio, view.px)]
     if blurred:
         images = tuple(view.image for view in blurred)
@@ -278,10 +275,10 @@ def _blur(found: BetweenViews) -> Iterator[Finding]:
             f"blurred by motion: the corners of {names_of(images)} scatter in one direction, by up to "
             f"{max(view.px for view in blurred):.2g} px: leave out {_these(images)}, or hold camera and board still"
         )
-        yield finding("motion_blur", text, max(view.ratio for view in blurred), images)
+        yield message("motion_blur", text, max(view.ratio for view in blurred), images)
 
 
-def _parallel(calibration: Calibration) -> Iterator[Finding]:
+def _parallel(calibration: Calibration) -> Iterator[Message]:
     camera, views = calibration.camera, [view for view in calibration.used if view.camera_T_board]
     spread = np.degrees(tilt_spread(np.stack([view.camera_T_board.rotation for view in views if view.camera_T_board])))
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in _FOCALS)
@@ -293,12 +290,12 @@ def _parallel(calibration: Calibration) -> Iterator[Finding]:
             f"focal length is known to {100 * share:.1f} % only: add views with the board tilted by 30° to 45° about "
             "both axes"
         )
-        yield finding("parallel_views", text, share, tuple(view.image for view in views))
+        yield message("parallel_views", text, share, tuple(view.image for view in views))
     else:
         text = (
             f"the board was tilted by {spread:.0f}° at most: tilt it by 30° to 45°, which determines the focal length"
         )
-        yield finding("tilt", text, spread)
+        yield message("tilt", text, spread)
 
 
 def _near(after: Sequence[str]) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
+from camcal.messages import Message
 from camcal.raw.mosaic import Mosaic, channel_names, phases
 from camcal.raw.options import PATTERNS
 
@@ -117,6 +118,12 @@ def likely_white(peak: float, white: float) -> float | None:
     if white not in _CONTAINERS or not 0 < peak < (white + 1) / _SPARE:
         return None
     return 2.0 ** max(_FEWEST_BITS, int(peak).bit_length()) - 1
+
+
+def low_peak(peak: float, white: float, likely: float) -> Message:
+    """Return the warning about a largest count far below the stated white level; likely: of `likely_white`."""
+    text = f"largest count {peak:g} of {white:g}: the white level may be {likely:g} (--white {likely:g})"
+    return Message("low_peak", text, {"peak_dn": peak, "white_dn": white, "likely_white_dn": likely})
 
 
 def used_counts(frame: Mosaic) -> Array:

@@ -12,6 +12,7 @@ from math import hypot, log10
 import numpy as np
 
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.messages import Message
 from camcal.raw.emva import Curve, Figures, figures_of, together, transfer_curve
 from camcal.raw.level import Level
 
@@ -41,7 +42,7 @@ class Characterisation:
     curves: Mapping[str, Curve]
     saturation: str
     limited: bool
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
     @property
     def dynamic_range_stops(self) -> float:
@@ -135,27 +136,27 @@ def _warnings(
     curves: Mapping[str, Curve],
     phases: Mapping[str, Figures],
     white: float,
-) -> Iterator[str]:
-    """Yield what a person should know before believing the figures, a line each."""
+) -> Iterator[Message]:
+    """Yield the warnings about the frames and the figures."""
     for level, share in _drifts(flats, darks):
         if share > _DRIFT[0]:
-            yield f"the light changed by {100 * share:.2g} % between frames of one level ({_described(level)})"
+            text = f"illumination changed by {100 * share:.2g} % between frames of one level ({_described(level)})"
+            yield Message("unstable_illumination", text, {"change": share})
     if _what_ends(curves, white) == NOT_REACHED:
         peak = max(level.peak for level in flats)
-        yield (
-            f"the light did not fill the pixels (largest count {peak:g}), so the full well is that of the white level, "
-            f"{white:g} counts; add longer exposures, or give --white"
+        text = (
+            f"saturation not reached (largest count {peak:g}): full well assumed at the white level, {white:g} counts; "
+            "add longer exposures or set --white"
         )
+        yield Message("saturation_not_reached", text, {"peak_dn": peak, "white_dn": white})
     if max(level.clipped.max() for level in darks) > _CUT_OFF:
-        yield "dark counts are cut off at 0; a higher black level would let the noise be seen whole"
+        yield Message("dark_clipped", "dark counts clipped at 0, dark noise underestimated: use a higher black level")
     if any(curve.noise.limited for curve in curves.values()):
-        yield (
-            "the read noise is limited by rounding: it is too small against a count to be measured well; "
-            "use a higher gain"
-        )
+        yield Message("quantisation_limited", "read noise below the quantisation noise: use a higher gain")
     gains = {name: figures.gain_dn_per_e for name, figures in phases.items()}
     for (name, one), (other_name, other) in combinations(gains.items(), 2):
         apart = abs(one.value - other.value)
         if apart > _SURE * hypot(one.std, other.std) and apart > _SAME_GAIN * one.value:
-            yield f"{name} and {other_name} differ in gain ({one.value:.4g} and {other.value:.4g} counts per electron)"
+            text = f"gains of {name} and {other_name} differ ({one.value:.4g} and {other.value:.4g} DN/e)"
+            yield Message("gains_differ", text, {name: one.value, other_name: other.value})
             return

@@ -10,7 +10,7 @@ import numpy as np
 from camcal.report.table import Column
 from camcal.report.uncertain import value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
-from camcal.stereo.pair.pair_check import FINDINGS, Exposure, PairCheck
+from camcal.stereo.pair.pair_check import Exposure, PairCheck
 from camcal.stereo.truth import FIGURES, ClassErrors, Evaluation
 
 _SURE = 3.0  # standard errors
@@ -97,9 +97,9 @@ def agrees(check: PairCheck) -> bool:
 
 
 def verdict(check: PairCheck) -> str:
-    """Return what the findings mean for whoever wants to match the pair."""
-    if check.finding is not None:
-        return FINDINGS[check.finding]
+    """Return whether the pair can be matched, and what to do."""
+    if check.failure is not None:
+        return check.failure.text
     trend = check.residual.trend
     off = f"rows are off by {trend.rms:.2f} px"
     if trend.largest > LARGEST_CORRECTION:
@@ -135,7 +135,7 @@ def plain(check: PairCheck) -> dict[str, Any]:
         "exposure": None
         if exposure is None
         else asdict(exposure) | {"brightness": _plain(exposure.brightness), "differs": exposure.differs},
-        "finding": check.finding,
+        "failure": None if check.failure is None else check.failure.code,
         "verdict": verdict(check),
     }
 

@@ -9,31 +9,28 @@ from camcal.arrays import Array
 from camcal.estimate.tracking.jitter import Jitter, JitterStd
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
+from camcal.messages import Message
 
 _IN_A_ROW = 3  # outliers hardly ever come so
-_ASTRAY = "they fit neither the track nor one another; wrong times or detections? Else raise --process-noise"
 
 
 def lines(item: TrackedObject) -> Iterator[str]:
     """Yield the report on a track, a line at a time."""
     track, frames = item.track, len(item.single)
     found = sum(each is not None for each in item.single)
-    yield f"found in {found} of {frames} frames ({_percent(found, frames)})"
+    yield f"detected in {found} of {frames} frames ({_percent(found, frames)})"
     refused, flips = track.count(REJECTED), _flips(track)
-    used = f"used {track.count(MEASURED)}, {flips} of them by their mirror pose"
-    yield f"{used}; left out {refused} ({_percent(refused, found)})"
-    if (row := _longest_refusal(track)) is not None:
-        yield f"  {len(row)} left out in a row from {track.stamps[row[0]]:.6g} s: {_ASTRAY}"
+    used = f"inliers {track.count(MEASURED)}, {flips} of them by their mirror pose"
+    yield f"{used}; rejected {refused} ({_percent(refused, found)})"
     if track.jerks:
-        yield f"  jerks, after which the velocity was found anew: {_times(track, track.jerks)}"
-    yield f"pieces: {', '.join(_piece(track, number) for number in range(int(track.segments.max()) + 1))}"
-    yield f"trembling: single frames {_jitter(track.before)}; track {_jitter(track.after)}"
+        yield f"velocity reset at: {_times(track, track.jerks)}"
+    yield f"track segments: {', '.join(_piece(track, number) for number in range(int(track.segments.max()) + 1))}"
+    yield f"jitter (RMS): raw {_jitter(track.before)}; filtered {_jitter(track.after)}"
     for first, last, chance in track.ambiguous:
-        start, end = track.stamps[first], track.stamps[last]
-        yield f"ambiguous from {start:.6g} to {end:.6g} s: {chance:.2f} is the probability of the pose given"
-    unit, fading = ("s³", "") if track.noise.fading is None else ("s⁵", f" of accelerations, {track.noise.fading:g} s")
-    densities = f"translation {_density(track, 0)} m²/{unit}, rotation {_density(track, 1)} rad²/{unit}"
-    yield f"process noise{fading}: {densities}"
+        yield f"ambiguous {_span(track.stamps[first], track.stamps[last])}: probability of the pose used {chance:.2f}"
+    unit, fading = ("s³", "") if track.noise.fading is None else ("s⁵", f", correlation time {track.noise.fading:g} s")
+    densities = f"translation {_density(track, 0, f'm²/{unit}')}; rotation {_density(track, 1, f'rad²/{unit}')}"
+    yield f"process noise (PSD{fading}): {densities}"
     if track.jitter_std is not None and track.jitter_std.any:
         yield f"vibration (RMS per axis): {_shaking(track.jitter_std)}"
     judged = track.consistency
@@ -42,7 +39,20 @@ def lines(item: TrackedObject) -> Iterator[str]:
         nis = f"mean NIS {judged.mean_nis:.2f} per degree of freedom ({low:.2f} … {high:.2f} expected)"
         beyond = f"{100 * judged.beyond_95:.1f} % beyond their 95 % bound"
         yield f"{judged.verdict}: {nis}, {beyond}, lag-1 correlation {judged.autocorrelation:+.2f}"
-        yield f"  {judged.advice}"
+
+
+def warnings(item: TrackedObject) -> Iterator[Message]:
+    """Yield what is weak about a track."""
+    if (row := _longest_refusal(item.track)) is not None:
+        start = float(item.track.stamps[row[0]])
+        text = (
+            f"{len(row)} successive detections rejected from {start:.6g} s: check time stamps and detections, or "
+            "increase --process-noise"
+        )
+        yield Message("successive_rejections", text, {"frames": len(row), "start_s": start})
+    judged = item.track.consistency
+    if judged is not None and judged.warning is not None:
+        yield judged.warning
 
 
 def _longest_refusal(track: Track) -> Array | None:
@@ -77,7 +87,7 @@ def plain(item: TrackedObject, images: Sequence[str]) -> dict[str, Any]:
             {"start_s": float(track.stamps[first]), "end_s": float(track.stamps[last]), "p_branch": chance}
             for first, last, chance in track.ambiguous
         ],
-        "consistency": None if track.consistency is None else vars(track.consistency),
+        "consistency": None if track.consistency is None else track.consistency.data(),
         "jitter": {"before": vars(track.before), "after": vars(track.after)},
     }
 
@@ -104,7 +114,11 @@ def _times(track: Track, frames: Sequence[int]) -> str:
 
 def _piece(track: Track, number: int) -> str:
     stamps = track.stamps[track.segments == number]
-    return f"{stamps[0]:.6g} … {stamps[-1]:.6g} s ({len(stamps)} frames)"
+    return f"{_span(stamps[0], stamps[-1])} ({len(stamps)} frames)"
+
+
+def _span(start: float, end: float) -> str:
+    return f"{start:.2f}–{end:.2f} s"
 
 
 def _jitter(jitter: Jitter) -> str:
@@ -116,10 +130,10 @@ def _shaking(jitter_std: JitterStd) -> str:
     return f"{turns} and {1e3 * jitter_std.object_shift:.2g} mm"
 
 
-def _density(track: Track, axis: int) -> str:
+def _density(track: Track, axis: int, unit: str) -> str:
     noise = track.noise
     value = (noise.translation, noise.rotation)[axis]
-    return f"{value:.3g}" + ("" if noise.factors is None else f" (×÷ {noise.factors[axis]:.2g})")
+    return f"{value:.3g} {unit}" + ("" if noise.factors is None else f", uncertainty factor {noise.factors[axis]:.2g}")
 
 
 def _percent(part: int, whole: int) -> str:

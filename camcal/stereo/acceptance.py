@@ -1,6 +1,8 @@
-"""Which pairs are none and which maps are worth nothing: the limits, all of them, and what is said beyond them."""
+"""The limits of pairs that can be matched and of maps that can be used, and the failures beyond them."""
 
 from typing import NamedTuple
+
+from camcal.messages import Message
 
 
 class Limits(NamedTuple):
@@ -23,11 +25,12 @@ class Limits(NamedTuple):
 LIMITS = Limits()
 
 
-def too_few(matched: float) -> str | None:
-    """Return what is said of a map with such a share of matched pixels, None if they are enough."""
+def too_few(matched: float) -> tuple[Message, ...]:
+    """Return the failure of a map with such a share of matched pixels, none if they are enough."""
     if matched >= LIMITS.matched:
-        return None
-    return (
-        f"{100 * matched:.1f} % of the pixels are matched, fewer than {100 * LIMITS.matched:g} %: do both images show "
-        "the same scene, are they rectified, and is the range right?"
+        return ()
+    text = (
+        f"{100 * matched:.1f} % of the pixels matched (limit {100 * LIMITS.matched:g} %): check that both images show "
+        "the same scene and are rectified, and the --range"
     )
+    return (Message("few_matches", text, {"matched": matched, "limit": LIMITS.matched}),)

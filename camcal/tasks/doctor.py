@@ -1,4 +1,4 @@
-"""What of camcal's surroundings is installed, and what is in the way."""
+"""Installed packages and settings, and failures that keep camcal from working."""
 
 import os
 import platform
@@ -8,6 +8,7 @@ from importlib import metadata
 from typing import Any
 
 from camcal import __version__
+from camcal.messages import Message
 from camcal.run.process import available_cores
 
 WHEEL = "opencv-contrib-python-headless"
@@ -29,7 +30,7 @@ class Package:
 
 @dataclass(frozen=True)
 class Examination:
-    """The surroundings; `problems` has one line for everything that is in the way, with what to do about it."""
+    """The surroundings; failures: what keeps camcal from working, with what to do about it."""
 
     camcal: str
     python: str
@@ -38,21 +39,21 @@ class Examination:
     packages: tuple[Package, ...]
     opencv_wheels: tuple[str, ...]
     environment: dict[str, str]
-    problems: tuple[str, ...]
+    failures: tuple[Message, ...]
 
 
 def examine() -> Examination:
-    """Return the versions and settings camcal works with, and what is in the way."""
+    """Return the versions and settings camcal works with, and failures."""
     packages = tuple(_opencv(wanted) if name == WHEEL else _package(name, wanted) for name, wanted in _requirements())
     wheels = tuple(f"{name} {version}" for name in _WHEELS if (version := _installed(name)))
-    problems = [f"{package.name}: {package.problem}" for package in packages if package.problem]
+    failures = [
+        Message("unusable_package", package.problem, where=package.name) for package in packages if package.problem
+    ]
     if not packages:
-        problems.append("camcal: it is not installed as a package; pip install it")
+        failures.append(Message("not_installed", "not installed as a package: pip install it", where="camcal"))
     if len(wheels) > 1:
-        problems.append(
-            f"opencv: {', '.join(wheels)} overwrite each other's files; pip uninstall all of them, "
-            f"then pip install {WHEEL}"
-        )
+        text = f"{', '.join(wheels)} overwrite each other: pip uninstall all of them, then pip install {WHEEL}"
+        failures.append(Message("opencv_conflict", text, where="opencv"))
     return Examination(
         camcal=__version__,
         python=platform.python_version(),
@@ -61,7 +62,7 @@ def examine() -> Examination:
         packages=packages,
         opencv_wheels=wheels,
         environment={name: value for name, value in sorted(os.environ.items()) if name.startswith("OPENCV_")},
-        problems=tuple(problems),
+        failures=tuple(failures),
     )
 
 

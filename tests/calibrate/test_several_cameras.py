@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from camcal.quality.advise import advise
 from observed import make_scene, turned
 from scipy.stats import norm
 
@@ -19,7 +20,6 @@ from camcal.calibrate.several_cameras import TwoCameras
 from camcal.calibrate.single_views import ViewQuadratics
 from camcal.cameras.catalogue import model_named
 from camcal.errors import InsufficientData
-from camcal.quality.advise import advise
 from camcal.targets.board import Board
 
 MODEL = model_named("opencv5")

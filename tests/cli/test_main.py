@@ -26,6 +26,7 @@ from camcal.errors import (
     ItemsFailed,
     NotConverged,
 )
+from camcal.messages import Message
 from camcal.options import Argument, Option, OptionsRecord
 from camcal.tasks.options import Jobs
 
@@ -50,11 +51,14 @@ def work(options: WorkOptions, call: Call) -> None:
     kind = options.kind
     if options.after_document or (call.json and not kind):
         values = {name: value for name, value in vars(options).items() if name not in ("kind", "after_document")}
-        show.document("work", values)
+        show.result("work", values)
     if kind == "bug":
         raise KeyError(kind)
     if kind == "interrupt":
         raise KeyboardInterrupt
+    if kind == "gates":
+        call.progress.warn(Message("poor_fit", "a poor fit", where="b.yaml"))
+        raise GateFailed.of([Message("bad_rows", "rows differ by 6 px", {"rows_px": 6}, "a.png")])
     if kind:
         raise ERRORS[kind]("is wrong\nb.yaml:3: is wrong too", where="a.yaml")
 
@@ -155,11 +159,24 @@ def test_a_bug_is_a_document_too_when_json_is_asked_for(app, capsys):
     assert document["exit"] == 1
 
 
-def test_a_failure_after_the_result_adds_no_second_document(run):
+def test_a_failure_after_the_result_is_in_the_same_document(run):
     code, out, err = run("work", "items_failed", "--after-document", "--json")
-    assert code == 6
-    assert "error" not in json.loads(out)
+    document = json.loads(out)
+    assert (code, document["exit"]) == (6, 6)
+    assert document["jobs"] is None
+    assert document["error"]["kind"] == "items_failed"
     assert "is wrong" in err
+
+
+def test_every_document_holds_the_warnings_and_a_gate_its_failures(run):
+    code, out, err = run("work", "gates", "--after-document", "--json")
+    document = json.loads(out)
+    wanted = [{"code": "bad_rows", "text": "rows differ by 6 px", "values": {"rows_px": 6}, "where": "a.png"}]
+    assert (code, list(document)[-4:]) == (7, ["warnings", "failures", "error", "exit"])
+    assert document["failures"] == wanted
+    assert document["warnings"][0]["code"] == "poor_fit"
+    assert document["error"]["message"] == "a.png: rows differ by 6 px"
+    assert "camcal: warning: b.yaml: a poor fit" in err
 
 
 def test_json_after_a_double_dash_is_an_argument(run):
@@ -258,13 +275,14 @@ CONSOLE = """
 import sys
 import typer
 from camcal.cli import main, show
+from camcal.messages import Message
 
 def talk(): show.text("x" * 100_000)
 
 def noise():
     import os
     os.write(2, b"libpng warning: iCCP")
-    show.warning("ours")
+    show.warning(Message("poor_fit", "ours"))
     print("and Python's", file=sys.stderr)
 
 def crash():

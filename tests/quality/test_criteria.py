@@ -8,6 +8,7 @@ from itertools import cycle, islice
 
 import numpy as np
 import pytest
+from camcal.quality.advise import advise
 from scipy.stats import chi2
 
 from camcal.calibrate.between_views import BetweenViews, Blur, Change, TwoBoards
@@ -20,7 +21,6 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.advise import advise
 from camcal.quality.criteria import CRITERIA
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, parse_board

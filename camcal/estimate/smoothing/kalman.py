@@ -11,12 +11,14 @@ Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking an
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InvalidInput
+from camcal.messages import Message
 
 _LOG_2PI = float(np.log(2 * np.pi))
 
@@ -25,17 +27,7 @@ NOT_JUDGED, AMBIGUOUS = "not judged", "ambiguous"
 _NEAR_ONE = 0.1  # a mean NIS this near to 1 means standard deviations right to 5 %: no reason to change anything
 _CONFIDENCE = 0.95
 _MANY = 0.08  # of innovations beyond their 95 % bound
-_NOTHING = "no measurement could be predicted from earlier ones"
-_ADVICE = {
-    CONSISTENT: "errors are as large as the covariances say",
-    OVERCONFIDENT: "errors are larger than the covariances say: raise sigma",
-    UNDERCONFIDENT: "errors are smaller than the covariances say: lower sigma or q",
-}
-_ALTERNATING = {
-    CONSISTENT: "errors are as large as the covariances say, but the filter runs after the noise: lower q, raise sigma",
-    OVERCONFIDENT: "the filter runs after noise that is larger than sigma says: raise sigma",
-    UNDERCONFIDENT: "the filter runs after the noise, its gain is too high: lower q",
-}
+_NOT_JUDGED = Message("consistency_unknown", "consistency unknown: no measurement was predicted from earlier ones")
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +137,7 @@ class Consistency:
     interval: in which it lies with 95 % if all is right. beyond_95: share of innovations beyond their own 95 % bound.
     autocorrelation: of successive innovations, 0 if all is right; autocorrelation_limit: its 95 % bound.
     verdict: consistent, overconfident, underconfident, not judged without innovations, or, of poses, ambiguous where
-    too many may be another pose. advice: what to do, in words.
+    too many may be another pose. warning: what is wrong and what to do, None if all is right.
     """
 
     innovations: int
@@ -155,7 +147,11 @@ class Consistency:
     autocorrelation: float
     autocorrelation_limit: float
     verdict: str
-    advice: str
+    warning: Message | None
+
+    def data(self) -> dict[str, Any]:
+        """Return the figures and the verdict as plain data; warnings are given with those of all else."""
+        return {name: value for name, value in vars(self).items() if name != "warning"}
 
 
 def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consistency:
@@ -175,7 +171,7 @@ def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consisten
             autocorrelation=0.0,
             autocorrelation_limit=1.0,
             verdict=NOT_JUDGED,
-            advice=_NOTHING,
+            warning=_NOT_JUDGED,
         )
     total = float(np.sum(dof))
     mean = float(np.sum(nis)) / total
@@ -186,7 +182,8 @@ def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consisten
     correlation, limit = _autocorrelation(*pairs)
     verdict = _verdict(mean, low, high)
     least = max(limit, _NEAR_ONE)
-    advice = _advice(verdict, correlation > least, correlation < -least, beyond > _MANY)
+    figures = {"mean_nis": mean, "autocorrelation": correlation, "beyond_95": beyond}
+    warning = _warning(verdict, correlation > least, correlation < -least, beyond > _MANY)
     return Consistency(
         len(nis),
         mean,
@@ -195,7 +192,7 @@ def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consisten
         autocorrelation=correlation,
         autocorrelation_limit=limit,
         verdict=verdict,
-        advice=advice,
+        warning=None if warning is None else replace(warning, values=figures),
     )
 
 
@@ -227,22 +224,27 @@ def _verdict(mean: float, low: float, high: float) -> str:
     return OVERCONFIDENT if mean > 1 else UNDERCONFIDENT
 
 
-def _advice(verdict: str, lasting: bool, alternating: bool, many_large: bool) -> str:
-    """Return what to do.
+def _warning(verdict: str, lasting: bool, alternating: bool, many_large: bool) -> Message | None:
+    """Return what is wrong with the noise or the model, None if nothing is.
 
     lasting: errors stay from step to step, a motion the model does not follow. alternating: they change sign from step
-    to step, as where a filter runs after the noise of its measurements. many_large: more innovations are beyond their
+    to step, as where a filter follows the noise of its measurements. many_large: more innovations are beyond their
     bound than noise makes.
     """
+    if verdict == OVERCONFIDENT:
+        slow = lasting and not alternating
+        remedy = "process noise too low, increase q" if slow else "increase the measurement noise sigma"
+        return Message("overconfident", f"innovations larger than their covariances: {remedy}")
     if alternating:
-        return _ALTERNATING[verdict]
-    if verdict == OVERCONFIDENT and lasting:
-        return "the motion changes faster than the model allows: raise q"
-    if verdict == CONSISTENT and lasting:
-        return "errors are as large as the covariances say, but successive ones are alike: try another motion model"
-    if verdict == CONSISTENT and many_large:
-        return "errors are as large as the covariances say, but large ones come too often: use a robust loss"
-    return _ADVICE[verdict]
+        remedy = "reduce the process noise q" + (", increase sigma" if verdict == CONSISTENT else "")
+        return Message("filter_gain_too_high", f"filter gain too high: {remedy}")
+    if verdict == UNDERCONFIDENT:
+        return Message("underconfident", "innovations smaller than their covariances: reduce sigma or q")
+    if lasting:
+        return Message("correlated_innovations", "successive innovations are correlated: try another motion model")
+    if many_large:
+        return Message("heavy_tails", "too many large innovations for normal noise: use a robust loss")
+    return None
 
 
 @dataclass(frozen=True)

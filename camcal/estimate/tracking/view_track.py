@@ -26,6 +26,7 @@ from camcal.estimate.tracking.track import (
     require_found,
 )
 from camcal.geometry import rotation as so3
+from camcal.messages import Message
 
 _JUMP = 0.1, 0.35  # of the distance, and rad: what begins anew with such a step is another piece
 _OFTEN = 0.03  # share of poses that may be wrong, on average, from which on a track is ambiguous
@@ -134,8 +135,8 @@ def _judged_pixels(
     share = float(np.mean(1 - (1 - doubt) * (1 - _beyond(FAR / spread))))
     if share <= _OFTEN:
         return judged
-    advice = f"in {100 * share:.0f} % of the frames, on average, the pose may be more than 10° wrong: see the intervals"
-    return replace(judged, verdict=AMBIGUOUS, advice=advice)
+    text = f"probability of a pose off by more than 10° is {100 * share:.0f} % on average; see the ambiguous intervals"
+    return replace(judged, verdict=AMBIGUOUS, warning=Message("ambiguous_poses", text, {"p_wrong": share}))
 
 
 def _beyond(ratio: Array) -> Array:

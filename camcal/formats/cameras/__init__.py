@@ -14,11 +14,10 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
-from camcal.formats.documents import Fault
 from camcal.formats.plausibility import implausible
 from camcal.geometry.pose import frames_of
 from camcal.parsing import did_you_mean
-from camcal.progress import SILENT, Progress
+from camcal.progress import SILENT, Progress, warn_of
 
 OWN = "camcal"
 
@@ -51,12 +50,10 @@ def read(
         raise InvalidInput(f"is not a {form.title} file as {path} is", where=str(second))
     file = form.read(sources, given)
     if form.name != OWN:
-        doubts = [Fault(fault.path, fault.text) for fault in implausible(file)]
-        messages = (f"{path}: {fault.path}: {fault.text}" for fault in doubts)
+        doubts = (replace(warning, where=f"{path}: {warning.where}") for warning in implausible(file))
         origin = {"file": path.name, "format": form.name, "exact": True}
-        file = replace(file, warnings=(*file.warnings, *messages), converted_from=origin)
-    for warning in file.warnings:
-        progress.warn(warning)
+        file = replace(file, warnings=(*file.warnings, *doubts), converted_from=origin)
+    warn_of(file.warnings, progress)
     return file
 
 

@@ -22,6 +22,7 @@ from camcal.formats.cameras.record import CameraFormat, Given, Source
 from camcal.formats.cameras.values import Values, camera_of
 from camcal.formats.documents import parse_foreign
 from camcal.geometry.pose import JOINT, Pose
+from camcal.messages import Message
 
 VENDOR_KEY = "x_kalibr"
 IMU = "imu"
@@ -58,11 +59,16 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     cameras = {name: _entry(each, given) for name, each in values.items()}
     for name, each in values.items():
         transforms |= _of_imu(each, name, CameraFile(cameras, transforms))
-    return CameraFile(cameras, transforms, warnings=tuple(text for each in values.values() for text in each.warnings))
+    return CameraFile(
+        cameras, transforms, warnings=tuple(warning for each in values.values() for warning in each.warnings)
+    )
 
 
-def _apart(values: Values, name: str) -> list[str]:
-    return [] if _has_imu(values) else [f"{values.document.where}: {name}: nothing says where the camera stands"]
+def _apart(values: Values, name: str) -> list[Message]:
+    if _has_imu(values):
+        return []
+    text = "no transform to another camera or the IMU"
+    return [Message("unplaced_camera", text, where=f"{values.document.where}: {name}")]
 
 
 def _has_imu(values: Values) -> bool:
@@ -81,7 +87,8 @@ def _of_imu(values: Values, name: str, file: CameraFile) -> dict[str, Transform]
         return {f"{name}{JOINT}{IMU}": Transform(pose)}
     apart = float(np.abs(known.matrix() - pose.matrix()).max())
     if apart > _AGREE:
-        values.warn(key, f"is {apart:.2g} off what T_cn_cnm1 and the camera before say, which are taken")
+        text = f"differs from the chain by T_cn_cnm1 by {apart:.2g}: the chain is used"
+        values.warn("inconsistent_chain", key, text)
     return {}
 
 

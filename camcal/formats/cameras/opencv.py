@@ -83,7 +83,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     }
     placed = next((each for each in values if "R" in each and "T" in each), None) if len(keys) == 2 else None
     transforms = {} if placed is None else {f"{RIGHT}{JOINT}{LEFT}": _relative_pose(placed)}
-    return CameraFile(cameras, transforms, warnings=tuple(text for each in values for text in each.warnings))
+    return CameraFile(cameras, transforms, warnings=tuple(warning for each in values for warning in each.warnings))
 
 
 def _lens_keys(values: Values) -> list[tuple[str, str | None]]:
@@ -116,7 +116,7 @@ def _lens(values: Values, matrix: str, coefficients: str | None, given: Given) -
     if "xi" in values:
         raise values.wrong("xi", "is of OpenCV's omnidir, which is not among camcal's lens models")
     if coefficients is None:
-        values.warn(matrix, "no distortion coefficients beside it; the lens is taken as without distortion")
+        values.warn("assumed_no_distortion", matrix, "no distortion coefficients: zero distortion assumed")
     model = _model(values, coefficients or matrix, len(numbers), given)
     return camera_of(model, given.size(_size(values), values.document.where), core, numbers)
 

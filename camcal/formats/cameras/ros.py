@@ -27,6 +27,7 @@ from camcal.formats.cameras.values import Values, camera_of
 from camcal.formats.documents import parse_foreign
 from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT, Pose
+from camcal.messages import Message
 
 VENDOR_KEY = "x_ros"
 PLUMB_BOB, RATIONAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
@@ -57,7 +58,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """
     values = [Values(parse_foreign(source.text, str(source.path))) for source in sources]
     entries = [_entry(each, given) for each in values]
-    warnings = tuple(text for each in values for text in each.warnings)
+    warnings = tuple(warning for each in values for warning in each.warnings)
     if len(entries) == 1:
         return CameraFile({_name(values[0]): entries[0]}, warnings=warnings)
     places = [_rectified(each) for each in values]
@@ -94,7 +95,8 @@ def _entry(values: Values, given: Given) -> CameraEntry:
 def _model(values: Values, count: int) -> str:
     told = values.text("distortion_model")
     if not told and count:
-        values.warn("distortion_coefficients", f"no distortion_model; taken as {PLUMB_BOB if count < 8 else RATIONAL}")
+        text = f"no distortion_model: {PLUMB_BOB if count < 8 else RATIONAL} assumed"
+        values.warn("assumed_distortion_model", "distortion_coefficients", text)
     name = _OTHER_NAMES.get(told, told)
     if not told and count >= 8:
         name = RATIONAL
@@ -119,16 +121,16 @@ def _rectified(values: Values) -> Rectified | None:
     return Rectified(np.array(pose.rotation), projection)
 
 
-def _doubts(right: Values, of_left: Rectified, of_right: Rectified) -> list[str]:
-    """Return what looks wrong in the P of a pair."""
+def _doubts(right: Values, of_left: Rectified, of_right: Rectified) -> list[Message]:
+    """Return warnings about the P of a pair."""
     doubts = Values(right.document)
     if of_right.offset[0] > 0:
         baseline = f"P[0,3] = {of_right.projection[0, 3]:+.6g}"
-        doubts.warn("projection_matrix", f"{baseline}: the left file and the right one may be swapped")
+        text = f"{baseline}: left and right file may be swapped"
+        doubts.warn("swapped_cameras", "projection_matrix", text)
     if not np.allclose(of_left.projection[:, :3], of_right.projection[:, :3], rtol=1e-6, atol=1e-3):
-        doubts.warn(
-            "projection_matrix", "differs from the left one's in more than the baseline; is it of the same pair?"
-        )
+        text = "differs from that of the left file in more than the baseline: check that both are of one pair"
+        doubts.warn("inconsistent_projections", "projection_matrix", text)
     return doubts.warnings
 
 

@@ -16,6 +16,7 @@ from camcal.errors import InvalidInput
 from camcal.formats.documents import Document, Fault, child
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.messages import Message
 from camcal.parsing import parse_number
 
 ROUNDED = 1e-4  # orthonormality error of rotations that other programs have rounded
@@ -28,14 +29,14 @@ _CHANNELS = {"d", "f", "i", "u", "w", "s", "c", "n", "b"}  # one number each, Op
 class Values:
     """The values below one key of a document; whatever is wrong is raised as InvalidInput with file, line and key.
 
-    warnings: what was taken although it is not as it should be.
+    warnings: about values that are used nevertheless.
     """
 
     def __init__(self, document: Document, path: str = "", data: Mapping[str, Any] | None = None) -> None:
         self.document = document
         self.path = path
         self.data: Mapping[str, Any] = document if data is None else data
-        self.warnings: list[str] = []
+        self.warnings: list[Message] = []
 
     def __contains__(self, key: str) -> bool:
         return self.data.get(key) is not None
@@ -51,9 +52,9 @@ class Values:
         """Return the error of what stands under a key."""
         return self.document.error([Fault(child(self.path, key) if key else self.path, text)])
 
-    def warn(self, key: str, text: str) -> None:
-        """Note what is wrong under a key and was taken nevertheless."""
-        self.warnings.append(self.document.message(Fault(child(self.path, key), text)))
+    def warn(self, code: str, key: str, text: str) -> None:
+        """Keep a warning about what stands under a key."""
+        self.warnings.append(self.document.located(Message(code, text, where=child(self.path, key))))
 
     def text(self, key: str) -> str:
         """Return a text, empty if the key is missing."""
@@ -147,7 +148,11 @@ class Values:
         if fault := found.fault(ROUNDED):
             raise self.wrong(key, fault)
         if found.error > _EXACT:
-            self.warn(key, f"rounded (orthonormality error {found.error:.1e}); the nearest rotation is used")
+            self.warn(
+                "rounded_rotation",
+                key,
+                f"rounded (orthonormality error {found.error:.1e}); the nearest rotation is used",
+            )
             rotation = so3.nearest(rotation)
         return Pose(rotation, translation)
 

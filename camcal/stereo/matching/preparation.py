@@ -7,9 +7,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.messages import Message
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
 from camcal.stereo.pair.coarse import CoarseMap, coarse_map, default_range, range_in
-from camcal.stereo.pair.pair_check import FINDINGS, SWAPPED, finding_of
+from camcal.stereo.pair.pair_check import SWAPPED, failure_of
 
 _DARKEST, _BRIGHTEST = 0.1, 99.9  # percentiles of deep images that become 0 and 255
 _QUANTILES = np.linspace(0.01, 0.99, 33)
@@ -130,15 +131,15 @@ class Prepared:
     """What is matched.
 
     first, count: the smallest disparity to look for, pixels, and how many. rows: of the right image, px RMS, by which
-    they were put right; 0 if they were not. remarks: what whoever asked should know. failures: why it is no pair.
+    they were aligned; 0 if they were not. warnings: of the range. failures: why the pair cannot be matched.
     """
 
     pair: GrayPair
     first: int
     count: int
     rows: float
-    remarks: tuple[str, ...]
-    failures: tuple[str, ...] = ()
+    warnings: tuple[Message, ...]
+    failures: tuple[Message, ...] = ()
 
 
 def prepare(
@@ -161,26 +162,27 @@ def prepare(
     pair = gray_pair(left, right, expose=expose)
     coarse = coarse_map(pair.left, pair.right) if align or search is None else None
     residual = _residual(pair, coarse) if align else None
-    remarks, failures = list[str](), list[str]()
+    warnings, failures = list[Message](), list[Message]()
     if residual is not None and not (coarse is not None and coarse.periodic):
         behind = farthest if search is None else min(farthest, search[0])
-        finding = finding_of(residual, behind)
-        failures += [FINDINGS[finding]] if finding else []
+        failure = failure_of(residual, behind)
+        failures += [failure] if failure else []
     rows = 0.0
     if residual is not None:
         try:
             pair, rows = _aligned(pair, residual)
         except InvalidInput as error:
-            failures.append(error.message)
+            failures.append(Message("rows_not_aligned", error.message))
     if search is None:
         found = None if coarse is None else range_in(coarse, pair.left.shape[1])
         search = found or default_range(pair.left.shape[1])
-        if search[1] <= farthest and FINDINGS[SWAPPED] not in failures:
-            failures.append(FINDINGS[SWAPPED])
+        if search[1] <= farthest and SWAPPED not in failures:
+            failures.append(SWAPPED)
         if found is None:
-            why = "periodic texture: " if coarse is not None and coarse.periodic and not failures else ""
-            remarks.append(f"{why}the images do not tell the range of disparities; taken is {search[0]} to {search[1]}")
-    return Prepared(pair, *_range(search), rows, tuple(remarks), tuple(failures))
+            why = " (periodic texture)" if coarse is not None and coarse.periodic and not failures else ""
+            text = f"disparity range not measurable{why}: {search[0]} to {search[1]} is used; set --range"
+            warnings.append(Message("unknown_range", text, {"first": search[0], "last": search[1]}))
+    return Prepared(pair, *_range(search), rows, tuple(warnings), tuple(failures))
 
 
 def _range(search: tuple[int, int]) -> tuple[int, int]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
+from camcal.messages import Message
 from camcal.stereo.acceptance import LIMITS
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, Measured, Residual, residual_of
 from camcal.stereo.pair.coarse import Matches, coarse_map, match_features, range_in
@@ -25,14 +26,9 @@ _LEAST_SPREAD = 1e-6  # counts²; images of one gray tell no gain
 _NOTICEABLE = 0.05  # of the light
 _TAIL = 0.01
 
-SWAPPED = "swapped"
-IDENTICAL = "identical"
-PERIODIC = "periodic"
-FINDINGS = {
-    SWAPPED: "left and right swapped, or cameras toed in (negative disparities)",
-    IDENTICAL: "both images show the same view: is one of them there twice?",
-    PERIODIC: "periodic texture: the images match as well a period off and do not tell disparities",
-}
+SWAPPED = Message("swapped_images", "left and right swapped, or cameras toed in (negative disparities)")
+IDENTICAL = Message("identical_images", "both images show the same view: check that one was not given twice")
+PERIODIC = Message("periodic_texture", "periodic texture: disparities are ambiguous by multiples of its period")
 _TURN = np.radians(10.0)
 _TURNED = 0.5  # share of the features that are turned alike
 
@@ -61,13 +57,13 @@ class Exposure:
 class PairCheck:
     """What was found of a pair.
 
-    finding: SWAPPED, IDENTICAL or PERIODIC of `pair_order`, None for none of them. exposure: None where too little is
+    failure: SWAPPED, IDENTICAL, PERIODIC or None. exposure: None where too little is
     neither black nor white. disparities: (N,) pixels, spread over the left image; empty, and searched None, where too
     little of the images can be matched. searched: the range a search for disparities would take, pixels.
     """
 
     residual: Residual
-    finding: str | None
+    failure: Message | None
     exposure: Exposure | None
     disparities: Array
     searched: tuple[int, int] | None
@@ -99,14 +95,14 @@ def check_pair(left: Array, right: Array) -> PairCheck:
     periodic = coarse.periodic and residual.trend.largest <= LARGEST_CORRECTION  # rows far off match by chance
     return PairCheck(
         residual,
-        PERIODIC if periodic else finding_of(residual),
+        PERIODIC if periodic else failure_of(residual),
         exposure_of(left, right, residual),
         coarse.disparities[np.isfinite(coarse.disparities)],
         range_in(coarse, left.shape[1]),
     )
 
 
-def finding_of(residual: Residual, farthest: float = 0.0) -> str | None:
+def failure_of(residual: Residual, farthest: float = 0.0) -> Message | None:
     """Return what is wrong with the order of a pair, SWAPPED or IDENTICAL, None if nothing is.
 
     farthest: disparity of what is infinitely far, pixels; not 0 for cameras whose principal points differ.

@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.errors import InvalidInput
+from camcal.messages import Message
 from camcal.targets.markers.families import FAMILIES, Family, family_named
 from camcal.targets.markers.fit import MarkerFit, fit_marker, looks_alike
 
@@ -27,13 +28,13 @@ class Markers:
 
     Corners go clockwise from a marker's top-left as printed.
     As printed: as OpenCV draws the families with names in DICT_, and as the AprilTag project draws tag36h11 and the
-    like, which OpenCV draws upside down. covariance: (M, 4, 2, 2) px². notes: what was left out, and why.
+    like, which OpenCV draws upside down. covariance: (M, 4, 2, 2) px². warnings: ids left out or not measured.
     """
 
     ids: IntArray
     corners: FloatArray
     covariance: FloatArray
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -62,9 +63,9 @@ def detect_markers(gray: Array, family: str, *, keep_repeated: bool = False) -> 
     corners = np.array([known.as_printed(fit.corners) for _, fit in once]).reshape(-1, 4, 2)
     covariance = np.array([np.roll(fit.covariance, 2 * known.turned, axis=0) for _, fit in once]).reshape(-1, 4, 2, 2)
     repeated |= {} if keep_repeated else {marker: count for marker, count in counts.items() if count > 1}
-    notes = [_left_out(marker, count) for marker, count in sorted(repeated.items())]
-    notes += [f"id {marker} could not be measured; its corners are OpenCV's" for marker, fit in once if not fit.settled]
-    return Markers(np.array([marker for marker, _ in once], np.intp), corners, covariance, tuple(notes))
+    warnings = [_repeated_id(marker, count) for marker, count in sorted(repeated.items())]
+    warnings += [_not_refined(marker) for marker, fit in once if not fit.settled]
+    return Markers(np.array([marker for marker, _ in once], np.intp), corners, covariance, tuple(warnings))
 
 
 def _read(gray: Array, family: Family) -> list[tuple[int, Array]]:
@@ -109,6 +110,10 @@ def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFi
     return MarkerFit(outward, np.tile(_UNFITTED_PX**2 * np.eye(2), (4, 1, 1)), 0.0, settled=False)
 
 
-def _left_out(marker: int, count: int) -> str:
-    seen = f"id {marker} is seen {count} times; none of them is used, since only one can be real"
-    return f"{seen} (--repeated-ids keep uses all)"
+def _repeated_id(marker: int, count: int) -> Message:
+    text = f"id {marker} detected {count} times, none used; --repeated-ids keep uses all"
+    return Message("repeated_tag_id", text, {"id": marker, "count": count})
+
+
+def _not_refined(marker: int) -> Message:
+    return Message("tag_not_refined", f"id {marker}: corner refinement failed; corners of OpenCV used", {"id": marker})

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from camcal.errors import InvalidInput
 from camcal.formats import boards, detections
+from camcal.messages import Message
 from camcal.options import given_words
-from camcal.progress import Progress
+from camcal.progress import Progress, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.targets.board import Board
@@ -22,15 +23,16 @@ DETECTION_SUFFIXES = (".csv", ".vnl")
 
 @dataclass(frozen=True)
 class BoardViews:
-    """The board, its detections, remarks on them, and the images that could not be read.
+    """The board, its detections, warnings about them, and the images that could not be read.
 
-    frames: what became of the frames of videos. videos: these videos. table: whether all comes from a detections file.
-    files: the images whose names are not their paths.
+    lines: other lines of the report. frames: what became of the frames of videos. videos: these videos. table: whether
+    all comes from a detections file. files: the images whose names are not their paths.
     """
 
     board: Board
     detections: Detections
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
+    lines: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     frames: tuple[FrameRecord, ...] = ()
     videos: tuple[Video, ...] = ()
@@ -72,9 +74,10 @@ def board_views(
         if found.board is None:
             raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm", where=tables[0])
         sized = same_size(found.views, usual_size(found.views), found.board, mixed=mixed_sizes)
+        warn_of(sized.warnings, progress)
         # views of other sizes keep their points unless they are asked to fit: the solver names what it leaves out
         return BoardViews(
-            found.board, replace(found, views=sized.views) if mixed_sizes else found, sized.notes, table=True
+            found.board, replace(found, views=sized.views) if mixed_sizes else found, sized.warnings, table=True
         )
     if known is None:
         raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
@@ -93,7 +96,8 @@ def board_views(
     return BoardViews(
         found.board or known,
         found,
-        notes=report.notes,
+        warnings=report.warnings,
+        lines=report.lines,
         failed=report.failed,
         frames=report.frames,
         videos=report.videos,

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from camcal import files
+from camcal import files, messages
 from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
@@ -26,9 +26,10 @@ from camcal.formats.camera_file import (
     ProjectionStd,
     ValidRegion,
 )
+from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Progress
-from camcal.quality.advise import Advice, advise
+from camcal.progress import SILENT, Progress, warn_of
+from camcal.quality.assess import Assessment, assess
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data, view_record
@@ -36,8 +37,8 @@ from camcal.run.paths import find_media, refuse_overwriting, split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
-from camcal.tasks.calibration.corner_refinement import refine_corners
-from camcal.tasks.calibration.image_circle_of_views import circle_notes, known_circle, with_circle
+from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
+from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
@@ -54,19 +55,21 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class CalibrateReport:
-    """The calibration, its projection uncertainty, what is to be said of it, the file that was written, remarks of the
-    detection, failed inputs.
+    """The calibration, its projection uncertainty, its assessment, the file that was written, and failed inputs.
 
-    channels: by the names of colours, empty unless asked for. frames: what became of the frames of videos. candidates:
-    the lens models that were compared, none where the model was given.
+    warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
+    of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
+    what became of the frames of videos. candidates: lens models that were compared, none where the model was given.
     """
 
     calibration: Calibration
     uncertainty: ProjectionUncertainty
-    advice: Advice
+    assessment: Assessment
     file: CameraFile
-    notes: tuple[str, ...]
+    warnings: tuple[Message, ...]
     failed: tuple[str, ...]
+    lines: tuple[str, ...] = ()
+    refinement: RefinementSummary | None = None
     channels: Mapping[str, Channel] = field(default_factory=dict)
     frames: tuple[FrameRecord, ...] = ()
     candidates: tuple[CandidateModel, ...] = ()
@@ -79,7 +82,7 @@ class CalibrateReport:
     @property
     def trustworthy(self) -> bool:
         """Whether the calibration may be trusted."""
-        return self.advice.trustworthy
+        return self.assessment.trustworthy
 
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
@@ -129,27 +132,31 @@ def calibrated(
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
     selection = _solve(seen, how, options.model is None, circle)
-    calibration, remarks = selection.calibration, selection.remarks
+    calibration, found, refinement = selection.calibration, selection.warnings, None
     progress.finish()
     if looks_again:
-        seen, calibration, remark = _refined(seen, calibration, how, options, progress)
-        remarks += (remark,)
+        seen, calibration, refinement, failed = _refined(seen, calibration, how, options, progress)
+        found += failed
         if options.save_detections:
             detections.write(options.save_detections, seen.detections)
     colours = COLOURS if options.reading.colours else ()
     channels = {colour: _channel(calibration, colour, seen.detections.views) for colour in colours}
-    advice = advise(calibration, circle)
+    assessment = assess(calibration, circle)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
-    file = camera_file(calibration, uncertainty, advice, options, channels, circle)
+    file = camera_file(calibration, uncertainty, assessment, options, channels, circle)
     if options.output is not None:
         native.write(options.output, file)
+    found += assessment.warnings
+    warn_of(found, progress)
     return CalibrateReport(
         calibration,
         uncertainty,
-        advice=advice,
+        assessment=assessment,
         file=file,
-        notes=seen.notes + circle_notes(circle) + remarks,
+        warnings=seen.warnings + found,
         failed=seen.failed,
+        lines=seen.lines + circle_lines(circle) + selection.lines + ((refinement.line,) if refinement else ()),
+        refinement=refinement,
         channels=channels,
         frames=seen.frames,
         candidates=selection.candidates,
@@ -160,11 +167,16 @@ def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
     """Raise GateFailed if the result is not what the options require; the camera file is written all the same."""
     figures = report.uncertainty.figures()
     reached = figures.get("inside_rms_px", figures["rms_px"])
-    if options.require and not report.advice.trustworthy:
-        raise GateFailed(f"--require {options.require}: {report.advice.reasons[0]}")
+    failures: list[Message] = []
+    if options.require:
+        failures += [each.at(f"--require {options.require}") for each in report.assessment.failures]
     most = options.max_uncertainty
     if most is not None and not reached <= most:
-        raise GateFailed(f"--max-uncertainty {most:g}: the projection uncertainty is {reached:.3g} px")
+        text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
+        values = {"uncertainty_px": reached, "limit_px": most}
+        failures.append(Message("projection_uncertainty", text, values, "--max-uncertainty"))
+    if failures:
+        raise GateFailed.of(failures)
 
 
 def _require_outputs(options: CalibrateOptions) -> None:
@@ -194,8 +206,8 @@ def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
 
 def _refined(
     seen: BoardViews, calibration: Calibration, how: intrinsics.Options, options: CalibrateOptions, progress: Progress
-) -> tuple[BoardViews, Calibration, str]:
-    """Return what a second look shows, the calibration it leads to, and a line about it.
+) -> tuple[BoardViews, Calibration, RefinementSummary | None, tuple[Message, ...]]:
+    """Return what a second look shows, the calibration it leads to, what changed, and warnings.
 
     A second look that a calibration cannot be made from leaves the first one as it is.
     """
@@ -206,13 +218,11 @@ def _refined(
     try:
         again = intrinsics.calibrate(better.detections.views, seen.board, replace(how, model=calibration.camera.model))
     except (InvalidInput, InsufficientData, NotConverged) as error:
-        words = f"Corner refinement with the calibrated lens is left out (--no-refine): {error.message}"
-        return seen, calibration, words
+        text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
+        return seen, calibration, None, (Message("refinement_failed", text),)
     finally:
         progress.finish()
-    found = f"{look.recovered} added, {look.lost} removed"
-    noise = f"noise {calibration.sigma_px:.3f} px before, {again.sigma_px:.3f} px after"
-    return better, again, f"Corner refinement with the calibrated lens: {found}; {noise}"
+    return better, again, RefinementSummary(look.recovered, look.lost, calibration.sigma_px, again.sigma_px), ()
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetection]) -> Channel:
@@ -252,7 +262,7 @@ def _solver_options(options: CalibrateOptions, guess: CameraEntry | None) -> int
 def camera_file(
     calibration: Calibration,
     uncertainty: ProjectionUncertainty,
-    advice: Advice,
+    assessment: Assessment,
     options: CalibrateOptions,
     channels: Mapping[str, Channel] = MappingProxyType({}),
     circle: ImageCircle | None = None,
@@ -267,7 +277,7 @@ def camera_file(
         projection=(ProjectionStd.of(uncertainty),),
         quality=quality_figures(calibration),
         noise=CalibrationNoise(calibration.sigma_px, calibration.degrees_of_freedom, calibration.model_error_px),
-        verdict=CalibrationVerdict(advice.trustworthy, advice.reasons),
+        verdict=CalibrationVerdict(assessment.trustworthy, tuple(each.text for each in assessment.failures)),
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,
     )
@@ -301,20 +311,17 @@ def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
 
 def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
-    advice = report.advice
     lenses = {"channels": channel_data(report.channels)} if report.channels else {}
     return {
         "output": options.output,
         **as_data(report.calibration),
         "uncertainty": uncertainty_data(report.uncertainty),
         "image_circle": native_entry.circle_block(report.file.cameras[options.name].image_circle),
-        "trustworthy": advice.trustworthy,
-        "reasons": advice.reasons,
-        "remarks": advice.remarks,
-        "findings": [vars(found) for found in advice.findings],
+        "refinement": None if report.refinement is None else vars(report.refinement),
+        "trustworthy": report.assessment.trustworthy,
+        "failures": messages.as_data(report.assessment.failures),
         "candidates": candidates_data(report.candidates),
         "frames": [frame_data(record) for record in report.frames],
-        "notes": report.notes,
         "failed": report.failed,
         **lenses,
     }

@@ -34,6 +34,22 @@ class CornerRefinement:
     lost: int
 
 
+@dataclass(frozen=True)
+class RefinementSummary:
+    """What measuring the corners again with the calibrated lens changed: corners, and the noise of a coordinate, px."""
+
+    added: int
+    removed: int
+    sigma_before_px: float
+    sigma_after_px: float
+
+    @property
+    def line(self) -> str:
+        """The line of the report."""
+        noise = f"residual noise {self.sigma_before_px:.3f} px before, {self.sigma_after_px:.3f} px after"
+        return f"corner refinement with the calibrated lens: {self.added} added, {self.removed} removed; {noise}"
+
+
 @dataclass(frozen=True, eq=False)
 class _ExpectedView:
     """A view to be looked at again, and what is expected of it, with its image: the file, or the frame of a video."""

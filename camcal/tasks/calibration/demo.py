@@ -134,7 +134,7 @@ def document(report: DemoReport, options: DemoOptions) -> dict[str, Any]:
         "views_used": len(calibration.used),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
-        "trustworthy": report.calibrated.advice.trustworthy,
+        "trustworthy": report.calibrated.assessment.trustworthy,
         "compared": [
             {"name": row.name, "truth": row.truth, "estimate": row.estimate, "std": row.std, "sigmas": row.sigmas}
             for row in report.compared

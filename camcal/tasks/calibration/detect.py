@@ -10,7 +10,8 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.images.save import save
-from camcal.progress import SILENT, Progress, values_of
+from camcal.messages import Message
+from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.detection_image import is_raw, read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.report.overlays import corner_overlay
@@ -27,7 +28,7 @@ from camcal.run.paths import (
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
-from camcal.tasks.calibration.image_circle_of_views import circle_notes, with_circle
+from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import (
@@ -43,33 +44,36 @@ from camcal.tasks.calibration.video_frames import (
 from camcal.tasks.calibration.which_board import (
     Material,
     arranged,
+    board_warnings,
     detect_file,
     nothing_found,
     other_board,
-    remarks,
+    pattern_lines,
     require_colours,
     search,
 )
 
 SUFFIXES = (".csv", ".vnl")
 _PICTURE = "_corners.png"
-MIXED = (
-    "red and blue come from demosaiced images, which mix them with green: the aberration may be wrong by tenths of a "
-    "pixel; use raw frames"
+DEMOSAICED = Message(
+    "demosaiced_colours",
+    "colours come from demosaiced images, which mix them: lateral chromatic aberration may be off by tenths of a "
+    "pixel; use raw frames",
 )
 
 
 @dataclass(frozen=True, eq=False)
 class DetectReport:
-    """The detections with the board as it turned out to be, remarks, and the images that could not be read.
+    """The detections with the board as it turned out to be, warnings, and the images that could not be read.
 
-    frames: what became of the frames of videos that were searched; those that are taken are among the detections.
-    videos: where they come from. pictures: those drawn.
+    lines: other lines of the report. frames: what became of the frames of videos that were searched; those that are
+    taken are among the detections. videos: where they come from. pictures: those drawn.
     """
 
     detections: Detections
-    notes: tuple[str, ...]
+    warnings: tuple[Message, ...]
     failed: tuple[str, ...]
+    lines: tuple[str, ...] = ()
     frames: tuple[FrameRecord, ...] = ()
     videos: tuple[Video, ...] = ()
     pictures: tuple[Path, ...] = ()
@@ -111,21 +115,24 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     before = [*seen, *(record.view for record in records if record.taken or options.frames.whole)]
     sized = same_size(before, size, board, mixed=options.mixed_sizes)
     views = sized.views
-    mixed = (MIXED,) if any(view.colours and not is_raw(Path(view.image), options.reading) for view in seen) else ()
+    mixed = (
+        (DEMOSAICED,) if any(view.colours and not is_raw(Path(view.image), options.reading) for view in seen) else ()
+    )
     result = Detections(board, views)
     if options.output is not None:
         result = with_circle(result, videos, options.reading)
         detections.write(options.output, result)
+    warnings = (*board_warnings(views, board, asked), *sized.warnings, *mixed)
+    warn_of(warnings, progress)
     return DetectReport(
         result,
-        (
-            *remarks(views, board, asked),
-            *sized.notes,
-            *circle_notes(result.circles.get("")),
-            *mixed,
+        warnings,
+        failed=tuple(map(str, errors)),
+        lines=(
+            *pattern_lines(board, asked),
+            *circle_lines(result.circles.get("")),
             *(summary(video, records) for video in videos),
         ),
-        failed=tuple(map(str, errors)),
         frames=records,
         videos=tuple(videos),
         pictures=_drawn(sized.in_files(before), videos, options, progress),
@@ -217,7 +224,6 @@ def document(report: DetectReport, output: Path | None) -> dict[str, Any]:
             for view in report.detections.views
         ],
         "frames": [as_data(record) for record in report.frames],
-        "notes": list(report.notes),
         "failed": list(report.failed),
         "pictures": [path.as_posix() for path in report.pictures],
     }

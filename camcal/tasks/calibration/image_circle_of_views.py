@@ -45,8 +45,8 @@ def known_circle(detections: Detections, guess: CameraEntry | None) -> ImageCirc
     return circle if circle is not None and _fits(circle, detections.views) else None
 
 
-def circle_notes(circle: ImageCircle | None) -> tuple[str, ...]:
-    """Return what is to be said of an image circle."""
+def circle_lines(circle: ImageCircle | None) -> tuple[str, ...]:
+    """Return the line of the report on an image circle, none without one."""
     if circle is None:
         return ()
     x, y = circle.centre

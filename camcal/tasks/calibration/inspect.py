@@ -15,7 +15,7 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
 from camcal.targets.surface import CLASSES, RATIOS, Surface
-from camcal.tasks.calibration.image_circle_of_views import circle_notes
+from camcal.tasks.calibration.image_circle_of_views import circle_lines
 from camcal.tasks.options import InspectOptions
 
 
@@ -92,7 +92,7 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     yield "field of view " + (", ".join(known) or "not known: the lens is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
-    yield from circle_notes(entry.image_circle)
+    yield from circle_lines(entry.image_circle)
     if entry.held_by_prior:
         yield held_by_prior_words(entry.held_by_prior)
     if entry.quality:
@@ -190,5 +190,4 @@ def document(inspection: Inspection) -> dict[str, Any]:
         "file": inspection.document.where,
         "content": inspection.document.data,
         "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
-        "warnings": list(inspection.file.warnings),
     }

@@ -18,6 +18,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
+from camcal.messages import Message
 from camcal.targets.board import Board
 from camcal.targets.detection import (
     CLOCKWISE,
@@ -35,19 +36,19 @@ OPTION = "--mixed-sizes"
 _MODELS = (DEFAULT_MODEL, WIDE_MODEL)  # of which the one with less noise tells how images were turned
 _CLEARER = 1.5  # times: how much larger the median residual of the other way must be
 _LIMIT = 5.0  # times the noise of the other views: the median residual of a view that fits
-_NAMED = 4  # images in a note
+_NAMED = 4  # images in a message
 
 
 @dataclass(frozen=True, eq=False)
 class SameSize:
     """Views that are all of one size, or without points and with the reason.
 
-    maps: for the images that were made to fit, by name. notes: what was done with images of other sizes, a line each.
+    maps: for the images that were made to fit, by name. warnings: which images of other sizes are used or not.
     """
 
     views: tuple[BoardDetection, ...]
     maps: Mapping[str, PixelMap] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     def in_files(self, before: Sequence[BoardDetection]) -> tuple[BoardDetection, ...]:
         """Return the views with the pixels of their files; before: as they were before they were made to fit."""
@@ -80,7 +81,7 @@ def same_size(views: Sequence[BoardDetection], usual: Size, board: Board, *, mix
             hint = f"; {OPTION} uses it" if offered else ""
             reason = reasons.get(view.image) or _differs(view, usual) + hint
             result.append(view.without_points(reason))
-    return SameSize(tuple(result), maps, _notes(others, maps, usual, mixed=mixed))
+    return SameSize(tuple(result), maps, _size_warnings(others, maps, usual, mixed=mixed))
 
 
 def _differs(view: BoardDetection, usual: Size) -> str:
@@ -94,22 +95,23 @@ def _words(size: Size) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-def _notes(
+def _size_warnings(
     others: Sequence[BoardDetection], maps: Mapping[str, PixelMap], usual: Size, *, mixed: bool | None
-) -> tuple[str, ...]:
-    """Return a line for every size that is related to the usual one: whether its images are used, and their names."""
+) -> tuple[Message, ...]:
+    """Return a warning for every size related to the usual one: whether its images are used, and their names."""
     named: dict[tuple[bool, Size], list[str]] = defaultdict(list)
     for view in others:
         if size_relation(view.size, usual) is not None:
             named[view.image in maps, view.size].append(Path(view.image).name)
-    notes = []
+    found = []
     for (used, size), images in named.items():
         what = f"used with {OPTION}" if used else "not used"
         hint = f"; {OPTION} uses such images" if mixed is False else ""
         count = f"{len(images)} image{'s' if len(images) > 1 else ''} of {_words(size)}"
         words = f"{size_words(size, usual)} (the majority: {_words(usual)})"
-        notes.append(f"{what}: {count}, {words}: {names_of(images, _NAMED)}{hint}")
-    return tuple(notes)
+        text = f"{what}: {count}, {words}: {names_of(images, _NAMED)}{hint}"
+        found.append(Message("mixed_image_sizes", text, {"images": len(images), "width": size[0], "height": size[1]}))
+    return tuple(found)
 
 
 def _maps(

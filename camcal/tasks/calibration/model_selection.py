@@ -11,6 +11,7 @@ from camcal.calibrate.jackknife import GAIN, CandidateModel, chosen
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
+from camcal.messages import Message
 from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -24,11 +25,15 @@ _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """A calibration, the models that it was chosen from (none where the model was given), and what to say of that."""
+    """A calibration, the models that it was chosen from (none where the model was given), and why.
+
+    warnings: where the best model could not be used. lines: why another one than the default is used.
+    """
 
     calibration: Calibration
     candidates: tuple[CandidateModel, ...] = ()
-    remarks: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
+    lines: tuple[str, ...] = ()
 
 
 def select(
@@ -51,9 +56,7 @@ def select(
             continue
         selection = Selection(calibration, candidates)
         if failure is not None:
-            return replace(
-                selection, remarks=(f"lens model {own.name} is used: {first.name} fails ({failure.message})",)
-            )
+            return replace(selection, warnings=(_failed(own.name, first.name, failure.message),))
         return _without_fold(selection, views, board, options, circle)
     raise failure or NotConverged("no lens model was found")
 
@@ -89,9 +92,9 @@ def _without_fold(
         except _FAILURES:
             continue
         if not folds_inside(calibration.camera, circle).folds and _known_everywhere(calibration, circle):
-            remark = f"{own.name} is used: {taken} predicts as well, but is not invertible in the whole image"
-            return Selection(calibration, selection.candidates, (remark,))
-    return replace(selection, remarks=_words(selection))
+            line = f"lens model {own.name}: {taken} predicts as well, but is not invertible in the whole image"
+            return Selection(calibration, selection.candidates, lines=(line,))
+    return _with_reason(selection)
 
 
 def _known_everywhere(calibration: Calibration, circle: ImageCircle | None) -> bool:
@@ -100,15 +103,19 @@ def _known_everywhere(calibration: Calibration, circle: ImageCircle | None) -> b
     return figures["worst_px"] <= _KNOWN * float(np.hypot(*calibration.camera.image_size))
 
 
-def _words(selection: Selection) -> tuple[str, ...]:
-    """Return why another model than the default one was taken."""
+def _with_reason(selection: Selection) -> Selection:
+    """Return the selection with why another model than the default one was taken."""
     name = selection.calibration.camera.model.name
     scores = {own.name: own for own in selection.candidates}
     if name == DEFAULT_MODEL:
-        return ()
+        return selection
     default, taken = scores[DEFAULT_MODEL], scores[name]
     if default.scores is None:
-        return (f"lens model {name} is used: {DEFAULT_MODEL} fails ({default.reason})",)
-    left_out = f"{taken.sigma_px:.2g} px with it, {default.sigma_px:.2g} px with {DEFAULT_MODEL}"
+        return replace(selection, warnings=(_failed(name, DEFAULT_MODEL, str(default.reason)),))
+    errors = f"{taken.sigma_px:.2g} px, {DEFAULT_MODEL} {default.sigma_px:.2g} px"
     gain = f"{taken.score - default.score:.2g} nat per corner"
-    return (f"lens model {name} is used: prediction error of left-out views {left_out} ({gain})",)
+    return replace(selection, lines=(f"lens model {name}: prediction error of left-out views {errors} ({gain})",))
+
+
+def _failed(used: str, failed: str, why: str) -> Message:
+    return Message("lens_model_failed", f"lens model {failed} failed, {used} is used instead: {why}")

@@ -25,6 +25,7 @@ from camcal.images.remap import align_channels, build_maps
 from camcal.images.save import KINDS, save
 from camcal.images.video import frames
 from camcal.images.views import make_view
+from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.paths import (
@@ -186,10 +187,8 @@ def _first_size(media: Media) -> tuple[int, int] | None:
 def _warn_of_shrinking(camera: Camera, view: Camera, progress: Progress) -> None:
     share = view.value("fx") / view.image_size[0] * camera.image_size[0] / camera.value("fx")
     if view.model.name == PINHOLE and share < _SHRUNK:
-        progress.warn(
-            f"the middle of the image shrinks to {100 * share:.0f} % in a pinhole this wide; "
-            "--projection cylinder, or a smaller --fov, keeps more of it"
-        )
+        text = f"scale at the image centre {100 * share:.0f} %: use --projection cylinder or a smaller --fov"
+        progress.warn(Message("reduced_scale", text, {"scale": share}))
 
 
 def document(report: UndistortReport) -> dict[str, Any]:
@@ -248,7 +247,8 @@ def write_view(
     )
     native.write(path, CameraFile({source.name: CameraEntry(view, verdict=source.verdict)}, provenance=block))
     if before is not None and not _same(before, view):
-        progress.warn(f"{path}: replaces the camera of another view; images of that one no longer fit it")
+        text = "replaces the camera file of another view: images undistorted earlier no longer match it"
+        progress.warn(Message("replaced_view", text, where=str(path)))
 
 
 def require_own(path: Path) -> None:

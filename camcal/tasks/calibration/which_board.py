@@ -16,6 +16,7 @@ from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.boards import short_form
 from camcal.formats.tables import require_cell
+from camcal.messages import Message
 from camcal.progress import Outcome, Progress
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
@@ -29,11 +30,11 @@ from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.video_frames import Frame, Video, detect_frame
 
 _UNKNOWN_SIZE = {
-    CHESSBOARD: "the size of a square is not given: lengths are in squares",
-    CHARUCO: "the size of a square is not given: lengths are in squares",
-    APRILGRID: "the size of a tag is not given: lengths are in squares, 1 from tag to tag",
-    CIRCLES: "the distance of the circles is not given: lengths are in squares, 1 from circle to circle",
-    ASYMMETRIC_CIRCLES: "the distance of the circles is not given: lengths are in squares, 1 from row to row",
+    CHESSBOARD: "square size unknown: lengths are in squares; give it with --board",
+    CHARUCO: "square size unknown: lengths are in squares; give it with --board",
+    APRILGRID: "tag size unknown: lengths are in tag spacings; give it with --board",
+    CIRCLES: "circle spacing unknown: lengths are in spacings; give it with --board",
+    ASYMMETRIC_CIRCLES: "circle spacing unknown: lengths are in row spacings; give it with --board",
 }
 _TO_CHECK = {
     CHESSBOARD: "the size (inner corners, one less than squares each way)",
@@ -54,23 +55,30 @@ Source = TypeVar("Source")
 Shown = TypeVar("Shown")
 
 
-def remarks(views: Sequence[BoardDetection], board: Board, stated: Board) -> tuple[str, ...]:
-    """Return what a person should know of a set of views, a line each; board: as found, stated: as asked for."""
-    notes = []
+def board_warnings(views: Sequence[BoardDetection], board: Board, stated: Board) -> tuple[Message, ...]:
+    """Return the warnings about a board and the views of it; board: as found, stated: as asked for."""
+    found = []
     if board.columns != stated.columns:
-        notes.append(f"the board has {_squares(board)} squares, not {_squares(stated)}: taken as it is")
-    if board.legacy != stated.legacy and (board.rows + 1) % 2 == 0:
-        name = "legacy pattern (OpenCV before 4.6)" if board.legacy else "current pattern (OpenCV since 4.6)"
-        notes.append(f"the board has the {name}")
+        text = f"the board has {_squares(board)} squares, not {_squares(stated)}: the found size is used"
+        found.append(Message("board_size_differs", text))
     if board.square is None:
-        notes.append(_UNKNOWN_SIZE[board.type])
+        found.append(Message("unknown_board_size", _UNKNOWN_SIZE[board.type]))
     if (looks := len(board.symmetries())) > 1:
-        turn = "half a turn" if looks == 2 else "a quarter turn"
-        notes.append(f"a {board.columns}x{board.rows} board looks the same after {turn}: numbering may differ by views")
+        angle = 180 if looks == 2 else 90
+        text = f"a {board.columns}x{board.rows} board is symmetric under rotation by {angle}°: corner ids are ambiguous"
+        found.append(Message("symmetric_board", text, {"rotation_deg": angle}))
     turned = sum(view.orientation != 1 for view in views)
     if turned:
-        notes.append(f"the EXIF orientation of {turned} images is noted and not applied")
-    return tuple(notes)
+        text = f"EXIF orientation ignored in {turned} images: pixels are used as stored"
+        found.append(Message("orientation_ignored", text, {"images": turned}))
+    return tuple(found)
+
+
+def pattern_lines(board: Board, stated: Board) -> tuple[str, ...]:
+    """Return a line on the pattern of a ChArUco board where it was found out."""
+    if board.legacy == stated.legacy or (board.rows + 1) % 2:
+        return ()
+    return ("legacy ChArUco pattern (OpenCV < 4.6)" if board.legacy else "current ChArUco pattern (OpenCV >= 4.6)",)
 
 
 def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool = False) -> InsufficientData | None:

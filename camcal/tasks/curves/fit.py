@@ -17,6 +17,7 @@ from camcal.estimate.curves.fit import compare, fit_curve, likelihood_intervals
 from camcal.estimate.curves.search import LARGEST, SearchOptions
 from camcal.formats import emit
 from camcal.formats.tables import Table, read_measurements
+from camcal.messages import Message
 from camcal.parsing import did_you_mean, parse_number
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import refuse_overwriting
@@ -173,7 +174,8 @@ def _refuse_strangers(
 
 def _warn(report: FitReport, progress: Progress) -> None:
     for first, second, value in report.fit.strong_correlations():
-        progress.warn(f"{first} and {second} are hardly told apart: correlation {value:+.4f}")
+        text = f"{first} and {second} are strongly correlated (r = {value:+.4f})"
+        progress.warn(Message("strong_correlation", text, {"r": value, "parameters": (first, second)}))
 
 
 def _write(report: FitReport, options: FitOptions, table: Table) -> None:

@@ -15,6 +15,7 @@ from camcal.formats.pose_text import Form, form_of
 from camcal.geometry.frame_graph import FrameGraph, Loop
 from camcal.geometry.frame_graph import evaluate as evaluate_product
 from camcal.geometry.pose import Derived, Key, NamedTransform
+from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop
 from camcal.run.paths import refuse_overwriting
@@ -140,7 +141,9 @@ def _exact(used: Mapping[Any, NamedTransform], progress: Progress) -> tuple[str,
     without = tuple(item.called for item in used.values() if item.covariance is None)
     if not without or len(without) == len(used):
         return ()
-    progress.warn(f"without a covariance, taken as exact: {', '.join(without)}")
+    progress.warn(
+        Message("assumed_exact", f"no covariance, assumed exact: {', '.join(without)}", {"transforms": without})
+    )
     return without
 
 

@@ -13,6 +13,7 @@ from camcal.formats import cameras, trajectories
 from camcal.formats.pose_text import form_of
 from camcal.geometry.axes import Axes, change, convention_named, reexpress, reexpress_jacobian
 from camcal.geometry.pose import NamedTransform, Trajectory, carried, frames_of, inverse_jacobian
+from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
@@ -94,10 +95,12 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
     converted = tuple(_along(item, changes) for item in transforms)
     points = tuple(_counted_from_corners(centres, changes))
     for point in points:
-        progress.warn(
-            f"{point.camera}: in {point.convention} the principal point is cx {point.cx:.9g}, cy {point.cy:.9g}, "
-            "as its pixels are counted from the corner of the first one"
+        text = (
+            f"principal point in {point.convention}: cx {point.cx:.9g}, cy {point.cy:.9g} (pixel origin at the corner "
+            "of the image)"
         )
+        values = {"cx": point.cx, "cy": point.cy}
+        progress.warn(Message("pixel_origin_differs", text, values, point.camera))
     write(options.output, converted)
     return Converted(converted, tuple(changes.values()), points)
 
@@ -233,7 +236,7 @@ def trajectory_document(converted: ConvertedTrajectory) -> dict[str, Any]:
 def _inverse_trajectory(trajectory: Trajectory, progress: Progress) -> Trajectory:
     """Return the poses in the other direction; velocities are of the moving frame in the fixed one and are left out."""
     if trajectory.velocities is not None:
-        progress.warn("velocities are left out of inverted poses")
+        progress.warn(Message("velocities_not_written", "velocities are not written for inverted poses"))
     poses = [trajectory.pose(index) for index in range(len(trajectory))]
     inverses = [pose.inverse() for pose in poses]
     covariances = trajectory.covariances

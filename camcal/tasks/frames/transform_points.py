@@ -13,6 +13,7 @@ from camcal.formats.point_table import PointTable
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, cloud_of
 from camcal.formats.pose_text import form_of
 from camcal.geometry.pose import NamedTransform, point_jacobian
+from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.paths import refuse_overwriting
@@ -87,7 +88,8 @@ def _cloud(options: PointsOptions, transform: NamedTransform, progress: Progress
     if found.unit not in _PER_METRE:
         raise InvalidInput(f"its unit is {found.unit!r}; it must be m or mm", where=str(options.points))
     if transform.covariance is not None:
-        progress.warn("a cloud has no room for covariances; write a CSV to keep that of the transform")
+        text = "covariance of the transform not written: clouds hold none, a CSV does"
+        progress.warn(Message("covariance_not_written", text, where=str(options.points)))
     moved = _moved_cloud(found, transform)
     stream = VertexStream(
         count=len(moved.vertices),

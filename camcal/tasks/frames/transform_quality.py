@@ -16,6 +16,7 @@ from camcal.formats.pose_text import LoosePose, form_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import NamedTransform, Pose, frames_of
 from camcal.geometry.rotation import HOPELESS, Orthogonality, examine
+from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
 from camcal.run.pose_sources import read_loose, read_trajectories, read_transforms
@@ -52,7 +53,10 @@ def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
     covariances = [item.covariance for item in estimates if item.covariance is not None]
     weighted = not options.equal and bool(estimates) and len(covariances) == len(estimates)
     if covariances and not weighted and not options.equal:
-        progress.warn(f"{len(estimates) - len(covariances)} of {len(estimates)} have no covariance: all count alike")
+        text = (
+            f"{len(estimates) - len(covariances)} of {len(estimates)} estimates have no covariance: equal weights used"
+        )
+        progress.warn(Message("equal_weights", text, {"without_covariance": len(estimates) - len(covariances)}))
     poses = [item.pose for item in estimates]
     mean = average_poses(poses, covariances if weighted else None, robust=options.robust)
     _warn(mean, progress)
@@ -99,14 +103,18 @@ def _require_one_name(estimates: Sequence[NamedTransform]) -> None:
 
 def _warn(mean: PoseAverage, progress: Progress) -> None:
     if not mean.unique:
-        progress.warn(f"rotations lie up to {np.degrees(mean.angles.max()):.0f}° from their mean: there may be another")
+        largest = float(np.degrees(mean.angles.max()))
+        text = f"rotations up to {largest:.0f}° from their mean: the mean may not be unique"
+        progress.warn(Message("mean_not_unique", text, {"angle_deg": largest}))
     if mean.chi_square is not None and mean.chi_square > mean.degrees_of_freedom + _FAR * np.sqrt(
         2 * mean.degrees_of_freedom
     ):
-        progress.warn(
-            f"the estimates differ more than their covariances say (χ² = {mean.chi_square:.4g}, "
-            f"{mean.degrees_of_freedom} degrees of freedom); with --equal the covariance follows from how they scatter"
+        text = (
+            f"estimates differ more than their covariances (χ² = {mean.chi_square:.4g}, {mean.degrees_of_freedom} degrees "
+            "of freedom): --equal estimates the covariance from their scatter"
         )
+        values = {"chi_square": mean.chi_square, "degrees_of_freedom": mean.degrees_of_freedom}
+        progress.warn(Message("inconsistent_estimates", text, values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,14 +138,15 @@ class CheckedPose:
         return [self.called, self.verdict, self.found.error, self.found.determinant, angle, self.written.pose.norm]
 
     @property
-    def fault(self) -> str:
-        """What is wrong, in words; empty for a pose."""
-        if self.verdict == OK:
-            return ""
+    def failure(self) -> Message:
+        """Why it is not a pose."""
         norm = self.written.pose.norm
         if norm is not None and abs(norm - 1) > EXACT:
-            return f"the quaternion has length {norm:.9g}"
-        return self.found.fault(EXACT) or f"what should be 0 0 0 1 is off by {self.written.pose.strays:.3g}"
+            return Message("quaternion_norm", f"quaternion norm {norm:.9g}, not 1", {"norm": norm}, self.called)
+        if text := self.found.fault(EXACT):
+            return Message("not_a_rotation", text, {"determinant": self.found.determinant}, self.called)
+        off = self.written.pose.strays
+        return Message("last_row", f"last row differs from 0 0 0 1 by {off:.3g}", {"difference": off}, self.called)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,11 +168,11 @@ def check(options: CheckOptions, _: Progress = SILENT) -> Checked:
 
 
 def require_good(checked: Checked, *, fix: bool) -> None:
-    """Raise GateFailed, a line for each pose that is none; inexact ones pass if they were to be fixed."""
+    """Raise GateFailed with the failures of all that are not poses; inexact ones pass if they were to be fixed."""
     passing = {OK, INEXACT} if fix else {OK}
-    faults = [f"{pose.called}: {pose.fault}" for pose in checked.poses if pose.verdict not in passing]
-    if faults:
-        raise GateFailed("\n".join(faults))
+    failures = [pose.failure for pose in checked.poses if pose.verdict not in passing]
+    if failures:
+        raise GateFailed.of(failures)
 
 
 def check_document(checked: Checked, output: Output) -> dict[str, Any]:
@@ -174,7 +183,6 @@ def check_document(checked: Checked, output: Output) -> dict[str, Any]:
                 "name": pose.written.name or None,
                 "where": pose.written.where,
                 "verdict": pose.verdict,
-                "fault": pose.fault or None,
                 "orthonormality_error": pose.found.error,
                 "determinant": pose.found.determinant,
                 "angle_to_nearest_deg": float(np.degrees(pose.found.angle)),

@@ -9,11 +9,12 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board
-from camcal.progress import SILENT, Progress
+from camcal.messages import Message
+from camcal.progress import SILENT, Progress, warn_of
 from camcal.run.paths import refuse_overwriting, split_address
 from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
-from camcal.tasks.lenses.board_plan import BoardPlan, plan_board
+from camcal.tasks.lenses.board_plan import BoardAt, BoardPlan, plan_board
 from camcal.tasks.lenses.optics_setup import Setup, set_up
 from camcal.tasks.lenses.options import OpticsOptions
 
@@ -35,7 +36,7 @@ class OpticsReport:
     at: tuple[part.AtDistance, ...]
     board: BoardPlan | None
     missing: Mapping[str, str]
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     plot: Path | None
 
 
@@ -50,8 +51,7 @@ def optics(options: OpticsOptions, progress: Progress = SILENT) -> OpticsReport:
     report = _report(set_up(options))
     if options.plot is not None:
         _draw(report, options.plot)
-    for warning in report.warnings:
-        progress.warn(warning)
+    warn_of(report.warnings, progress)
     return report
 
 
@@ -88,57 +88,68 @@ def _require_something(report: OpticsReport) -> None:
         )
 
 
-def _lens_warnings(report: OpticsReport) -> Iterator[str]:
+def _lens_warnings(report: OpticsReport) -> Iterator[Message]:
     field, circle, blur = report.field_of_view, report.image_circle, report.diffraction
     if field is not None and any(map(isnan, (field.horizontal, field.vertical, field.diagonal))):
-        yield "the lens model has no ray for a part of the image's edge: no field of view there"
+        text = "lens model not invertible at the edge of the image: no field of view there"
+        yield Message("no_field_of_view", text)
     if circle is not None and circle.given < circle.needed:
         given, needed = 1e3 * circle.given, 1e3 * circle.needed
-        yield f"the image circle of {given:g} mm is too small: the sensor's corners need {needed:.2f} mm"
+        text = f"image circle of {given:g} mm too small: the sensor corners need {needed:.2f} mm"
+        yield Message("image_circle_too_small", text, {"given_mm": given, "needed_mm": needed})
     if blur is not None and blur.limited:
-        yield (
-            f"limited by diffraction: the Airy disc is {blur.airy_px:.1f} pixels wide, and {blur.contrast:.0%} of the "
-            f"contrast of the finest detail is left; up to f/{blur.sharp_f_number:.1f} pixels are the limit"
+        text = (
+            f"diffraction-limited: Airy disc {blur.airy_px:.1f} px, MTF at Nyquist {blur.contrast:.0%}; use "
+            f"f/{blur.sharp_f_number:.1f} or less"
         )
+        yield Message("diffraction_limited", text, {"f_number": float(blur.sharp_f_number or 0)})
 
 
-def _distance_warnings(report: OpticsReport) -> Iterator[str]:
+def _distance_warnings(report: OpticsReport) -> Iterator[Message]:
     sharp = report.focus
     for at in report.at:
         if at.motion_px is not None and at.longest_exposure is not None and at.motion_px > 1:
-            yield (
-                f"at {at.distance:g} m motion blurs {at.motion_px:.1f} px; expose for "
-                f"{1e3 * at.longest_exposure:.3g} ms or less"
-            )
+            text = f"motion blur {at.motion_px:.1f} px: expose for {1e3 * at.longest_exposure:.3g} ms or less"
+            yield Message("motion_blur_expected", text, {"blur_px": at.motion_px}, f"{at.distance:g} m")
         if sharp is None or sharp.near is None or sharp.far is None:
             continue
         if not sharp.near <= at.distance <= sharp.far:
-            disc = "" if at.blur_px is None else f": the blur disc is {at.blur_px:.1f} px"
-            yield f"{at.distance:g} m is out of focus{disc}"
+            disc = "" if at.blur_px is None else f": blur disc {at.blur_px:.1f} px"
+            values = {} if at.blur_px is None else {"blur_px": at.blur_px}
+            yield Message("out_of_focus", f"out of focus{disc}", values, f"{at.distance:g} m")
 
 
-def _board_warnings(report: OpticsReport) -> Iterator[str]:
+def _board_warnings(report: OpticsReport) -> Iterator[Message]:
     plan = report.board
     if plan is None:
         return
     element = BOARD_TYPES[plan.board.type].element
     low, high = usable_range(report)
     if low >= high:
-        yield (
-            f"there is no distance for this board: it fits the image from {plan.nearest:.3g} m, its {element}s are "
-            f"large enough up to {plan.farthest:.3g} m{_sharp_words(report)}"
+        text = (
+            f"no usable distance for this board: it fits the image from {plan.nearest:.3g} m, its {element}s are large "
+            f"enough up to {plan.farthest:.3g} m{_sharp_words(report)}"
         )
+        yield Message("no_usable_distance", text, {"nearest_m": plan.nearest, "farthest_m": plan.farthest})
     for at in plan.at:
-        if at.share > 1:
-            yield f"at {at.distance:g} m the board does not fit the image; its nearest distance is {plan.nearest:.3g} m"
-        elif at.smallest_px < plan.least_px:
-            yield f"at {at.distance:g} m {element}s have {at.smallest_px:.1f} px, fewer than {plan.least_px:.3g}"
-        if at.sigma is not None and (turn := max(at.sigma[3:])) > WEAK_TURN:
-            yield f"at {at.distance:g} m the board's direction will be known to ±{degrees(turn):.2g}° only"
-        if at.p_wrong is not None and at.p_wrong > AMBIGUOUS:
-            yield f"at {at.distance:g} m a wrong pose will fit better in {100 * at.p_wrong:.2g} % of images"
+        yield from (message.at(f"{at.distance:g} m") for message in _warnings_at(at, plan, element))
     if plan.reason is not None:
-        yield f"no forecast of a calibration: {plan.reason}"
+        yield Message("no_forecast", f"no forecast of a calibration: {plan.reason}")
+
+
+def _warnings_at(at: BoardAt, plan: BoardPlan, element: str) -> Iterator[Message]:
+    if at.share > 1:
+        text = f"board larger than the image; nearest distance {plan.nearest:.3g} m"
+        yield Message("board_exceeds_image", text, {"nearest_m": plan.nearest})
+    elif at.smallest_px < plan.least_px:
+        text = f"{element}s of {at.smallest_px:.1f} px (limit {plan.least_px:.3g} px)"
+        yield Message("board_too_small", text, {"smallest_px": at.smallest_px, "limit_px": plan.least_px})
+    if at.sigma is not None and (turn := max(at.sigma[3:])) > WEAK_TURN:
+        text = f"standard deviation of the board rotation {degrees(turn):.2g}°"
+        yield Message("weak_rotation", text, {"std_deg": degrees(turn)})
+    if at.p_wrong is not None and at.p_wrong > AMBIGUOUS:
+        text = f"probability of a wrong pose {100 * at.p_wrong:.2g} %"
+        yield Message("ambiguous_forecast", text, {"p_wrong": at.p_wrong})
 
 
 def usable_range(report: OpticsReport) -> tuple[float, float]:

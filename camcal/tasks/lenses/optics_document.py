@@ -103,8 +103,6 @@ def document(report: OpticsReport) -> dict[str, Any]:
         "distances": [_plain(at, _AT) for at in report.at],
         "board": None if report.board is None else _board(report, report.board),
         "missing": report.missing,
-        "notes": report.setup.notes,
-        "warnings": report.warnings,
         "plot": report.plot,
     }
 
@@ -263,7 +261,6 @@ def closing_lines(report: OpticsReport) -> Iterator[str]:
         wide = f"; the smallest format as wide is {solved['format']}" if solved["format"] else ""
         length = f"{solved['value']:.4g} {solved['unit']}"
         yield f"{solved['what']} {length} for a width of {report.setup.options.width:g} m{wide}"
-    yield from (f"note: {note}" for note in report.setup.notes)
     yield from (f"for {figure} give {options}" for figure, options in report.missing.items())
 
 

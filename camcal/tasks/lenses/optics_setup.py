@@ -11,6 +11,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.messages import Message
 from camcal.optics import lens
 from camcal.optics.lens import effective_f_number
 from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
@@ -37,7 +38,7 @@ class Setup:
     camera: of a file if `measured`, else a pinhole that follows from the rest. lit: the file's image circle, px.
     sensor: width and height. solved: the length that --solve asked for. sources: where the numbers of that name come
     from, if not from options.
-    warnings, notes: what a user should know of them.
+    warnings: about the camera file, and where options disagree.
     """
 
     options: OpticsOptions
@@ -52,8 +53,7 @@ class Setup:
     circle: float | None = None
     solved: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @cached_property
     def principal_distance(self) -> float | None:
@@ -116,34 +116,36 @@ def _with_camera(setup: Setup, address: str) -> Setup:
 def _with_sensor(setup: Setup) -> Setup:
     """Return the setup with the sensor's sides and the pitch, as far as its name and its pixels tell them."""
     text, size = setup.options.sensor, setup.size
-    sources, notes = dict(setup.sources), setup.notes
+    sources, warnings = dict(setup.sources), setup.warnings
     sides, pitch = None, setup.pitch
     if text is not None:
-        known, note = _sensor(text)
-        sides, notes = (1e-3 * known.width_mm, 1e-3 * known.height_mm), (*notes, note) if note else notes
+        known, nominal = _sensor(text)
+        sides, warnings = (1e-3 * known.width_mm, 1e-3 * known.height_mm), (*warnings, *nominal)
         if size is not None and setup.options.pitch is None:
             pitch, sources["pitch"] = pixel_pitch(known, size), "diagonal of the sensor over that of the image"
     if size is not None and pitch is not None:
         counted = (size[0] * pitch, size[1] * pitch)
-        setup = replace(setup, warnings=(*setup.warnings, *_disagreement(sides, counted, str(text))))
+        warnings = (*warnings, *_disagreement(sides, counted, str(text)))
         sides, sources["sensor"] = counted, "pixels times pitch"
-    return replace(setup, sensor=sides, pitch=pitch, sources=sources, notes=notes)
+    return replace(setup, sensor=sides, pitch=pitch, sources=sources, warnings=warnings)
 
 
-def _sensor(text: str) -> tuple[SensorFormat, str | None]:
-    """Return a sensor from the name of its format or from WxH in mm, and what to know of a name."""
+def _sensor(text: str) -> tuple[SensorFormat, tuple[Message, ...]]:
+    """Return a sensor from the name of its format or from WxH in mm, and the warning about a name."""
     match = _MILLIMETRES.fullmatch(text.strip())
     if match and is_possible(float(match[1])) and is_possible(float(match[2])):
-        return SensorFormat(text, float(match[1]), float(match[2])), None
+        return SensorFormat(text, float(match[1]), float(match[2])), ()
     known = sensor_format(text)
-    return known, f"{known.name} is a name: its diagonal is about {known.diagonal_mm:.2f} mm, and makers differ"
+    words = f"sensor format {known.name} is nominal, diagonal about {known.diagonal_mm:.2f} mm: --pitch-um is exact"
+    return known, (Message("nominal_sensor_format", words, {"diagonal_mm": known.diagonal_mm}, "--sensor"),)
 
 
-def _disagreement(sides: tuple[float, float] | None, counted: tuple[float, float], text: str) -> list[str]:
+def _disagreement(sides: tuple[float, float] | None, counted: tuple[float, float], text: str) -> list[Message]:
     if sides is None or all(abs(a / b - 1) <= _DISAGREE for a, b in zip(sides, counted, strict=True)):
         return []
     found, named = (f"{1e3 * width:.2f} x {1e3 * height:.2f} mm" for width, height in (counted, sides))
-    return [f"the pixels make {found}, --sensor {text} is {named}; the pixels are taken"]
+    words = f"sensor size {found} by pixels and pitch, {named} by --sensor {text}: the former is used"
+    return [Message("sensor_size_differs", words, where="--sensor")]
 
 
 def _solved(setup: Setup) -> Setup:
@@ -197,8 +199,9 @@ def _with_focal(setup: Setup) -> Setup:
         return replace(setup, focal=focal, sources=sources | {"focal": "fx times pitch, and the focus"})
     if abs(focal / setup.focal - 1) <= _DISAGREE:
         return setup
-    warning = f"fx times pitch is a focal length of {1e3 * focal:.2f} mm, --focal says {1e3 * setup.focal:g} mm"
-    return replace(setup, warnings=(*setup.warnings, f"{warning}; is the pitch that of the image as it is?"))
+    words = f"focal length {1e3 * focal:.2f} mm by fx and pitch, {1e3 * setup.focal:g} mm by --focal: check the pitch"
+    values = {"focal_mm": 1e3 * focal, "given_mm": 1e3 * setup.focal}
+    return replace(setup, warnings=(*setup.warnings, Message("focal_length_differs", words, values, "--focal")))
 
 
 def _with_pinhole(setup: Setup) -> Setup:

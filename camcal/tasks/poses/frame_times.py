@@ -12,6 +12,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.images import exif, video
 from camcal.images.load import load
+from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import Progress
 from camcal.run.paths import require_there
@@ -83,14 +84,14 @@ def _warn_of_rate(frames: Sequence[str], own: Array | None, progress: Progress) 
     if own is not None:
         steps = np.diff(own)
         if steps.max() > _UNEVEN * steps.min():
-            progress.warn("the frame rate of the video varies; leave --fps out and its own times are taken")
+            text = "variable frame rate: --fps replaces the time stamps of the video; leave it out to use them"
+            progress.warn(Message("variable_frame_rate", text))
         return
     numbers = [re.search(_NUMBER, PurePath(frame).stem) for frame in frames]
     steps = np.diff([float(number[1]) for number in numbers if number])
     if len(steps) == len(frames) - 1 and steps.size and steps.max() != steps.min():
-        progress.warn(
-            "numbers are missing in the names, but --fps takes frames one after another; add --timestamps name"
-        )
+        text = "frame numbers missing in the names, and --fps assumes none is: add --timestamps name"
+        progress.warn(Message("missing_frame_numbers", text))
 
 
 def _of_names(frames: Sequence[str], timing: Timing) -> Array:

@@ -1,11 +1,13 @@
 """The options of `camcal pnp`, and those that it shares with `camcal track`."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from camcal.errors import InvalidInput
+from camcal.messages import Message
 from camcal.options import (
     BOARD,
     CHECKS,
@@ -105,15 +107,17 @@ class Gates(OptionsRecord):
         if self.max_ambiguity is not None and not 0 <= self.max_ambiguity <= 1:
             raise InvalidInput(f"--max-ambiguity is a probability, 0 … 1, found {self.max_ambiguity:g}")
 
-    def fault(self, record: "PoseRecord") -> str | None:
-        """Return the figure that keeps a pose from passing, None if it passes."""
+    def failures(self, record: "PoseRecord") -> Iterator[Message]:
+        """Yield the gates that a pose does not pass."""
         if self.max_rms is not None and record.rms_px > self.max_rms:
-            return f"RMS {record.rms_px:.3g} px, more than {self.max_rms:g} px"
+            text = f"reprojection RMS {record.rms_px:.3g} px (limit {self.max_rms:g} px)"
+            yield Message("pose_rms", text, {"rms_px": record.rms_px, "limit_px": self.max_rms})
         if self.max_ambiguity is not None and record.p_wrong > self.max_ambiguity:
-            return f"wrong with probability {record.p_wrong:.2g}, more than {self.max_ambiguity:g}"
+            text = f"probability of a wrong pose {record.p_wrong:.2g} (limit {self.max_ambiguity:g})"
+            yield Message("pose_ambiguity", text, {"p_wrong": record.p_wrong, "limit": self.max_ambiguity})
         if self.min_inliers is not None and record.n_inliers < self.min_inliers:
-            return f"{record.n_inliers} of {record.n_points} points are inliers, fewer than {self.min_inliers}"
-        return None
+            text = f"{record.n_inliers} of {record.n_points} points are inliers (limit {self.min_inliers})"
+            yield Message("pose_inliers", text, {"inliers": record.n_inliers, "limit": self.min_inliers})
 
 
 @dataclass(frozen=True)

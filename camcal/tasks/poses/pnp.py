@@ -19,7 +19,8 @@ from camcal.formats import cameras, correspondences, pose_text, poses
 from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.poses.record import PixelNoise, PoseKey, Poses
 from camcal.geometry.pose import Pose, inverse_jacobian
-from camcal.progress import SILENT, Progress
+from camcal.messages import Message
+from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
 from camcal.run.paths import refuse_overwriting, require_folder
@@ -34,26 +35,28 @@ from camcal.tasks.poses.pnp_views import Observation, PnpViews, first_size, seen
 
 @dataclass(frozen=True, eq=False)
 class PnpReport:
-    """The poses, remarks, pictures, and the images that failed: unreadable, or seen but without a pose.
+    """The poses, warnings, pictures, and the images that failed: unreadable, or seen but without a pose.
 
-    unsettled: those whose pose did not converge. views: the points and pixels of every pose, of one camera; camera: as
-    it is for these images, None of a rig.
+    lines: other lines of the report. unsettled: those whose pose did not converge. views: the points and pixels of
+    every pose, of one camera; camera: as it is for these images, None of a rig.
     """
 
     poses: Poses
-    notes: tuple[str, ...]
+    warnings: tuple[Message, ...]
     failed: tuple[str, ...]
+    lines: tuple[str, ...] = ()
     unsettled: tuple[PoseKey, ...] = ()
     pictures: tuple[Path, ...] = ()
     views: Mapping[PoseKey, Correspondences] = field(default_factory=dict)
     camera: Camera | None = None
 
     def require_good(self, gates: Gates) -> None:
-        """Raise GateFailed with a line for each pose that does not pass."""
-        faults = {pose_key: gates.fault(record) for pose_key, record in self.poses.estimates.items()}
-        lines = [f"{pose_key}: {fault}" for pose_key, fault in faults.items() if fault]
-        if lines:
-            raise GateFailed("\n".join(lines))
+        """Raise GateFailed with the failures of each pose that does not pass."""
+        found = [
+            each.at(pose_key) for pose_key, record in self.poses.estimates.items() for each in gates.failures(record)
+        ]
+        if found:
+            raise GateFailed.of(found)
 
 
 def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
@@ -75,15 +78,16 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     if not found:
         raise _why_no_pose(seen, refused)
     observations = {each.pose_key: each for each in seen.observations if each.pose_key in found}
-    for warning in _warnings(observer, seen, found, list(observations.values()), settings):
-        progress.warn(warning)
+    warnings = _warnings(observer, seen, found, list(observations.values()), settings)
+    warn_of(warnings, progress)
     straight = _poses(options, observer, seen, found, refused)
     result = straight.inverse() if inverse else straight
     if options.output:
         poses.write(options.output, result)
     return PnpReport(
         result,
-        seen.notes,
+        (*seen.warnings, *warnings),
+        lines=seen.lines,
         failed=(*seen.failed, *map(str, refused)),
         unsettled=tuple(pose_key for pose_key, estimate in found.items() if not estimate.converged),
         pictures=_drawn(options, observer, straight, found, observations, progress),
@@ -235,7 +239,7 @@ def _warnings(
     found: Mapping[PoseKey, PoseEstimate],
     observations: Sequence[Observation],
     settings: PoseOptions,
-) -> list[str]:
+) -> list[Message]:
     estimates = list(found.values())
     warnings = pnp_records.of_noise(estimates, observations, observer.noise_px)
     warnings += pnp_records.of_outliers(estimates, observations)
@@ -273,7 +277,6 @@ def document(report: PnpReport) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     return {
         **poses.document(report.poses),
-        "notes": list(report.notes),
         "failed": list(report.failed),
         "pictures": [path.as_posix() for path in report.pictures],
     }

@@ -22,8 +22,9 @@ from camcal.geometry.pose import Pose
 from camcal.images.load import gray_8bit
 from camcal.images.save import save
 from camcal.images.video import frame_name, frames
+from camcal.messages import Message
 from camcal.parsing import did_you_mean
-from camcal.progress import Progress, values_of
+from camcal.progress import Progress, values_of, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
@@ -144,15 +145,21 @@ def seen_by_rig(
     single = all(len({pose_key.image for pose_key in _sights(each)}) == 1 for each in seen.values())
     observations = [_by_instant(name, each, given[name], single) for name, each in seen.items()]
     together = joined([observation for each in observations for observation in each])
+    alone: tuple[Message, ...] = ()
     if len(seen) > 1 and together and not any(len(each.views) > 1 for each in together):
-        alone = f"no two cameras saw an object at one instant, such as {together[0].pose_key}"
-        progress.warn(f"{alone}; images of one instant have one name but for that of the camera")
+        text = (
+            f"no object was seen by two cameras at one instant, such as {together[0].pose_key}: name the images of one "
+            "instant alike but for the camera"
+        )
+        alone = (Message("no_common_instants", text),)
+        warn_of(alone, progress)
     return replace(rig, cameras=fitted), PnpViews(
         together,
         units.pop(),
         nothing={pose_key: reason for each in seen.values() for pose_key, reason in each.nothing.items()},
         refused={pose_key: error for each in seen.values() for pose_key, error in each.refused.items()},
-        notes=tuple(dict.fromkeys(note for each in seen.values() for note in each.notes)),
+        warnings=(*(warning for each in seen.values() for warning in each.warnings), *alone),
+        lines=tuple(dict.fromkeys(line for each in seen.values() for line in each.lines)),
         failed=tuple(line for each in seen.values() for line in each.failed),
     )
 

@@ -1,4 +1,4 @@
-"""From estimates of poses to what is written of them, and to warnings: units, wrong images, too little to go by."""
+"""From estimates of poses to the records that are written, and to warnings about units, outliers, noise and lens."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,7 @@ from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.formats.poses.record import PoseRecord
+from camcal.messages import Message
 from camcal.tasks.poses.pnp_views import Observation
 
 _LIKELY_DISTANCE_M = (0.05, 100.0)  # outside, the points are likely not in metres
@@ -103,21 +104,23 @@ def _image_share(inliers: Array, observation: Observation, cameras: Mapping[str 
     return max(shares)
 
 
-def of_units(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
-    """Return warnings of lengths that are hardly metres, or not all in one unit."""
+def of_units(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:
+    """Return warnings of lengths that are unlikely to be metres, or not all in one unit."""
     distance = float(np.median([np.linalg.norm(estimate.transform.translation) for estimate in estimates]))
     nearest, farthest = _LIKELY_DISTANCE_M
     warnings = []
     if not nearest <= distance <= farthest:
-        warnings.append(f"the object is {distance:.3g} m away from the camera; are the points in metres?")
+        text = f"median distance of the object {distance:.3g} m: check that the points are in metres"
+        warnings.append(Message("unlikely_distance", text, {"distance_m": distance}))
     mixed = [str(observation.pose_key) for observation in observations if _is_mixed(observation)]
     extents = np.array([np.linalg.norm(np.ptp(_points(observation), axis=0)) for observation in observations])
     if mixed:
-        warnings.append(f"{mixed[0]}: some points are a hundred times farther apart than others; are all in metres?")
+        text = f"point spacings differ by a factor of more than {_GAP:g}: check that all points are in metres"
+        warnings.append(Message("mixed_units", text, where=mixed[0]))
     elif extents.max() > _GAP * extents.min() > 0:
         small, large = (str(observations[int(place)].pose_key) for place in (extents.argmin(), extents.argmax()))
         spans = f"the points of {large} span {extents.max():.3g} m, those of {small} {extents.min():.3g} m"
-        warnings.append(f"{spans}; are all in metres?")
+        warnings.append(Message("mixed_units", f"{spans}: check that all are in metres"))
     return warnings
 
 
@@ -139,7 +142,7 @@ def _is_mixed(observation: Observation) -> bool:
 
 def of_noise(
     estimates: Sequence[PoseEstimate], observations: Sequence[Observation], calibrated_px: float | None
-) -> list[str]:
+) -> list[Message]:
     """Return a warning of a noise that was estimated from little, or of a given one that the residuals exceed.
 
     calibrated_px: what the camera file says of it.
@@ -149,13 +152,14 @@ def of_noise(
         return _of_given_noise(estimates, observations)
     if estimate.degrees_of_freedom >= _LITTLE:
         return []
-    known = f"; the camera was calibrated with {calibrated_px:.2g} px" if calibrated_px else ""
-    dof = estimate.degrees_of_freedom
-    little = f"the noise is estimated from {dof} degrees of freedom only, and the standard deviations with it"
-    return [f"{little}; give --noise if it is known{known}"]
+    known = f" (calibration: {calibrated_px:.2g} px)" if calibrated_px else ""
+    text = (
+        f"noise and standard deviations from {estimate.degrees_of_freedom} degrees of freedom only: set --noise{known}"
+    )
+    return [Message("few_degrees_of_freedom", text, {"degrees_of_freedom": estimate.degrees_of_freedom})]
 
 
-def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:
     from scipy.stats import chi2
 
     pairs = list(zip(estimates, observations, strict=True))
@@ -164,21 +168,27 @@ def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Ob
     times = np.sqrt(squares / max(dof, 1)) / estimates[0].noise_scale
     if times < _TOO_LARGE or chi2.sf(dof * times**2, max(dof, 1)) > _UNLIKELY:
         return []
-    return [f"the residuals are {times:.2g} times as large as the noise that is given: less is certain than they say"]
+    text = f"residuals are {times:.2g} x the given noise (a-posteriori scale): standard deviations are too small"
+    return [Message("residuals_exceed_noise", text, {"ratio": float(times)})]
 
 
-def of_outliers(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+def of_outliers(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:
     """Return a warning where a pose follows from fewer than half of the points: the others may not be by chance."""
     pairs = zip(estimates, observations, strict=True)
     few = [(each, observation) for each, observation in pairs if 2 * each.used < len(each.inliers)]
     if not few:
         return []
-    (first, observation), more = few[0], f" and so {len(few) - 1} more poses" if len(few) > 1 else ""
-    finding = f"{first.used} of {len(first.inliers)} points agree with the pose of {observation.pose_key}{more}"
-    return [f"{finding}: are u and v exchanged, or the points numbered otherwise? Look at --draw"]
+    (first, observation), more = few[0], f", as in {len(few) - 1} more poses" if len(few) > 1 else ""
+    text = (
+        f"{first.used} of {len(first.inliers)} points are inliers{more}: check the order of u and v and the point ids, "
+        "and see --draw"
+    )
+    return [
+        Message("few_inliers", text, {"inliers": first.used, "points": len(first.inliers)}, str(observation.pose_key))
+    ]
 
 
-def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[str]:
+def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:
     """Return a warning where nothing that one camera of a rig saw agrees with what the others saw."""
     odd: list[str] = []
     for estimate, observation in zip(estimates, observations, strict=True):
@@ -186,15 +196,15 @@ def of_rig(estimates: Sequence[PoseEstimate], observations: Sequence[Observation
         odd += [f"{observation.pose_key} of camera {view.camera}" for view, mask in pairs if not mask.any()]
     if not odd:
         return []
-    more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
-    finding = f"nothing in {odd[0]}{more} agrees with the other cameras"
-    return [f"{finding}: has the rig moved, or is the board numbered from another corner there?"]
+    more = f", as in {len(odd) - 1} more" if len(odd) > 1 else ""
+    text = f"no inliers{more}: pose differs from that of the other cameras; check the rig file and the corner ids"
+    return [Message("camera_without_inliers", text, {"images": len(odd)}, odd[0])]
 
 
 def of_lens(
     camera: Camera, views: Sequence[Correspondences], estimates: Sequence[PoseEstimate], options: PoseOptions
-) -> list[str]:
-    """Return a hint where the pixels fit a camera of the same focal lengths without distortion much better.
+) -> list[Message]:
+    """Return a warning where the pixels fit a camera of the same focal lengths without distortion much better.
 
     They are then of images that are undistorted already. Outliers, which fit neither, are kept in on both sides.
     """
@@ -206,8 +216,11 @@ def of_lens(
     lens, pinhole = (_rms(each, views[:_MOST_TRIED], all_in) for each in (camera, plain))
     if lens is None or pinhole is None or not (lens > _SUSPICIOUS_PX and pinhole < _BETTER * lens):
         return []
-    finding = f"the pixels fit a lens without distortion better ({pinhole:.2g} px RMS) than this one ({lens:.2g} px)"
-    return [f"{finding}; if the images are undistorted already, use the camera file that 'camcal undistort' wrote"]
+    text = (
+        f"reprojection RMS {lens:.2g} px, {pinhole:.2g} px without distortion: if the images are undistorted, use the "
+        "camera file that 'camcal undistort' wrote"
+    )
+    return [Message("already_undistorted", text, {"rms_px": lens, "rms_without_distortion_px": pinhole})]
 
 
 def _without_distortion(camera: Camera) -> Camera | None:

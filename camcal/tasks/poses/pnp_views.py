@@ -16,7 +16,8 @@ from camcal.formats import boards, tags
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.poses.record import PoseKey
 from camcal.images.video import frames
-from camcal.progress import Progress
+from camcal.messages import Message
+from camcal.progress import Progress, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.run.paths import find_media
 from camcal.targets.board import Board
@@ -50,8 +51,8 @@ class Observation:
 class PnpViews:
     """What is there to work on, the unit of its points, images that show nothing, and what is wrong with others.
 
-    spread: where the pixels' covariances come from, if they have any: they were "detected" with the pixels, "stated" by
-    the user, or are "relative", σ² over a weight.
+    lines: lines of the report. spread: where the pixels' covariances come from, if they have any: they were "detected"
+    with the pixels, "stated" by the user, or are "relative", σ² over a weight.
     """
 
     observations: tuple[Observation, ...]
@@ -59,7 +60,8 @@ class PnpViews:
     spread: Literal["detected", "stated", "relative"] = "detected"
     nothing: Mapping[PoseKey, str] = field(default_factory=dict)
     refused: Mapping[PoseKey, CamcalError] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
+    lines: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
 
     @property
@@ -98,7 +100,8 @@ def seen_by(
     found = _boards(inputs, board, detection, progress)
     views = _of_one_camera(found.detections.views, name)
     camera = _fitting(camera, *_usual_size(views, camera), detection.scale)
-    points, remark = _points(found.board, file.board_shape if detection.board_shape else None)
+    points, lines, other = _points(found.board, file.board_shape if detection.board_shape else None)
+    warn_of(other, progress)
     shown = [view for view in views if view.found]
     fitting = [view for view in shown if view.size == camera.image_size]
     return camera, PnpViews(
@@ -108,7 +111,8 @@ def seen_by(
         refused={
             PoseKey(view.image): _other_size(view.size, camera) for view in shown if view.size != camera.image_size
         },
-        notes=(*found.notes, *remark),
+        warnings=(*found.warnings, *other),
+        lines=(*found.lines, *lines),
         failed=found.failed,
     )
 
@@ -131,7 +135,7 @@ def _seen_tags(
         Observation(PoseKey(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
     )
     nothing = {PoseKey(image): reason for image, reason in found.nothing.items()}
-    return camera, PnpViews(tuple(observations), nothing=nothing, notes=found.notes, failed=found.failed)
+    return camera, PnpViews(tuple(observations), nothing=nothing, warnings=found.warnings, failed=found.failed)
 
 
 def _board(detection: DetectionOptions, file: CameraFile, tables: bool) -> Board | None:
@@ -162,7 +166,7 @@ def _boards(
         return moving
     still = board_views(tuple(map(str, media.images)), moving.board, False, detection.jobs, progress)
     both = replace(still.detections, views=(*still.detections.views, *moving.detections.views))
-    return BoardViews(still.board, both, still.notes, (*still.failed, *moving.failed))
+    return BoardViews(still.board, both, still.warnings, still.lines, (*still.failed, *moving.failed))
 
 
 def _of_one_camera(views: Sequence[BoardDetection], name: str | None) -> list[BoardDetection]:
@@ -175,15 +179,15 @@ def _of_one_camera(views: Sequence[BoardDetection], name: str | None) -> list[Bo
     return [view for view in views if view.camera == name]
 
 
-def _points(board: Board, shape: Surface | None) -> tuple[Array, tuple[str, ...]]:
-    """Return the points (C, 3) of a board as it is, as far as its shape is known, and what is to be said of that."""
+def _points(board: Board, shape: Surface | None) -> tuple[Array, tuple[str, ...], tuple[Message, ...]]:
+    """Return the points (C, 3) of a board, of its measured shape if there is one, lines of the report, and warnings."""
     if shape is None:
-        return board.points(), ()
+        return board.points(), (), ()
     if _numbered(shape.board) != _numbered(board):
-        other = "the camera file knows the shape of another board; this one is taken as drawn"
-        return board.points(), (other,)
+        text = "board shape in the camera file is of another board: a planar board as designed is assumed"
+        return board.points(), (), (Message("other_board_shape", text),)
     length = f"{1000 * shape.deflection:.2g} mm" if board.unit == "m" else f"{shape.deflection:.2g} squares"
-    return shape.points(), (f"the board is taken in the shape that the camera file has of it, {length} out of plane",)
+    return shape.points(), (f"board shape from the camera file, deflection {length}",), ()
 
 
 def _numbered(board: Board) -> Board:

@@ -15,6 +15,7 @@ from camcal.formats import series as tables
 from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
+from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report import figures
 from camcal.report.over_time import Panel, over_time
@@ -36,7 +37,10 @@ def smooth(options: SmoothOptions, progress: Progress = SILENT) -> Smoothing:
     refuse_overwriting(options.outputs(), inputs)
     if options.plot is not None:
         figures.require_suffix(options.plot)
-    return smooth_table(options) if _is_table(options) else smooth_trajectory(options, progress)
+    found = smooth_table(options) if _is_table(options) else smooth_trajectory(options, progress)
+    if found.consistency.warning is not None:
+        progress.warn(found.consistency.warning)
+    return found
 
 
 def document(found: Smoothing) -> dict[str, Any]:
@@ -59,7 +63,7 @@ def document(found: Smoothing) -> dict[str, Any]:
         "sigma_estimated": options.sigma is None and bool(found.sigma),
         "residual_rms": found.residual,
         "log_likelihood": found.log_likelihood,
-        "consistency": asdict(found.consistency),
+        "consistency": found.consistency.data(),
         "nis": {name: values.tolist() for name, values in found.nis.items()},
         "outliers": [asdict(outlier) for outlier in found.outliers],
         "evaluation": evaluation(found),
@@ -169,7 +173,8 @@ def smooth_trajectory(options: SmoothOptions, progress: Progress) -> Smoothing:
     if options.reference is not None:
         reference, repeated = trajectories.read_reference(options.reference)
         if repeated:
-            progress.warn(f"{options.reference}: left out because their time is repeated: {repeated} of the poses")
+            text = f"{repeated} poses with repeated time stamps skipped"
+            progress.warn(Message("repeated_stamps", text, {"poses": repeated}, str(options.reference)))
     how = PosesOptions(
         options.motion,
         _pair("--q", options.q),

@@ -112,7 +112,7 @@ def evaluation_rows(
 
 def _consistency(report: Consistency) -> Iterator[str]:
     low, high = report.interval
-    yield f"{report.verdict}: {report.advice}"
+    yield f"consistency: {report.verdict}"
     if not report.innovations:
         return
     yield (

@@ -15,7 +15,8 @@ from camcal.estimate.poses.records import Correspondences
 from camcal.images.image import Image
 from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.messages import Message
+from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_media
@@ -26,7 +27,7 @@ from camcal.targets.detection import BoardDetection, Detections
 from camcal.targets.markers.markers import Markers, detect_markers
 from camcal.targets.markers.tags import TagObjects
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.calibration.which_board import remarks
+from camcal.tasks.calibration.which_board import board_warnings, pattern_lines
 
 _TIMEOUT_S = 600.0  # for one image; the slowest take seconds
 _LISTED = 8  # ids in a reason
@@ -45,7 +46,7 @@ class TagViews:
     views: tuple[Correspondences, ...]
     nothing: Mapping[str, str] = field(default_factory=dict)
     failed: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     images: tuple[str, ...] = ()
 
 
@@ -96,8 +97,9 @@ def tag_views(
         reason = _why_not(item, found, tags, image_size)
         views += [] if reason else found
         nothing |= {name: reason} if reason else {}
-    notes = tuple(f"{name}: {note}" for name, item in seen.items() for note in item.markers.notes)
-    return TagViews(tuple(views), nothing, tuple(map(str, errors)), notes, tuple(seen))
+    warnings = tuple(each.at(name) for name, item in seen.items() for each in item.markers.warnings)
+    warn_of(warnings, progress)
+    return TagViews(tuple(views), nothing, tuple(map(str, errors)), warnings, tuple(seen))
 
 
 def _frames(videos: Iterable[Path]) -> Iterator[_Frame]:
@@ -164,7 +166,7 @@ def _why_not(
     if len(seen.markers.ids):
         ids = ", ".join(map(str, seen.markers.ids[:_LISTED])) + (" …" if len(seen.markers.ids) > _LISTED else "")
         return f"ids {ids} of {tags.family} are seen, but none that has an object"
-    return seen.markers.notes[0] if seen.markers.notes else f"no tag of {tags.family} found"
+    return seen.markers.warnings[0].text if seen.markers.warnings else f"no tag of {tags.family} found"
 
 
 def board_frames(
@@ -186,7 +188,15 @@ def board_frames(
         errors += [outcome.error] if outcome.error else []
     if not views:
         raise errors[0] if errors else FileError("holds no frame", where=str(videos[0]))
-    return BoardViews(known, Detections(known, tuple(views)), remarks(views, known, board), tuple(map(str, errors)))
+    warnings = board_warnings(views, known, board)
+    warn_of(warnings, progress)
+    return BoardViews(
+        known,
+        Detections(known, tuple(views)),
+        warnings,
+        lines=pattern_lines(known, board),
+        failed=tuple(map(str, errors)),
+    )
 
 
 def _detect(frame: _Frame, board: Board) -> BoardDetection:

@@ -18,8 +18,9 @@ from camcal.formats import poses, trajectories
 from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 from camcal.formats.trajectories.tracked import SUFFIXES, TrackedObject, write_tracks
 from camcal.geometry.pose import Trajectory
+from camcal.messages import Message
 from camcal.parsing import did_you_mean
-from camcal.progress import SILENT, Progress
+from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import track_words
 from camcal.run.paths import Media, find_media, refuse_collisions, refuse_overwriting, require_there
 from camcal.targets.markers.tags import single_name
@@ -34,22 +35,23 @@ _OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an ob
 
 @dataclass(frozen=True, eq=False)
 class TrackReport:
-    """The tracks by object, the names of their frames, objects that could not be followed, and remarks.
+    """The tracks by object, the names of their frames, objects that could not be followed, and warnings.
 
-    failed: images that could not be read. outputs: the files that were written.
+    lines: other lines of the report. failed: images that could not be read. outputs: the files that were written.
     """
 
     images: tuple[str, ...]
     objects: Mapping[str, TrackedObject]
     lost: Mapping[str, CamcalError]
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
+    lines: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     outputs: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class _FramePoses:
-    """Poses of single frames, the names of all frames in order, the videos they stem from, and remarks.
+    """Poses of single frames, the names of all frames in order, the videos they stem from, and warnings.
 
     views: points and pixels of the poses, and the camera that took them; None for a pose file, which has none.
     """
@@ -57,7 +59,8 @@ class _FramePoses:
     poses: Poses
     images: tuple[str, ...]
     videos: tuple[Path, ...] = ()
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
+    lines: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     views: Mapping[PoseKey, Correspondences] = field(default_factory=dict)
     camera: Camera | None = None
@@ -93,7 +96,19 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
     if not objects:
         raise next(iter(lost.values()))
     outputs = _written(options, seen.images, objects)
-    return TrackReport(seen.images, objects, lost, seen.notes, seen.failed, outputs)
+    warnings = [
+        each.at(name) if name else each for name, item in objects.items() for each in track_words.warnings(item)
+    ]
+    warn_of(warnings, progress)
+    return TrackReport(
+        seen.images,
+        objects,
+        lost,
+        warnings=(*seen.warnings, *warnings),
+        lines=seen.lines,
+        failed=seen.failed,
+        outputs=outputs,
+    )
 
 
 def _followed(
@@ -174,7 +189,8 @@ def _of_images(options: TrackingOptions, progress: Progress) -> _FramePoses:
         found.poses,
         _frame_names(found.poses, media),
         videos=media.videos,
-        notes=found.notes,
+        warnings=found.warnings,
+        lines=found.lines,
         failed=failed,
         views=found.views,
         camera=found.camera,
@@ -278,7 +294,6 @@ def document(report: TrackReport) -> dict[str, Any]:
         "frame_count": len(report.images),
         "objects": [{"object": name} | track_words.plain(item, report.images) for name, item in report.objects.items()],
         "lost": [{"object": name, "message": error.message} for name, error in report.lost.items()],
-        "notes": list(report.notes),
         "failed": list(report.failed),
         "outputs": list(report.outputs),
     }

@@ -26,7 +26,7 @@ from camcal.raw.colour import DTYPES
 from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
-from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white
+from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white, low_peak
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import (
     BARE_SUFFIXES,
@@ -191,9 +191,7 @@ def _warn_of_a_short_scale(
         frame = outcome.value
         likely = None if frame is None or white is not None else likely_white(frame.peak, frame.white)
         if frame is not None and likely is not None:
-            progress.warn(
-                f"{frame.source}: no count above {frame.peak:g} of {frame.white:g}; is it --white {likely:g}?"
-            )
+            progress.warn(low_peak(frame.peak, frame.white, likely).at(frame.source))
             return
 
 

@@ -13,11 +13,12 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
 from camcal.formats import emit, provenance
+from camcal.messages import Message
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.options import command_line
-from camcal.progress import SILENT, Progress, values_of
+from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.emva import Curve, Figure, Figures
-from camcal.raw.frame_facts import Widened, likely_white, used_counts, widened
+from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts, widened
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
@@ -50,14 +51,14 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class SensorReport:
-    """What was found, from which frames; pitch: metres, None if unknown; warnings: what to know before believing it."""
+    """What was found, from which frames; pitch: metres, None if unknown; and the warnings."""
 
     sensor: Characterisation
     flats: tuple[FrameSet, ...]
     darks: tuple[FrameSet, ...]
     iso: float | None
     pitch: float | None
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
 
 def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
@@ -82,8 +83,7 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     if options.plot is not None:
         files.write_bytes(options.plot, figures.photon_transfer(found, options.plot.suffix))
     files.write_text(options.output, emit.document(_file(report, options), COMMENT))
-    for warning in warnings:
-        progress.warn(warning)
+    warn_of(warnings, progress)
     return report
 
 
@@ -161,16 +161,16 @@ def _own_white(white: float | None, spread: Widened | None) -> float | None:
     return white / spread.step if white is not None and spread is not None and white > spread.white else white
 
 
-def _counts_warnings(found: Characterisation, spread: Widened | None, options: SensorOptions) -> Iterator[str]:
+def _counts_warnings(found: Characterisation, spread: Widened | None, options: SensorOptions) -> Iterator[Message]:
     if spread is not None:
-        yield (
-            f"the counts are those of {spread.bits} bits times {spread.step:g}; all figures are in the sensor's own "
-            f"counts, 0 to {spread.white:g}"
+        text = (
+            f"{spread.bits}-bit counts scaled by {spread.step:g}: figures are in sensor counts, 0 to {spread.white:g}"
         )
+        yield Message("scaled_counts", text, {"bits": spread.bits, "factor": spread.step})
     likely = None if options.white is not None else likely_white(found.peak, found.white)
     # Pixels that are full before the counts end need no white level.
     if likely is not None and (found.saturation != FULL_WELL or found.peak == likely):
-        yield f"no count above {found.peak:g} of {found.white:g}; is it --white {likely:g}?"
+        yield low_peak(found.peak, found.white, likely)
 
 
 def _pitch(options: SensorOptions, size: tuple[int, int]) -> float | None:
@@ -199,6 +199,7 @@ def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         **_content(report),
+        "warnings": list(map(str, report.warnings)),
         "curves": {name: _curve(curve) for name, curve in found.curves.items()},
         "provenance": provenance.build(command_line("sensor", options), None, images),
     }
@@ -222,7 +223,6 @@ def _content(report: SensorReport) -> dict[str, Any]:
         "figures": _numbers(found.figures),
         "dynamic_range_stops": found.dynamic_range_stops,
         "phases": {name: _numbers(part) for name, part in found.phases.items()},
-        "warnings": list(report.warnings),
     }
 
 

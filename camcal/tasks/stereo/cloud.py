@@ -14,6 +14,7 @@ from camcal.formats import disparity, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
+from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Outcome, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
@@ -78,7 +79,7 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
     with over_threads(options.jobs) as each:
         selected = select(image, _selection(options.points), frame, each)
     if not selected.kept.any():
-        progress.warn(f"{options.disparity}: {_why_empty(selected)}; the cloud is empty")
+        progress.warn(Message("empty_cloud", f"empty cloud: {_why_empty(selected)}", where=str(options.disparity)))
     stream = _stream(options, image, selected, frame)
     pointclouds.write(options.output, stream, ascii_text=options.vertices.ascii_text)
     return _report(options, found, image, selected, stream)
@@ -128,9 +129,8 @@ def _frame(options: VertexOptions, sidecar: Sidecar | None, progress: Progress) 
     frame = frame_named(options.frame, turn, world_T_camera, options.unit)
     step = float(np.spacing(np.abs(frame.frame_T_left.translation).max().astype(np.float32)))
     if step > _FINEST:
-        progress.warn(
-            f"so far from the origin of the world, coordinates have steps of {step:.2g} m; subtract an offset"
-        )
+        text = f"resolution of coordinates this far from the origin {step:.2g} m: subtract an offset from the pose"
+        progress.warn(Message("coarse_coordinates", text, {"step_m": step}))
     return frame
 
 

@@ -18,6 +18,7 @@ from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
+from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
@@ -192,10 +193,10 @@ def named_file(
     if path is None or path.is_file():
         return path
     sidecar = disparity_sidecar.path_beside(disparity_path)
-    told = f"it names {path.name}, which is not there"
+    told = f"{path.name}, named there, not found"
     if needed_by is not None:
-        raise FileError(f"{told}, and {needed_by} needs it", where=str(sidecar))
-    progress.warn(f"{sidecar}: {told}; done without")
+        raise FileError(f"{told}; required by {needed_by}", where=str(sidecar))
+    progress.warn(Message("missing_companion", f"{told}; not used", where=str(sidecar)))
     return None
 
 

@@ -13,12 +13,13 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import CamcalError, GateFailed
 from camcal.images.load import gray_8bit, load
+from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report import stereo_words as words
 from camcal.report.stereo_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
-from camcal.stereo.pair.pair_check import FINDINGS, PairCheck, check_pair
+from camcal.stereo.pair.pair_check import PairCheck, check_pair
 from camcal.tasks.stereo.options import StereoCheckOptions
 
 _SUFFIX = "_check.png"
@@ -87,13 +88,13 @@ def overall(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> Overall | None:
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, CheckedPair]], max_rms: float | None) -> None:
-    """Raise GateFailed, a line for each pair that is none or whose rows are off by more than max_rms; None: no gate."""
+    """Raise GateFailed for pairs that cannot be matched or whose rows differ by more than max_rms; None: no gate."""
     if max_rms is None:
         return
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
-    faults = [f"{pair.left}: {fault}" for pair in checked if (fault := _fault(pair.check, max_rms))]
-    if faults:
-        raise GateFailed("\n".join(faults))
+    failures = [failure.at(pair.left) for pair in checked if (failure := _failure(pair.check, max_rms))]
+    if failures:
+        raise GateFailed.of(failures)
 
 
 def document(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> dict[str, Any]:
@@ -144,13 +145,14 @@ def _gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
     return both[: len(left)], both[len(left) :]
 
 
-def _fault(check: PairCheck, max_rms: float) -> str | None:
-    if check.finding is not None:
-        return FINDINGS[check.finding]
+def _failure(check: PairCheck, max_rms: float) -> Message | None:
     rms = check.residual.rms
-    return f"rows are off by {rms:.2f} px (RMS), more than {max_rms:g} px" if rms > max_rms else None
+    if check.failure is not None or rms <= max_rms:
+        return check.failure
+    text = f"row differences {rms:.2f} px RMS (limit {max_rms:g} px)"
+    return Message("row_differences", text, {"rms_px": rms, "limit_px": max_rms})
 
 
 def _warn(pair: CheckedPair, progress: Progress) -> None:
-    if pair.check.finding is not None:
-        progress.warn(f"{pair.left}: {FINDINGS[pair.check.finding]}")
+    if pair.check.failure is not None:
+        progress.warn(pair.check.failure.at(pair.left))

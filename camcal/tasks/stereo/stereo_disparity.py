@@ -17,7 +17,8 @@ from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
 from camcal.images.load import load
 from camcal.images.save import save
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.messages import Message, as_data
+from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.raw.planes import one_by_one
 from camcal.report.stereo_pictures import disparity_picture, robust_range
 from camcal.run.fanout import fan_out, over_threads
@@ -93,8 +94,8 @@ class MatchedPair:
     """A pair and its map.
 
     rows: by which the right image was aligned, px RMS. scale: counts of the file per pixel of disparity. limits: of
-    the colours of a picture. geometry_known: whether the sidecar holds it. failures: why it is no pair, or its map is
-    worth nothing.
+    the colours of a picture. geometry_known: whether the sidecar holds it. warnings: of the range and of the
+    file. failures: why the pair or its map cannot be used.
     """
 
     left: Path
@@ -106,8 +107,8 @@ class MatchedPair:
     picture: Path | None
     limits: Limits
     geometry_known: bool
-    remarks: tuple[str, ...]
-    failures: tuple[str, ...]
+    warnings: tuple[Message, ...]
+    failures: tuple[Message, ...]
 
 
 def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> list[Outcome[Pair, MatchedPair]]:
@@ -129,11 +130,16 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> None:
-    """Raise GateFailed, a line for each pair that is none or whose map is worth nothing; their files are written."""
+    """Raise GateFailed with the failures of all pairs; their files are written."""
+    found = failures(outcomes)
+    if found:
+        raise GateFailed.of(found)
+
+
+def failures(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> list[Message]:
+    """Return why pairs or their maps cannot be used."""
     matched = [outcome.value for outcome in outcomes if outcome.value is not None]
-    faults = [f"{pair.left}: {failure}" for pair in matched for failure in pair.failures]
-    if faults:
-        raise GateFailed("\n".join(faults))
+    return [failure.at(pair.left) for pair in matched for failure in pair.failures]
 
 
 def _all_alike(
@@ -184,12 +190,12 @@ def _match_files(
 
 
 class _Matched(NamedTuple):
-    """A map, by how much the rows were aligned (px RMS), what there is to say of it, and why it is worth nothing."""
+    """A map, by how much the rows were aligned (px RMS), and its warnings and failures."""
 
     disparity: Disparity
     rows: float
-    remarks: tuple[str, ...]
-    failures: tuple[str, ...]
+    warnings: tuple[Message, ...]
+    failures: tuple[Message, ...]
 
 
 def _matched(left: Array, right: Array, options: DisparityOptions, alone: bool, farthest: float) -> _Matched:
@@ -203,7 +209,7 @@ def _matched(left: Array, right: Array, options: DisparityOptions, alone: bool, 
     else:
         disparity = match_prepared(prepared, matching, one_by_one)
     few = too_few(float(np.mean(disparity.confidence > Confidence.FILLED)))
-    return _Matched(disparity, prepared.rows, prepared.remarks, prepared.failures + ((few,) if few else ()))
+    return _Matched(disparity, prepared.rows, prepared.warnings, prepared.failures + few)
 
 
 def _by_network(left: Array, right: Array, model: Path) -> _Matched:
@@ -223,7 +229,7 @@ def _written(
     limits: Limits | None,
 ) -> MatchedPair:
     """Return the report of a pair whose files have been written, the map and its sidecar last."""
-    disparity, remarks = _as_stored(places.map, found)
+    disparity, warnings = _as_stored(places.map, found)
     _remove_companions(places)
     has_sigma = bool(np.isfinite(disparity.sigma).any()) and not options.map_only
     if has_sigma:
@@ -256,7 +262,7 @@ def _written(
         picture=places.picture if options.picture else None,
         limits=limits,
         geometry_known=known.geometry is not None,
-        remarks=remarks + ((stored.remark,) if stored.remark else ()),
+        warnings=warnings + stored.warnings,
         failures=found.failures,
     )
 
@@ -270,23 +276,28 @@ def _remove_companions(places: MapFiles) -> None:
             raise FileError(f"cannot be replaced: {error.strerror}", where=str(path)) from error
 
 
-def _as_stored(path: Path, found: _Matched) -> tuple[Disparity, tuple[str, ...]]:
-    """Return the map as the type of file can hold it, and what is to be said of it."""
-    disparity, remarks = found.disparity, found.remarks + _at_the_ends(found.disparity)
+def _as_stored(path: Path, found: _Matched) -> tuple[Disparity, tuple[Message, ...]]:
+    """Return the map as the type of file can hold it, and its warnings."""
+    disparity, warnings = found.disparity, found.warnings + _at_the_ends(found.disparity)
     behind = disparity.values <= 0
     if path.suffix.lower() == ".png" and behind.any():
-        remarks += (f"{behind.sum()} disparities of 0 or less are left out of a PNG; a TIFF holds them",)
+        text = f"{behind.sum()} disparities of 0 or less omitted: a PNG cannot store them, a TIFF can"
+        warnings += (Message("omitted_disparities", text, {"pixels": int(behind.sum())}),)
         nothing = np.float32(np.nan)
         values, sigma = (np.where(behind, nothing, each) for each in (disparity.values, disparity.sigma))
         disparity = replace(disparity, values=values, sigma=sigma, confidence=disparity.confidence * ~behind)
-    return disparity, remarks
+    return disparity, warnings
 
 
-def _at_the_ends(disparity: Disparity) -> tuple[str, ...]:
-    """Return a remark if more of the best matches lie at an end of the range than chance puts there."""
+def _at_the_ends(disparity: Disparity) -> tuple[Message, ...]:
+    """Return a warning if more of the best matches lie at an end of the range than chance puts there."""
     first, last = disparity.searched
     return tuple(
-        f"{share:.1%} of the best matches lie at the {end} end of the range {first}:{last}; look farther with --range"
+        Message(
+            "range_too_narrow",
+            f"{share:.1%} of the matches at the {end} end of the range {first}:{last}: widen --range",
+            {"share": share},
+        )
         for end, share in zip(("lower", "upper"), disparity.at_ends, strict=True)
         if share > _AT_THE_END
     )
@@ -299,8 +310,7 @@ def _settings(options: DisparityOptions) -> dict[str, Any]:
 
 
 def _warned(matched: MatchedPair, progress: Progress) -> MatchedPair:
-    for remark in matched.remarks:
-        progress.warn(f"{matched.left}: {remark}")
+    warn_of((warning.at(matched.left) for warning in matched.warnings), progress)
     return matched
 
 
@@ -309,6 +319,7 @@ def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
     matched = [outcome.value for outcome in outcomes if outcome.value is not None]
     return {
         "pairs": [_plain(pair) for pair in matched],
+        "failures": as_data(failures(outcomes)),
         "failed": [
             {"left": left.as_posix(), "right": right.as_posix(), "message": str(outcome.error)}
             for outcome in outcomes
@@ -337,8 +348,6 @@ def _plain(pair: MatchedPair) -> dict[str, Any]:
         "rows_px": pair.rows,
         "scale": pair.scale,
         "geometry": pair.geometry_known,
-        "remarks": list(pair.remarks),
-        "failures": list(pair.failures),
     }
 
 

@@ -18,6 +18,7 @@ from camcal.formats.disparity import DisparityMap, maps_in
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
 from camcal.images.save import save
+from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report.stereo_pictures import error_picture
@@ -56,7 +57,7 @@ class PairReport:
     occlusion: str
     geometry: StereoGeometry | None
     picture: Path | None
-    remark: str | None
+    warning: Message | None
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,15 @@ class EvalReport:
     outcomes: Sequence[Outcome[TruthPair, PairReport]]
     mean: Evaluation
     verdicts: tuple[DisparityVerdict, ...] = ()
+
+    @property
+    def failures(self) -> list[Message]:
+        """The gates that do not hold."""
+        return [
+            Message("eval_gate", f"{each.gate} failed: {each.value:.4g}", {"value": each.value}, "--gate")
+            for each in self.verdicts
+            if not each.passed
+        ]
 
     @property
     def pairs(self) -> list[PairReport]:
@@ -109,12 +119,13 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
     if not done:
         raise next(outcome.error for outcome in outcomes if outcome.error is not None)
     for report in done:
-        if report.remark:
-            progress.warn(report.remark)
+        if report.warning:
+            progress.warn(report.warning)
     mean = mean_of([report.evaluation for report in done])
     for report in done:
         if unknown := _unknown(report.evaluation, mean):
-            progress.warn(f"{report.files.disparity}: has {unknown}; the mean is that of the others")
+            text = f"{unknown}; excluded from their mean"
+            progress.warn(Message("unknown_figures", text, where=str(report.files.disparity)))
     return EvalReport(outcomes, mean, tuple(_verdict(gate, mean) for gate in gates))
 
 
@@ -156,7 +167,6 @@ def _evaluate_pair(
     picture = pictures.get(files.disparity)
     if picture is not None:
         save(picture, error_picture(np.abs(values - true), np.isfinite(true), visible))
-    remark = _likely_scale(values, true, files)
     return PairReport(
         files,
         evaluation,
@@ -165,7 +175,7 @@ def _evaluate_pair(
         occlusion=occlusion,
         geometry=geometry,
         picture=picture,
-        remark=remark,
+        warning=_likely_scale(values, true, files),
     )
 
 
@@ -218,8 +228,8 @@ def _predicted(
     )
 
 
-def _likely_scale(values: Array, truth: Array, files: TruthPair) -> str | None:
-    """Return a remark if one map looks as if its numbers were still counts: they are 4, 8, … times the other's."""
+def _likely_scale(values: Array, truth: Array, files: TruthPair) -> Message | None:
+    """Return a warning if one map looks as if its numbers were still counts: they are 4, 8, … times the other's."""
     both = (values > 0) & (truth > 0) & np.isfinite(values) & np.isfinite(truth)
     pairs = values[both][:: max(1, both.sum() // _SAMPLES)], truth[both][:: max(1, both.sum() // _SAMPLES)]
     if not pairs[0].size:
@@ -228,7 +238,8 @@ def _likely_scale(values: Array, truth: Array, files: TruthPair) -> str | None:
     for option, times, path in (("--truth-scale", ratio, files.truth), ("--scale", 1 / ratio, files.disparity)):
         for scale in _LIKELY_SCALES:
             if abs(times / scale - 1) < _ALIKE:
-                return f"{path}: its disparities are {scale:g} times the others; is it {option} {scale:g}?"
+                text = f"disparities are {scale:g} times those of the other map: try {option} {scale:g}"
+                return Message("likely_scale", text, {"scale": scale}, str(path))
     return None
 
 

@@ -1,6 +1,7 @@
-"""What is weak about a calibration, in plain words, and whether it must not be trusted: criteria.py, applied.
+"""The assessment of a calibration: warnings where it is weak, failures where it must not be trusted.
 
-Coverage is where in the image the corners were, and whether the residuals still depend on it.
+The criteria of criteria.py are applied; coverage is where in the image the corners were, and whether the residuals
+depend on it.
 """
 
 from collections import Counter
@@ -16,7 +17,8 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
-from camcal.quality.criteria import CRITERIA, Finding, between_views, finding
+from camcal.messages import Message
+from camcal.quality.criteria import CRITERIA, between_views, message
 from camcal.targets.board_types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
@@ -29,28 +31,21 @@ _RINGS = 8
 
 
 @dataclass(frozen=True)
-class Advice:
-    """What was found. reasons: why the result must not be trusted (none: it may be). remarks: what is weak."""
+class Assessment:
+    """failures: why a calibration must not be trusted (none: it may be). warnings: what is weak about it."""
 
-    findings: tuple[Finding, ...]
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        return tuple(found.text for found in self.findings if found.failure)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        return tuple(found.text for found in self.findings if not found.failure)
+    failures: tuple[Message, ...]
+    warnings: tuple[Message, ...]
 
     @property
     def trustworthy(self) -> bool:
-        return not self.reasons
+        return not self.failures
 
 
-def advise(calibration: Calibration, circle: ImageCircle | None = None) -> Advice:
-    """Return what a careful engineer would say of a calibration on seeing its numbers.
+def assess(calibration: Calibration, circle: ImageCircle | None = None) -> Assessment:
+    """Return the failures and warnings of a calibration by all criteria.
 
-    circle: the image circle, where there is one: what the lens does in the black corners does not matter.
+    circle: the image circle, where there is one: the lens is not assessed outside of it.
     """
     parts = (
         partial(_fold, circle=circle),
@@ -65,14 +60,18 @@ def advise(calibration: Calibration, circle: ImageCircle | None = None) -> Advic
         _plausible,
         _board,
     )
-    return Advice(tuple(found for part in parts for found in part(calibration)))
+    found = [message for part in parts for message in part(calibration)]
+    return Assessment(
+        failures=tuple(message for message in found if CRITERIA[message.code].failure),
+        warnings=tuple(message for message in found if not CRITERIA[message.code].failure),
+    )
 
 
 def _limit(code: str) -> float:
     return CRITERIA[code].limit
 
 
-def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Finding]:
+def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Message]:
     fold = folds_inside(calibration.camera, circle)
     if not fold.folds or fold.radius_px >= _limit("partly_invertible") * fold.corner_px:
         return
@@ -82,22 +81,22 @@ def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Find
     where = f"beyond {fold.radius_px:.0f} px from the centre; the {end} is at {fold.corner_px:.0f} px"
     if fold.radius_px < _limit("not_invertible") * outermost:
         text = f"distortion is not invertible {where}: use fewer coefficients or cover the corners"
-        yield finding("not_invertible", text, fold.radius_px / outermost)
+        yield message("not_invertible", text, fold.radius_px / outermost)
     else:
         text = f"the lens is not known {where}: pixels there are masked; add views with the board there"
-        yield finding("partly_invertible", text, fold.radius_px / fold.corner_px)
+        yield message("partly_invertible", text, fold.radius_px / fold.corner_px)
 
 
-def _cameras(calibration: Calibration) -> Iterator[Finding]:
+def _cameras(calibration: Calibration) -> Iterator[Message]:
     found = calibration.two_cameras
     if found is None:
         return
     code = "several_cameras_by_name" if found.by_name else "several_cameras"
     if found.ratio > _limit(code) and found.other_px > CRITERIA[code].minimum_px:
-        yield finding(code, f"the views are of {found.words}", found.ratio, found.groups[1])
+        yield message(code, f"the views are of {found.words}", found.ratio, found.groups[1])
 
 
-def _lens_model(calibration: Calibration) -> Iterator[Finding]:
+def _lens_model(calibration: Calibration) -> Iterator[Message]:
     trend, name = radial_trend(calibration), calibration.camera.model.name
     least = max(_limit("lens_model") * calibration.sigma_px, CRITERIA["lens_model"].minimum_px)
     if trend.chance < _CHANCE and abs(trend.largest_px) > least:
@@ -107,10 +106,10 @@ def _lens_model(calibration: Calibration) -> Iterator[Finding]:
             f"residuals point {way} by {abs(trend.largest_px):.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px "
             f"from the centre: {name} does not describe this lens; try --model {' or '.join(others)}"
         )
-        yield finding("lens_model", text, abs(trend.largest_px) / calibration.sigma_px)
+        yield message("lens_model", text, abs(trend.largest_px) / calibration.sigma_px)
 
 
-def _focal_length(calibration: Calibration) -> Iterator[Finding]:
+def _focal_length(calibration: Calibration) -> Iterator[Message]:
     camera = calibration.camera
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
     count, code, why = len(calibration.used), "focal_length", ""
@@ -119,7 +118,7 @@ def _focal_length(calibration: Calibration) -> Iterator[Finding]:
     if share > _limit(code):
         known = f"the focal length is known to {100 * share:.1f} % only{why}"
         text = f"{known}: add views tilted by 20° to 45° about both axes"
-        yield finding(code, text, share)
+        yield message(code, text, share)
 
 
 def _few_views_factor(count: int) -> float:
@@ -128,14 +127,14 @@ def _few_views_factor(count: int) -> float:
     return float(student.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
 
 
-def _views(calibration: Calibration) -> Iterator[Finding]:
+def _views(calibration: Calibration) -> Iterator[Message]:
     views = calibration.used
     if len(views) < _limit("few_views"):
         text = f"{len(views)} views are few: take 15 to 40 in varied positions"
-        yield finding("few_views", text, len(views))
+        yield message("few_views", text, len(views))
 
 
-def _coverage(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Finding]:
+def _coverage(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Message]:
     seen = coverage(calibration, circle)
     whole, edges = ("diagonal", "in the corners") if circle is None else ("circle", "at the edge of the circle")
     if seen.reach < _limit("extrapolated"):
@@ -143,25 +142,25 @@ def _coverage(calibration: Calibration, circle: ImageCircle | None) -> Iterator[
             f"no corners beyond {100 * seen.reach:.0f} % of the image {whole}: distortion is extrapolated there; add "
             f"views with the board {edges} of the image"
         )
-        yield finding("extrapolated", text, seen.reach)
+        yield message("extrapolated", text, seen.reach)
     elif seen.cells < _limit("coverage"):
         text = (
             f"only {100 * seen.cells:.0f} % of the image was covered by the board: add views with it in the other parts"
         )
-        yield finding("coverage", text, seen.cells)
+        yield message("coverage", text, seen.cells)
 
 
-def _noise(calibration: Calibration) -> Iterator[Finding]:
+def _noise(calibration: Calibration) -> Iterator[Message]:
     if calibration.sigma_px > _limit("noise"):
         text = (
             f"corners scatter by {calibration.sigma_px:.2f} px, where 0.1 px is usual: use sharper images, and check "
             "--board and --model"
         )
-        yield finding("noise", text, calibration.sigma_px)
+        yield message("noise", text, calibration.sigma_px)
     total = sum(view.points for view in calibration.views if view.used or view.rejected)
     if calibration.rejected and len(calibration.rejected) > _limit("rejected") * total:
         share = len(calibration.rejected) / total
-        yield finding("rejected", _rejected_words(calibration, share), share)
+        yield message("rejected", _rejected_words(calibration, share), share)
 
 
 def _rejected_words(calibration: Calibration, share: float) -> str:
@@ -172,25 +171,25 @@ def _rejected_words(calibration: Calibration, share: float) -> str:
     return f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected: {remedy}"
 
 
-def _within_views(calibration: Calibration) -> Iterator[Finding]:
+def _within_views(calibration: Calibration) -> Iterator[Message]:
     errors, board = calibration.within_views, calibration.board
     if errors.rolling_px is not None and errors.rolling_px[0] > _limit("rolling_shutter"):
         text = (
             f"rolling shutter, {errors.rolling_px[0]:.2g} px over the height of a typical image: "
             "hold camera and board still, or use shorter exposures"
         )
-        yield finding("rolling_shutter", text, errors.rolling_px[0])
+        yield message("rolling_shutter", text, errors.rolling_px[0])
     if errors.flex is not None and errors.flex[0] > _limit("board_bends") * max(board.extent):
         share = errors.flex[0] / max(board.extent)
         text = f"the board bends from view to view by {100 * share:.2g} % of its side: use a stiffer board"
-        yield finding("board_bends", text, share)
+        yield message("board_bends", text, share)
 
 
-def _plausible(calibration: Calibration) -> Iterator[Finding]:
+def _plausible(calibration: Calibration) -> Iterator[Message]:
     camera, board = calibration.camera, calibration.board
     if board.unit == "m" and max(board.extent) > _limit("board_size"):
         text = f"the board is {max(board.extent):.3g} m long: give its size with a unit, such as 25mm"
-        yield finding("board_size", text, max(board.extent))
+        yield message("board_size", text, max(board.extent))
     focal = camera.value("fx"), camera.value("fy")
     excess = max(focal) / min(focal) - 1
     if excess > _limit("focal_ratio"):
@@ -198,7 +197,7 @@ def _plausible(calibration: Calibration) -> Iterator[Finding]:
             f"fx and fy differ by {100 * excess:.0f} %: use images that were not resized, or in proportion, and "
             "check that the board's squares are square"
         )
-        yield finding("focal_ratio", text, excess)
+        yield message("focal_ratio", text, excess)
     size = np.array(camera.image_size)
     offset = np.abs(np.array([camera.value("cx"), camera.value("cy")]) - (size - 1) / 2) / size
     if offset.max() > _limit("principal_point"):
@@ -206,13 +205,13 @@ def _plausible(calibration: Calibration) -> Iterator[Finding]:
             f"the principal point is {100 * offset.max():.0f} % of the image size from its middle: "
             "if the image is not cropped, add views tilted by 20° to 45° about both axes"
         )
-        yield finding("principal_point", text, offset.max())
+        yield message("principal_point", text, offset.max())
 
 
-def _board(calibration: Calibration) -> Iterator[Finding]:
+def _board(calibration: Calibration) -> Iterator[Message]:
     surface, board = calibration.surface, calibration.board
     if board.square is None:
-        yield finding(
+        yield message(
             "unit",
             f"the {BOARD_TYPES[board.type].element}'s size is unknown, lengths are in squares: give it with --board",
             0.0,
@@ -221,11 +220,11 @@ def _board(calibration: Calibration) -> Iterator[Finding]:
     if surface.deflection > 3 * surface.deflection_std and share > _limit("bent_board"):
         millimetres = f"{1e3 * surface.deflection:.2f} mm" if board.unit == "m" else f"{surface.deflection:.3f} squares"
         text = f"the board is bent by {millimetres}: accounted for, but use a stiffer board"
-        yield finding("bent_board", text, share)
+        yield message("bent_board", text, share)
     for (term, focal), value in calibration.correlations.items():
         if abs(value) > _limit("correlation"):
             text = f"{term} of the board and {focal} are correlated by {value:+.2f}: turn the board in some views"
-            yield finding("correlation", text, abs(value))
+            yield message("correlation", text, abs(value))
 
 
 @dataclass(frozen=True)
