@@ -26,7 +26,7 @@ from projection_error import projection_errors
 
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.errors import CamcalError
-from camcal.quality.advise import advise
+from camcal.quality.assess import assess
 from camcal.quality.criteria import CRITERIA
 
 WRONG = 0.5  # px
@@ -58,9 +58,9 @@ def verdict(found: Case) -> SetVerdict:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # lenses that do not hold in the whole frame
         errors = projection_errors(found.truth, calibration.camera)[1]
-    advice = advise(calibration)
-    codes = tuple(finding.code for finding in advice.findings)
-    return SetVerdict(float(np.sqrt(np.nanmean(errors**2))), advice.trustworthy, codes, "", seconds)
+    assessment = assess(calibration)
+    codes = tuple(message.code for message in assessment.messages)
+    return SetVerdict(float(np.sqrt(np.nanmean(errors**2))), assessment.trustworthy, codes, "", seconds)
 
 
 def faults(names: list[str], seeds: int, views: int) -> None:

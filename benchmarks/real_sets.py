@@ -121,7 +121,7 @@ def show(row: Row) -> None:
     print(
         f"{row.name:17} {found:>7} {camera.model.name:16} {result.rms_px:6.3f} {result.sigma_px:6.3f} "
         f"{camera.value('fx'):9.3f} {camera.std('fx'):7.3f} {len(result.used):5d} {len(result.rejected):5d} "
-        f"{bend:>16} {row.seconds:6.2f} {'yes' if row.report.advice.trustworthy else 'NO':>3} | {theirs}",
+        f"{bend:>16} {row.seconds:6.2f} {'yes' if row.report.assessment.trustworthy else 'NO':>3} | {theirs}",
         flush=True,
     )
 

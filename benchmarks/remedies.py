@@ -28,7 +28,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.advise import advise
+from camcal.quality.assess import assess
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -184,9 +184,9 @@ def outcome(given: Set) -> Outcome:
             found = calibrate(given.views, given.board, how)
     except CamcalError as error:
         return Outcome(None, (f"refused: {_kind(error.message)}",), error.message)
-    advice = advise(found)
-    codes = tuple(own.code for own in advice.findings if own.failure)
-    return Outcome(found, codes, "; ".join((*advice.reasons, *advice.remarks)))
+    assessment = assess(found)
+    codes = tuple(own.code for own in assessment.failures)
+    return Outcome(found, codes, "; ".join(own.text for own in assessment.messages))
 
 
 def _kind(message: str) -> str:

@@ -96,9 +96,9 @@ class GateFailed(CamcalError):
     kind = "gate_failed"
 
     @classmethod
-    def of(cls, failures: "Sequence[Message]") -> "GateFailed":
-        """Return the error of a gate that these failures keep shut, a line each."""
-        return cls("\n".join(map(str, failures)), failures=failures)
+    def of(cls, failures: "Sequence[Message]", *, where: str | None = None) -> "GateFailed":
+        """Return the error of a gate with these failures, a line each; where: as in `CamcalError`."""
+        return cls("\n".join(map(str, failures)), where=where, failures=failures)
 
 
 # When several apply, the first of these is the exit (docs/commands.md).

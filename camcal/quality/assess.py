@@ -38,6 +38,11 @@ class Assessment:
     warnings: tuple[Message, ...]
 
     @property
+    def messages(self) -> tuple[Message, ...]:
+        """All of them, failures first."""
+        return self.failures + self.warnings
+
+    @property
     def trustworthy(self) -> bool:
         return not self.failures
 

@@ -363,7 +363,7 @@ def test_a_default_that_predicts_well_is_no_remark():
     scene, views = lens("opencv5", 8)
     found = select(views, scene.board, OPTIONS)
     assert found.calibration.camera.model.name == DEFAULT_MODEL
-    assert found.remarks == ()
+    assert (found.warnings, found.lines) == ((), ())
     assert [own.name for own in found.candidates] == NAMES
 
 
@@ -372,11 +372,11 @@ def test_another_model_is_named_with_prediction_errors_and_gain():
     found = select(views, scene.board, OPTIONS)
     assert found.calibration.camera.model.name == "kannala_brandt4"
     own = {one.name: one for one in found.candidates}
-    (remark,) = found.remarks
+    (line,) = found.lines
     words = re.fullmatch(
-        r"lens model kannala_brandt4 is used: prediction error of left-out views (\S+) px with it, (\S+) px with "
-        r"opencv5 \((\S+) nat per corner\)",
-        remark,
+        r"lens model kannala_brandt4: prediction error of left-out views (\S+) px, opencv5 (\S+) px "
+        r"\((\S+) nat per corner\)",
+        line,
     )
     taken, default = own["kannala_brandt4"], own["opencv5"]
     expected = [taken.sigma_px, default.sigma_px, taken.score - default.score]
@@ -389,8 +389,9 @@ def test_models_that_the_default_contains_are_compared_where_it_fails():
     found = select(views, scene.board, replace(OPTIONS, fixed=("k4",)))  # opencv5 has none
     assert [own.name for own in found.candidates] == list(CANDIDATES)
     name = found.calibration.camera.model.name
-    (remark,) = found.remarks
-    assert remark.startswith(f"lens model {name} is used: opencv5 fails (--fix: opencv5 has no parameter 'k4'")
+    (warning,) = found.warnings
+    assert warning.code == "lens_model_failed"
+    assert warning.text.startswith(f"lens model opencv5 failed, {name} is used instead: --fix: opencv5 has no")
 
 
 def test_the_next_best_model_is_used_where_the_first_one_does_not_settle(monkeypatch):
@@ -447,8 +448,8 @@ def test_a_fold_leads_to_another_model_only_if_that_one_is_known_everywhere(reac
     found = select(views, scene.board, OPTIONS)
     assert chosen(found.candidates, DEFAULT_MODEL).name == DEFAULT_MODEL  # by prediction alone
     assert found.calibration.camera.model.name == taken
-    remark = "kannala_brandt4 is used: opencv5 predicts as well, but is not invertible in the whole image"
-    assert found.remarks == ((remark,) if taken == "kannala_brandt4" else ())
+    line = "lens model kannala_brandt4: opencv5 predicts as well, but is not invertible in the whole image"
+    assert found.lines == ((line,) if taken == "kannala_brandt4" else ())
 
 
 def calibrated(name, coefficients=(), std_px=1.0):

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camcal.quality.advise import advise
 from observed import make_scene, turned
 from scipy.stats import norm
 
@@ -20,6 +19,7 @@ from camcal.calibrate.several_cameras import TwoCameras
 from camcal.calibrate.single_views import ViewQuadratics
 from camcal.cameras.catalogue import model_named
 from camcal.errors import InsufficientData
+from camcal.quality.assess import assess
 from camcal.targets.board import Board
 
 MODEL = model_named("opencv5")
@@ -70,12 +70,12 @@ def test_views_of_two_cameras_are_told_apart_one_by_one(larger, smaller, focal):
 
 
 def test_the_verdict_names_both_groups(scene):
-    advice = advise(found_in(mixed(12, 5, 1215.0)))
-    assert not advice.trustworthy
-    (finding,) = [own for own in advice.findings if own.code == "several_cameras"]
-    assert "12 views (a/view0000.png, a/view0001.png, a/view0002.png and 9 more)" in finding.text
-    assert "5 views (b/view0000.png" in finding.text
-    assert finding.text.endswith("calibrate each group by itself")
+    assessment = assess(found_in(mixed(12, 5, 1215.0)))
+    assert not assessment.trustworthy
+    (failure,) = [own for own in assessment.failures if own.code == "several_cameras"]
+    assert "12 views (a/view0000.png, a/view0001.png, a/view0002.png and 9 more)" in failure.text
+    assert "5 views (b/view0000.png" in failure.text
+    assert failure.text.endswith("calibrate each group by itself")
 
 
 @pytest.mark.parametrize("focal", [600.0, 2400.0])
@@ -109,7 +109,7 @@ def test_cameras_that_differ_little_are_told_by_their_names_where_their_lenses_d
 
 
 def codes(views, groups=()):
-    return {own.code for own in advise(found_in(views, groups)).findings}
+    return {own.code for own in assess(found_in(views, groups)).messages}
 
 
 @pytest.mark.parametrize("count", [6, 10, 30])

@@ -29,7 +29,7 @@ def test_json_is_one_document_with_its_schema_first(run, tmp_path):
     assert code == 0
     assert list(told) == [
         "schema", "output", "board_file", "kalibr_file", "board", "paper", "margin_mm", "board_mm", "white_border_mm",
-        "ruler_mm", "dpi", "pixels",
+        "ruler_mm", "dpi", "pixels", "warnings",
     ]  # fmt: skip
     assert told["schema"] == "camcal/board/1"
     assert told["board"] == {"type": "chessboard", "inner_corners": [9, 6], "square_mm": 25}

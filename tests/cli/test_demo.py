@@ -48,6 +48,7 @@ def test_the_document_is_frozen(left):
         "sigma_px",
         "trustworthy",
         "compared",
+        "warnings",
     ]
     assert document["schema"] == "camcal/demo/1"
 

@@ -47,9 +47,9 @@ def test_json_is_one_document_with_its_schema_first(run, folder, tmp_path):
         "image_circle",
         "images",
         "frames",
-        "notes",
         "failed",
         "pictures",
+        "warnings",
     ]
     assert told["schema"] == "camcal/detect/1"
     assert told["images"][0] == {
@@ -204,7 +204,7 @@ def test_pictures_say_why_where_no_image_shows_the_board(run, folder, tmp_path):
 
 def test_quiet_prints_nothing(run, folder, tmp_path):
     output = tmp_path / "corners.csv"
-    assert run("detect", folder, "-b", "chessboard:6x5", "-o", output, "--jobs", 1, "--quiet") == (0, "", "")
+    assert run("detect", folder, "-b", "chessboard:6x5:25mm", "-o", output, "--jobs", 1, "--quiet") == (0, "", "")
 
 
 def test_of_many_images_those_without_corners_are_listed(run, folder, tmp_path, monkeypatch):

@@ -53,7 +53,7 @@ def test_the_json_document(run, data):
         "unobservable", "at_bounds", "rows", "degrees_of_freedom", "sum_of_squares", "rms", "sigma", "chi_square",
         "p_value", "r_squared", "condition", "iterations", "runs", "converged", "reason", "profile",
         "comparison",
-        "jacobian_check", "outliers", "largest_leverage",
+        "jacobian_check", "outliers", "largest_leverage", "warnings",
     ]  # fmt: skip
     assert found["schema"] == "camcal/fit/1"
     assert list(found["parameters"]["a"]) == ["value", "std", "interval", "held"]
@@ -212,7 +212,7 @@ def test_strong_correlations_are_warned_of(run, tmp_path):
     x = np.linspace(50, 51, 30)
     path = write(tmp_path / "far.csv", x=x, y=3 * x + np.random.default_rng(1).normal(size=30))
     _, _, err = run("fit", path, "-m", "poly:1")
-    assert "warning: a0 and a1 are hardly told apart: correlation -1.0000" in err
+    assert "warning: a0 and a1 are strongly correlated (r = -1.0000)" in err
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from camcal.cli.main import app
 from camcal.formats.camera_file import CameraEntry
 from camcal.tasks.calibration.inspect import camera_lines
 
-UNTRUSTED = "19: cameras.left.verdict: do not trust this calibration: the lower left corner was never seen"
+UNTRUSTED = "19: cameras.left.verdict: untrustworthy calibration: the lower left corner was never seen"
 CAMERA = """%YAML 1.1
 ---
 format: camcal-calibration
@@ -163,12 +163,14 @@ def test_json_holds_the_file_and_what_follows_from_it(camcal, rig):
     assert payload["schema"] == "camcal/inspect/1"
     assert payload["content"]["cameras"]["left"]["intrinsics"]["fx"] == 512.0625
     assert [len(angles) for angles in payload["field_of_view_deg"].values()] == [3, 3]
-    assert payload["warnings"] == [f"{rig}:{UNTRUSTED}"]
+    assert [f"{each['where']}: {each['text']}" for each in payload["warnings"]] == [f"{rig}:{UNTRUSTED}"]
 
 
 def test_json_of_one_value_is_a_document_too(camcal, rig):
     payload = json.loads(camcal(rig, "--json", "--get", "cameras.left.fixed").out)
+    warnings = payload.pop("warnings")
     assert payload == {"schema": "camcal/inspect/1", "file": rig, "key": "cameras.left.fixed", "value": ["p2"]}
+    assert warnings == []
 
 
 def test_warnings_go_to_stderr_and_into_the_document(camcal, rig, tmp_path):
@@ -176,9 +178,9 @@ def test_warnings_go_to_stderr_and_into_the_document(camcal, rig, tmp_path):
     odd.write_text(CAMERA.replace("images_used: 34", "images_used: 3"))
     result = camcal(str(odd))
     assert result.code == 0
-    few = f"camcal: warning: {odd}:17: cameras.left.quality.images_used: 3 images; take 10 or more"
+    few = f"camcal: warning: {odd}:17: cameras.left.quality.images_used: 3 images: use 10 or more"
     assert result.err.splitlines() == [few, f"camcal: warning: {odd}:{UNTRUSTED}"]
-    assert "take 10 or more" in json.loads(camcal(str(odd), "--json").out)["warnings"][0]
+    assert json.loads(camcal(str(odd), "--json").out)["warnings"][0]["code"] == "few_images"
 
 
 def test_every_broken_rule_has_its_line(camcal, tmp_path):

@@ -52,7 +52,7 @@ def test_json_has_the_frame_and_its_channels(run, dng):
     document = json.loads(out)
     raw = document["raw"]
     assert code == 0
-    assert list(document) == ["schema", "file", "raw"]
+    assert list(document) == ["schema", "file", "raw", "warnings"]
     assert document["schema"] == "camcal/inspect/1"
     assert list(raw) == [
         *("size", "pattern", "type", "black", "white", "camera_gains", "camera_M_xyz", "orientation", "capture"),
@@ -93,7 +93,7 @@ def test_a_file_without_a_header_is_shown_by_what_fits_its_length(run, dump):
     assert f"{dump}: 614400 bytes without a header; these fit, give --format and --size" in out
     assert any("640x480" in line and "Bayer12" in line for line in out.splitlines())
     document = json.loads(run("inspect", dump, "--json", "--format", "BayerRG12")[1])
-    assert list(document) == ["schema", "file", "bytes", "layouts"]
+    assert list(document) == ["schema", "file", "bytes", "layouts", "warnings"]
     assert {"formats": ["BayerRG12"], "size": [640, 480], "stride": None} in document["layouts"]
 
 

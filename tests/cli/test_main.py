@@ -130,6 +130,7 @@ def test_a_failure_is_a_document_when_json_is_asked_for(run):
     assert code == 3
     assert json.loads(out) == {
         "schema": "camcal/nested-work/1",
+        "warnings": [],
         "error": {"kind": "file", "message": "is wrong\nb.yaml:3: is wrong too", "where": "a.yaml"},
         "exit": 3,
     }
@@ -234,6 +235,7 @@ def test_a_settings_file_gives_defaults_and_the_command_line_comes_first(run, se
         "label": "7",
         "flat": True,
         "jobs": 3,
+        "warnings": [],
     }
 
 
@@ -416,7 +418,7 @@ def test_settings_are_written_as_quietly_as_asked_for_and_over_no_input(run, tmp
     path = tmp_path / "work.yaml"
     assert run("work", "--write-config", str(path), "--quiet") == (0, "", "")
     code, out, _ = run("work", "--write-config", str(path), "--json")
-    assert (code, json.loads(out)) == (0, {"schema": "camcal/work/1", "output": str(path)})
+    assert (code, json.loads(out)) == (0, {"schema": "camcal/work/1", "output": str(path), "warnings": []})
     before = path.read_bytes()
     for named in (str(path), f"{path}#left"):
         code, out, err = run("work", named, "--write-config", str(path))

@@ -23,7 +23,7 @@ PIXELS = ("--size", "2048x1536", "--pitch", 3.45)
 ONE_VIEW = ("--views", 1)  # no forecast of a calibration, which most tests do not look at
 KEYS = [
     *("schema", "setup", "solved", "field_of_view", "pixel_angle", "focus", "diffraction", "exposure", "image_circle"),
-    *("distances", "board", "missing", "notes", "warnings", "plot"),
+    *("distances", "board", "missing", "plot", "warnings"),
 ]
 
 
@@ -62,7 +62,7 @@ def test_a_lens_is_worked_out_in_words(run):
         "for stereo depth give --baseline",
     ):
         assert " ".join(words.split()) in " ".join(out.split())
-    assert err == "camcal: warning: 0.6 m is out of focus: the blur disc is 2.2 px\n"
+    assert err == "camcal: warning: 0.6 m: out of focus: blur disc 2.2 px\n"
 
 
 def test_the_document_has_every_key_whether_known_or_not(figures):
@@ -135,9 +135,11 @@ def test_a_focal_length_and_a_camera_file_give_the_pitch(figures, tmp_path):
 
 def test_lengths_that_disagree_are_warned_of(figures, tmp_path):
     path = camera(tmp_path, "    sensor: {pixel_pitch_um: 10.0}\n")
-    assert "focal length of 8.00 mm, --focal says 12 mm" in figures(path, "--f", 12)[1]["warnings"][0]
-    words = figures("--f", 8, *PIXELS, "--sensor", "1/2.8")[1]["warnings"][0]
-    assert words == ("the pixels make 7.07 x 5.30 mm, --sensor 1/2.8 is 5.57 x 3.13 mm; the pixels are taken")
+    (warning,) = figures(path, "--f", 12)[1]["warnings"]
+    assert (warning["code"], warning["values"]) == ("focal_length_differs", {"focal_mm": 8.0, "given_mm": 12.0})
+    nominal, other = figures("--f", 8, *PIXELS, "--sensor", "1/2.8")[1]["warnings"]
+    assert nominal["code"] == "nominal_sensor_format"
+    assert "7.07 x 5.30 mm by pixels and pitch, 5.57 x 3.13 mm by --sensor 1/2.8" in other["text"]
 
 
 def test_an_image_circle_counts_from_the_principal_point(figures, tmp_path):
@@ -145,15 +147,15 @@ def test_an_image_circle_counts_from_the_principal_point(figures, tmp_path):
     circle = figures(path, "--image-circle", 16)[1]
     needed = 2 * 0.010 * math.hypot(680, 480)
     assert circle["image_circle"]["needed_mm"] == pytest.approx(needed)
-    assert "image circle of 16 mm is too small: the sensor's corners need 16.65 mm" in circle["warnings"][0]
+    assert "image circle of 16 mm too small: the sensor corners need 16.65 mm" in circle["warnings"][0]["text"]
     assert figures(path, "--image-circle", 17)[1]["warnings"] == []
 
 
 def test_a_closed_aperture_is_limited_by_diffraction(figures):
     open_, closed = (figures("--f", 8, "--N", number, *PIXELS)[1] for number in (4, 8))
     assert open_["warnings"] == []
-    assert "limited by diffraction: the Airy disc is 3.1 pixels wide" in closed["warnings"][0]
-    assert "up to f/5.1 pixels are the limit" in closed["warnings"][0]
+    assert "diffraction-limited: Airy disc 3.1 px" in closed["warnings"][0]["text"]
+    assert "use f/5.1 or less" in closed["warnings"][0]["text"]
     red = figures("--f", 8, "--N", 4, *PIXELS, "--wavelength", 850)[1]["diffraction"]
     assert red["airy_px"] == pytest.approx(open_["diffraction"]["airy_px"] * 850 / 550)
 
@@ -165,7 +167,8 @@ def test_motion_is_warned_of_with_the_exposure_that_would_do(figures):
     assert at["motion_px"] == pytest.approx(0.1 * 0.01 / (0.5 * 3.45e-6 / 8.13008e-3), rel=1e-5)
     assert at["longest_exposure_ms"] == pytest.approx(10 / at["motion_px"])
     assert 2 ** at["exposure_stops"] == pytest.approx(at["motion_px"])
-    assert document["warnings"] == ["at 0.5 m motion blurs 4.7 px; expose for 2.12 ms or less"]
+    (warning,) = document["warnings"]
+    assert (warning["where"], warning["text"]) == ("0.5 m", "motion blur 4.7 px: expose for 2.12 ms or less")
 
 
 def test_stereo_depth_grows_with_the_square_of_the_distance(figures, tmp_path):
@@ -214,7 +217,8 @@ def test_a_board_is_planned(run, figures):
     ]
     assert near["pose_std"] is None  # it does not fit
     assert near["share"] > 1
-    assert document["warnings"][-1].startswith("at 0.2 m the board does not fit the image; its nearest distance is 0.3")
+    assert document["warnings"][-1]["where"] == "0.2 m"
+    assert document["warnings"][-1]["text"].startswith("board larger than the image; nearest distance 0.3")
     assert focused["noise_px"] == pytest.approx(0.1)
     assert edge["noise_px"] > 0.1  # a blur disc of one pixel
     # depth of a board: noise of a width over all points, of the order z σ / (pixels across · √points)
@@ -278,14 +282,14 @@ def test_the_markers_of_a_board_need_more_pixels_than_its_squares(figures):
 
 def test_a_tag_that_is_far_is_warned_of(figures):
     small = ("--f", 8, *PIXELS, "--noise", 0.3, "--least-square", 5, "--board", "chessboard:2x2:30mm", "--distance", 4)
-    assert "wrong pose will fit better in" in figures(*small, "--tilt", 30)[1]["warnings"][-1]
-    assert "direction will be known to ±" in figures(*small)[1]["warnings"][-1]
+    assert figures(*small, "--tilt", 30)[1]["warnings"][-1]["code"] == "ambiguous_forecast"
+    assert figures(*small)[1]["warnings"][-1]["code"] == "weak_rotation"
 
 
 def test_no_distance_for_a_board_is_said_with_its_reasons(figures):
     warnings = figures(*LENS, *PIXELS, "--board", "chessboard:9x6:250mm")[1]["warnings"]
-    assert "there is no distance for this board: it fits the image from 2.88 m" in warnings[0]
-    assert "0.465 m to 0.54 m are in focus" in warnings[0]
+    assert "no usable distance for this board: it fits the image from 2.88 m" in warnings[0]["text"]
+    assert "0.465 m to 0.54 m are in focus" in warnings[0]["text"]
 
 
 def test_the_plot_is_written_and_named(run, tmp_path):
@@ -300,10 +304,10 @@ def test_formats_are_listed_with_what_their_name_hides(run, figures):
     assert code == 0
     assert "1/2.8 inch is a name, its diagonal is about 6.4 mm and not 9.1 mm" in " ".join(out.split())
     document = figures("--formats")[1]
-    assert list(document) == ["schema", "formats", "note"]
+    assert list(document) == ["schema", "formats", "note", "warnings"]
     assert list(document["formats"][0]) == ["name", "width_mm", "height_mm", "diagonal_mm"]
-    note = run("optics", "--f", 8, "--sensor", "1/2.8")[1]
-    assert 'note: 1/2.8" is a name: its diagonal is about 6.39 mm' in note
+    err = run("optics", "--f", 8, "--sensor", "1/2.8")[2]
+    assert 'sensor format 1/2.8" is nominal, diagonal about 6.39 mm' in err
 
 
 def test_the_sample_settings_are_sound(run):

@@ -129,6 +129,7 @@ def test_json_is_one_document_with_a_frozen_schema(run, folder):
         "unit",
         "images",
         "corners",
+        "warnings",
     ]
     assert document["schema"] == "camcal/simulate/1"
     assert document["corners"] == 3 * 35

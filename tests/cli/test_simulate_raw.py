@@ -81,7 +81,7 @@ def test_a_second_run_replaces_the_frames_of_the_first(run, folder):
 def test_json_lists_the_frames(run, folder):
     _, out, _ = run("simulate", BOARD, "-o", folder, *SMALL, "--raw", "RGGB", "--flats", "1", "--darks", "2", "--json")
     document = json.loads(out)
-    assert list(document)[-1] == "frames"
+    assert list(document)[-2:] == ["frames", "warnings"]
     assert len(document["frames"]) == 4
 
 

@@ -134,7 +134,7 @@ def test_json_is_one_document_with_a_frozen_schema(run, folder):
     code, out, err = run("simulate", "-o", folder, *SMALL, "--json")
     document = json.loads(out)
     assert (code, err) == (0, "")
-    assert list(document) == ["schema", "output", "rig", "image_size", "geometry", "pairs"]
+    assert list(document) == ["schema", "output", "rig", "image_size", "geometry", "pairs", "warnings"]
     assert document["schema"] == "camcal/simulate/1"
     assert list(document["pairs"][0]) == [
         "left",

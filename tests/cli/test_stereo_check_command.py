@@ -66,8 +66,8 @@ def test_the_gate_lets_rows_through_only_below_its_limit(run, images):
     code, out, err = run("stereo", "check", images / "left.png", images / "lower.png", "--max-rms", 0.5)
     assert code == 7
     assert "rows differ by" in out  # the findings are shown before the gate closes
-    assert "left.png: rows are off by 0.8" in err
-    assert "more than 0.5 px" in err
+    assert "left.png: row differences 0.8" in err
+    assert "(limit 0.5 px)" in err
 
 
 @pytest.mark.parametrize(("right", "words"), [("left.png", "the same view"), (None, "swapped")])
@@ -105,19 +105,19 @@ def test_the_json_document_of_a_pair(run, images):
     code, out, _ = run("stereo", "check", images / "left.png", images / "lower.png", "--json")
     document = json.loads(out)
     assert code == 0
-    assert list(document) == ["schema", "pairs", "overall", "failed"]
+    assert list(document) == ["schema", "pairs", "overall", "failed", "warnings"]
     assert document["schema"] == "camcal/stereo-check/1"
     pair = document["pairs"][0]
     assert list(pair) == [
         "left", "right", "size", "features", "rows_px", "trend_px", "rows_per_disparity", "disparity_px", "exposure",
-        "finding", "verdict", "picture",
+        "failure", "verdict", "picture",
     ]  # fmt: skip
     assert pair["rows_px"]["median"]["value"] == pytest.approx(0.8, abs=0.03)  # two standard errors
     assert list(pair["rows_px"]) == ["median", "rms", "p95", "scatter"]
     assert list(pair["trend_px"]) == ["centre", "tilt", "scale", "rms", "largest"]
     assert list(pair["disparity_px"]) == ["low", "high", "search"]
     assert list(pair["exposure"]) == ["brightness", "gain", "offset", "gamma", "scatter", "differs"]
-    assert pair["finding"] is None
+    assert pair["failure"] is None
     assert document["overall"]["rms"] == pair["rows_px"]["rms"]
 
 

@@ -195,7 +195,7 @@ def test_disparities_of_zero_and_less_are_left_out_of_a_png_and_of_its_figures(m
         arguments = ("-o", tmp_path / f"x.{suffix}", "--range", "-16:16", "--json")
         code, out, err = match(*arguments, left="toed_in.png")
         assert code == 0
-        assert ("of 0 or less are left out of a PNG; a TIFF holds them" in err) == (suffix == "png")
+        assert ("of 0 or less omitted: a PNG cannot store them" in err) == (suffix == "png")
         shares[suffix] = json.loads(out)["pairs"][0]["matched"]
         found = maps.read(tmp_path / f"x.{suffix}")
         values = found.values if suffix == "tiff" else found.matched()
@@ -208,12 +208,12 @@ def test_the_json_document_of_a_pair(match, tmp_path, pair):
     code, out, _ = match(pair / "rig.yaml", "-o", tmp_path / "x.pfm", "--vis", "--json")
     document = json.loads(out)
     assert code == 0
-    assert list(document) == ["schema", "pairs", "failed"]
+    assert list(document) == ["schema", "pairs", "failures", "failed", "warnings"]
     assert document["schema"] == "camcal/stereo-disparity/1"
     (found,) = document["pairs"]
     assert list(found) == [
         "left", "right", "output", "sidecar", "picture", "image_size", "searched", "at_ends", "matched", "filled",
-        "classes", "median_px", "sigma_px", "rows_px", "scale", "geometry", "remarks", "failures",
+        "classes", "median_px", "sigma_px", "rows_px", "scale", "geometry",
     ]  # fmt: skip
     assert list(found["classes"]) == ["none", "filled", "single", "apart", "near", "agreed"]
     assert sum(found["classes"].values()) == pytest.approx(1)
@@ -324,7 +324,7 @@ def test_disparities_that_crowd_at_the_end_of_the_range_are_warned_of(match, tmp
     quick = ("--quality", quality, "--jobs", 1, "--force")
     code, _, err = match("-o", tmp_path / "x.pfm", "--range", search, quick=quick)
     assert code == 0
-    assert f"lie at the {end} end of the range {search}; look farther with --range" in err
+    assert f"of the matches at the {end} end of the range {search}: widen --range" in err
     assert match("-o", tmp_path / "x.pfm", "--range", "0:31", quick=quick)[2] == ""
 
 
@@ -353,8 +353,8 @@ def test_images_of_different_things_end_with_exit_7_and_say_how_little_is_matche
     cv2.imwrite(str(pair / "other.png"), np.random.default_rng(3).integers(0, 255, SIZE[::-1]).astype(np.uint8))
     code, out, err = match("-o", tmp_path / "x.pfm", "--json", right="other.png", quick=("--jobs", 1))
     assert code == 7
-    assert "of the pixels are matched, fewer than 15 %" in err
-    assert json.loads(out)["pairs"][0]["failures"]
+    assert "of the pixels matched (limit 15 %)" in err
+    assert json.loads(out)["failures"][0]["code"] == "few_matches"
 
 
 def test_images_of_other_sizes_are_refused_naming_both(match, pair, tmp_path):

@@ -32,7 +32,7 @@ def test_a_chain_is_said_with_its_uncertainty_and_what_it_is_made_of(run, frames
     assert "base_T_tag: takes points in tag to points in base" in out
     assert "1.0000 0.0000 2.5000  ± 0.0010 0.0010 0.0020" in out
     assert "base_T_cam * cam_T_tag" in out
-    assert err == "camcal: warning: without a covariance, taken as exact: base_T_cam\n"
+    assert err == "camcal: warning: no covariance, assumed exact: base_T_cam\n"
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_the_json_document(run, frames, arguments, products):
     code, out, _ = run("transform", *arguments, *where, "--json", "--as", "quat:wxyz")
     document = json.loads(out)
     assert code == 0
-    assert list(document) == ["schema", "transforms", "products", "exact", "loops", "output"]
+    assert list(document) == ["schema", "transforms", "products", "exact", "loops", "output", "warnings"]
     assert document["schema"] == f"camcal/transform-{arguments[0]}/1"
     (transform,) = document["transforms"]
     assert list(transform) == TRANSFORM_KEYS

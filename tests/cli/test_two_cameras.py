@@ -44,10 +44,10 @@ def test_left_and_right_images_together_are_not_to_be_trusted_and_both_are_named
     code, out, _ = run("calibrate", corners, "-o", output, "--model", "opencv5", "--json", "--require", "trustworthy")
     document = json.loads(out)
     assert code == 7
-    (finding,) = [found for found in document["findings"] if found["code"] == "several_cameras_by_name"]
-    assert "10 views (left00.png" in finding["text"]
-    assert finding["images"] == [f"right{index:02}.png" for index in range(8)]
-    assert document["two_cameras"]["groups"][1] == finding["images"]
+    (failure,) = [found for found in document["failures"] if found["code"] == "several_cameras_by_name"]
+    assert "10 views (left00.png" in failure["text"]
+    assert failure["values"]["images"] == [f"right{index:02}.png" for index in range(8)]
+    assert document["two_cameras"]["groups"][1] == failure["values"]["images"]
     assert document["two_cameras"]["by_name"]
     assert "DO NOT TRUST: the views are of two cameras" in run("calibrate", corners, "-o", output)[1]
 

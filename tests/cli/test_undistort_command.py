@@ -49,7 +49,7 @@ def test_the_document_has_a_fixed_shape(run, folder):
     document = json.loads(out)
     assert code == 6
     assert err == "camcal: error: 1 of 4 images failed, the rest is written\n"
-    assert list(document) == ["schema", "camera_file", "mask", "view", "images", "failed"]
+    assert list(document) == ["schema", "camera_file", "mask", "view", "images", "failed", "warnings", "error", "exit"]
     assert document["schema"] == "camcal/undistort/1"
     assert document["camera_file"] == "out/camera.yaml"
     assert document["mask"] == "out/valid_mask.png"
@@ -99,7 +99,7 @@ def test_points_are_undistorted_and_distorted_back(run, folder):
         "undistort", "lens.yaml", "--points", "moved.csv", "--distort", "-o", "back.csv", "--keep-k", "--json"
     )
     document = json.loads(out)
-    assert list(document) == ["schema", "output", "camera_file", "points", "without_place"]
+    assert list(document) == ["schema", "output", "camera_file", "points", "without_place", "warnings"]
     assert (code, document["points"], document["without_place"]) == (0, 2, 1)
     back = (folder / "back.csv").read_text().splitlines()
     assert back[2] == ","

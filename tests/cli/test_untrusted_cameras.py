@@ -16,7 +16,7 @@ from camcal.images.save import save
 SIZE = (160, 120)
 LENS = Camera(model_named("pinhole"), SIZE, np.array([150.0, 150.0, 79.5, 59.5]))
 REASONS = ("the focal length is known to 3.1 % only", "2 views are few")
-SAID = f"do not trust this calibration: {'; '.join(REASONS)}"
+SAID = f"untrustworthy calibration: {'; '.join(REASONS)}"
 RIGHT_T_LEFT = Transform(Pose(np.eye(3), np.array([-0.1, 0.0, 0.0])))
 COMMANDS = {
     "undistort": "undistort rig.yaml#left tags -o out",

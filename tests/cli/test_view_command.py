@@ -93,7 +93,7 @@ def test_files_that_the_sidecar_names_and_are_not_there_are_done_without(run, tm
     code, out, err = run("view", disparity_map, "-o", tmp_path / "cloud.html")
     assert code == 0
     for name in ("left.png", "sigma.tiff"):
-        assert f"disparity.tiff.json: it names {name}, which is not there; done without" in err
+        assert f"disparity.tiff.json: {name} not found; not used" in err
     assert "coloured by depth" in out
 
 
@@ -191,6 +191,7 @@ def test_json_says_what_was_made(run, tmp_path, cloud):
         "outside": 0,
         "unit": "m",
         "frame": "left camera: x right, y down, z forward",
+        "warnings": [],
     }
 
 

@@ -8,7 +8,6 @@ from itertools import cycle, islice
 
 import numpy as np
 import pytest
-from camcal.quality.advise import advise
 from scipy.stats import chi2
 
 from camcal.calibrate.between_views import BetweenViews, Blur, Change, TwoBoards
@@ -21,6 +20,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.quality.assess import assess
 from camcal.quality.criteria import CRITERIA
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, parse_board
@@ -484,13 +484,13 @@ EXAMPLES = (
 
 
 def by_code(calibration, circle=None):
-    return {found.code: found for found in advise(calibration, circle).findings}
+    return {found.code: found for found in assess(calibration, circle).messages}
 
 
 def test_of_a_good_calibration_nothing_is_said(good):
-    advice = advise(good)
-    assert (advice.findings, advice.reasons, advice.remarks) == ((), (), ())
-    assert advice.trustworthy
+    assessment = assess(good)
+    assert assessment.messages == ()
+    assert assessment.trustworthy
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.code)
@@ -499,10 +499,10 @@ def test_a_criterion_applies_beyond_its_limit_and_not_before(good, example):
     calibration = example.change(good, example.found)
     found = by_code(calibration)[example.code]
     assert re.search(example.words, found.text)
-    assert found.value == pytest.approx(example.found if example.value is None else example.value, rel=1e-3)
-    advice, failure = advise(calibration), CRITERIA[example.code].failure
-    assert found.failure == failure
-    assert (found.text in advice.reasons, found.text in advice.remarks) == (failure, not failure)
+    assert found.values["value"] == pytest.approx(example.found if example.value is None else example.value, rel=1e-3)
+    assert found.values["unit"] == CRITERIA[example.code].unit
+    assessment, failure = assess(calibration), CRITERIA[example.code].failure
+    assert (found in assessment.failures, found in assessment.warnings) == (failure, not failure)
 
 
 def test_every_criterion_has_an_example():
@@ -522,16 +522,16 @@ def test_a_lens_that_is_not_known_where_it_was_used_or_not_one_is_a_failure_the_
     failures |= {"several_cameras", "several_cameras_by_name"}
     assert {code for code, criterion in CRITERIA.items() if criterion.failure} == failures
     weak = replace(with_views(good, 9), sigma_px=0.6)
-    assert advise(weak).trustworthy
-    assert len(advise(weak).remarks) == 2
-    bad = advise(known_to(weak, "fx", 0.02))
+    assert assess(weak).trustworthy
+    assert len(assess(weak).warnings) == 2
+    bad = assess(known_to(weak, "fx", 0.02))
     assert not bad.trustworthy
-    assert (len(bad.reasons), len(bad.remarks), len(bad.findings)) == (1, 2, 3)
+    assert (len(bad.failures), len(bad.warnings)) == (1, 2)
 
 
-def test_findings_about_views_have_their_images(good):
+def test_messages_about_views_have_their_images(good):
     def of(calibration):
-        return {code: len(found.images) for code, found in by_code(calibration).items()}
+        return {code: len(found.values.get("images", ())) for code, found in by_code(calibration).items()}
 
     assert of(changing(good, "step", 9.0, 5.0, 12)) == {"focal_change": 8}
     assert of(changing(good, "unordered", 9.0, 5.0)) == {"focal_varies": 0}  # all of them
@@ -578,7 +578,7 @@ def test_a_focal_length_that_was_given_is_known(good):
     calibration = known_to(good, "fx", 0.05)
     assert "focal_length" in by_code(calibration)
     given = replace(calibration, camera=replace(calibration.camera, fixed=("fx", "fy")))
-    assert advise(given).trustworthy
+    assert assess(given).trustworthy
 
 
 def test_views_that_are_not_used_do_not_count(good):
@@ -617,7 +617,7 @@ def test_views_rejected_whole_count_among_the_corners_others_that_are_not_used_d
     assert share(reason="no board found") == pytest.approx(0.2, rel=0.01)
 
 
-def test_every_finding_says_what_to_do(good):
+def test_every_message_says_what_to_do(good):
     """Each sentence has an imperative: what was measured alone helps no one."""
     verbs = r"\b(add|use|take|tilt|turn|try|give|check|leave out|look at|calibrate|hold|cover)\b"
     for example in EXAMPLES:

@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from camcal.quality.advise import coverage
 
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
+from camcal.quality.assess import coverage
 from camcal.quality.projection_uncertainty import projection_uncertainty
 
 SIZE = (1280, 960)

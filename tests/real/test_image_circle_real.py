@@ -76,7 +76,7 @@ def test_a_calibration_from_the_table_of_a_fisheye_knows_its_circle_and_its_view
     circle = detect_images(options).detections.circles[""]
     report = calibrate(CalibrateOptions((str(table),), tmp_path / "camera.yaml", model="kannala_brandt4"))
     assert report.file.cameras["camera"].image_circle == circle
-    assert report.advice.trustworthy
+    assert report.assessment.trustworthy
     view = ViewOptions(projection="stereographic", fov_deg=250.0)
     drawn = undistort(
         UndistortOptions(

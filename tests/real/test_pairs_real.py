@@ -56,7 +56,7 @@ def test_corners_followed_tell_the_rows_of_a_real_pair_as_features_do(real_data,
 
 def test_real_pairs_are_not_found_to_be_anything_else_than_pairs(real_data):
     street = check_pair(*pair_of(real_data, STREET[0]))
-    assert street.finding is None
+    assert street.failure is None
     assert street.exposure is not None
     assert not street.exposure.differs
     assert street.residual.median.value == pytest.approx(-0.16, abs=0.04)  # two standard errors

@@ -17,6 +17,7 @@ import fanout_work as work
 import pytest
 
 from camcal.errors import FileError, InvalidInput, ItemsFailed
+from camcal.messages import Message
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.process import available_cores
 
@@ -67,7 +68,7 @@ class Recorder:
     def finish(self) -> None:
         self.calls.append("finish")
 
-    def warn(self, message: str) -> None:
+    def warn(self, message: Message) -> None:
         self.calls.append(message)
 
 

@@ -113,8 +113,8 @@ def test_an_id_seen_twice_is_left_out_and_said():
     tags = [(4, facing(-0.1, 0, 0.6)), (4, facing(0.1, 0, 0.6)), (5, facing(0, 0.12, 0.6))]
     markers = detect_markers(photograph(camera, tags), "tag36h11")
     assert markers.ids.tolist() == [5]
-    (note,) = markers.notes
-    assert note.startswith("id 4 is seen 2 times; none of them is used, since only one can be real")
+    (warning,) = markers.warnings
+    assert warning.text == "id 4 detected 2 times, none used; --repeated-ids keep uses all"
 
 
 def test_repeated_ids_may_be_kept_and_come_from_top_to_bottom():
@@ -123,7 +123,7 @@ def test_repeated_ids_may_be_kept_and_come_from_top_to_bottom():
     gray = photograph(camera, [(4, low), (4, high), (5, other)])
     markers = detect_markers(gray, "tag36h11", keep_repeated=True)
     assert markers.ids.tolist() == [4, 4, 5]
-    assert markers.notes == ()
+    assert markers.warnings == ()
     for corners, pose in zip(markers.corners, (high, low, other), strict=True):
         assert np.abs(corners - true_corners(camera, pose)).max() < 0.05
 

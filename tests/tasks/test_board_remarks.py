@@ -1,4 +1,4 @@
-"""What is said of boards of every type after a search: remarks, and why there is nothing."""
+"""Messages about boards of every type after a search: warnings, and why there is nothing."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from camcal.targets.board import parse_board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.which_board import OtherBoard, nothing_found, remarks
+from camcal.tasks.calibration.which_board import OtherBoard, board_warnings, nothing_found
 
 NOTHING = BoardDetection("a.png", (640, 480), reason="nothing seen")
 
@@ -18,27 +18,27 @@ def instead(other):
 
 
 @pytest.mark.parametrize(
-    ("form", "notes"),
+    ("form", "texts"),
     [
-        ("chessboard:9x6", ["the size of a square is not given: lengths are in squares"]),
+        ("chessboard:9x6", ["square size unknown: lengths are in squares; give it with --board"]),
         ("chessboard:8x6:25mm:dots", []),
         ("aprilgrid:6x6:88mm:0.3", []),
-        ("aprilgrid:6x6:0.3", ["the size of a tag is not given: lengths are in squares, 1 from tag to tag"]),
-        ("circles:10x8:25mm", ["a 10x8 board looks the same after half a turn: numbering may differ by views"]),
-        ("circles:8x8:25mm", ["a 8x8 board looks the same after a quarter turn: numbering may differ by views"]),
+        ("aprilgrid:6x6:0.3", ["tag size unknown: lengths are in tag spacings; give it with --board"]),
+        ("circles:10x8:25mm", ["a 10x8 board is symmetric under rotation by 180°: corner ids are ambiguous"]),
+        ("circles:8x8:25mm", ["a 8x8 board is symmetric under rotation by 90°: corner ids are ambiguous"]),
         ("asymmetric_circles:4x11:20mm", []),
         (
             "asymmetric_circles:4x4",
             [
-                "the distance of the circles is not given: lengths are in squares, 1 from row to row",
-                "a 4x4 board looks the same after half a turn: numbering may differ by views",
+                "circle spacing unknown: lengths are in row spacings; give it with --board",
+                "a 4x4 board is symmetric under rotation by 180°: corner ids are ambiguous",
             ],
         ),
     ],
 )
-def test_unknown_sizes_and_symmetries_are_told_in_the_words_of_the_board(form, notes):
+def test_unknown_sizes_and_symmetries_are_told_in_the_words_of_the_board(form, texts):
     board = parse_board(form)
-    assert list(remarks([NOTHING], board, board)) == notes
+    assert [each.text for each in board_warnings([NOTHING], board, board)] == texts
 
 
 @pytest.mark.parametrize(

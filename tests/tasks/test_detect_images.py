@@ -110,27 +110,27 @@ def test_the_file_holds_what_was_found(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    ("drawn", "asked", "notes"),
+    ("drawn", "asked", "said"),
     [
-        (replace(CHARUCO, legacy=False), CHARUCO, ["the board has the current pattern (OpenCV since 4.6)"]),
-        (replace(CHARUCO, legacy=True), CHARUCO, ["the board has the legacy pattern (OpenCV before 4.6)"]),
+        (replace(CHARUCO, legacy=False), CHARUCO, ["current ChArUco pattern (OpenCV >= 4.6)"]),
+        (replace(CHARUCO, legacy=True), CHARUCO, ["legacy ChArUco pattern (OpenCV < 4.6)"]),
         (replace(CHARUCO, legacy=True), replace(CHARUCO, legacy=True), []),
         (
             parse_board("charuco:5x7:40mm:30mm:DICT_4X4_50"),
             parse_board("charuco:7x5:40mm:30mm:DICT_4X4_50"),
-            ["the board has 5x7 squares, not 7x5: taken as it is"],
+            ["the board has 5x7 squares, not 7x5: the found size is used"],
         ),
     ],
     ids=["current", "legacy", "as stated", "transposed"],
 )
-def test_the_arrangement_of_a_charuco_board_is_found_out_and_told(tmp_path, drawn, asked, notes):
+def test_the_arrangement_of_a_charuco_board_is_found_out_and_told(tmp_path, drawn, asked, said):
     for seed in range(2):
         write(tmp_path / f"{seed}.png", drawn, seed)
     report = found(tmp_path, asked)
     assert report.used == 2
     board = report.detections.board
     assert (board.columns, board.rows, board.legacy) == (drawn.columns, drawn.rows, bool(drawn.legacy))
-    assert list(report.notes) == notes
+    assert [*map(str, report.warnings), *report.lines] == said
 
 
 def test_squares_given_for_corners_end_with_the_size_that_was_found(tmp_path):
@@ -215,7 +215,7 @@ def test_images_of_other_sizes_are_used_if_asked_for(tmp_path):
     difference = view.pixels - whole.pixels
     assert np.abs(difference.mean(axis=0)).max() < 0.01  # half a pixel if the map were wrong
     assert np.abs(difference).max() < 0.15  # the picture's own errors
-    assert report.notes[-1].startswith("used with --mixed-sizes: 1 image of 640x480, twice as large")
+    assert report.warnings[-1].text.startswith("used with --mixed-sizes: 1 image of 640x480, twice as large")
     assert len(report.pictures) == 4
 
 
@@ -257,15 +257,13 @@ def test_exif_orientation_is_noted_and_not_applied(tmp_path):
     [after] = report.detections.views
     assert (after.size, after.orientation) == (SIZE, 6)
     np.testing.assert_array_equal(after.pixels, before.pixels)
-    assert "the EXIF orientation of 1 images is noted and not applied" in report.notes
+    assert "orientation_ignored" in [warning.code for warning in report.warnings]
 
 
 def test_unknown_squares_and_boards_that_look_the_same_turned_are_told(tmp_path):
     write(tmp_path / "a.png", Board("chessboard", 6, 4))
-    assert found(tmp_path, Board("chessboard", 6, 4)).notes == (
-        "the size of a square is not given: lengths are in squares",
-        "a 6x4 board looks the same after half a turn: numbering may differ by views",
-    )
+    codes = [warning.code for warning in found(tmp_path, Board("chessboard", 6, 4)).warnings]
+    assert codes == ["unknown_board_size", "symmetric_board"]
 
 
 def test_sixteen_bits_and_colour_are_searched_too(tmp_path):

@@ -72,7 +72,7 @@ def test_detect_writes_the_image_circle_and_says_so(folder, tmp_path):
     circle = report.detections.circles[""]
     assert_is_the_circle(circle)
     assert detections.read(tmp_path / "corners.csv").circles == {"": circle}
-    assert any(note.startswith("image circle of radius 140.") for note in report.notes)
+    assert any(line.startswith("image circle of radius 140.") for line in report.lines)
     assert document(report, None)["image_circle"] == {"centre_px": list(circle.centre), "radius_px": circle.radius}
 
 
@@ -141,7 +141,7 @@ def circle_in_file(corners, tmp_path, circles, guess=None):
     table = tmp_path / "table.csv"
     detections.write(table, Detections(corners.board, corners.views, circles))
     report = calibrate(CalibrateOptions((str(table),), tmp_path / "camera.yaml", model="opencv5", guess=guess))
-    assert any("image circle" in note for note in report.notes) == bool(report.file.cameras["camera"].image_circle)
+    assert any("image circle" in line for line in report.lines) == bool(report.file.cameras["camera"].image_circle)
     return native.read(tmp_path / "camera.yaml").cameras["camera"].valid
 
 

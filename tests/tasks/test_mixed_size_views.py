@@ -69,11 +69,11 @@ def test_images_of_other_sizes_are_named_and_left_out():
         "image 641x480 differs from the majority 640x480: 1 x 0 px off; --mixed-sizes uses it",
         "image 500x400 differs from the majority 640x480",
     ]
-    assert result.notes[0] == (
+    assert result.warnings[0].text == (
         "not used: 1 image of 480x640, turned by 90 degrees (the majority: 640x480): view0006.png; "
         "--mixed-sizes uses such images"
     )
-    assert len(result.notes) == 3
+    assert len(result.warnings) == 3
 
 
 @pytest.mark.parametrize("quarter", [CLOCKWISE, COUNTER_CLOCKWISE])
@@ -90,7 +90,7 @@ def test_images_are_used_as_the_camera_saw_them(quarter):
     for view, truth in zip(result.views, all_seen, strict=True):
         assert view.size == SIZE
         np.testing.assert_allclose(view.pixels, truth.pixels, atol=1e-9)
-    assert result.notes[1] == (
+    assert result.warnings[1].text == (
         "used with --mixed-sizes: 1 image of 320x240, half as large (the majority: 640x480): view0007.png"
     )
     assert [view.size for view in result.in_files(mixed)] == [view.size for view in mixed]
@@ -118,7 +118,8 @@ def test_the_way_is_unclear_where_a_lens_looks_the_same_upside_down():
     all_seen = seen((0.0, 0.0), 0.0)
     result = same_size(mixture(all_seen, stored(all_seen[9], TURNED, CLOCKWISE)), SIZE, BOARD, mixed=True)
     assert "turned either way it fits the others alike: median 0.0" in result.views[9].reason
-    assert result.notes == ("not used: 1 image of 480x640, turned by 90 degrees (the majority: 640x480): view0009.png",)
+    (warning,) = result.warnings
+    assert warning.text == "not used: 1 image of 480x640, turned by 90 degrees (the majority: 640x480): view0009.png"
 
 
 def test_a_turned_image_that_does_not_fit_says_by_how_much():
@@ -147,7 +148,7 @@ def test_a_table_of_mixed_sizes_is_read_in_one_size_if_asked_for(tmp_path):
     detections.write(table, Detections(BOARD, (*all_seen[:9], stored(all_seen[9], (320, 240)))))
     as_it_is = board_views((str(table),), None, False, 1, SILENT)
     assert as_it_is.detections.views[9].size == (320, 240)
-    assert as_it_is.notes[0].startswith("not used: 1 image of 320x240")
+    assert as_it_is.warnings[0].text.startswith("not used: 1 image of 320x240")
     fitting = board_views((str(table),), None, False, 1, SILENT, mixed_sizes=True).detections.views[9]
     assert fitting.size == SIZE
     np.testing.assert_allclose(fitting.pixels, all_seen[9].pixels, atol=1e-9)

@@ -24,7 +24,7 @@ from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import filtered, lenses
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.targets.board import Board, parse_board
-from camcal.tasks.calibration.detect import MIXED, detect_images
+from camcal.tasks.calibration.detect import DEMOSAICED, detect_images
 from camcal.tasks.calibration.options import DetectOptions
 
 SIZE = (480, 360)
@@ -137,7 +137,7 @@ def test_channels_of_demosaiced_images_come_with_a_warning(tmp_path):
     mosaic = frame(aberration_px=1.0, noisy=False)
     path = save_as(tmp_path / "colour.png", demosaic(mosaic.values, "RGGB", "bilinear"))
     report = found(path, colours=True)
-    assert MIXED in report.notes
+    assert DEMOSAICED in report.warnings
     assert set(report.detections.views[0].colours) == {"red", "blue"}
     assert error_px(report.detections.views[0].colours["red"], lens=lenses(LENS, 1.0)["R"]) < 0.2  # moved, not lost
 

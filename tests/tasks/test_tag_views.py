@@ -87,8 +87,9 @@ def test_a_repeated_id_is_noted_with_its_image(tmp_path):
     twice = [(3, facing(-0.05, 0, 0.5)), (3, facing(0.05, 0, 0.5))]
     cv2.imwrite(str(tmp_path / "b.png"), photograph(CAMERA, twice))
     found = views_of([tmp_path])
-    assert found.notes == (f"{tmp_path.as_posix()}/b.png: {next(iter(found.nothing.values()))}",)
-    assert "id 3 is seen 2 times" in found.notes[0]
+    (warning,) = found.warnings
+    assert str(warning) == f"{tmp_path.as_posix()}/b.png: {next(iter(found.nothing.values()))}"
+    assert (warning.code, dict(warning.values)) == ("repeated_tag_id", {"id": 3, "count": 2})
 
 
 def test_an_unreadable_image_fails_and_the_others_do_not(folder, tmp_path):

@@ -264,14 +264,14 @@ def test_another_view_into_the_same_folder_is_warned_of_and_the_same_view_is_not
             "lens.yaml#left", folder / "out", (str(folder / "photos"),), view=ViewOptions(alpha=alpha)
         )
         undistort(options, listener)
-    assert sum("replaces the camera of another view" in warning for warning in listener.warnings) == 1
+    assert sum(warning.code == "replaced_view" for warning in listener.warnings) == 1
 
 
 def test_a_pinhole_that_shrinks_the_middle_is_warned_of(folder):
     listener = Listener()
     view = ViewOptions(fov_deg=170)
     undistort(UndistortOptions("lens.yaml#fish", folder / "out", (str(folder / "photos"),), view=view), listener)
-    assert "shrinks to" in listener.warnings[-1]
+    assert listener.warnings[-1].code == "reduced_scale"
 
 
 def test_a_fisheye_becomes_a_panorama_that_other_commands_can_read(folder):

@@ -159,7 +159,7 @@ def test_of_a_long_video_the_sharpest_frame_of_every_stretch_is_searched(shot):
 
 
 def test_the_line_about_a_video_counts_its_frames(report):
-    [line] = [note for note in report.notes if note.startswith("video.avi")]
+    [line] = [line for line in report.lines if line.startswith("video.avi")]
     assert re.match(
         r"video\.avi: 4 of 14 frames are taken; 14 were searched, 1\d show the board, \d like these, ", line
     )
@@ -217,7 +217,7 @@ def test_the_arrangement_of_a_charuco_board_is_found_out_in_a_video(tmp_path):
     exchanged = parse_board("charuco:5x7:40mm:30mm:DICT_4X4_50")
     report = found(shot.path, board=exchanged, frames=FrameOptions(2, every=4))
     assert (report.detections.board.columns, report.detections.board.rows) == (6, 4)
-    assert "the board has 7x5 squares, not 5x7: taken as it is" in report.notes
+    assert [warning.code for warning in report.warnings] == ["board_size_differs"]
 
 
 def test_a_video_is_no_raw_frame(shot):

@@ -167,16 +167,13 @@ def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
     """Raise GateFailed if the result is not what the options require; the camera file is written all the same."""
     figures = report.uncertainty.figures()
     reached = figures.get("inside_rms_px", figures["rms_px"])
-    failures: list[Message] = []
-    if options.require:
-        failures += [each.at(f"--require {options.require}") for each in report.assessment.failures]
+    if options.require and not report.assessment.trustworthy:
+        raise GateFailed.of(report.assessment.failures, where=f"--require {options.require}")
     most = options.max_uncertainty
     if most is not None and not reached <= most:
         text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
         values = {"uncertainty_px": reached, "limit_px": most}
-        failures.append(Message("projection_uncertainty", text, values, "--max-uncertainty"))
-    if failures:
-        raise GateFailed.of(failures)
+        raise GateFailed.of([Message("projection_uncertainty", text, values, "--max-uncertainty")])
 
 
 def _require_outputs(options: CalibrateOptions) -> None:

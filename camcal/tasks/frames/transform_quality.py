@@ -110,8 +110,8 @@ def _warn(mean: PoseAverage, progress: Progress) -> None:
         2 * mean.degrees_of_freedom
     ):
         text = (
-            f"estimates differ more than their covariances (χ² = {mean.chi_square:.4g}, {mean.degrees_of_freedom} degrees "
-            "of freedom): --equal estimates the covariance from their scatter"
+            f"estimates differ more than their covariances (χ² = {mean.chi_square:.4g}, "
+            f"{mean.degrees_of_freedom} degrees of freedom): --equal estimates the covariance from their scatter"
         )
         values = {"chi_square": mean.chi_square, "degrees_of_freedom": mean.degrees_of_freedom}
         progress.warn(Message("inconsistent_estimates", text, values))

@@ -193,9 +193,9 @@ def named_file(
     if path is None or path.is_file():
         return path
     sidecar = disparity_sidecar.path_beside(disparity_path)
-    told = f"{path.name}, named there, not found"
+    told = f"{path.name} not found"
     if needed_by is not None:
-        raise FileError(f"{told}; required by {needed_by}", where=str(sidecar))
+        raise FileError(f"{told}, and {needed_by} needs it", where=str(sidecar))
     progress.warn(Message("missing_companion", f"{told}; not used", where=str(sidecar)))
     return None
 

@@ -216,7 +216,7 @@ def test_a_filter_told_the_textbooks_measurement_noise_is_wrong_by_orders(rng):
     )
     assert right.consistency.mean_nis == pytest.approx(1, abs=0.25)  # 3 σ over 300 numbers
     assert textbook.consistency.mean_nis > 100
-    assert "raise sigma" in textbook.consistency.advice
+    assert textbook.consistency.warning.code == "overconfident"
     errors = [np.sqrt(np.mean((each.states[:, 0, 0] - truth[:, 0]) ** 2)) for each in (right, textbook)]
     assert errors[1] > 1.5 * errors[0]
 

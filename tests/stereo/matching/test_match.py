@@ -268,15 +268,15 @@ def test_in_images_of_one_gray_level_nothing_is_matched(quality, value):
         found = match(flat, flat, MatchOptions(quality, fill=fill))
         assert np.isnan(found.values).all()
         assert_whole(found, flat.shape)
-    remarks = prepare(flat, flat).remarks
-    assert remarks == ("the images do not tell the range of disparities; taken is 0 to 10",)
+    (warning,) = prepare(flat, flat).warnings
+    assert (warning.code, dict(warning.values)) == ("unknown_range", {"first": 0, "last": 10})
 
 
 def test_images_of_different_things_are_mostly_not_believed():
     left, right = (noisy(np.full((80, 120), 120, np.uint8), 40, seed) for seed in (1, 2))
     found = match(left, right, MatchOptions(BEST))
     assert np.isfinite(found.values).mean() < 0.2
-    assert "do not tell the range" in prepare(left, right).remarks[0]
+    assert prepare(left, right).warnings[0].code == "unknown_range"
 
 
 def test_a_range_outside_the_images_leaves_nothing(quality):

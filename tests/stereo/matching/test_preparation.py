@@ -5,18 +5,18 @@ import pytest
 from textured import noisy, textured_pair, waves
 
 from camcal.stereo.matching.preparation import prepare
-from camcal.stereo.pair.pair_check import FINDINGS, SWAPPED
+from camcal.stereo.pair.pair_check import SWAPPED
 
 
 def test_a_range_all_behind_infinity_is_a_failure_without_alignment():
     left, right = textured_pair(waves(12, 30))
-    assert prepare(right, left, align=False).failures == (FINDINGS[SWAPPED],)
+    assert prepare(right, left, align=False).failures == (SWAPPED,)
     assert prepare(left, right, align=False).failures == ()
 
 
 def test_swapped_images_fail_once():
     left, right = textured_pair(waves(12, 30))
-    assert prepare(right, left).failures == (FINDINGS[SWAPPED],)
+    assert prepare(right, left).failures == (SWAPPED,)
 
 
 @pytest.mark.parametrize("align", [True, False])
@@ -28,14 +28,14 @@ def test_a_negative_range_that_was_asked_for_is_no_swap(align):
 def test_negative_disparities_before_what_the_geometry_puts_infinitely_far_are_no_swap():
     left, right = textured_pair(waves(-30, -12))
     assert prepare(left, right, farthest=-35.0).failures == ()
-    assert prepare(left, right, farthest=-10.0).failures == (FINDINGS[SWAPPED],)
+    assert prepare(left, right, farthest=-10.0).failures == (SWAPPED,)
 
 
 def test_rows_that_are_off_by_more_than_can_be_corrected_are_a_failure():
     left, right = textured_pair(waves(12, 30), 9.0)
     prepared = prepare(left, right)
     assert prepared.rows == 0
-    assert "more than the 5 px that can be put right" in prepared.failures[0]
+    assert "more than the 5 px that can be put right" in prepared.failures[0].text
 
 
 @pytest.mark.parametrize("period", [9, 14, 20, 33])
@@ -46,4 +46,5 @@ def test_periodic_texture_tells_no_range_and_is_no_swap(period, grid):
     left, right = (128 + rows + 50 * np.sin(2 * np.pi * (across - moved) / period) for moved in (40, 0))
     prepared = prepare(noisy(left.astype(np.uint8), 2), noisy(right.astype(np.uint8), 2, seed=3))
     assert prepared.failures == ()
-    assert prepared.remarks == ("periodic texture: the images do not tell the range of disparities; taken is 0 to 107",)
+    (warning,) = prepared.warnings
+    assert warning.text == "disparity range not measurable (periodic texture): 0 to 107 is used; set --range"

@@ -16,23 +16,23 @@ def pair():
 
 def test_a_good_pair_is_nothing_but_a_pair(pair):
     check = check_pair(*pair)
-    assert check.finding is None
+    assert check.failure is None
     assert check.residual.median.value == pytest.approx(0.3, abs=0.02)
     assert check.disparity == (pytest.approx(5, abs=1.5), pytest.approx(30, abs=1.5))  # pixels of a look 256 wide
     assert check.searched[0] <= 5 < 30 <= check.searched[1]
 
 
 def test_swapped_images_are_found_by_their_negative_disparities(pair):
-    assert check_pair(pair[1], pair[0]).finding == SWAPPED
+    assert check_pair(pair[1], pair[0]).failure == SWAPPED
 
 
 def test_squinting_cameras_whose_far_disparities_are_negative_are_not_swapped_ones():
-    assert check_pair(*textured_pair(waves(-20, 8))).finding is None
+    assert check_pair(*textured_pair(waves(-20, 8))).failure is None
 
 
 @pytest.mark.parametrize("change", [lambda image: image, noisy, darker], ids=["itself", "noise", "exposure"])
 def test_one_image_twice_is_found(pair, change):
-    assert check_pair(pair[0], change(pair[0])).finding == IDENTICAL
+    assert check_pair(pair[0], change(pair[0])).failure == IDENTICAL
 
 
 @pytest.mark.parametrize(
