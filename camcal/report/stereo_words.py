@@ -93,7 +93,7 @@ def light(exposure: Exposure) -> str:
 
 def agrees(check: PairCheck) -> bool:
     """Return whether the rows of a pair agree as they are."""
-    return check.finding is None and check.residual.trend.rms <= NEGLIGIBLE
+    return check.failure is None and check.residual.trend.rms <= NEGLIGIBLE
 
 
 def verdict(check: PairCheck) -> str:

@@ -584,7 +584,7 @@ def test_a_focal_length_that_was_given_is_known(good):
 def test_views_that_are_not_used_do_not_count(good):
     left_out = [replace(view, reason="no board found", camera_T_board=None) for view in good.views[:11]]
     found = by_code(replace(good, views=(*left_out, *good.views[11:])))
-    assert found["few_views"].value == 9
+    assert found["few_views"].values["value"] == 9
 
 
 def test_models_that_were_tried_are_not_proposed(good):
@@ -611,7 +611,7 @@ def test_views_that_lost_most_of_their_corners_are_named(good):
 def test_views_rejected_whole_count_among_the_corners_others_that_are_not_used_do_not(good):
     def share(**change):
         unused = [replace(view, camera_T_board=None, kept=0, **change) for view in good.views[:10]]
-        return by_code(replace(rejecting(good, 0.1), views=(*unused, *good.views[10:])))["rejected"].value
+        return by_code(replace(rejecting(good, 0.1), views=(*unused, *good.views[10:])))["rejected"].values["value"]
 
     assert share(reason="does not fit", rejected=True) == pytest.approx(0.1, rel=0.01)
     assert share(reason="no board found") == pytest.approx(0.2, rel=0.01)

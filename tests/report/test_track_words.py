@@ -10,7 +10,7 @@ from camcal.estimate.tracking.track import TrackOptions, track_poses
 from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.report.track_words import lines
+from camcal.report.track_words import lines, warnings
 
 
 @pytest.fixture
@@ -23,18 +23,19 @@ def seen():
 
 def told(truth, poses):
     track = track_poses(truth.stamps, poses, TrackOptions(ProcessNoise(0.02, 0.5)))
-    return "\n".join(lines(TrackedObject(track, poses)))
+    item = TrackedObject(track, poses)
+    return "\n".join(lines(item)), {warning.code: warning for warning in warnings(item)}
 
 
 def test_a_row_of_detections_left_out_is_remarked_on(seen):
     truth, good, bad = seen
-    text = told(truth, [*good[:40], *bad[40:45], *good[45:]])
-    assert "5 left out in a row from 1.33333 s: they fit neither the track nor one another" in text
+    _, found = told(truth, [*good[:40], *bad[40:45], *good[45:]])
+    assert dict(found["successive_rejections"].values) == {"frames": 5, "start_s": 40 / 30}
 
 
 def test_single_outliers_are_not(seen):
     truth, good, bad = seen
-    text = told(truth, [*good[:40], bad[40], *good[41:50], bad[50], *good[51:]])
-    assert "left out 2 (3.3 %)" in text
-    assert "in a row" not in text
+    text, found = told(truth, [*good[:40], bad[40], *good[41:50], bad[50], *good[51:]])
+    assert "rejected 2 (3.3 %)" in text
+    assert found == {}
     assert "consistent: mean NIS" in text

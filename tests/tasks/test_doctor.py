@@ -32,7 +32,7 @@ def versions(monkeypatch):
 
 def test_this_environment_is_complete():
     found = doctor.examine()
-    assert found.problems == ()
+    assert found.failures == ()
     assert {"numpy", "opencv", "rawpy", "rich", "scipy", "typer", "matplotlib"} <= {p.name for p in found.packages}
     assert found.cores >= 1
 
@@ -47,31 +47,31 @@ def test_this_environment_is_complete():
 )
 def test_a_package_that_does_not_fit_is_named_with_the_remedy(versions, changed, problem):
     versions(**changed)
-    assert doctor.examine().problems == (problem,)
+    assert tuple(map(str, doctor.examine().failures)) == (problem,)
 
 
 def test_several_opencv_wheels_are_in_the_way(versions):
     versions(opencv_python="4.10.0.84")
-    [problem] = doctor.examine().problems
+    [problem] = map(str, doctor.examine().failures)
     assert problem.startswith("opencv: opencv-python 4.10.0.84, opencv-contrib-python-headless ")
     assert "overwrite each other" in problem
 
 
 def test_an_opencv_that_is_too_old_is_in_the_way(monkeypatch):
     monkeypatch.setattr(cv2, "__version__", "4.11.0")
-    [problem] = doctor.examine().problems
+    [problem] = map(str, doctor.examine().failures)
     assert problem.startswith("opencv: version 4.11.0 is not >= 4.14")
 
 
 def test_an_opencv_without_its_contributed_modules_is_in_the_way(monkeypatch):
     monkeypatch.delattr(cv2, "ximgproc")
-    [problem] = doctor.examine().problems
+    [problem] = map(str, doctor.examine().failures)
     assert problem.startswith("opencv: has no ximgproc;")
 
 
 def test_an_opencv_that_cannot_be_imported_is_in_the_way(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    [problem] = doctor.examine().problems
+    [problem] = map(str, doctor.examine().failures)
     assert problem.startswith("opencv: cannot be imported")
 
 
@@ -81,7 +81,9 @@ def test_the_command_exits_with_7_and_still_prints_its_document(versions, capsys
         app(["doctor", "--json"])
     output = capsys.readouterr()
     assert exit_.value.code == 7
-    assert json.loads(output.out)["problems"] == ["numpy: version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'"]
+    (failure,) = json.loads(output.out)["failures"]
+    assert (failure["code"], failure["where"]) == ("unusable_package", "numpy")
+    assert failure["text"] == "version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'"
     assert output.err == "camcal: error: numpy: version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'\n"
 
 
@@ -89,4 +91,4 @@ def test_the_command_exits_with_0_when_nothing_is_in_the_way(capsys):
     with pytest.raises(SystemExit) as exit_:
         app(["doctor"])
     assert exit_.value.code == 0
-    assert capsys.readouterr().out.endswith("Nothing is in the way.\n")
+    assert capsys.readouterr().out.endswith("all checks passed\n")
