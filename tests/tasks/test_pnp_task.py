@@ -426,7 +426,9 @@ def test_outliers_are_named_by_their_ids(camera_file, tmp_path, seen):
 def test_gates_name_the_image_and_the_figure(camera_file, tmp_path, seen):
     report = pnp(from_detections(camera_file, tmp_path, seen))
     report.require_good(Gates(max_rms=1.0, max_ambiguity=0.5, min_inliers=54))
-    with pytest.raises(GateFailed, match=r"^view0000\.png: reprojection RMS 0\.1\d+ px \(limit 0\.01 px\)\nview0001\.png: "):
+    with pytest.raises(
+        GateFailed, match=r"^view0000\.png: reprojection RMS 0\.1\d+ px \(limit 0\.01 px\)\nview0001\.png: "
+    ):
         report.require_good(Gates(max_rms=0.01))
     with pytest.raises(GateFailed, match=r"view0000\.png: 54 of 54 points are inliers \(limit 55\)"):
         report.require_good(Gates(min_inliers=55))
