@@ -16,13 +16,13 @@ LISTED = [code for codes in CODES.values() for code in codes]
 
 
 def literal_codes(package: Path) -> Iterator[str]:
-    """Yield the codes that stand in calls of Message."""
+    """Yield the codes in calls of Message, and of the `warn` of a file's values."""
     for path in sorted(package.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Message":
-                first = node.args[0]
-                if isinstance(first, ast.Constant):
-                    yield str(first.value)
+            if not isinstance(node, ast.Call) or not node.args or not isinstance(node.args[0], ast.Constant):
+                continue
+            if getattr(node.func, "id", "") == "Message" or getattr(node.func, "attr", "") == "warn":
+                yield str(node.args[0].value)
 
 
 def test_codes_are_listed_once_and_each_is_used(tmp_path):

@@ -45,6 +45,7 @@ def test_the_document(run, tmp_path, rig):
         ],
         "transforms": ["right_T_left"],
         "left_out": ["noise"],
+        "warnings": [],
     }
 
 

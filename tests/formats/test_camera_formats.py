@@ -287,7 +287,7 @@ def test_a_rotation_that_was_rounded_is_made_one_again_with_a_warning(tmp_path):
         rounded = np.eye(4)
         rounded[:3, :3] = rotation.round(digits)
         found = read(tmp_path, f"{KALIBR}  T_cam_imu: {rounded.tolist()}\n")
-        assert sum("the nearest rotation is used" in warning for warning in found.warnings) == said
+        assert sum(warning.code == "rounded_rotation" for warning in found.warnings) == said
         assert np.abs(found.transforms["cam0_T_imu"].pose.rotation - rotation).max() < 2 * 10.0**-digits
 
 
@@ -327,8 +327,8 @@ BAD = {
 @pytest.mark.parametrize(("text", "said"), BAD.items(), ids=range(len(BAD)))
 def test_what_is_wrong_is_said_in_one_line(tmp_path, text, said):
     if not said:  # no coefficients: a warning
-        (warning,) = (text for text in read(tmp_path, text).warnings if "without distortion" in text)
-        assert warning.startswith(str(tmp_path / "file.yml:3"))
+        (warning,) = (each for each in read(tmp_path, text).warnings if each.code == "assumed_no_distortion")
+        assert warning.where.startswith(str(tmp_path / "file.yml:3"))
         return
     with pytest.raises((InvalidInput, FileError), match=re.escape(said)) as caught:
         read(tmp_path, text)
