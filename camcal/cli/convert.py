@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 def convert(options: ConvertFileOptions, call: Call) -> None:
     """Convert a camera file: camcal's own, OpenCV's FileStorage (YAML, XML, JSON), ROS camera_info, Kalibr's camchain.
 
-    The format of IN is told by its content, that of OUT by its suffix or --to. Lenses and transforms are written
-    exactly or not at all; what else is known and the other format does not hold, such as standard deviations, is named.
+    The format of IN is told by its content, that of OUT by its suffix or --to. Lenses are written exactly or refused,
+    unless --max-error accepts the nearest one. What else is known and the other format does not hold is named.
     """
     from camcal.tasks.convert import convert as run
     from camcal.tasks.convert import document
@@ -24,6 +24,7 @@ def convert(options: ConvertFileOptions, call: Call) -> None:
 
 
 def _show(converted: "ConvertedFile") -> None:
-    left_out = f"; not held there: {', '.join(converted.left_out)}" if converted.left_out else ""
-    show.text(f"{converted.target.title}, exact{left_out}")
+    from camcal.tasks.convert import words
+
+    show.text(words(converted))
     show.wrote(*converted.outputs)

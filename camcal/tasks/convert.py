@@ -1,9 +1,11 @@
-"""`camcal convert`: a camera file of one format to another, exactly or not at all."""
+"""`camcal convert`: a camera file of one format to another."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from camcal.cameras.refit import Refit
 from camcal.formats import cameras, provenance
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given
@@ -18,13 +20,15 @@ from camcal.tasks.options import ConvertFileOptions
 class ConvertedFile:
     """The cameras as they were written, the formats they come from and go to, and the files.
 
-    left_out: in words, what was known of them and the format does not hold; lenses and transforms are all there.
+    refits: the lenses that are not exact, by the names of their cameras. left_out: in words, what was known of the
+    cameras and the format does not hold; lenses and transforms are all there.
     """
 
     file: CameraFile
     source: CameraFormat
     target: CameraFormat
     outputs: tuple[Path, ...]
+    refits: Mapping[str, Refit]
     left_out: tuple[str, ...]
 
 
@@ -36,18 +40,19 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     """
     path, name = split_address(options.source)
     require_no_image(path)
+    file = cameras.read(path, progress, Given(options.given.size, options.given.model), options.second)
     source = cameras.format_of(path)
     target = cameras.format_for(options.output, options.to, source)
-    file = cameras.read(path, progress, Given(options.given.size, options.given.model), options.second)
     if (wanted := options.camera or name) is not None:
         file = _alone(file, wanted, str(path))
-    prepared = cameras.prepared(file, target, str(options.output))
-    if not prepared.provenance and target.name == cameras.OWN:
-        prepared = replace(prepared, provenance=provenance.build(command_line("convert", options), None))
-    outputs = target.outputs(options.output, prepared)
+    prepared = cameras.prepared(file, target, str(options.output), options.max_error_px)
+    file = prepared.file
+    if not file.provenance and target.name == cameras.OWN:
+        file = replace(file, provenance=provenance.build(command_line("convert", options), None))
+    outputs = target.outputs(options.output, file)
     refuse_overwriting(outputs, [each for each in (path, options.second) if each is not None])
-    target.write(options.output, prepared)
-    return ConvertedFile(prepared, source, target, outputs, cameras.left_out(file, target))
+    target.write(options.output, file)
+    return ConvertedFile(file, source, target, outputs, prepared.refits, cameras.left_out(file, target))
 
 
 def _alone(file: CameraFile, name: str, where: str) -> CameraFile:
@@ -63,9 +68,28 @@ def document(converted: ConvertedFile) -> dict[str, Any]:
         "format": converted.target.name,
         "outputs": list(converted.outputs),
         "cameras": [
-            {"name": name, "model": entry.camera.model.name, "image_size": entry.camera.image_size}
+            {
+                "name": name,
+                "model": entry.camera.model.name,
+                "image_size": entry.camera.image_size,
+                "refit": _figures(converted.refits.get(name)),
+            }
             for name, entry in converted.file.cameras.items()
         ],
         "transforms": list(converted.file.transforms),
         "left_out": list(converted.left_out),
     }
+
+
+def _figures(refit: Refit | None) -> dict[str, float] | None:
+    return None if refit is None else {"rms_px": refit.rms_px, "max_px": refit.max_px}
+
+
+def words(converted: ConvertedFile) -> str:
+    """Return in a line the format that was written, how exactly, and what it does not hold."""
+    refits = [
+        f"{name} as the nearest {found.camera.model.name}, off by up to {found.max_px:.2g} px ({found.rms_px:.2g} RMS)"
+        for name, found in converted.refits.items()
+    ]
+    left_out = f"; not held there: {', '.join(converted.left_out)}" if converted.left_out else ""
+    return f"{converted.target.title}: {', '.join(refits) or 'exact'}{left_out}"

@@ -178,7 +178,8 @@ def camera_formats() -> str:
 class ConvertFileOptions(OptionsRecord):
     """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as its suffix says.
 
-    second: the other file of a pair that is written as two. given: what the file does not say.
+    second: the other file of a pair that is written as two. given: what the file does not say. max_error_px: how far
+    off a lens may be that the format does not have, pixels; None: it has to be exact.
     """
 
     source: Annotated[
@@ -198,6 +199,17 @@ class ConvertFileOptions(OptionsRecord):
             metavar="FILE",
             group=INPUT,
             names="--with",
+        ),
+    ] = None
+    max_error_px: Annotated[
+        float | None,
+        Option(
+            "Where the format does not have the lens model: write the nearest one it has, if it is off by no more than "
+            "this anywhere in the image. By default lenses are exact or refused.",
+            metavar="PX",
+            group=OUTPUT,
+            names="--max-error",
+            least=0,
         ),
     ] = None
     given: Annotated[GivenCamera, Without(("camera_matrix", "distortion"))] = field(default_factory=GivenCamera)

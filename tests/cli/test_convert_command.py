@@ -40,8 +40,8 @@ def test_the_document(run, tmp_path, rig):
         "format": "opencv",
         "outputs": [str(tmp_path / "rig.json")],
         "cameras": [
-            {"name": "left", "model": "opencv5", "image_size": [640, 480]},
-            {"name": "right", "model": "opencv5", "image_size": [640, 480]},
+            {"name": "left", "model": "opencv5", "image_size": [640, 480], "refit": None},
+            {"name": "right", "model": "opencv5", "image_size": [640, 480], "refit": None},
         ],
         "transforms": ["right_T_left"],
         "left_out": ["noise"],
@@ -64,7 +64,7 @@ def test_what_is_refused_and_how(run, tmp_path, rig):
     out = tmp_path / "out.yaml"
     rows = [
         ((rig, out), 2, "out.yaml: .yaml is written in several formats: give --to camcal, kalibr, ros, opencv"),
-        ((f"{rig}#left", out, "--to", "kalibr"), 2, "left: opencv5 cannot be written exactly to Kalibr camchain"),
+        ((f"{rig}#left", out, "--to", "kalibr"), 2, "left: Kalibr camchain has no lens model with k3 = 0.01"),
         ((rig, out, "--to", "rso"), 2, "--to rso: no camera format of this name. Did you mean 'ros'?"),
         ((rig, out, "--to", "ros"), 2, "out.yaml: a pair is two files for ROS (left.yaml, right.yaml): give a folder"),
         ((rig, tmp_path / "out.xml", "--to", "ros"), 2, "out.xml: ROS camera_info is written as .yaml or .yml"),

@@ -353,17 +353,33 @@ def test_a_damaged_file_is_read_or_refused(text, edits):
 
 def test_lenses_are_written_exactly_or_not_at_all(tmp_path):
     with pytest.raises(
-        InvalidInput, match=r"opencv14 cannot be written exactly to ROS camera_info.*no s1 = .*tau_y = "
+        InvalidInput, match=r"ROS camera_info has no lens model with s1 = .*tau_y = .*; the nearest opencv8 is"
     ):
         written(tmp_path, one("opencv14"), "ros", ".yaml")
-    with pytest.raises(InvalidInput, match=r"has no k3 = .*; calibrate with --model opencv4"):
+    with pytest.raises(
+        InvalidInput, match=r"with k3 = .*accept it with --max-error .*, or calibrate with --model opencv4"
+    ):
         written(tmp_path, one("opencv5"), "kalibr", ".yaml")
-    with pytest.raises(InvalidInput, match="kannala_brandt5t cannot be written exactly to OpenCV"):
+    with pytest.raises(InvalidInput, match=r"with k5 = .*; the nearest kannala_brandt4 is off by up to"):
         written(tmp_path, one("kannala_brandt5t"), "opencv", ".xml")
     assert list(tmp_path.iterdir()) == []
     without = camera("opencv14").parameters * (np.arange(18) < 8)
     flat = CameraFile({"camera": CameraEntry(replace(camera("opencv14"), parameters=without))})
     assert cameras.read_camera(written(tmp_path, flat, "kalibr", ".yaml")).model.name == "opencv4"
+
+
+def test_a_lens_that_a_format_does_not_have_is_written_within_an_error_that_is_accepted(tmp_path):
+    lens = Camera(MODELS["opencv5"], (640, 480), [536.0, 536.0, 342.0, 236.0, -0.266, -0.0386, 1.8e-3, -2.8e-4, 0.238])
+    file = CameraFile({"camera": CameraEntry(lens)})
+    with pytest.raises(InvalidInput, match=r"is off by up to 3\.72 px .*: accept it with --max-error 3\.8,"):
+        cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], 3.6)
+    cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], 3.8)
+    near = cameras.read_camera(tmp_path / "chain.yaml")
+    rays = lens.unproject(np.array([(0.0, 0.0), (639.0, 0.0), (320.0, 240.0), (639.0, 479.0)]))
+    apart = np.linalg.norm(near.project(rays.directions).pixels - lens.project(rays.directions).pixels, axis=1)
+    assert 1 < apart.max() < 3.8
+    with pytest.raises(InvalidInput, match="cylinder cannot be written to Kalibr camchain, whose lens models are"):
+        cameras.write(tmp_path / "chain.yaml", CameraFile({"view": CameraEntry(camera("cylinder"))}), FORMATS["kalibr"])
 
 
 def test_more_cameras_than_a_format_holds_are_refused(tmp_path):

@@ -4,13 +4,16 @@ A format is a module with its FORMAT, and the line with the name of that module 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
+from math import ceil, floor, isfinite, log10
 from pathlib import Path
 from types import MappingProxyType
 
 from camcal import files
+from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
+from camcal.cameras.refit import Refit, refit
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
@@ -115,37 +118,63 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFo
     raise InvalidInput(f"{path.suffix or 'a folder'} is written in several formats: give --to {names}", where=str(path))
 
 
-def prepared(file: CameraFile, form: CameraFormat, where: str) -> CameraFile:
-    """Return a camera file with its lenses as a format can write them exactly.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A camera file with lenses that a format has; refits: by the names of cameras, those that are not exact."""
 
-    Raises InvalidInput, saying what would be lost and what to do, for more cameras than it holds, or a lens that none
-    of its models is.
+    file: CameraFile
+    refits: Mapping[str, Refit]
+
+
+def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: float | None = None) -> Prepared:
+    """Return a camera file with its lenses as a format can write them: exactly, or the nearest within max_error_px.
+
+    Raises InvalidInput, saying what would be lost and what to do, for more cameras than it holds, and for a lens that
+    none of its models is.
     """
     if form.most_cameras is not None and len(file.cameras) > form.most_cameras:
         names = ", ".join(file.cameras)
         most = f"{form.most_cameras} camera{'s' * (form.most_cameras > 1)}"
         raise InvalidInput(f"{form.title} holds {most}, not {names}: write them one by one, FILE#NAME", where=where)
-    entries = {name: _prepared(entry, name, form, where) for name, entry in file.cameras.items()}
-    return replace(file, cameras=entries)
+    refits: dict[str, Refit] = {}
+    entries: dict[str, CameraEntry] = {}
+    for name, entry in file.cameras.items():
+        camera = expressed(entry.camera, form.models)
+        if camera is None:
+            refits[name] = _nearest(entry.camera, name, form, max_error_px, where)
+            camera = refits[name].camera
+        entries[name] = replace(entry, camera=camera)
+    return Prepared(replace(file, cameras=entries), refits)
 
 
-def _prepared(entry: CameraEntry, name: str, form: CameraFormat, where: str) -> CameraEntry:
-    camera = expressed(entry.camera, form.models)
-    if camera is not None:
-        return replace(entry, camera=camera)
-    lost = lost_coefficients(entry.camera, form.models)
-    what = f"{name}: {entry.camera.model.name} cannot be written exactly to {form.title}"
-    if lost:
-        what += f", which has no {', '.join(f'{key} = {value:.4g}' for key, value in lost.items())}"
-    raise InvalidInput(f"{what}; calibrate with --model {_nearest_model(entry.camera, form)}", where=where)
+def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> Refit:
+    """Return the nearest lens of a format's models; raises InvalidInput if it is off by more than is accepted."""
+    family = [MODELS[model] for model in form.models if type(MODELS[model]) is type(camera.model)]
+    if not family:
+        what = f"{name}: {camera.model.name} cannot be written to {form.title}"
+        raise InvalidInput(f"{what}, whose lens models are {', '.join(form.models)}", where=where)
+    model = max(family, key=lambda each: len(each.parameter_names))
+    found = refit(camera, model)
+    if max_error_px is not None and found.max_px <= max_error_px:
+        return found
+    lost = ", ".join(f"{key} = {value:.4g}" for key, value in lost_coefficients(camera, form.models).items())
+    if not isfinite(found.max_px):
+        off = "does not cover the image"
+        accepted = ""
+    else:
+        off = f"is off by up to {found.max_px:.3g} px ({found.rms_px:.2g} px RMS)"
+        accepted = f"accept it with --max-error {_above(found.max_px)}, or "
+    raise InvalidInput(
+        f"{name}: {form.title} has no lens model with {lost}; the nearest {model.name} {off}: "
+        f"{accepted}calibrate with --model {model.name}",
+        where=where,
+    )
 
 
-def _nearest_model(camera: Camera, form: CameraFormat) -> str:
-    """Return the largest lens model of the camera's family that a format has, or of any."""
-    from camcal.cameras.catalogue import MODELS
-
-    family = [name for name in form.models if type(MODELS[name]) is type(camera.model)]
-    return max(family or form.models, key=lambda name: len(MODELS[name].parameter_names))
+def _above(value: float) -> str:
+    """Return a number of two digits that is not below a value."""
+    scale = 10.0 ** (floor(log10(value)) - 1)
+    return f"{ceil(value / scale) * scale:.2g}"
 
 
 def left_out(file: CameraFile, form: CameraFormat) -> tuple[str, ...]:
@@ -178,14 +207,9 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
             yield name
 
 
-def outputs(path: Path, file: CameraFile, form: CameraFormat) -> tuple[Path, ...]:
-    """Return the files that `write` writes."""
-    return form.outputs(path, file)
-
-
-def write(path: Path, file: CameraFile, form: CameraFormat) -> None:
+def write(path: Path, file: CameraFile, form: CameraFormat, max_error_px: float | None = None) -> None:
     """Write a camera file in a format, every number with all its digits.
 
     Raises InvalidInput as `prepared` does, and for what the format's own `write` says; FileError.
     """
-    form.write(path, prepared(file, form, str(path)))
+    form.write(path, prepared(file, form, str(path), max_error_px).file)
