@@ -92,4 +92,4 @@ def words(converted: ConvertedFile) -> str:
         for name, found in converted.refits.items()
     ]
     left_out = f"; not held there: {', '.join(converted.left_out)}" if converted.left_out else ""
-    return f"{converted.target.title}: {', '.join(refits) or 'exact'}{left_out}"
+    return f"{converted.target.title}, {', '.join(refits) or 'exact'}{left_out}"

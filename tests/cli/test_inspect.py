@@ -198,7 +198,7 @@ def test_every_broken_rule_has_its_line(camcal, tmp_path):
         (b"", 3, "is empty"),
         (b"\x89PNG\r\n\x1a\n", 3, "not a text file"),
         (b"a: [1,", 3, "cut off"),
-        (b"type: chessboard\ninner_corners: [9, 6]\n", 2, "not a camera file of camcal"),
+        (b"type: chessboard\ninner_corners: [9, 6]\n", 2, "not a camera file"),
     ],
 )
 def test_what_is_no_camera_file_gets_one_clear_line(camcal, tmp_path, content, code, words):

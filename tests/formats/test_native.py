@@ -301,7 +301,7 @@ FAULTS = {
     ("model: opencv5", "model: [opencv5]"): "8: cameras.left.model: unknown model a list",
     ("version: 1", "version: 2"): ("4: version: version 2 is newer than this camcal (reads 1); upgrade camcal"),
     ("camcal-calibration", "mrcal"): "3: format: 'mrcal'; a camera file has camcal-calibration",
-    ("format: camcal-calibration\n", ""): ("3: not a camera file of camcal: 'format: camcal-calibration' is missing"),
+    ("format: camcal-calibration\n", ""): ("3: not a camera file: 'format: camcal-calibration' is missing"),
     ("  left:", "  left_T_x:"): "6: cameras.left_T_x: 'left_T_x' is no name",
     (MODEL, MODEL + "    configuration: {knots: [30, 18]}\n"): (
         "9: cameras.left.configuration: model 'opencv5' takes no configuration; leave it out"

@@ -80,16 +80,18 @@ class CameraFormat:
 
 
 def expressed(camera: Camera, models: Sequence[str]) -> Camera | None:
-    """Return the camera in the first of these lens models that it can be written in exactly, None if there is none.
+    """Return the camera in its own lens model, or the first of these that it is exactly, None if there is none.
 
     Within a family of models the same name is the same coefficient, and one that is 0 may as well not be there.
     """
+    if camera.model.name in models:
+        return camera
     values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
     for model in (MODELS[name] for name in models):
         lost = [name for name in values if name not in model.parameter_names and values[name] != 0]
         if type(model) is type(camera.model) and not lost:
             parameters = np.array([values.get(name, 0.0) for name in model.parameter_names])
-            return camera if model == camera.model else Camera(model, camera.image_size, parameters)
+            return Camera(model, camera.image_size, parameters)
     return None
 
 
