@@ -23,8 +23,8 @@ DETECTION_COLUMNS = (Column("image", file=True), Column("corners"), Column("reas
 def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     """Calibrate one camera from images or videos of a board, raw frames, or a detections file.
 
-    The board's bend and stretch are estimated along with the lens, outliers are listed, and every value comes with
-    its standard deviation.
+    The shape of the board is estimated together with the lens, outliers are listed, and every value has a standard
+    deviation.
     """
     from camcal.errors import ItemsFailed
     from camcal.tasks.calibration.calibrate import calibrate as run
@@ -99,10 +99,10 @@ def _list(title: str, lines: list[str], verbose: bool) -> None:
 
 
 def board(options: SheetOptions, call: Call) -> None:
-    """Draw a board to print at true scale, and write its board file beside it.
+    """Draw a calibration board for printing at true scale, and write its board file.
 
-    Print it at 100 % (actual size, no scaling), let nothing but black ink be used, and measure the ruler and some
-    squares on the sheet: what calibration takes for the size of the board is what you measure.
+    Print at 100 % (actual size, no scaling) with black ink only, and measure the ruler and some squares on the sheet:
+    use the measured size of the squares for calibration.
     """
     from camcal.tasks.calibration.board_sheet import board_sheet, document
 
@@ -123,9 +123,9 @@ def _show_sheet(sheet: "BoardSheet") -> None:
 def detect(options: DetectOptions, call: ImageCall) -> None:
     """Find the corners of a board in images, videos or raw frames and write a table (.csv, or .vnl for mrcal).
 
-    Sizes of chessboards count inner corners, sizes of ChArUco boards count squares. Images that show nothing are
-    listed with the reason. Of videos sharp frames are chosen that show the board as differently as possible, and the
-    choice is listed. `camcal calibrate` takes the table in place of the images.
+    Sizes of chessboards count inner corners, sizes of ChArUco boards count squares. Images without a detection are
+    listed with the reason. From videos, sharp frames with different views of the board are selected and listed.
+    `camcal calibrate` accepts the table instead of the images.
     """
     from camcal.errors import ItemsFailed
     from camcal.tasks.calibration.detect import detect_images, document

@@ -36,7 +36,7 @@ class Call:
     command: str
     json: Annotated[bool, Option("Print one JSON document on stdout and nothing else.", group=GENERAL)] = False
     quiet: Annotated[bool, Option("Only warnings and errors.", group=GENERAL, names="--quiet -q")] = False
-    verbose: Annotated[bool, Option("List everything.", group=GENERAL, names="--verbose -v")] = False
+    verbose: Annotated[bool, Option("Show all rows, columns and details.", group=GENERAL, names="--verbose -v")] = False
 
     def prepare(self) -> None:
         """Set what holds for the whole process."""
@@ -61,7 +61,7 @@ class ImageCall(Call):
     max_pixels: Annotated[
         float | None,
         Option(
-            "Images with more million pixels are refused before they are decoded; by default 300.",
+            "Refuse images of more megapixels before decoding; by default 300.",
             metavar="MILLIONS",
             group=GENERAL,
         ),

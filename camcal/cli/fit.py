@@ -25,8 +25,7 @@ ESTIMATE_COLUMNS = (
 def fit(options: FitOptions, call: Call) -> None:
     """Fit a formula, a curve or a shape to data, with standard errors, intervals and a verdict.
 
-    What the data cannot tell is said by name: parameters that cannot be told apart, bounds that hold, searches that
-    did not end in a minimum.
+    Problems are reported by name: unobservable parameters, active bounds, searches that did not converge.
     """
     from camcal.tasks.curves.fit import fit as run
     from camcal.tasks.curves.fit_report import document, require_settled

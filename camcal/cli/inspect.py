@@ -21,11 +21,11 @@ IMAGE_COLUMNS = (
 
 
 def inspect(options: InspectOptions, call: ImageCall) -> None:
-    """Show a camera file (lens with standard deviations, field of view, how good it is) or a raw frame (its exposure).
+    """Show a camera file (lens with standard deviations, field of view, quality) or a raw frame (its exposure).
 
-    Whatever in a camera file breaks a rule is listed with its line; what only looks wrong is warned of. Of a raw
-    frame: pattern, levels, white balance, capture, and how many samples of each channel are clipped; of a file without
-    a header, until --format and --size are given, what it may be by its length.
+    Errors in a camera file are listed with their lines; implausible values give warnings. For a raw frame: pattern,
+    levels, white balance, capture settings, and clipped samples per channel; for a file without a header, the layouts
+    that match its length, until --format and --size are given.
     """
     path, _ = options.address
     if path.suffix.lower() in CAMERA_SUFFIXES or not _is_raw(path):  # what reads raw frames need not be loaded

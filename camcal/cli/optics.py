@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def optics(options: OpticsOptions, call: Call) -> None:
-    """Work out a lens and its sensor: field of view, focus, blur, what a pixel sees, and what a board will give.
+    """Compute field of view, depth of field, blur, pixel footprint, and the expected accuracy with a board.
 
-    Give what is known: a camera file, or a focal length and a sensor; every figure that follows is shown, and what
-    the others still need. --formats lists sensors.
+    Give what is known: a camera file, or a focal length and a sensor. All figures that follow are shown, and which
+    input the others need. --formats lists sensors.
     """
     from camcal.tasks.lenses import optics_document as words
     from camcal.tasks.lenses.optics import optics as run

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def pnp(options: PnpOptions, call: ImageCall) -> None:
-    """Find the pose of an object from known points and their pixels, or of a board or of tags from images of them.
+    """Estimate the pose of an object from 3D-2D correspondences, or of a board or tags from images.
 
-    camera_T_object takes points of the object to the camera (x right, y down, z forward). Every pose comes with its
-    covariance and, where another pose fits nearly as well, with that pose and its probability.
+    camera_T_object transforms points of the object to the camera frame (x right, y down, z forward). Every pose has a
+    covariance and, if a second pose fits nearly as well, that pose with its probability.
     """
     from camcal.errors import ItemsFailed, NotConverged
     from camcal.tasks.poses.pnp import document
@@ -62,10 +62,10 @@ def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
 
 
 def track(options: TrackingOptions, call: ImageCall) -> None:
-    """Follow a board or tags over a video, a folder of images or a pose file: smooth poses with their uncertainty.
+    """Track a board or tags over a video, a folder of images or a pose file: smoothed poses with covariances.
 
-    Detections that do not fit are left out, mirrored poses of flat objects are told apart by the motion, and where the
-    object is lost the track ends and another begins. It says whether the uncertainty is to be trusted.
+    Outliers are rejected, mirrored poses of planar objects are resolved by the motion, and a new track segment begins
+    after the object was lost. A consistency check (NIS) tells whether the covariances are reliable.
     """
     from camcal.errors import ItemsFailed
     from camcal.tasks.poses.track import document
@@ -94,10 +94,10 @@ def _show_tracks(report: "TrackReport", verbose: bool) -> None:
 
 
 def smooth(options: SmoothOptions, call: Call) -> None:
-    """Smooth what was measured over time, and say how well it is known.
+    """Smooth trajectories or time series, with covariances.
 
-    Noise is estimated where it is not given. The result has covariances; what does not fit is listed, and the filter's
-    innovations say whether the covariances can be believed.
+    Noise is estimated unless given. Outliers are listed, and a consistency check of the innovations tells whether the
+    covariances are reliable.
     """
     from camcal.tasks.poses.smooth import document
     from camcal.tasks.poses.smooth import smooth as run

@@ -30,12 +30,12 @@ CLIPPED = 1e-3  # share of a colour's samples that is worth saying
 
 
 def demosaic(options: DemosaicOptions, call: ImageCall) -> None:
-    """Make colour images from raw frames, or the one channel that calibration wants, or repaired mosaics.
+    """Demosaic raw frames to colour images, to one channel for calibration, or to corrected mosaics.
 
-    Black level, bad pixels, flat field, white balance, exposure, demosaicing, colour, tone, depth: in that order, and
-    each neutral unless asked for. With one frame the output may be a file (.tiff, .png, .ppm, .npy, .dng), else it is
-    a folder. A YAML beside every image repeats it with --config. To find corners, take --algorithm green, or gray if
-    the lens has no lateral colour; half makes them three times as uncertain.
+    Steps: black level, bad pixels, flat field, white balance, exposure, demosaicing, colour, tone, depth; each is off
+    unless asked for. For one frame the output may be a file (.tiff, .png, .ppm, .npy, .dng), else it is a folder. A
+    YAML beside every image reproduces it with --config. For corner detection use --algorithm green, or gray if the lens
+    has no lateral chromatic aberration; half triples the corner error.
     """
     if options.make_bad_pixel_map:
         _make_map(options, call)
@@ -104,8 +104,8 @@ def _show_images(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: b
 def sensor(options: SensorOptions, call: ImageCall) -> None:
     """Measure a sensor by photon transfer (EMVA 1288): gain, read noise, full well, dynamic range, nonuniformity.
 
-    Two flat and two dark frames are enough for a first answer; twelve levels from dark to saturated and sixteen dark
-    frames for a good one. Frames are sorted by folder, exposure, and brightness.
+    Two flat and two dark frames are the minimum; use twelve levels from dark to saturated and sixteen dark frames for
+    accurate results. Frames are grouped by folder, exposure and brightness.
     """
     from camcal.tasks.raw.sensor import document
     from camcal.tasks.raw.sensor import sensor as run

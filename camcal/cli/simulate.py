@@ -25,13 +25,12 @@ PAIR_COLUMNS = (
 
 
 def simulate(options: SimulateOptions, call: Call) -> None:
-    """Photograph a board with a known camera: images, and the truth beside them.
+    """Render images of a board with a known camera, with ground truth.
 
     The folder holds images/, truth.yaml (the camera and the board's shape), board.yaml, poses.csv (camera_T_board) and
-    corners.csv (where every corner truly is). The same options and seed give the same bytes. With --raw, flats/ and
-    darks/ hold what `camcal sensor` measures a sensor with, a folder for each exposure. With --stereo there is no
-    board: the folder holds left/, right/, disparity/ and disparity_right/ (exact), visible/ (white: in both images) and
-    rig.yaml.
+    corners.csv (true corner positions). The same options and seed give the same bytes. With --raw, flats/ and darks/
+    hold frames for `camcal sensor`, a folder for each exposure. With --stereo there is no board: the folder holds
+    left/, right/, disparity/ and disparity_right/ (exact), visible/ (white: visible in both images) and rig.yaml.
     """
     if options.stereo:
         _simulate_pairs(options, call)
@@ -95,9 +94,9 @@ def _show_pairs(report: "StereoReport", output: Path, verbose: bool) -> None:
 
 
 def demo(options: DemoOptions, call: Call) -> None:
-    """See the main job without any input: a board is photographed, the camera calibrated, an image undistorted.
+    """Calibrate rendered images, undistort one of them, and compare the estimates with ground truth.
 
-    The photographs are rendered with a known lens and a slightly bent board, so that truth stands beside estimate.
+    The images are rendered with a known lens and a slightly bent board.
     """
     from camcal.tasks.calibration.demo import demo as run
     from camcal.tasks.calibration.demo import document

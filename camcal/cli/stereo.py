@@ -31,10 +31,10 @@ CLOUD_COLUMNS = (Column("cloud", file=True), Column("points"), Column("pixels"))
 
 
 def check(options: StereoCheckOptions, call: ImageCall) -> None:
-    """Say how good a rectified pair is: how far rows are off and where, swapped or repeated images, exposure, range.
+    """Check a rectified pair: row offsets, swapped or identical images, exposure, range of disparities.
 
-    Every number comes with its standard error. Below 0.1 px rows need nothing, up to 0.5 px 'camcal stereo disparity'
-    puts them right, and more is worth a new rectification.
+    Every number has a standard error. Row offsets below 0.1 px need no correction, 'camcal stereo disparity' corrects
+    up to 0.5 px, and for more the pair should be rectified again.
     """
     from camcal.errors import ItemsFailed
     from camcal.tasks.stereo.stereo_check import document, require_good, stereo_check
@@ -79,12 +79,13 @@ def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bo
 
 
 def disparity(options: DisparityOptions, call: ImageCall) -> None:
-    """Match rectified pairs: the disparity of every pixel, its uncertainty and its class.
+    """Compute the disparity map of a rectified pair, with uncertainty and confidence class of every pixel.
 
-    Column in the left image minus column in the right one, in pixels. Beside a map stand its standard deviation, the
-    class of every pixel (1 filled, 2 single, 3 apart, 4 near, 5 agreed) and a JSON file with scale, code of no match
-    and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options. Exit 7 if left and right are swapped,
-    rows differ by more than 5 px, or fewer than 15 % of the pixels are matched; the map is written all the same.
+    Disparity is the column in the left image minus the column in the right image, in pixels. Beside the map are written
+    its standard deviation, the confidence class (1 filled, 2 single, 3 apart, 4 near, 5 agreed) and a JSON sidecar with
+    scale, invalid value and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options. Exit 7 if left
+    and right are swapped, rows differ by more than 5 px, or fewer than 15 % of the pixels are matched; the map is still
+    written.
     """
     from camcal.progress import require_all, warn_of
     from camcal.tasks.stereo.stereo_disparity import document, failures, require_good, stereo_disparity
@@ -117,10 +118,10 @@ def _show_matched(pairs: "Sequence[MatchedPair]", verbose: bool) -> None:
 
 
 def cloud(options: CloudOptions, call: ImageCall) -> None:
-    """Make a point cloud from a disparity map: z = f b / (d + doffs).
+    """Compute a point cloud from a disparity map: z = f b / (d + doffs).
 
-    What is not given is taken from the file that 'camcal stereo disparity' writes beside a map. Pixels without a match
-    (zero, negative, NaN, infinite) never become points. Gray images give a colour and an intensity from 0 to 1.
+    Missing options are taken from the sidecar that 'camcal stereo disparity' writes beside a map. Invalid disparities
+    (zero, negative, NaN, infinite) give no points. Gray images give a colour and an intensity from 0 to 1.
     """
     from camcal.tasks.stereo.cloud import document, stereo_cloud
 
@@ -162,11 +163,11 @@ def _show_cloud(report: "CloudReport") -> None:
 
 
 def evaluate(options: EvalOptions, call: ImageCall) -> None:
-    """Compare a disparity map with the truth: bad pixels, D1, averages, quantiles, depth errors, uncertainty.
+    """Evaluate a disparity map against ground truth: bad pixels, D1, averages, quantiles, depth errors, uncertainty.
 
-    Figures stand in four columns: nocc counts the pixels both cameras see, all every pixel with a truth; a pixel
-    without a disparity is bad there and left out in nocc-valid and all-valid. Without --mask and --right-truth the
-    truth itself, warped to the right image, tells what is occluded.
+    Four columns: nocc counts non-occluded pixels, all every pixel with ground truth; a pixel without a disparity counts
+    as bad there and is ignored in nocc-valid and all-valid. Without --mask and --right-truth, occlusions are computed
+    from the ground truth warped to the right image.
     """
     from camcal.errors import GateFailed, ItemsFailed
     from camcal.tasks.stereo.stereo_eval import document, stereo_eval
@@ -213,10 +214,10 @@ def _counted(path: Path, scale: float) -> str:
 
 
 def view(options: ViewOptions, call: ImageCall) -> None:
-    """Look at a point cloud or a disparity map: a page that turns and measures, a picture, or a video.
+    """View a point cloud or a disparity map: an interactive HTML page, a picture, or a video.
 
-    A page is one file that opens offline in any browser: drag to turn, wheel or pinch to zoom, click two points to
-    measure. Pictures and videos need no screen. A map without a geometry beside it is shown as it is, as a .png.
+    The page is one file that opens offline in any browser: drag to rotate, wheel or pinch to zoom, click two points to
+    measure. Pictures and videos need no display. A map without a sidecar is drawn as a colour picture (.png).
     """
     from camcal.tasks.stereo.view import document
     from camcal.tasks.stereo.view import view as run

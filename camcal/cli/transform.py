@@ -35,10 +35,10 @@ CHECK_COLUMNS = (
 
 
 def chain(options: ChainOptions, call: Call) -> None:
-    """Join two named frames by way of the transforms between them, with the covariance of what comes out.
+    """Chain the transforms between two named frames, with covariance.
 
-    Frames are joined by their names alone. Where transforms form a loop, how far it is from closing is said, and one
-    that does not close is refused.
+    Frames are connected by their names. For loops of transforms the closure error is reported; a loop that does not
+    close is refused.
     """
     from camcal.tasks.frames.transform import chain as run
 
@@ -46,9 +46,9 @@ def chain(options: ChainOptions, call: Call) -> None:
 
 
 def evaluate(options: ExpressionOptions, call: Call) -> None:
-    """Work out a product of named transforms; inner frames must cancel.
+    """Evaluate a product of named transforms; inner frames must cancel.
 
-    A transform that occurs twice is one quantity: what cancels has no uncertainty left.
+    A transform that occurs twice is one random variable: if it cancels, so does its uncertainty.
     """
     from camcal.tasks.frames.transform import evaluate as run
 
@@ -58,7 +58,7 @@ def evaluate(options: ExpressionOptions, call: Call) -> None:
 def compose(options: PosesOptions, call: Call) -> None:
     """Multiply poses in their order: a_T_b, then b_T_c, gives a_T_c.
 
-    Frames that are named must meet; poses without names are taken to fit.
+    Adjacent frame names must match; poses without names match any frame.
     """
     from camcal.tasks.frames.transform import compose as run
 
@@ -97,9 +97,9 @@ def _show_made(made: "TransformResult", output: Output, *, verbose: bool) -> Non
 
 
 def convert(options: ConvertOptions, call: Call) -> None:
-    """Write poses in another form, or along the axes of another program.
+    """Convert poses to another representation or axis convention.
 
-    Unity is left-handed: there the axes of both frames change, or no rotation is left.
+    Unity is left-handed: change the axes of both frames, otherwise the result is no rotation.
     """
     from camcal.tasks.frames.transform_convert import convert as run
     from camcal.tasks.frames.transform_convert import document
@@ -137,9 +137,9 @@ def _show_trajectory(line: str, output: Path) -> None:
 
 
 def average(options: AverageOptions, call: Call) -> None:
-    """Average several estimates of one pose: by their covariances if all have one, alike otherwise.
+    """Average several estimates of one pose, weighted by their covariances if all have one.
 
-    The mean of rotations is Karcher's: the one from which the squared angles add up to the least.
+    The mean of rotations is the Karcher mean, which minimises the sum of squared angles.
     """
     from camcal.tasks.frames.transform_quality import average as run
     from camcal.tasks.frames.transform_quality import average_document
@@ -162,9 +162,9 @@ def _show_average(averaged: "Averaged", output: Output, *, verbose: bool) -> Non
 
 
 def check(options: CheckOptions, call: Call) -> None:
-    """Say whether poses are any: orthonormality, determinant, the length of quaternions. Exit with 7 if one is none.
+    """Check whether poses are valid: orthonormality, determinant, norm of quaternions. Exit with 7 if one is not.
 
-    A determinant of -1 is a reflection, of a flipped axis or a left-handed frame, and is never mended.
+    A determinant of -1 is a reflection (a flipped axis or a left-handed frame) and is never corrected.
     """
     from camcal.tasks.frames.transform_quality import check as run
     from camcal.tasks.frames.transform_quality import check_document, require_good
@@ -188,10 +188,10 @@ def _show_check(checked: "Checked", output: Output, *, verbose: bool) -> None:
 
 
 def points(options: PointsOptions, call: Call) -> None:
-    """Take the points of a file to another frame; normals turn along, and covariances too.
+    """Transform the points of a file to another frame, with normals and covariances.
 
-    In a CSV the uncertainty of the transform is added to that of every point. It is the same for all of them: it does
-    not average out.
+    In a CSV the uncertainty of the transform is added to that of every point. It is common to all points and does not
+    average out.
     """
     from camcal.tasks.frames.transform_points import document, transform_points
 

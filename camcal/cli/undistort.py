@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def undistort(options: UndistortOptions, call: ImageCall) -> None:
-    """Undistort images, videos or points, and write the camera file that fits what comes out.
+    """Undistort images, videos or points, and write the camera file of the result.
 
-    Images keep their type, depth and EXIF orientation; frames of a video become images. camera.yaml beside them is the
-    camera to go on with.
+    Images keep their type, depth and EXIF orientation; frames of a video become images. camera.yaml in the output
+    folder describes the undistorted images.
     """
     if options.points is None:
         _undistort_images(options, call)

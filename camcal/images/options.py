@@ -24,34 +24,38 @@ class ViewOptions(OptionsRecord):
     alpha: Annotated[
         float | None,
         Option(
-            "From 0, crop all black (the default), to 1, keep all pixels of the image.",
+            "0 (default): crop to valid pixels only; 1: keep all pixels of the image; or between.",
             metavar="0…1",
             group=VIEW,
             least=0,
             most=1,
         ),
     ] = None
-    keep_k: Annotated[bool, Option("Keep focal lengths and principal point, whatever that shows.", group=VIEW)] = False
+    keep_k: Annotated[bool, Option("Keep the focal lengths and the principal point of the camera.", group=VIEW)] = False
     size: Annotated[
         tuple[int, int] | None,
-        Option("Size of the new images; by default that of the camera.", metavar="WxH", group=VIEW, type=SIZE),
+        Option("Size of the output images; by default that of the camera.", metavar="WxH", group=VIEW, type=SIZE),
     ] = None
     projection: Annotated[
         str,
         Option(
-            "pinhole; for lenses of 180° and more cylinder, equirectangular, stereographic.", metavar="NAME", group=VIEW
+            "Output projection: pinhole; for 180° and more cylinder, equirectangular or stereographic.",
+            metavar="NAME",
+            group=VIEW,
         ),
     ] = PINHOLE
     fov_deg: Annotated[
         float | None,
         Option(
-            "Field of view across the width; by default what the lens sees.",
+            "Horizontal field of view; by default that of the lens.",
             metavar="DEGREES",
             group=VIEW,
             names="--fov",
         ),
     ] = None
-    stretch: Annotated[bool, Option("Let pixels be oblong where that shows more, as OpenCV does.", group=VIEW)] = False
+    stretch: Annotated[
+        bool, Option("Allow fx and fy to differ where that shows more of the image, as OpenCV does.", group=VIEW)
+    ] = False
 
     def __post_init__(self) -> None:
         from camcal.images.views import require_possible

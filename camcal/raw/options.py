@@ -57,11 +57,13 @@ class GivenLayout(OptionsRecord):
     ] = "little"
     align: Annotated[
         str,
-        Option("Where the bits of unpacked samples stand in 16.", metavar="lsb|msb", group=RAW_FRAMES, choices=ALIGNS),
+        Option(
+            "Alignment of the bits of unpacked samples in 16 bits.", metavar="lsb|msb", group=RAW_FRAMES, choices=ALIGNS
+        ),
     ] = "lsb"
     frame: Annotated[
         int | None,
-        Option("Which frame of a header-less file with several, from 0.", metavar="N", group=RAW_FRAMES),
+        Option("Index of the frame in a header-less file with several, from 0.", metavar="N", group=RAW_FRAMES),
     ] = None
 
     def __post_init__(self) -> None:
@@ -113,7 +115,7 @@ class ImageReadOptions(OptionsRecord):
     pattern: Annotated[
         str | None,
         Option(
-            "Gray images are bare mosaics with these colours in their first 2x2 pixels: RGGB, GRBG, GBRG, BGGR.",
+            "Treat gray images as raw mosaics with this Bayer pattern of the first 2x2 pixels: RGGB, GRBG, GBRG, BGGR.",
             metavar="LETTERS",
             group=RAW_FRAMES,
             choices=(*PATTERNS, MONO),
@@ -122,8 +124,9 @@ class ImageReadOptions(OptionsRecord):
     algorithm: Annotated[
         str,
         Option(
-            "Of raw frames: green, which a lens's lateral chromatic aberration leaves alone, or gray, all samples "
-            "balanced: as good as a monochrome sensor where the lens has no such aberration.",
+            "For raw frames: green (unaffected by lateral chromatic aberration) or gray (all samples,"
+            " white-balanced; equivalent to a monochrome sensor if the lens has no lateral chromatic "
+            "aberration).",
             metavar="NAME",
             group=RAW_FRAMES,
             choices=ALGORITHMS,
@@ -132,8 +135,8 @@ class ImageReadOptions(OptionsRecord):
     colours: Annotated[
         bool,
         Option(
-            "Estimate a lens for red and one for blue too, and with them the lateral chromatic aberration: best "
-            "from raw frames, whose samples no demosaicing has mixed.",
+            "Also calibrate red and blue, which gives the lateral chromatic aberration; best from raw"
+            " frames, since demosaicing mixes the colours.",
             group=LENS,
             names="--channels",
         ),
@@ -185,7 +188,7 @@ class Balance(OptionsRecord):
     normalise: Annotated[
         str,
         Option(
-            "Which of the gains that are found is 1: the smallest, or green's.",
+            "Which estimated gain is normalised to 1: the smallest, or that of green.",
             metavar="min|green",
             group=DEVELOPMENT,
             names="--wb-normalize",
@@ -235,7 +238,7 @@ class Development(OptionsRecord):
     algorithm: Annotated[
         str,
         Option(
-            "auto (ri), ri, malvar, bilinear, ea, vng, half, green, gray, none, or libraw:AHD and its like.",
+            "auto (ri), ri, malvar, bilinear, ea, vng, half, green, gray, none, or LibRaw's, such as libraw:AHD.",
             metavar="NAME",
             group=DEVELOPMENT,
         ),
@@ -255,14 +258,16 @@ class Development(OptionsRecord):
     colour: Annotated[
         str,
         Option(
-            "none, srgb (by what the camera file says), or a file of nine numbers.",
+            "Colour matrix: none, srgb (from the metadata of the raw file), or a file of nine numbers.",
             metavar="MATRIX",
             group=DEVELOPMENT,
         ),
     ] = NO_MATRIX
     tone: Annotated[
         str,
-        Option("linear, power:2.2 (v becomes v^(1/2.2)), srgb or bt709.", metavar="CURVE", group=DEVELOPMENT),
+        Option(
+            "Tone curve: linear, power:2.2 (v becomes v^(1/2.2)), srgb or bt709.", metavar="CURVE", group=DEVELOPMENT
+        ),
     ] = LINEAR
     depth: Annotated[
         str | None,
@@ -276,7 +281,7 @@ class Development(OptionsRecord):
     encoding: Annotated[
         str | None,
         Option(
-            "What the counts are; 8 bits nothing is done to pass for gamma.",
+            "Encoding of the input values; unprocessed 8-bit images are assumed gamma-encoded.",
             metavar="linear|gamma",
             group=DEVELOPMENT,
             choices=ENCODINGS,

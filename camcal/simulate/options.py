@@ -24,24 +24,24 @@ class Sensor(OptionsRecord):
     ] = 0.25
     read_noise_e: Annotated[
         float,
-        Option("Standard deviation of a reading, electrons.", metavar="E", group=RAW_FRAMES, names="--read-noise"),
+        Option("Read noise (standard deviation), electrons.", metavar="E", group=RAW_FRAMES, names="--read-noise"),
     ] = 4.0
     full_well_e: Annotated[
-        float, Option("Electrons a pixel holds.", metavar="E", group=RAW_FRAMES, names="--full-well")
+        float, Option("Full-well capacity, electrons.", metavar="E", group=RAW_FRAMES, names="--full-well")
     ] = 15000.0
-    black_dn: Annotated[float, Option("Counts without light.", metavar="DN", group=RAW_FRAMES, names="--black")] = 64.0
-    bits: Annotated[int, Option("Bits of the sensor.", metavar="N", group=RAW_FRAMES)] = 12
+    black_dn: Annotated[float, Option("Black level, counts.", metavar="DN", group=RAW_FRAMES, names="--black")] = 64.0
+    bits: Annotated[int, Option("Bit depth of the sensor.", metavar="N", group=RAW_FRAMES)] = 12
     dark_current_e_s: Annotated[
         float,
-        Option("Electrons per second without light.", metavar="E/S", group=RAW_FRAMES, names="--dark-current"),
+        Option("Dark current, electrons per second.", metavar="E/S", group=RAW_FRAMES, names="--dark-current"),
     ] = 0.0
     prnu: Annotated[
         float,
-        Option("How much the pixels' responses differ.", metavar="PERCENT", group=RAW_FRAMES, type=PERCENT),
+        Option("Photo response nonuniformity (PRNU).", metavar="PERCENT", group=RAW_FRAMES, type=PERCENT),
     ] = 0.0
     dsnu_e: Annotated[
         float,
-        Option("How much the pixels' dark signals differ.", metavar="E", group=RAW_FRAMES, names="--dsnu"),
+        Option("Dark signal nonuniformity (DSNU).", metavar="E", group=RAW_FRAMES, names="--dsnu"),
     ] = 0.0
 
     def __post_init__(self) -> None:

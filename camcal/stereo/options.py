@@ -45,7 +45,7 @@ class MatchOptions(OptionsRecord):
     quality: Annotated[
         str,
         Option(
-            "best (two matchers), balanced (one, nearly as good), or fast (one pass).",
+            "best (two matchers, fused), balanced (one matcher) or fast (one pass).",
             metavar="NAME",
             choices=QUALITIES,
         ),
@@ -53,7 +53,7 @@ class MatchOptions(OptionsRecord):
     search: Annotated[
         tuple[int, int] | None,
         Option(
-            "Disparities to look through, pixels; auto, the default: what images show.",
+            "Range of disparities to search, pixels; auto (default): estimated from the images.",
             metavar="MIN:MAX",
             names="--range",
             type=ValueType(_read_range, lambda ends: "{}:{}".format(*ends), "auto, or whole numbers as 0:128"),
@@ -62,7 +62,7 @@ class MatchOptions(OptionsRecord):
     fill: Annotated[
         str,
         Option(
-            "none, background (gaps of a row from what lies farther), or all (whole rows too).",
+            "Fill gaps: none, background (from the farther side of a row) or all (whole rows too).",
             metavar="NAME",
             choices=FILLS,
         ),
@@ -70,7 +70,7 @@ class MatchOptions(OptionsRecord):
     align_rows: Annotated[
         bool | None,
         Option(
-            "Put rows right that are measurably off; auto, the default: unless fast.",
+            "Correct row offsets of the right image; auto (default): except with fast.",
             metavar="auto|on|off",
             type=_word(_SWITCHES),
         ),
@@ -78,7 +78,7 @@ class MatchOptions(OptionsRecord):
     expose_alike: Annotated[
         bool,
         Option(
-            "Bring the right image to the left one's exposure.",
+            "Match the exposure of the right image to the left.",
             metavar="auto|off",
             names="--exposure",
             type=_word(_EXPOSURES),

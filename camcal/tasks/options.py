@@ -34,12 +34,12 @@ def output_option(help: str, metavar: str = "PATH", *, required: bool = False) -
     return Option(help, metavar=metavar, group=OUTPUT, names="--output -o", recorded=False, required=required)
 
 
-OUTPUT_OPTION = output_option("Where to write the result.", required=True)
+OUTPUT_OPTION = output_option("Output file.", required=True)
 Output = Annotated[Path, OUTPUT_OPTION]
 Jobs = Annotated[
     int | None,
     Option(
-        "Cores to work on; by default all this process may use.",
+        "Number of parallel jobs; by default all available cores.",
         metavar="N",
         group=GENERAL,
         names="--jobs -j",
@@ -47,7 +47,7 @@ Jobs = Annotated[
         recorded=False,
     ),
 ]
-Recursive = Annotated[bool, Option("Read the folders below a folder too.", group=INPUT, names="--recursive -r")]
+Recursive = Annotated[bool, Option("Read folders recursively.", group=INPUT, names="--recursive -r")]
 BOARD_OPTION = Option(
     "A board file, or a short form such as chessboard:9x6:25mm (inner corners), "
     "charuco:9x7:30mm:22mm:DICT_5X5_100 (squares), aprilgrid:6x6:88mm:0.3 (tags) or circles:10x8:25mm:15mm.",
@@ -60,7 +60,7 @@ BoardText = Annotated[str | None, BOARD_OPTION]
 CameraName = Annotated[
     str | None,
     Option(
-        "Which camera of a file with several; FILE#NAME does the same.",
+        "Camera of a file with several; the same as FILE#NAME.",
         metavar="NAME",
         group=INPUT,
         names="--camera",
@@ -79,7 +79,7 @@ class GivenCamera(OptionsRecord):
 
     camera_matrix: Annotated[
         tuple[float, ...] | None,
-        Option("Intrinsics in place of a camera file, pixels.", metavar="FX,FY,CX,CY", group=INPUT, type=_INTRINSICS),
+        Option("Intrinsics instead of a camera file, pixels.", metavar="FX,FY,CX,CY", group=INPUT, type=_INTRINSICS),
     ] = None
     distortion: Annotated[
         tuple[float, ...] | None,
@@ -103,7 +103,7 @@ class GivenCamera(OptionsRecord):
     model: Annotated[
         str | None,
         Option(
-            "What four coefficients are of, where the file does not say it: fisheye, or opencv4 for k1,k2,p1,p2.",
+            "Lens model of four coefficients, if the file does not state it: fisheye, or opencv4 for k1,k2,p1,p2.",
             metavar="NAME",
             group=INPUT,
         ),
@@ -151,7 +151,9 @@ class InspectOptions(OptionsRecord):
     ]
     get: Annotated[
         str | None,
-        Option("Print one value only, such as cameras.left.intrinsics.fx; lists as JSON.", metavar="KEY", group=OUTPUT),
+        Option(
+            "Print one value only, such as cameras.left.intrinsics.fx (lists as JSON).", metavar="KEY", group=OUTPUT
+        ),
     ] = None
     camera: CameraName = None
     pattern: Pattern = None

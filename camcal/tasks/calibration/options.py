@@ -39,13 +39,15 @@ SHEET = "Sheet"
 
 Parts = Annotated[
     bool,
-    Option("Use parts of a chessboard too where they show which part they are.", group=BOARD, names="--partial"),
+    Option(
+        "Also use partly visible chessboards where the visible part is unambiguous.", group=BOARD, names="--partial"
+    ),
 ]
 MixedSizes = Annotated[
     bool | None,
     Option(
-        "Use images of another size than most too: of half or twice the size, turned by 90 degrees, or a pixel or two "
-        "off.",
+        "Also use images of other sizes: half or twice the size, rotated by 90 degrees, or "
+        "different by a pixel or two.",
         group=INPUT,
         names="--mixed-sizes",
     ),
@@ -59,17 +61,17 @@ class FrameOptions(OptionsRecord):
     most: Annotated[
         int,
         Option(
-            "Frames of videos to take at most: sharp ones that tell most of the lens.",
+            "Maximum number of video frames; sharp frames with the most information about the lens are selected.",
             metavar="N",
             group=INPUT,
             names="--max-frames",
             least=1,
         ),
     ] = MOST_FRAMES
-    every: Annotated[int, Option("Look at every K-th frame of a video only.", metavar="K", group=INPUT, least=1)] = 1
-    whole: Annotated[bool, Option("Take all frames of videos, not chosen ones.", group=INPUT, names="--all-frames")] = (
-        False
-    )
+    every: Annotated[int, Option("Use every K-th frame of a video only.", metavar="K", group=INPUT, least=1)] = 1
+    whole: Annotated[
+        bool, Option("Use all frames of videos instead of a selection.", group=INPUT, names="--all-frames")
+    ] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,7 +93,7 @@ class DetectOptions(OptionsRecord):
     """
 
     inputs: Annotated[
-        tuple[str, ...], Argument("Images, videos, folders and quoted globs.", metavar="IMAGES…", required=True)
+        tuple[str, ...], Argument("Images, videos, folders or quoted globs.", metavar="IMAGES…", required=True)
     ] = ()
     board: Annotated["Board | str | None", BOARD_OPTION] = None
     output: Annotated[Path | None, OUTPUT_OPTION] = None
@@ -102,7 +104,7 @@ class DetectOptions(OptionsRecord):
     draw: Annotated[
         Path | None,
         Option(
-            "Write a picture of every image with its corners, or why there are none.",
+            "Folder for pictures of every image with its corners, or the reason why there are none.",
             metavar="FOLDER",
             group=OUTPUT,
             recorded=False,
@@ -147,7 +149,7 @@ class CalibrateOptions(OptionsRecord):
     fix: Annotated[
         tuple[str, ...],
         Option(
-            "Lens parameters to hold, such as k3 or p1,p2: at 0, or the guess's.",
+            "Lens parameters to fix, such as k3 or p1,p2, at 0 or at the value of the guess.",
             metavar="NAMES",
             group=LENS,
             type=NAMES,
@@ -155,16 +157,16 @@ class CalibrateOptions(OptionsRecord):
     ] = ()
     guess: Annotated[
         str | None,
-        Option("A camera file to start from; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
+        Option("Camera file with the initial guess; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
     ] = None
     flat_board: Annotated[bool, Option("Take the board as drawn; by default its shape is estimated.", group=BOARD)] = (
         False
     )
-    free_corners: Annotated[bool, Option("Estimate an offset of every corner of the board.", group=BOARD)] = True
+    free_corners: Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)] = True
     max_rejected: Annotated[
         float,
         Option(
-            "Refuse the result if more corners than this are off by 4 % of a square.",
+            "Fail if a larger share of corners has residuals above 4 % of a square.",
             metavar="PERCENT",
             group=CHECKS,
             type=PERCENT,
@@ -176,7 +178,7 @@ class CalibrateOptions(OptionsRecord):
     save_detections: Annotated[
         Path | None,
         Option(
-            "Write the corners too, so that a second solve needs no images.",
+            "Also write the detections, so that another calibration needs no images.",
             metavar="FILE",
             group=OUTPUT,
             recorded=False,
@@ -184,7 +186,7 @@ class CalibrateOptions(OptionsRecord):
     ] = None
     image_size: Annotated[
         tuple[int, int] | None,
-        Option("Size of the images of a .vnl file, which does not say.", metavar="WxH", group=INPUT, type=SIZE),
+        Option("Image size for a .vnl file, which does not contain it.", metavar="WxH", group=INPUT, type=SIZE),
     ] = None
     recursive: Recursive = False
     jobs: Jobs = None
@@ -194,15 +196,15 @@ class CalibrateOptions(OptionsRecord):
     refine: Annotated[
         bool | None,
         Option(
-            "Measure the corners once more along the edges that the calibrated lens expects, look for those that "
-            "were missed, and calibrate with them; by default where there are images.",
+            "Refine the corners with the calibrated lens, add missed ones, and calibrate again; by "
+            "default if there are images.",
         ),
     ] = None
     mixed_sizes: MixedSizes = False
     require: Annotated[
         str | None,
         Option(
-            "Exit with 7 if the result is not to be trusted.",
+            "Exit with 7 if the calibration is not trustworthy.",
             metavar=TRUSTWORTHY,
             group=CHECKS,
             choices=(TRUSTWORTHY,),
@@ -212,7 +214,7 @@ class CalibrateOptions(OptionsRecord):
     max_uncertainty: Annotated[
         float | None,
         Option(
-            "Exit with 7 if the projection uncertainty (1 sigma, RMS where corners were seen) is larger.",
+            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) is larger.",
             metavar="PX",
             group=CHECKS,
             recorded=False,
@@ -238,7 +240,7 @@ class SheetOptions(OptionsRecord):
     ]
     output: Annotated[
         Path,
-        output_option("What to draw: .pdf, .svg or .png. FILE.yaml beside it is the board file.", metavar="FILE"),
+        output_option("Output: .pdf, .svg or .png; the board file is written beside it as .yaml.", metavar="FILE"),
     ]
     paper: Annotated[
         str | None,
@@ -251,18 +253,18 @@ class SheetOptions(OptionsRecord):
     ] = None
     landscape: Annotated[
         bool | None,
-        Option("How the paper lies; by default as the board fits.", group=SHEET, names="--landscape/--portrait"),
+        Option("Paper orientation; by default as the board fits.", group=SHEET, names="--landscape/--portrait"),
     ] = None
     margin_mm: Annotated[
         float,
         Option(
-            "Edge of the paper that the printer does not reach; it stays empty.",
+            "Unprintable margin of the paper.",
             metavar="MM",
             group=SHEET,
             names="--margin",
         ),
     ] = 5.0
-    ruler: Annotated[bool, Option("A ruler of 100 mm below the board to check the print with.", group=SHEET)] = True
+    ruler: Annotated[bool, Option("Draw a 100 mm ruler below the board to check the print.", group=SHEET)] = True
     dpi: Annotated[
         float | None,
         Option(
@@ -275,7 +277,7 @@ class SheetOptions(OptionsRecord):
     ] = None
     kalibr: Annotated[
         Path | None,
-        Option("Write the board for Kalibr too, as its target YAML.", metavar="FILE", group=OUTPUT, recorded=False),
+        Option("Also write Kalibr's target YAML.", metavar="FILE", group=OUTPUT, recorded=False),
     ] = None
 
     def __post_init__(self) -> None:
@@ -300,8 +302,8 @@ class DemoOptions(OptionsRecord):
 
     output: Annotated[
         Path,
-        output_option("Where to leave images, results and an explanation.", metavar="DIR"),
+        output_option("Output folder for images, results and a README.", metavar="DIR"),
     ] = Path("camcal-demo")
-    views: Annotated[int, Option("Number of photographs.", metavar="N", group=INPUT)] = 20
-    seed: Annotated[int, Option("Another seed gives other poses and noise.", metavar="N", group=INPUT, least=0)] = 0
+    views: Annotated[int, Option("Number of images.", metavar="N", group=INPUT)] = 20
+    seed: Annotated[int, Option("Random seed of poses and noise.", metavar="N", group=INPUT, least=0)] = 0
     jobs: Jobs = None

@@ -35,44 +35,44 @@ class UndistortOptions(OptionsRecord):
     points: Annotated[
         Path | None,
         Option(
-            "Undistort pixels, not images: columns u, v and any others, which are kept.", metavar="CSV", group=INPUT
+            "Undistort pixel coordinates instead of images: a CSV with columns u, v; other columns are kept.",
+            metavar="CSV",
+            group=INPUT,
         ),
     ] = None
-    distort: Annotated[bool, Option("With --points: from the undistorted image back to the camera's.")] = False
+    distort: Annotated[bool, Option("With --points: map undistorted pixels back to the original image.")] = False
     view: ViewOptions = field(default_factory=ViewOptions)
     interpolation: Annotated[
         str,
         Option(
-            "nearest-truncate (as textbooks print it), nearest (rounded), linear, cubic, lanczos. "
-            "Linear places the image best: cubic and lanczos are off by up to 0.06 and 0.03 px in OpenCV.",
+            "nearest-truncate (floor), nearest (rounded), linear, cubic, lanczos. Linear is "
+            "geometrically the most accurate: OpenCV's cubic and lanczos shift by up to 0.06 and 0.03"
+            " px.",
             metavar="NAME",
         ),
     ] = "linear"
     border: Annotated[
         tuple[float, ...],
-        Option("Pixels without a source: a number, or one for each channel: B,G,R.", metavar="VALUE", type=NUMBERS),
+        Option("Value of pixels without a source: a number, or one per channel: B,G,R.", metavar="VALUE", type=NUMBERS),
     ] = (0.0,)
-    rescale: Annotated[bool, Option("Fit the camera to images that were resized (not cropped).")] = False
+    rescale: Annotated[bool, Option("Rescale the intrinsics to images that were resized (not cropped).")] = False
     align_channels: Annotated[
         bool,
-        Option(
-            "Draw red and blue of colour images through their own lenses, if the camera file has channels "
-            "('camcal calibrate --channels'), so that the colours coincide."
-        ),
+        Option("Correct lateral chromatic aberration if the camera file has channels ('camcal calibrate --channels')."),
     ] = True
     mask: Annotated[
-        bool, Option("Write valid_mask.png too: 255 where a pixel has a source.", group=OUTPUT, recorded=False)
+        bool, Option("Also write valid_mask.png: 255 where a pixel has a source.", group=OUTPUT, recorded=False)
     ] = False
     format: Annotated[
         str | None,
         Option(
-            "jpg, png, tiff or npy; by default as the image (video: jpg).",
+            "Format: jpg, png, tiff or npy; by default as the input (video: jpg).",
             metavar="NAME",
             group=OUTPUT,
             choices=FORMATS,
         ),
     ] = None
-    quality: Annotated[int, Option("Of JPEG.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
+    quality: Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
 

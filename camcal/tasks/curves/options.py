@@ -32,50 +32,52 @@ class FitOptions(OptionsRecord):
             names="--model -m",
         ),
     ]
-    start: Annotated[
-        str | None, Option("Where the search starts; families start by themselves if left out.", metavar="A=V,…")
-    ] = None
+    start: Annotated[str | None, Option("Start values; curve families need none.", metavar="A=V,…")] = None
     y: Annotated[
         str | None,
-        Option("What is predicted: a column (by default y, or the last), or log(y).", metavar="COLUMN", group=INPUT),
+        Option("Dependent variable: a column (by default y, or the last), or log(y).", metavar="COLUMN", group=INPUT),
     ] = None
-    x: Annotated[str | None, Option("Which column is x; for shapes x,y or x,y,z.", metavar="COLUMNS", group=INPUT)] = (
-        None
-    )
+    x: Annotated[
+        str | None, Option("Independent variable: a column; for shapes x,y or x,y,z.", metavar="COLUMNS", group=INPUT)
+    ] = None
     sigma: Annotated[
         str | None,
         Option("Standard deviation of the data; by default from the residuals.", metavar="VALUE|COLUMN", group=INPUT),
     ] = None
-    bounds: Annotated[str | None, Option("Bounds; an end left out is open.", metavar="A=LOW:HIGH,…")] = None
-    fix: Annotated[str | None, Option("Parameters held at their start, or a value.", metavar="A,B=V,…")] = None
+    bounds: Annotated[str | None, Option("Bounds; a side left out is unbounded.", metavar="A=LOW:HIGH,…")] = None
+    fix: Annotated[
+        str | None, Option("Parameters fixed at their start value, or at a given value.", metavar="A,B=V,…")
+    ] = None
     loss: Annotated[
-        str, Option("Against outliers: how they count.", metavar="none|huber|soft_l1|cauchy|tukey", choices=LOSSES)
+        str, Option("Robust loss against outliers.", metavar="none|huber|soft_l1|cauchy|tukey", choices=LOSSES)
     ] = "none"
-    restarts: Annotated[
-        int, Option("So many further starts, some powers of e off.", metavar="N", least=0, most=1000)
-    ] = 0
+    restarts: Annotated[int, Option("Number of additional random starts.", metavar="N", least=0, most=1000)] = 0
     method: Annotated[
         str,
-        Option("Plain Gauss-Newton is for comparison.", metavar="levenberg-marquardt|gauss-newton", choices=METHODS),
+        Option(
+            "Optimiser; plain Gauss-Newton is for comparison.",
+            metavar="levenberg-marquardt|gauss-newton",
+            choices=METHODS,
+        ),
     ] = METHODS[0]
     compare: Annotated[
-        str | None, Option("A second model, compared by AIC, AICc, BIC and F test.", metavar="EXPR|FAMILY")
+        str | None, Option("Second model to compare by AIC, AICc, BIC and F test.", metavar="EXPR|FAMILY")
     ] = None
-    profile: Annotated[bool, Option("Intervals by likelihood too, which may be lopsided.")] = False
+    profile: Annotated[bool, Option("Also compute profile-likelihood intervals, which may be asymmetric.")] = False
     trace: Annotated[
         str | None,
         Option(
-            "Every iteration: cost, damping, gain ratio, step; or a .csv.",
+            "Show every iteration (cost, damping, gain ratio, step), or write it to a .csv.",
             metavar="FILE|table",
             group=OUTPUT,
             recorded=False,
         ),
     ] = None
-    check_jacobian: Annotated[bool, Option("Compare the derivatives with numerical ones.")] = False
+    check_jacobian: Annotated[bool, Option("Check the derivatives against numerical ones.")] = False
     plot: Annotated[
         Path | None,
         Option(
-            "A figure of data, curve and residuals: .png, .svg or .pdf.",
+            "Plot of data, curve and residuals: .png, .svg or .pdf.",
             metavar="PATH",
             group=OUTPUT,
             recorded=False,
@@ -83,7 +85,7 @@ class FitOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Where to write the result: .yaml or .json."),
+        output_option("Output file: .yaml or .json."),
     ] = None
 
     def __post_init__(self) -> None:

@@ -20,8 +20,9 @@ _CSV = ".csv"
 Sources = Annotated[
     tuple[str, ...],
     Argument(
-        "Numbers in quotes, Rz(90deg), a file of numbers, FILE (all transforms of a frames, camera or pose file) "
-        "or FILE#NAME; NAME=… before numbers or a file says what they take where, as base_T_cam=pose.txt.",
+        "Quoted numbers, Rz(90deg), a file of numbers, FILE (all transforms of a frames, camera "
+        "or pose file) or FILE#NAME; prefix numbers or a file with a name, such as "
+        "base_T_cam=pose.txt.",
         metavar="POSE…",
         numbers=True,
     ),
@@ -29,8 +30,9 @@ Sources = Annotated[
 FormName = Annotated[
     str | None,
     Option(
-        "What the numbers given are: matrix, quat:wxyz, quat:xyzw, rvec[:deg], euler:ZYX:deg (capitals intrinsic, "
-        "xyz extrinsic), dual-quat, tum, kitti, colmap, ros; by default as their count says.",
+        "Representation of the numbers: matrix, quat:wxyz, quat:xyzw, rvec[:deg], euler:ZYX:deg "
+        "(capitals intrinsic, xyz extrinsic), dual-quat, tum, kitti, colmap, ros; by default "
+        "inferred from their count.",
         metavar="FORM",
         group=INPUT,
         names="--form",
@@ -47,11 +49,16 @@ class Output(OptionsRecord):
 
     path: Annotated[
         Path | None,
-        output_option("Where to write: .yaml or .json with covariances; .txt."),
+        output_option("Output file: .yaml or .json with covariances; or .txt."),
     ] = None
     form: Annotated[
         str | None,
-        Option("Give bare numbers in this form, one of those of --form.", metavar="FORM", group=OUTPUT, names="--as"),
+        Option(
+            "Print plain numbers in this representation, one of those of --form.",
+            metavar="FORM",
+            group=OUTPUT,
+            names="--as",
+        ),
     ] = None
     trajectory: Annotated[
         bool,
@@ -90,17 +97,17 @@ class ChainOptions(OptionsRecord):
     """
 
     sources: Sources
-    target: Annotated[
-        str, Option("The frame to come to: base of base_T_tag.", metavar="FRAME", group=INPUT, names="--to")
-    ]
-    source: Annotated[
-        str, Option("The frame to come from: tag of base_T_tag.", metavar="FRAME", group=INPUT, names="--from")
-    ]
+    target: Annotated[str, Option("Target frame: base of base_T_tag.", metavar="FRAME", group=INPUT, names="--to")]
+    source: Annotated[str, Option("Source frame: tag of base_T_tag.", metavar="FRAME", group=INPUT, names="--from")]
     loop_mm: Annotated[
         float,
-        Option("How far a loop of transforms without covariances may be from closing.", metavar="MM", least=0),
+        Option(
+            "Largest closure error (translation) of a loop of transforms without covariances.", metavar="MM", least=0
+        ),
     ] = LOOP_MM
-    loop_deg: Annotated[float, Option("How far such a loop may be turned.", metavar="DEGREES", least=0)] = LOOP_DEG
+    loop_deg: Annotated[
+        float, Option("Largest closure error (rotation) of such a loop.", metavar="DEGREES", least=0)
+    ] = LOOP_DEG
     form: FormName = None
     output: PoseOutput = field(default_factory=Output)
 
@@ -111,13 +118,13 @@ class ExpressionOptions(OptionsRecord):
 
     expression: Annotated[
         str,
-        Argument("Such as 'a_T_b * inv(c_T_b)': names, *, inv() and brackets.", metavar="EXPRESSION", numbers=True),
+        Argument(
+            "Expression such as 'a_T_b * inv(c_T_b)': names, *, inv() and brackets.", metavar="EXPRESSION", numbers=True
+        ),
     ]
     sources: Annotated[
         tuple[str, ...],
-        Option(
-            "Where the transforms are; may be given several times.", metavar="POSE", group=INPUT, names="--frames -f"
-        ),
+        Option("File with transforms; repeatable.", metavar="POSE", group=INPUT, names="--frames -f"),
     ]
     form: FormName = None
     output: PoseOutput = field(default_factory=Output)
@@ -143,8 +150,9 @@ class ConvertOptions(OptionsRecord):
     axes: Annotated[
         tuple[str, ...],
         Option(
-            "Let the axes of a frame point elsewhere, as camera=opencv:opengl (frames without names are a and b); "
-            "may be given for each: opencv, colmap, ros_optical, opengl, blender, nerf, unity, ros, enu, ned.",
+            "Change the axis convention of a frame, such as camera=opencv:opengl (unnamed frames are "
+            "a and b); repeatable. Conventions: opencv, colmap, ros_optical, opengl, blender, nerf, "
+            "unity, ros, enu, ned.",
             metavar="FRAME=FROM:TO",
         ),
     ] = ()
@@ -162,10 +170,10 @@ class AverageOptions(OptionsRecord):
     """
 
     sources: Sources
-    robust: Annotated[bool, Option("Let poses far from the others count little.")] = False
-    equal: Annotated[bool, Option("Let all count alike, whatever their covariances.")] = False
+    robust: Annotated[bool, Option("Robust mean: reduce the weight of outliers.")] = False
+    equal: Annotated[bool, Option("Weight all poses equally, ignoring their covariances.")] = False
     trajectory: Annotated[
-        bool, Option("POSE are trajectory files: average all their poses, of what stood still.", group=INPUT)
+        bool, Option("The arguments are trajectory files of a static object: average all their poses.", group=INPUT)
     ] = False
     form: FormName = None
     output: PoseOutput = field(default_factory=Output)
@@ -176,7 +184,9 @@ class CheckOptions(OptionsRecord):
     """Arguments that stand for poses, the form of numbers among them; fix: give the nearest poses, to `output` too."""
 
     sources: Sources
-    fix: Annotated[bool, Option("Give the nearest poses, also to --output; reflections have none.")] = False
+    fix: Annotated[
+        bool, Option("Replace invalid poses by the nearest valid ones, also in --output; reflections have none.")
+    ] = False
     form: FormName = None
     output: PoseOutput = field(default_factory=Output)
 
@@ -212,10 +222,10 @@ class PointsOptions(OptionsRecord):
         ),
     ]
     output: OutputFile
-    inverse: Annotated[bool, Option("The points are in a and go to b.")] = False
+    inverse: Annotated[bool, Option("Apply the inverse: from a to b.")] = False
     form: FormName = None
     unit: Annotated[
-        str, Option("Unit of a CSV's points; clouds say theirs.", metavar="m|mm", group=INPUT, choices=UNITS)
+        str, Option("Unit of the points of a CSV; clouds state theirs.", metavar="m|mm", group=INPUT, choices=UNITS)
     ] = "m"
 
     def __post_init__(self) -> None:

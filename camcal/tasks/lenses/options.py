@@ -48,7 +48,7 @@ class BoardOptions(OptionsRecord):
     tilt: Annotated[
         float,
         Option(
-            "Of the board, about the vertical.",
+            "Tilt of the board about the vertical axis.",
             metavar="DEG",
             group=BOARD,
             type=DEGREES,
@@ -64,19 +64,20 @@ class BoardOptions(OptionsRecord):
     ] = 0.1
     share: Annotated[
         float,
-        Option("Of the image's width or height that the board is to take.", metavar="SHARE", group=BOARD),
+        Option("Share of the image width or height covered by the board.", metavar="SHARE", group=BOARD),
     ] = 0.6
     least_px: Annotated[
         float | None,
         Option(
-            "Smallest square that is found; by default 8, or 2 for a marker's cell.",
+            "Smallest detectable square; by default 8, or 2 for a marker's cell.",
             metavar="PIXELS",
             group=BOARD,
             names="--least-square",
         ),
     ] = None
     views: Annotated[
-        int, Option("Of the board, for the forecast of a calibration.", metavar="N", group=BOARD, least=1)
+        int,
+        Option("Number of views of the board, for the forecast of a calibration.", metavar="N", group=BOARD, least=1),
     ] = 20
 
     def __post_init__(self) -> None:
@@ -103,7 +104,7 @@ class OpticsOptions(OptionsRecord):
 
     camera: Annotated[
         str | None,
-        Argument("Camera file, or FILE#NAME: its rays give field of view and resolution.", metavar="CAMERA"),
+        Argument("Camera file, or FILE#NAME, for field of view and resolution.", metavar="CAMERA"),
     ] = None
     name: CameraName = None
     focal: Annotated[
@@ -123,12 +124,12 @@ class OpticsOptions(OptionsRecord):
         ),
     ] = None
     wavelength: Annotated[
-        float, Option("Of the light, for diffraction.", metavar="NM", group=LENS, type=scaled(1e-9))
+        float, Option("Wavelength, for diffraction.", metavar="NM", group=LENS, type=scaled(1e-9))
     ] = 550e-9
     image_circle: Annotated[
         float | None,
         Option(
-            "Diameter that the lens lights; checked against the sensor.", metavar="MM", group=LENS, type=MILLIMETRES
+            "Image circle diameter of the lens; checked against the sensor.", metavar="MM", group=LENS, type=MILLIMETRES
         ),
     ] = None
     sensor: Annotated[
@@ -138,7 +139,7 @@ class OpticsOptions(OptionsRecord):
     pitch: Annotated[
         float | None,
         Option(
-            "Distance of the pixels, micrometres.",
+            "Pixel pitch, micrometres.",
             metavar="UM",
             group=SENSOR,
             names="--pitch-um --pitch",
@@ -151,16 +152,18 @@ class OpticsOptions(OptionsRecord):
     distances: Annotated[
         tuple[float, ...],
         Option(
-            "Distances to say figures for; by default the focus.",
+            "Distances to evaluate; by default the focus distance.",
             metavar="M,…",
             group=SCENE,
             names="--distance",
             type=NUMBERS,
         ),
     ] = ()
-    speed: Annotated[float | None, Option("Of the object across the view.", metavar="M/S", group=SCENE)] = None
+    speed: Annotated[float | None, Option("Speed of the object across the view.", metavar="M/S", group=SCENE)] = None
     exposure: Annotated[float | None, Option("Exposure time.", metavar="MS", group=SCENE, type=MILLISECONDS)] = None
-    baseline: Annotated[float | None, Option("Distance of the cameras.", metavar="METRES", group=SCENE)] = None
+    baseline: Annotated[float | None, Option("Baseline: distance of the cameras.", metavar="METRES", group=SCENE)] = (
+        None
+    )
     disparity_noise: Annotated[
         float, Option("Standard deviation of a stereo disparity.", metavar="PIXELS", group=SCENE)
     ] = 0.25
@@ -176,12 +179,12 @@ class OpticsOptions(OptionsRecord):
     ] = None
     width: Annotated[
         float | None,
-        Option("What is to fill the width of the image, for --solve.", metavar="METRES", group=METHOD),
+        Option("Width of the object that fills the image, for --solve.", metavar="METRES", group=METHOD),
     ] = None
-    formats: Annotated[bool, Option("List the sensor formats, and nothing else.", group=OUTPUT)] = False
+    formats: Annotated[bool, Option("Only list the sensor formats.", group=OUTPUT)] = False
     plot: Annotated[
         Path | None,
-        Option("Draw the blur over distance (.png, .svg, .pdf).", metavar="FILE", group=OUTPUT, recorded=False),
+        Option("Plot the blur over distance (.png, .svg, .pdf).", metavar="FILE", group=OUTPUT, recorded=False),
     ] = None
 
     def __post_init__(self) -> None:

@@ -69,15 +69,17 @@ class DetectionOptions(OptionsRecord):
     ] = True
     scale: Annotated[
         bool,
-        Option("Fit the camera to images that were resized (not cropped).", group=INPUT, names="--scale-intrinsics"),
+        Option(
+            "Rescale the intrinsics to images that were resized (not cropped).", group=INPUT, names="--scale-intrinsics"
+        ),
     ] = False
     recursive: Recursive = False
     jobs: Jobs = None
     repeated_ids: Annotated[
         str,
         Option(
-            "Tags of one id that an image shows more than once: none of them, or all, as tag_5, tag_5_2, … from "
-            "top to bottom.",
+            "Tags whose id occurs more than once in an image: drop them, or keep them as tag_5, "
+            "tag_5_2, … from top to bottom.",
             metavar="drop|keep",
             group=BOARD,
             choices=REPEATED_IDS,
@@ -90,14 +92,16 @@ class Gates(OptionsRecord):
     """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers."""
 
     max_rms: Annotated[
-        float | None, Option("Exit with 7 if the residuals of a pose have a larger RMS.", metavar="PX", group=CHECKS)
+        float | None, Option("Exit with 7 if the RMS of the residuals of a pose is larger.", metavar="PX", group=CHECKS)
     ] = None
     max_ambiguity: Annotated[
         float | None,
-        Option("Exit with 7 if a pose is wrong with a larger probability; try 0.01.", metavar="P", group=CHECKS),
+        Option(
+            "Exit with 7 if the probability of the alternative pose is larger; try 0.01.", metavar="P", group=CHECKS
+        ),
     ] = None
     min_inliers: Annotated[
-        int | None, Option("Exit with 7 if a pose follows from fewer points.", metavar="N", group=CHECKS, least=1)
+        int | None, Option("Exit with 7 if a pose has fewer inliers.", metavar="N", group=CHECKS, least=1)
     ] = None
 
     def __post_init__(self) -> None:
@@ -130,7 +134,7 @@ class PriorOptions(OptionsRecord):
     path: Annotated[
         Path | None,
         Option(
-            "A pose that is known beforehand: a pose file with one pose, or a matrix as text.",
+            "Prior pose: a pose file with one pose, or a matrix as text.",
             metavar="FILE",
             group=INPUT,
             names="--prior",
@@ -139,7 +143,7 @@ class PriorOptions(OptionsRecord):
     sigma: Annotated[
         tuple[float, float] | None,
         Option(
-            "How well --prior is known; by default as the pose file has it.",
+            "Standard deviation of --prior; by default from the pose file.",
             metavar="METRES,DEGREES",
             group=INPUT,
             names="--prior-sigma",
@@ -201,19 +205,19 @@ class PnpOptions(OptionsRecord):
     rig: Annotated[
         Path | None,
         Option(
-            "Camera file with several cameras and transforms: one pose from what all of them see at an instant.",
+            "Rig: a camera file with several cameras and transforms; one pose per instant from all cameras.",
             metavar="FILE",
             group=INPUT,
         ),
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Where to write the poses: .yaml, .json or .csv."),
+        output_option("Output file of the poses: .yaml, .json or .csv."),
     ] = None
     draw: Annotated[
         Path | None,
         Option(
-            "Pictures of the axes, the projected points and enlarged residuals.",
+            "Folder for pictures of the axes, projected points and enlarged residuals.",
             metavar="FOLDER",
             group=OUTPUT,
             recorded=False,
@@ -223,8 +227,8 @@ class PnpOptions(OptionsRecord):
     pose: Annotated[
         str | None,
         Option(
-            "camera_T_object (the default) or object_T_camera, where the camera stands; of a rig the frame `rig` "
-            "or its first camera in place of `camera`.",
+            "camera_T_object (default) or object_T_camera; for a rig the frame `rig` or its first "
+            "camera replaces `camera`.",
             metavar="NAME",
             group=OUTPUT,
         ),
@@ -232,8 +236,8 @@ class PnpOptions(OptionsRecord):
     outliers: Annotated[
         str,
         Option(
-            "none; few, rejected after a fit to all points; many, told apart by random samples. By default many "
-            "for --points and few for boards and tags.",
+            "none; few (rejected after a fit to all points); many (RANSAC). By default many for "
+            "--points and few for boards and tags.",
             metavar="auto|none|few|many",
             choices=OUTLIERS,
         ),
@@ -241,7 +245,7 @@ class PnpOptions(OptionsRecord):
     threshold_px: Annotated[
         float | None,
         Option(
-            "Largest residual of an inlier; by default all that are more likely right.",
+            "Inlier threshold; by default where a point is equally likely an inlier or an outlier.",
             metavar="PX",
             names="--threshold",
         ),
@@ -249,8 +253,9 @@ class PnpOptions(OptionsRecord):
     noise_px: Annotated[
         float | Literal["auto"] | None,
         Option(
-            "Standard deviation of every pixel coordinate (of weight 1 where points have weights), in place of "
-            "what detection, camera file or --points say of it; auto: from the residuals of all images.",
+            "Standard deviation of a pixel coordinate (of weight 1 if points have weights), instead "
+            "of the values of detection, camera file or --points; auto: from the residuals of all "
+            "images.",
             metavar="PX|auto",
             names="--noise",
             type=or_auto("a number of pixels"),
@@ -259,20 +264,16 @@ class PnpOptions(OptionsRecord):
     noise_scale: Annotated[
         float | Literal["auto"] | None,
         Option(
-            "Factor on the standard deviations that pixels come with. By default 1 for sigma or suu,suv,svv of "
-            "--points, for boards and tags auto: from the residuals of all images.",
+            "Factor on the standard deviations of the pixels. By default 1 for sigma or suu,suv,svv "
+            "of --points; for boards and tags auto: from the residuals of all images.",
             metavar="FACTOR|auto",
             type=or_auto("a factor"),
         ),
     ] = None
     prior: PriorOptions = field(default_factory=PriorOptions)
-    seed: Annotated[int, Option("Of the random samples.", metavar="N", least=0)] = 0
-    all_solutions: Annotated[bool, Option("List every pose that fits, not the likeliest two only.", group=OUTPUT)] = (
-        False
-    )
-    intrinsics: Annotated[bool, Option("Let the covariance of the camera's parameters count in that of the poses.")] = (
-        True
-    )
+    seed: Annotated[int, Option("Random seed of RANSAC.", metavar="N", least=0)] = 0
+    all_solutions: Annotated[bool, Option("List all solutions, not only the two most likely.", group=OUTPUT)] = False
+    intrinsics: Annotated[bool, Option("Include the covariance of the camera parameters in that of the poses.")] = True
     gates: Gates = field(default_factory=Gates)
 
     def __post_init__(self) -> None:

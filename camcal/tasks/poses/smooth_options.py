@@ -69,19 +69,22 @@ class SmoothOptions(OptionsRecord):
     columns: Annotated[
         tuple[str, ...],
         Option(
-            "Columns of a CSV: the time, then what to smooth; by default all.",
+            "Columns of a CSV: time, then the columns to smooth; by default all.",
             metavar="T,X[,Y…]",
             group=INPUT,
             type=NAMES,
         ),
     ] = ()
     model: Annotated[
-        str, Option("Random walk, constant velocity, constant acceleration.", metavar="rw|cv|ca", choices=MODELS)
+        str,
+        Option(
+            "Motion model: random walk, constant velocity or constant acceleration.", metavar="rw|cv|ca", choices=MODELS
+        ),
     ] = "cv"
     form: Annotated[
         str,
         Option(
-            "White noise over time, or the textbooks' one per step.",
+            "Process noise: continuous white noise, or discrete (one value per step).",
             metavar="continuous|discrete",
             names="--process-noise-form",
             choices=NOISE_FORMS,
@@ -90,7 +93,7 @@ class SmoothOptions(OptionsRecord):
     q: Annotated[
         tuple[float, ...] | None,
         Option(
-            "Strength of the process noise, of poses two: 0.02,0.5; auto, the default: the most likely.",
+            "Process noise; two values for poses: 0.02,0.5; auto (default): maximum likelihood.",
             metavar="NUMBER|auto",
             type=ValueType(lambda text: None if text == AUTO else NUMBERS.read(text), NUMBERS.write, NUMBERS.needed),
         ),
@@ -98,23 +101,25 @@ class SmoothOptions(OptionsRecord):
     sigma: Annotated[
         tuple[float, ...] | None,
         Option(
-            "Standard deviation of the measurements, of poses two (m,rad); "
-            "by default what the file has, else estimated.",
+            "Measurement noise (standard deviation); two values for poses (m,rad); by default from "
+            "the file, else estimated.",
             metavar="NUMBER[,…]",
             type=NUMBERS,
         ),
     ] = None
     method: Annotated[
         str,
-        Option("Filter and smoother, or all at once; the result is the same.", metavar="rts|batch", choices=METHODS),
+        Option(
+            "Kalman filter and RTS smoother, or batch; the result is the same.", metavar="rts|batch", choices=METHODS
+        ),
     ] = "rts"
     robust: Annotated[
-        str, Option("Let measurements that do not fit lose weight.", metavar="none|huber", choices=ROBUST)
+        str, Option("Robust smoothing: reduce the weight of outliers.", metavar="none|huber", choices=ROBUST)
     ] = "none"
     controls: Annotated[
         Path | None,
         Option(
-            "A CSV of known displacements: the time, then a column for each.",
+            "Control input: a CSV of known displacements, time and one column per series.",
             metavar="FILE",
             group=INPUT,
             names="--input",
@@ -122,12 +127,12 @@ class SmoothOptions(OptionsRecord):
     ] = None
     resample: Annotated[
         float | None,
-        Option("Write states so far apart, between measurements too.", metavar="SECONDS", group=OUTPUT),
+        Option("Output interval; states are interpolated between measurements.", metavar="SECONDS", group=OUTPUT),
     ] = None
     reference: Annotated[
         Path | None,
         Option(
-            "Compare the poses with these: absolute and relative error.",
+            "Reference trajectory for absolute and relative errors.",
             metavar="FILE",
             group=INPUT,
             names="--evaluate",
@@ -135,27 +140,27 @@ class SmoothOptions(OptionsRecord):
     ] = None
     alignment: Annotated[
         str,
-        Option("What is fitted to the reference before comparing.", metavar="none|se3|sim3|yaw", names="--align"),
+        Option("Alignment to the reference before comparing.", metavar="none|se3|sim3|yaw", names="--align"),
     ] = "se3"
     delta: Annotated[
         tuple[float, str],
         Option(
-            "Relative errors over so many frames, metres or seconds.",
+            "Interval of relative errors: frames, metres or seconds.",
             metavar="NUMBER[m|s]",
             type=ValueType(_read_delta, _write_delta, "a number of frames, or one with m or s behind it"),
         ),
     ] = (1.0, "frames")
     plot: Annotated[
         Path | None,
-        Option("A figure over time: .png, .svg or .pdf.", metavar="FILE", group=OUTPUT, recorded=False),
+        Option("Plot over time: .png, .svg or .pdf.", metavar="FILE", group=OUTPUT, recorded=False),
     ] = None
     frames: Annotated[
-        str | None, Option("What the poses are, where the file does not say.", metavar="A_T_B", group=INPUT)
+        str | None, Option("Direction of the poses, if the file does not state it.", metavar="A_T_B", group=INPUT)
     ] = None
     kind: Annotated[
         str | None,
         Option(
-            "tum, csv, yaml, json, kitti or tf; by default by the suffix.",
+            "Output format: tum, csv, yaml, json, kitti or tf; by default by the suffix.",
             metavar="NAME",
             group=OUTPUT,
             names="--format",

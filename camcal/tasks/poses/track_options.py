@@ -26,7 +26,9 @@ class Timing(OptionsRecord):
     numbers of files and names, one of UNITS.
     """
 
-    fps: Annotated[float | None, Option("Frames per second; a video has its own.", metavar="RATE", group=INPUT)] = None
+    fps: Annotated[
+        float | None, Option("Frames per second; by default from the video.", metavar="RATE", group=INPUT)
+    ] = None
     source: Annotated[
         str | None,
         Option(
@@ -40,7 +42,7 @@ class Timing(OptionsRecord):
     unit: Annotated[
         str,
         Option(
-            "Of times in files and names.",
+            "Unit of times in files and names.",
             metavar="s|ms|us|ns",
             group=INPUT,
             names="--time-unit",
@@ -86,24 +88,30 @@ class TrackingOptions(OptionsRecord):
     detection: Annotated[DetectionOptions, Without(("board_shape", "scale", "repeated_ids"))] = field(
         default_factory=DetectionOptions
     )
-    object: Annotated[str | None, Option("Which object to follow; by default all.", metavar="NAME", group=INPUT)] = None
+    object: Annotated[str | None, Option("Object to track; by default all.", metavar="NAME", group=INPUT)] = None
     tag_id: Annotated[
-        int | None, Option("The same by the id of a tag.", metavar="N", group=INPUT, names="--id", least=0)
+        int | None, Option("Object to track, by tag id.", metavar="N", group=INPUT, names="--id", least=0)
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Where to write: .csv, .yaml or .json with all frames and their state; .tum with poses only."),
+        output_option("Output file: .csv, .yaml or .json with all frames and their state; .tum with poses only."),
     ] = None
     kind: Annotated[
         str | None,
         Option(
-            "tum, kitti or tf (ROS transforms as .yaml): poses only.", metavar="NAME", group=OUTPUT, names="--format"
+            "Output format with poses only: tum, kitti or tf (ROS transforms as .yaml).",
+            metavar="NAME",
+            group=OUTPUT,
+            names="--format",
         ),
     ] = None
     plot: Annotated[
         Path | None,
         Option(
-            "Positions, angles and NIS over time: .png, .svg or .pdf.", metavar="FILE", group=OUTPUT, recorded=False
+            "Plot of positions, angles and NIS over time: .png, .svg or .pdf.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
         ),
     ] = None
     pose: Annotated[
@@ -118,27 +126,31 @@ class TrackingOptions(OptionsRecord):
     process_noise: Annotated[
         tuple[float, float] | None,
         Option(
-            "How strongly the motion accelerates, m²/s³ and rad²/s³; auto, the default, takes what the frames make "
-            "likeliest.",
+            "Process noise (power spectral density of the acceleration), m²/s³ and rad²/s³; auto "
+            "(default): maximum likelihood.",
             metavar="auto|QV,QW",
             type=ValueType(
                 lambda text: None if text == AUTO else _STRENGTHS.read(text), _STRENGTHS.write, _STRENGTHS.needed
             ),
         ),
     ] = None
-    gate: Annotated[float, Option("Of a pose file: detections less likely than 1 - P are left out.", metavar="P")] = (
-        0.999
+    gate: Annotated[
+        float, Option("Gate for a pose file: detections less likely than 1 - P are rejected.", metavar="P")
+    ] = 0.999
+    max_gap: Annotated[float, Option("Longest time without a detection within a track segment.", metavar="SECONDS")] = (
+        1.0
     )
-    max_gap: Annotated[
-        float, Option("A longer time without a detection ends a piece of the track.", metavar="SECONDS")
-    ] = 1.0
-    fill: Annotated[bool, Option("Give poses for frames without a detection, within a piece only.")] = False
-    causal: Annotated[bool, Option("Every pose from the frames up to it alone.")] = False
-    lag: Annotated[int | None, Option("Every pose from the frames up to N later ones.", metavar="N", least=0)] = None
+    fill: Annotated[bool, Option("Interpolate poses of frames without a detection, within a track segment only.")] = (
+        False
+    )
+    causal: Annotated[bool, Option("Filter only: every pose from the frames up to it.")] = False
+    lag: Annotated[
+        int | None, Option("Fixed-lag smoothing: every pose from the frames up to N later.", metavar="N", least=0)
+    ] = None
     noise_px: Annotated[
         float | None,
         Option(
-            "Standard deviation of every pixel coordinate; by default from corner detection and the residuals.",
+            "Standard deviation of a pixel coordinate; by default from corner detection and the residuals.",
             metavar="PX",
             names="--noise",
         ),

@@ -28,7 +28,9 @@ SECONDS = separated("seconds, written as 0.01,0.02")
 
 White = Annotated[
     float | None,
-    Option("Saturation; by default the camera file's, or full scale.", metavar="COUNTS", group=RAW_FRAMES),
+    Option(
+        "White level (saturation); by default from the raw file, or full scale.", metavar="COUNTS", group=RAW_FRAMES
+    ),
 ]
 
 
@@ -45,7 +47,7 @@ class RawInput(OptionsRecord):
     black: Annotated[
         tuple[float, ...] | None,
         Option(
-            "Black level, or four: R,Gr,Gb,B; by default the camera file's, or 0.",
+            "Black level, or four: R,Gr,Gb,B; by default from the raw file, or 0.",
             metavar="COUNTS",
             group=RAW_FRAMES,
             type=NUMBERS,
@@ -68,12 +70,12 @@ class CorrectionFiles(OptionsRecord):
 
     dark: Annotated[
         tuple[str, ...],
-        Option("Dark frames; their mean takes the place of black.", metavar="FRAMES", group=CORRECTIONS),
+        Option("Dark frames; their mean replaces the black level.", metavar="FRAMES", group=CORRECTIONS),
     ] = ()
     bad: Annotated[
         Path | None,
         Option(
-            "Pixels to replace: text (x y per line), a PNG mask, or NPY.",
+            "Bad-pixel map: text (x y per line), a PNG mask, or NPY.",
             metavar="MAP",
             group=CORRECTIONS,
             names="--bad-pixels",
@@ -81,7 +83,7 @@ class CorrectionFiles(OptionsRecord):
     ] = None
     flat: Annotated[
         tuple[str, ...],
-        Option("Frames of even light, to undo fall-off and dust.", metavar="FRAMES", group=CORRECTIONS),
+        Option("Flat-field frames, to correct vignetting and dust.", metavar="FRAMES", group=CORRECTIONS),
     ] = ()
 
 
@@ -113,14 +115,12 @@ class DemosaicOptions(OptionsRecord):
         Option("Type of the files in a folder.", metavar="tiff|png|ppm|npy|dng", group=OUTPUT, choices=TYPES),
     ] = DEFAULT_TYPE
     make_bad_pixel_map: Annotated[
-        bool, Option("IN are dark frames: write the map of their bad pixels.", group=OUTPUT)
+        bool, Option("Treat the inputs as dark frames and write a bad-pixel map.", group=OUTPUT)
     ] = False
     preview_patterns: Annotated[
         bool, Option("Write a thumbnail for each of the four patterns, nothing else.", group=OUTPUT)
     ] = False
-    trust_pattern: Annotated[
-        bool, Option("Do not ask the frames whether green is where the pattern says.", group=CHECKS)
-    ] = False
+    trust_pattern: Annotated[bool, Option("Skip the check of the pattern against the frame.", group=CHECKS)] = False
     recursive: Recursive = False
     jobs: Jobs = None
 
@@ -143,15 +143,15 @@ class SensorOptions(OptionsRecord):
     flats: Annotated[
         tuple[str, ...],
         Argument(
-            "Frames of an evenly lit, unsharp white surface, two or more at each level of light; header-less .raw and "
-            ".bin too.",
+            "Flat frames (an evenly lit, defocused white surface), two or more per exposure level; "
+            "also header-less .raw and .bin.",
             metavar="FLATS…",
         ),
     ]
     darks: Annotated[
         tuple[str, ...],
         Option(
-            "Frames without light, with the lens covered; can be given several times.",
+            "Dark frames, taken with the lens covered; repeatable.",
             metavar="DARKS",
             group=INPUT,
             names="--dark",
@@ -163,8 +163,8 @@ class SensorOptions(OptionsRecord):
     exposures: Annotated[
         tuple[float, ...],
         Option(
-            "Exposure of the flats in seconds, one or one for each FLATS; by default what files say, or folders named "
-            "like 10ms.",
+            "Exposure time of the flat frames in seconds, one or one per FLATS; by default from "
+            "metadata, or from folder names such as 10ms.",
             metavar="S,…",
             group=SENSOR,
             names="--exposure",
@@ -174,27 +174,25 @@ class SensorOptions(OptionsRecord):
     dark_exposures: Annotated[
         tuple[float, ...],
         Option(
-            "Exposure of the dark frames, likewise.",
+            "Exposure time of the dark frames, likewise.",
             metavar="S,…",
             group=SENSOR,
             names="--dark-exposure",
             type=SECONDS,
         ),
     ] = ()
-    iso: Annotated[
-        float | None, Option("ISO speed to look at, where files are of several.", metavar="N", group=SENSOR)
-    ] = None
+    iso: Annotated[float | None, Option("ISO speed to use if the files have several.", metavar="N", group=SENSOR)] = (
+        None
+    )
     white: White = None
     pitch: Annotated[
         float | None,
-        Option(
-            "Distance of the pixels, micrometres.", metavar="UM", group=SENSOR, names="--pitch-um", type=MICROMETRES
-        ),
+        Option("Pixel pitch, micrometres.", metavar="UM", group=SENSOR, names="--pitch-um", type=MICROMETRES),
     ] = None
     sensor_format: Annotated[
         str | None,
         Option(
-            "Optical format of the sensor, such as 1/2.8, 2/3, APS-C: it gives the pixel pitch.",
+            "Optical format of the sensor, such as 1/2.8, 2/3, APS-C; gives the pixel pitch.",
             metavar="NAME",
             group=SENSOR,
         ),

@@ -61,7 +61,7 @@ class BoardShape(OptionsRecord):
     bow: Annotated[
         tuple[float, float],
         Option(
-            "Bend of the board: height of the middle along x and y.",
+            "Bow of the board: height of the middle along x and y.",
             metavar="X Y",
             group=BOARD,
             names="--bow-mm",
@@ -89,9 +89,9 @@ class BoardShape(OptionsRecord):
             type=MILLIMETRES,
         ),
     ] = 0.0
-    stretch: Annotated[
-        float, Option("How much longer than drawn x is printed.", metavar="PERCENT", group=BOARD, type=PERCENT)
-    ] = 0.0
+    stretch: Annotated[float, Option("Stretch of the print along x.", metavar="PERCENT", group=BOARD, type=PERCENT)] = (
+        0.0
+    )
 
     @property
     def formula(self) -> "Shape":
@@ -114,8 +114,8 @@ class RawOptions(OptionsRecord):
     pattern: Annotated[
         str | None,
         Option(
-            "Make 16-bit mosaics of a sensor with this pattern: RGGB, GRBG, GBRG, BGGR, or MONO. The options from "
-            "--gain to --darks are for them alone.",
+            "Render 16-bit raw mosaics with this pattern: RGGB, GRBG, GBRG, BGGR, or MONO. The "
+            "options --gain to --darks apply to them only.",
             metavar="PATTERN",
             group=RAW_FRAMES,
             names="--raw",
@@ -125,21 +125,25 @@ class RawOptions(OptionsRecord):
     light: Annotated[
         tuple[float, float, float],
         Option(
-            "Light on the colours, such as .5,1,.6; by default 1,1,1.", metavar="R,G,B", group=RAW_FRAMES, type=LIGHT
+            "Illumination of the colours R,G,B, such as .5,1,.6; by default 1,1,1.",
+            metavar="R,G,B",
+            group=RAW_FRAMES,
+            type=LIGHT,
         ),
     ] = _EVEN_LIGHT
     aberration_px: Annotated[
         float,
         Option(
-            "Lateral chromatic aberration: red lies this far outside of green at the corner of the image, and blue "
-            "inside.",
+            "Lateral chromatic aberration: shift of red outwards and of blue inwards at the corner of the image.",
             metavar="PX",
             group=RAW_FRAMES,
             names="--aberration",
         ),
     ] = 0.0
-    flats: Annotated[int, Option("Levels of flat frames to add, two frames each.", metavar="N", group=RAW_FRAMES)] = 0
-    darks: Annotated[int, Option("Dark frames to add.", metavar="N", group=RAW_FRAMES)] = 0
+    flats: Annotated[
+        int, Option("Number of exposure levels of flat frames, two frames each.", metavar="N", group=RAW_FRAMES)
+    ] = 0
+    darks: Annotated[int, Option("Number of dark frames.", metavar="N", group=RAW_FRAMES)] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -170,10 +174,10 @@ class PairsOptions(OptionsRecord):
     """
 
     count: Annotated[
-        int, Option("Number of pairs, each of another scene.", metavar="N", group=PAIRS, names="--pairs")
+        int, Option("Number of pairs, each of a different scene.", metavar="N", group=PAIRS, names="--pairs")
     ] = 1
     baseline: Annotated[
-        float | None, Option("Distance of the two cameras; by default 0.1.", metavar="METRES", group=PAIRS)
+        float | None, Option("Baseline: distance of the two cameras; by default 0.1.", metavar="METRES", group=PAIRS)
     ] = None
     disparities: Annotated[
         tuple[float, float] | None,
@@ -192,25 +196,30 @@ class PairsOptions(OptionsRecord):
         float | None, Option("cx of the right camera minus cx of the left; by default 0.", metavar="PX", group=PAIRS)
     ] = None
     objects: Annotated[
-        int | None, Option("Boxes, balls, rods and so on; by default 14.", metavar="N", group=PAIRS, least=0)
+        int | None,
+        Option("Number of objects (boxes, balls, rods, …); by default 14.", metavar="N", group=PAIRS, least=0),
     ] = None
     gray: Annotated[bool, Option("Gray images; by default in colour.", group=PAIRS)] = False
     right_gain: Annotated[
-        float | None, Option("Exposure of the right image; by default 1.", metavar="FACTOR", group=PAIRS)
+        float | None, Option("Gain of the right image; by default 1.", metavar="FACTOR", group=PAIRS)
     ] = None
     right_offset: Annotated[
         float | None,
-        Option("Added to the right image, 1/255 of full scale; by default 0.", metavar="DN", group=PAIRS),
+        Option("Offset added to the right image, 1/255 of full scale; by default 0.", metavar="DN", group=PAIRS),
     ] = None
     right_gamma: Annotated[
-        float | None, Option("Power taken of the right image first; by default 1.", metavar="POWER", group=PAIRS)
+        float | None,
+        Option("Gamma applied to the right image before the gain; by default 1.", metavar="POWER", group=PAIRS),
     ] = None
     row_shift: Annotated[
-        float | None, Option("How much too low the right image lies; by default 0.", metavar="PX", group=PAIRS)
+        float | None,
+        Option("Vertical offset of the right image (positive: down); by default 0.", metavar="PX", group=PAIRS),
     ] = None
     row_tilt: Annotated[
         float | None,
-        Option("How much lower it lies at its right border than at its left; by default 0.", metavar="PX", group=PAIRS),
+        Option(
+            "Difference of the vertical offset between right and left border; by default 0.", metavar="PX", group=PAIRS
+        ),
     ] = None
 
 
@@ -259,20 +268,16 @@ class SimulateOptions(OptionsRecord):
     ] = None
     shape: BoardShape = AS_DRAWN
     views: Annotated[int, Option("Number of images.", metavar="N", group=SCENE)] = 20
-    partial: Annotated[bool, Option("Let the border of the image cut the board in every other view.", group=SCENE)] = (
-        False
-    )
+    partial: Annotated[bool, Option("Cut the board by the image border in every other view.", group=SCENE)] = False
     gradient: Annotated[
         float,
-        Option("How much the light changes from side to side.", metavar="PERCENT", group=SCENE, type=PERCENT),
+        Option("Illumination gradient across the image.", metavar="PERCENT", group=SCENE, type=PERCENT),
     ] = 0.2
     vignetting: Annotated[
         float,
-        Option("How much darker the corners of the image are.", metavar="PERCENT", group=SCENE, type=PERCENT),
+        Option("Vignetting: darkening of the image corners.", metavar="PERCENT", group=SCENE, type=PERCENT),
     ] = 0.1
-    seed: Annotated[
-        int, Option("Another seed gives other poses, scenes and noise.", metavar="N", group=SCENE, least=0)
-    ] = 0
+    seed: Annotated[int, Option("Random seed of poses, scenes and noise.", metavar="N", group=SCENE, least=0)] = 0
     blur: Annotated[
         float | None,
         Option("Standard deviation of the lens blur; by default 0.7, of pairs 0.4.", metavar="PX", group=IMAGE),
@@ -287,15 +292,15 @@ class SimulateOptions(OptionsRecord):
     ] = None
     gamma: Annotated[
         float | None,
-        Option("Images hold brightness to the power 1/gamma; by default 1.", metavar="GAMMA", group=IMAGE),
+        Option("Encode images as brightness to the power 1/gamma; by default 1.", metavar="GAMMA", group=IMAGE),
     ] = None
     depth: Annotated[int | None, Option("Bits per pixel; by default 8.", metavar="8|16", group=IMAGE)] = None
     raw: RawOptions = NOT_RAW
     stereo: Annotated[
         bool,
         Option(
-            "Make rectified pairs of a generated scene, no board. Of them are --pairs to --row-tilt, and --size, "
-            "--fov, --blur, --noise, --depth, --seed too.",
+            "Render rectified stereo pairs of a generated scene instead of a board. Options: --pairs "
+            "to --row-tilt, --size, --fov, --blur, --noise, --depth, --seed.",
             group=PAIRS,
         ),
     ] = False

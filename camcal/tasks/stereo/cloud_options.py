@@ -21,22 +21,24 @@ class PointOptions(OptionsRecord):
     none. voxel: side, metres.
     """
 
-    min_depth: Annotated[float, Option("Leave out what is nearer.", metavar="METRES", group=FILTERS)] = 0.0
-    max_depth: Annotated[float, Option("Leave out what is farther.", metavar="METRES", group=FILTERS)] = float("inf")
+    min_depth: Annotated[float, Option("Minimum depth.", metavar="METRES", group=FILTERS)] = 0.0
+    max_depth: Annotated[float, Option("Maximum depth.", metavar="METRES", group=FILTERS)] = float("inf")
     crop: Annotated[
         tuple[float, ...] | None,
         Option(
-            "Keep what is within xmin,xmax,ymin,ymax,zmin,zmax: metres, in the frame.",
+            "Bounding box xmin,xmax,ymin,ymax,zmin,zmax: metres, in the output frame.",
             metavar="BOX",
             group=FILTERS,
             type=NUMBERS,
         ),
     ] = None
-    mask: Annotated[Path | None, Option("Keep pixels where it is not zero.", metavar="IMAGE", group=FILTERS)] = None
+    mask: Annotated[
+        Path | None, Option("Mask image: keep pixels where it is not zero.", metavar="IMAGE", group=FILTERS)
+    ] = None
     max_sigma: Annotated[
         float | None,
         Option(
-            "Leave out depths whose standard deviation is a larger part of them.",
+            "Largest relative standard deviation of the depth.",
             metavar="PERCENT",
             group=FILTERS,
             type=PERCENT,
@@ -45,26 +47,27 @@ class PointOptions(OptionsRecord):
     min_confidence: Annotated[
         str | None,
         Option(
-            "Leave out less sure pixels: filled, single, apart, near, agreed; or 1 to 5.",
+            "Lowest confidence class: filled, single, apart, near, agreed; or 1 to 5.",
             metavar="CLASS",
             group=FILTERS,
         ),
     ] = None
-    stride: Annotated[int, Option("Every N-th pixel of every N-th row.", metavar="N", group=FILTERS)] = 1
+    stride: Annotated[int, Option("Subsample: every N-th pixel of every N-th row.", metavar="N", group=FILTERS)] = 1
     outliers: Annotated[
         str,
         Option(
-            "organised (fewer than 6 of 24 neighbours within 1 px), radius:METRES (fewer than 6 points), or none.",
+            "Remove isolated points: organised (fewer than 6 of 24 adjacent pixels within 1 px), "
+            "radius:METRES (fewer than 6 points), or none.",
             metavar="METHOD",
             group=FILTERS,
         ),
     ] = "organised"
     voxel: Annotated[
         float | None,
-        Option("One point, the mean, for every cube of this side.", metavar="METRES", group=FILTERS),
+        Option("Voxel grid filter: one mean point per cube of this side.", metavar="METRES", group=FILTERS),
     ] = None
     max_points: Annotated[
-        int | None, Option("At most so many points, drawn at random.", metavar="N", group=FILTERS)
+        int | None, Option("Maximum number of points (random sample).", metavar="N", group=FILTERS)
     ] = None
     sigma_disparity: Annotated[
         float | None,
@@ -92,12 +95,16 @@ class VertexOptions(OptionsRecord):
     unit: Annotated[str, Option("Unit of the coordinates.", metavar="m|mm", group=POINTS)] = "m"
     pose: Annotated[
         Path | None,
-        Option("world_T_camera, 4 x 4 numbers or a TUM line: gives points in the world.", metavar="FILE", group=POINTS),
+        Option(
+            "world_T_camera (4 x 4 numbers or a TUM line), to write points in the world frame.",
+            metavar="FILE",
+            group=POINTS,
+        ),
     ] = None
-    normals: Annotated[bool, Option("Write the normals of surfaces.", group=POINTS)] = False
+    normals: Annotated[bool, Option("Write surface normals.", group=POINTS)] = False
     sigma: Annotated[bool, Option("Write the standard deviation of the depth.", group=POINTS)] = False
     organised: Annotated[
-        bool, Option("Write a place for every pixel, NaN where there is no point (.pcd).", group=OUTPUT)
+        bool, Option("Write an organised cloud with one point per pixel, NaN where there is none (.pcd).", group=OUTPUT)
     ] = False
     ascii_text: Annotated[bool, Option("Write PLY or PCD as text.", group=OUTPUT, names="--ascii")] = False
 
@@ -122,7 +129,7 @@ class CloudOptions(OptionsRecord):
     scale: Annotated[
         float | None,
         Option(
-            "Counts per pixel of disparity; by default the sidecar's, or 256 for 16-bit (signed: 16), else 1.",
+            "Counts per pixel of disparity; by default from the sidecar, or 256 for 16-bit (signed: 16), else 1.",
             metavar="COUNTS",
             group=INPUT,
         ),

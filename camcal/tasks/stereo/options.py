@@ -46,7 +46,9 @@ class GeometryOptions(OptionsRecord):
     fy: Annotated[float | None, Option("Focal length along y; by default fx.", metavar="PIXELS", group=CAMERA)] = None
     cx: Annotated[float | None, Option("Principal point of the left image, x.", metavar="PIXELS", group=CAMERA)] = None
     cy: Annotated[float | None, Option("Principal point, y.", metavar="PIXELS", group=CAMERA)] = None
-    baseline: Annotated[float | None, Option("Distance of the cameras.", metavar="METRES", group=CAMERA)] = None
+    baseline: Annotated[float | None, Option("Baseline: distance of the cameras.", metavar="METRES", group=CAMERA)] = (
+        None
+    )
     doffs: Annotated[
         float | None,
         Option("cx of the right image minus cx of the left; by default 0.", metavar="PIXELS", group=CAMERA),
@@ -92,7 +94,7 @@ class StereoCheckOptions(OptionsRecord):
     max_rms: Annotated[
         float | None,
         Option(
-            "Exit with 7 if rows are off by more (RMS), or the pair is swapped or one image twice; try 0.5.",
+            "Exit with 7 if the row offsets (RMS) are larger, or if the images are swapped or identical; try 0.5.",
             metavar="PIXELS",
             group=CHECKS,
         ),
@@ -126,9 +128,9 @@ class DisparityOptions(OptionsRecord):
     camera_file: PairCamera = None
     geometry: GeometryOptions = field(default_factory=GeometryOptions)
     matching: MatchOptions = field(default_factory=MatchOptions)
-    engine: Annotated[str, Option("onnx: by the network given with --model.", metavar="own|onnx", choices=ENGINES)] = (
-        OWN
-    )
+    engine: Annotated[
+        str, Option("Matcher: own, or onnx with the network given by --model.", metavar="own|onnx", choices=ENGINES)
+    ] = OWN
     model: Annotated[Path | None, Option("Stereo network of your own, ONNX.", metavar="FILE")] = None
     type: Annotated[
         str,
@@ -139,14 +141,14 @@ class DisparityOptions(OptionsRecord):
             choices=MAP_TYPES,
         ),
     ] = "tiff"
-    picture: Annotated[bool, Option("Draw each map, with a legend, as MAP.vis.png.", group=OUTPUT, names="--vis")] = (
-        False
-    )
-    map_only: Annotated[bool, Option("Write no .sigma.tiff and no .confidence.png beside the map.", group=OUTPUT)] = (
+    picture: Annotated[
+        bool, Option("Write a colour picture of each map with a legend, MAP.vis.png.", group=OUTPUT, names="--vis")
+    ] = False
+    map_only: Annotated[bool, Option("Do not write .sigma.tiff and .confidence.png beside the map.", group=OUTPUT)] = (
         False
     )
     force: Annotated[
-        bool, Option("Exit with 0 although a pair is swapped, not rectified, or hardly matched.", group=CHECKS)
+        bool, Option("Exit with 0 even if a pair is swapped, not rectified, or hardly matched.", group=CHECKS)
     ] = False
     recursive: Recursive = False
     jobs: Jobs = None
@@ -170,22 +172,22 @@ class TruthPair(OptionsRecord):
     """
 
     disparity: Annotated[Path, Argument("Disparity map of the left image, or a folder of maps.", metavar="DISPARITY")]
-    truth: Annotated[Path, Argument("The true disparity, or a folder in the same natural order.", metavar="TRUTH")]
+    truth: Annotated[Path, Argument("Ground-truth disparity, or a folder in the same natural order.", metavar="TRUTH")]
     mask: Annotated[
         Path | None,
-        Option("What both cameras see: where 8 bits are 255, or 16 bits not 0.", metavar="FILE", group=INPUT),
+        Option("Mask of non-occluded pixels: 8 bits of 255, or 16 bits not 0.", metavar="FILE", group=INPUT),
     ] = None
     right_truth: Annotated[
         Path | None,
-        Option("True disparity of the right image: tells what is occluded.", metavar="FILE", group=INPUT),
+        Option("Ground-truth disparity of the right image, to determine occlusions.", metavar="FILE", group=INPUT),
     ] = None
     sigma: Annotated[
         Path | None,
-        Option("Uncertainty of every pixel; by default the sidecar's.", metavar="FILE", group=INPUT),
+        Option("Standard deviation of every pixel; by default from the sidecar.", metavar="FILE", group=INPUT),
     ] = None
     confidence: Annotated[
         Path | None,
-        Option("Confidence class of every pixel; by default the sidecar's.", metavar="FILE", group=INPUT),
+        Option("Confidence class of every pixel; by default from the sidecar.", metavar="FILE", group=INPUT),
     ] = None
 
     @property
@@ -218,19 +220,19 @@ class EvalOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Where to write the error picture; for folders a folder."),
+        output_option("Error picture; for folders a folder."),
     ] = None
     scale: Annotated[
         float | None,
         Option(
-            "Counts of the map per pixel; by default its sidecar's, or 256 for 16-bit (signed: 16), else 1.",
+            "Counts of the map per pixel; by default from its sidecar, or 256 for 16-bit (signed: 16), else 1.",
             metavar="COUNTS",
             group=INPUT,
         ),
     ] = None
     truth_scale: Annotated[
         float | None,
-        Option("The same of the truth, such as 4 for Middlebury 2003.", metavar="COUNTS", group=INPUT),
+        Option("Counts of the ground truth per pixel, such as 4 for Middlebury 2003.", metavar="COUNTS", group=INPUT),
     ] = None
     geometry: Annotated[GeometryOptions, Without(("fy", "cx", "cy", *_MATRIX))] = field(default_factory=GeometryOptions)
     gates: Annotated[
@@ -265,7 +267,7 @@ class ViewOptions(OptionsRecord):
     ]
     image: Annotated[
         Path | None,
-        Argument("Left image for the colours of a map; by default the sidecar's.", metavar="IMAGE"),
+        Argument("Left image for the colours of a map; by default from the sidecar.", metavar="IMAGE"),
     ] = None
     output: Annotated[
         Path | None,
@@ -274,20 +276,20 @@ class ViewOptions(OptionsRecord):
     frame: Annotated[
         str | None,
         Option(
-            "Where the axes of a cloud point: optical, camera, ros, opengl, enu, or words such as "
-            "'x forward, y left, z up'; by default what its file says.",
+            "Axis convention of a cloud: optical, camera, ros, opengl, enu, or such as 'x forward, y "
+            "left, z up'; by default from its file.",
             metavar="NAME|WORDS",
             group=INPUT,
         ),
     ] = None
     colour: Annotated[
         str | None,
-        Option("image, depth, sigma or gray; by default image, or depth where there is none.", metavar="NAME"),
+        Option("Colour by image, depth, sigma or gray; by default image, or depth if there is none.", metavar="NAME"),
     ] = None
     view: Annotated[
         str,
         Option(
-            "camera, front, top, side, or AZ,EL[,DIST]: degrees to the right and up, and the distance.",
+            "Viewpoint: camera, front, top, side, or AZ,EL[,DIST] (degrees to the right and up, distance).",
             metavar="VIEW",
         ),
     ] = "camera"
@@ -296,11 +298,11 @@ class ViewOptions(OptionsRecord):
         tuple[int, int] | None,
         Option("Pixels of a picture or video; by default 1280 or 640 wide, as high as fits.", metavar="WxH", type=SIZE),
     ] = None
-    point_size: Annotated[float, Option("Size of the points; 1 closes the surfaces.", metavar="FACTOR")] = 1.0
+    point_size: Annotated[float, Option("Size of the points; 1 fills the gaps of surfaces.", metavar="FACTOR")] = 1.0
     max_points: Annotated[
         int | None,
         Option(
-            "Most points shown, taken evenly; by default 400000 in a page, 1000000 in a video, else 4000000.",
+            "Maximum number of points shown; by default 400000 in a page, 1000000 in a video, else 4000000.",
             metavar="N",
             least=1,
         ),
@@ -308,11 +310,12 @@ class ViewOptions(OptionsRecord):
     turn: Annotated[
         float | None,
         Option(
-            "Angle of a video: 360 once round, less to and fro; by default 50 before what a camera saw, else 360.",
+            "Camera orbit of a video: 360 for a full turn, less for a swing; by default 50 for a "
+            "cloud seen from one camera, else 360.",
             metavar="DEGREES",
         ),
     ] = None
-    frames: Annotated[int, Option("Frames of a video, 20 a second.", metavar="N", least=2)] = 60
+    frames: Annotated[int, Option("Number of frames of a video, 20 per second.", metavar="N", least=2)] = 60
     rerun: Annotated[
         bool,
         Option("Open the Rerun viewer, or with -o write for it; needs camcal[view].", group=OUTPUT),
