@@ -7,6 +7,7 @@ claim is not tested here.
 import json
 import re
 import shlex
+import shutil
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -284,8 +285,8 @@ def python_examples() -> list[tuple[str, str]]:
         for name, block in python_examples()
     ],
 )
-def test_every_python_example_runs(example, workplace, monkeypatch, capsys):
-    monkeypatch.chdir(workplace)
+def test_every_python_example_runs(example, workplace, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(shutil.copytree(workplace, tmp_path / "work"))  # an example may write over a file of another's
     with pytest.raises(AttributeError):
         exec(example.replace("camcal.", "camcal.un"), {})  # a wrong name would be noticed
     exec(example, {})

@@ -16,8 +16,8 @@ _NAMED = 5  # images in a sentence
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it does
-    not fit the other views. symmetry: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
+    """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it
+    does not fit the others. symmetry: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
     rms_px is over the kept corners, per point. sha256: of the file, where it was read.
     """
 
@@ -96,7 +96,7 @@ def _misfit_words(median_px: float, limit_px: float) -> str:
         if np.isfinite(median_px)
         else "beyond the lens model's domain"
     )
-    return f"does not fit the other views: {how} (limit {px_words(limit_px)})"
+    return f"rejected: {how} (limit {px_words(limit_px)})"
 
 
 def rejected_corners(

@@ -119,7 +119,7 @@ def _show_sensor(report: "SensorReport", options: SensorOptions, verbose: bool) 
 
     found = report.sensor
     width, height = found.size
-    show.text(f"{len(report.flats)} levels of light, {len(report.darks)} of darkness, {width}x{height}")
+    show.text(f"{len(report.flats)} illumination levels, {len(report.darks)} dark levels, {width}x{height}")
     show.table("sensor", FIGURE_COLUMNS, rows(found.figures))
     show.text(f"the counts end at the {found.saturation}" if found.saturation != "not reached" else "not saturated")
     if report.pitch is not None:

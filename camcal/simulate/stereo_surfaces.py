@@ -1,4 +1,4 @@
-"""What a world for two eyes is made of: flat facets and balls, where a ray meets them, and what is painted there."""
+"""Surfaces of stereo scenes: planar facets and balls, their intersections with rays, and their textures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

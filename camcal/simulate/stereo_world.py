@@ -1,6 +1,6 @@
-"""Worlds for two eyes: a back wall and a ramp, and before them slanted planes, discs, rods, boxes and balls.
+"""Scenes for stereo pairs: a back wall and a ramp, and in front of them slanted planes, discs, rods, boxes and balls.
 
-They are painted to be matched: rich in scale, with edges, weak patches, and some that repeat.
+Their textures have many scales, edges, weak areas, and some are periodic.
 """
 
 from collections.abc import Callable

@@ -37,7 +37,7 @@ def test_a_view_that_does_not_fit_says_by_how_much():
     calibration = calibrate(seen, scene.board, Options(model_named("opencv5"), shape=FLAT))
     view = calibration.views[4]
     assert (view.used, view.rejected, view.kept) == (False, True, 0)
-    words = r"does not fit the other views: median reprojection error ([\d.]+) px \(limit ([\d.]+) px\)"
+    words = r"rejected: median reprojection error ([\d.]+) px \(limit ([\d.]+) px\)"
     median, limit = map(float, re.fullmatch(words, view.reason).groups())
     assert median > 20  # corners of a board of hundreds of pixels in another order
     assert limit == pytest.approx(0.1 * 17.96 * RAYLEIGH, rel=0.1)

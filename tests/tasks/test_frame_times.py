@@ -81,7 +81,7 @@ def test_a_stream_of_pictures_has_none(video_path, tmp_path):
     bare = tmp_path / "video.mjpeg"
     bare.write_bytes(video_path.read_bytes())
     assert video.stamps(bare) is None
-    with pytest.raises(InvalidInput, match="tells no times of its frames; give its --fps"):
+    with pytest.raises(InvalidInput, match="No timestamps in the video; set --fps"):
         times(Timing(), [frame_name(bare, 0)], [bare])
 
 

@@ -159,9 +159,9 @@ class CalibrateOptions(OptionsRecord):
         str | None,
         Option("Camera file with the initial guess; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
     ] = None
-    flat_board: Annotated[bool, Option("Take the board as drawn; by default its shape is estimated.", group=BOARD)] = (
-        False
-    )
+    flat_board: Annotated[
+        bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
+    ] = False
     free_corners: Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)] = True
     max_rejected: Annotated[
         float,

@@ -45,7 +45,7 @@ _FOCUS: _Shown = {
 _DIFFRACTION: _Shown = {
     "airy_diameter": ("airy_diameter_um", "Airy disc", 1e6, "um"),
     "airy_px": ("airy_px", "Airy disc", 1.0, "px"),
-    "contrast": ("contrast", "contrast left at the finest detail", 1.0, ""),
+    "contrast": ("contrast", "diffraction MTF at Nyquist", 1.0, ""),
     "sharp_f_number": ("sharp_f_number", "f-number with an Airy disc of 2 px", 1.0, ""),
 }
 _EXPOSURE: _Shown = {

@@ -67,7 +67,7 @@ def _told(frames: Sequence[str], videos: Sequence[Path], timing: Timing, progres
 
 def _nothing_tells(videos: Sequence[Path]) -> InvalidInput:
     if videos:
-        return InvalidInput("tells no times of its frames; give its --fps", where=str(videos[0]))
+        return InvalidInput("No timestamps in the video; set --fps", where=str(videos[0]))
     return InvalidInput("when were the frames taken? Give --fps, or --timestamps with a file, name or exif")
 
 

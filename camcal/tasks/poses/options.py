@@ -65,7 +65,7 @@ class DetectionOptions(OptionsRecord):
         ),
     ] = None
     board_shape: Annotated[
-        bool, Option("Take a board in the shape that the camera file has of it, not as drawn.", group=BOARD)
+        bool, Option("Use the board shape of the camera file instead of a planar board as designed.", group=BOARD)
     ] = True
     scale: Annotated[
         bool,
