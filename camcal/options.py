@@ -92,6 +92,7 @@ SIZE = ValueType(parse_size, lambda size: "{}x{}".format(*size), "a size, writte
 NAMES = ValueType(
     lambda text: tuple(name for part in text.split(",") if (name := part.strip())), ",".join, "names, with commas"
 )
+_UNITS = {"MM": "millimetres", "METRES": "metres", "UM": "micrometres", "MS": "milliseconds", "DEG": "degrees"}
 _BY_TYPE = {str: TEXT, Path: PATH, int: INTEGER, float: NUMBER}
 
 
@@ -220,7 +221,9 @@ class Declared:
         try:
             return self.type.read(text)
         except ValueError:
-            raise self.invalid(f"{text!r} is not {self.type.needed}") from None
+            unit = _UNITS.get(self.option.metavar)
+            hint = f"; give {unit}, without the unit" if unit and self.type.needed == "a number" else ""
+            raise self.invalid(f"{text!r} is not {self.type.needed}{hint}") from None
         except InvalidInput as error:
             raise self.invalid(error.message) from error
 

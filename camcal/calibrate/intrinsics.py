@@ -29,6 +29,7 @@ from camcal.calibrate.refusals import (
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
+from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
@@ -194,7 +195,10 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
     names, guess = options.model.parameter_names, options.guess
     unknown = [name for name in options.fixed if name not in names]
     if unknown:
-        raise InvalidInput(f"--fix: {options.model.name} has no parameter {unknown[0]!r}; it has {', '.join(names)}")
+        others = [name for name, model in MODELS.items() if set(options.fixed) <= set(model.parameter_names)]
+        hint = f"; models that have it: {', '.join(others)} (--model)" if others else ""
+        missing = f"{options.model.name} has no parameter {unknown[0]!r}"
+        raise InvalidInput(f"--fix: {missing}; it has {', '.join(names)}{hint}")
     if guess is not None and guess.image_size != size:
         wrong, right = "x".join(map(str, guess.image_size)), "x".join(map(str, size))
         raise InvalidInput(f"--guess: the camera is for {wrong} images, these are {right}")

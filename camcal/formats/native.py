@@ -42,7 +42,8 @@ from camcal.progress import SILENT, Progress, warn_of
 
 FORMAT = "camcal-calibration"
 VERSION = 1
-COMMENT = "camcal camera file. Units: pixels, metres, radians. Pixel (0, 0) = centre of the top-left pixel.\n"
+COMMENT = "camcal camera file. Units: pixels, {}, radians. Pixel (0, 0) = centre of the top-left pixel.\n"
+_LENGTHS = {"m": "metres", "squares": "squares of the board"}
 TRANSFORMS = "a_T_b takes points in b to points in a."
 FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*\Z")
@@ -106,7 +107,8 @@ def write(path: str | Path, file: CameraFile | Camera, *, exact: bool = False) -
     path = Path(path)
     if isinstance(file, Camera):
         file = CameraFile({"camera": CameraEntry(file, valid=ValidRegion.of(file))})
-    comment = COMMENT + TRANSFORMS if file.transforms else COMMENT
+    unit = "m" if file.board_shape is None else file.board_shape.board.unit
+    comment = COMMENT.format(_LENGTHS[unit]) + (TRANSFORMS if file.transforms else "")
     content = emit.document(block(file, path), comment, emit.exact_text if exact else None)
     documents.parse(content, str(path), check)
     files.write_text(path, content)

@@ -31,7 +31,7 @@ from camcal.formats.schema import integer, items, mapping, number, one_of, text
 from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_integer, parse_number
-from camcal.targets.board_types import METRES
+from camcal.targets.board_types import METRES, without_unit
 from camcal.targets.markers.families import Family, family_named
 from camcal.targets.markers.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
 
@@ -82,7 +82,7 @@ def parse_tags(text: str) -> TagObjects:
         raise InvalidInput(f"tags {text!r}: expected {SHORT}, or a YAML file")
     length = _LENGTH.match(parts[1])
     if not length:
-        raise InvalidInput(f"tags {text!r}: {parts[1]!r} is not a length with its unit; write 53mm, 5.3cm or 0.053m")
+        raise InvalidInput(f"tags {text!r}: {without_unit(parts[1])}")
     if len(parts) == 3 and not _IDS.match(parts[2]):
         raise InvalidInput(f"tags {text!r}: {parts[2]!r} is not a list of ids; write 0,1,5")
     ids = tuple(map(parse_integer, parts[2].split(","))) if len(parts) == 3 else None

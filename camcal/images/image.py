@@ -1,5 +1,6 @@
 """The record of one image: its pixels, and what its file said about them; memory for pixels, used again and again."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,38 @@ RAW_SUFFIXES = frozenset({
     ".srw", ".x3f",
 })
 # fmt: on
+_FOREIGN = {  # kinds of images that are not read: by their suffixes
+    "HEIF": (".heic", ".heif", ".hif"),
+    "AVIF": (".avif",),
+    "JPEG XL": (".jxl",),
+    "Photoshop": (".psd", ".psb"),
+    "GIMP": (".xcf",),
+    "SVG": (".svg",),
+}
+_FOREIGN_STARTS = {
+    b"ftypheic": ".heic", b"ftypheix": ".heic", b"ftypmif1": ".heic", b"ftypavif": ".avif", b"8BPS": ".psd",
+    b"<svg": ".svg", b"gimp xcf": ".xcf",
+}  # fmt: skip
+
+
+def conversion_advice(suffixes: Iterable[str]) -> str:
+    """Return what to do about images of kinds that are not read, by their suffixes; empty where there is none such."""
+    lower = {suffix.lower() for suffix in suffixes}
+    kinds = [kind for kind, known in _FOREIGN.items() if lower & set(known)]
+    if not kinds:
+        return ""
+    suffix = next(suffix for suffix in _FOREIGN[kinds[0]] if suffix in lower)
+    own = f"'heif-convert photo{suffix} photo.png' or " if kinds[0] == "HEIF" else ""
+    how = f"{own}'magick mogrify -format png *{suffix}'"
+    return f"{' and '.join(kinds)} images are not read: convert them to PNG or JPEG first, such as with {how}"
+
+
+def foreign_suffix(content: bytes) -> str:
+    """Return the suffix of a kind of images that is not read, by the beginning of a file; empty for others."""
+    starts = (content[:8], content[4:12])
+    return next(
+        (suffix for start, suffix in _FOREIGN_STARTS.items() if any(each.startswith(start) for each in starts)), ""
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from camcal.errors import FileError, InvalidInput, translated
 from camcal.files import read_bytes
 from camcal.images import exif, limits
 from camcal.images.exif import JPEG, PNG, read_jpeg, read_png_exif
-from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image, Scratch
+from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image, Scratch, conversion_advice, foreign_suffix
 from camcal.images.npy import read_npy
 
 _FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
@@ -160,7 +160,8 @@ def _decode(path: Path, content: bytes) -> Array:
 
 
 def _unreadable(path: Path, content: bytes) -> FileError:
-    return FileError(_damaged(content), where=str(path))
+    advice = conversion_advice([foreign_suffix(content)])
+    return FileError(advice or _damaged(content), where=str(path))
 
 
 def _damaged(content: bytes) -> str:

@@ -26,6 +26,7 @@ from camcal.raw.options import (
     MONO,
     NO_BALANCE,
     NO_MATRIX,
+    SRGB,
     Balance,
     Development,
     Gains,
@@ -201,8 +202,6 @@ def _finished(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:
 def _light(pixels: Array) -> Array:
     return pixels if pixels.dtype == np.float32 else pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
 
-
-SRGB = "srgb"
 
 # IEC 61966-2-1, table 1: linear sRGB to CIE XYZ, white D65.
 XYZ_M_SRGB = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])

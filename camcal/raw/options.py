@@ -22,6 +22,7 @@ AUTO = "auto"
 NO_BALANCE, CAMERA, GRAY_WORLD, PATCH = "none", "camera", "gray-world", "patch:"
 NORMALISATIONS = ("min", "green")
 NO_MATRIX = "none"
+SRGB = "srgb"
 LINEAR = "linear"
 DEPTHS = ("8", "16", "float")
 ENCODINGS = (LINEAR, "gamma")
@@ -295,6 +296,16 @@ class Development(OptionsRecord):
         super().__post_init__()
         require_algorithm(self.algorithm)
         require_tone(self.tone)
+        if self.colour not in (NO_MATRIX, SRGB) and Path(self.colour).name == self.colour and "." not in self.colour:
+            self._require_matrix()
+
+    def _require_matrix(self) -> None:
+        """Raise InvalidInput for a word that is neither a choice of --colour nor a file."""
+        if not Path(self.colour).exists():
+            raise InvalidInput(
+                f"--colour {self.colour!r}: it is none, {SRGB}, or a file of nine numbers; images are in colour "
+                f"without it, and --colour {SRGB} takes the camera's colours to sRGB"
+            )
 
     @property
     def is_neutral(self) -> bool:

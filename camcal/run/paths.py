@@ -20,7 +20,7 @@ from pathlib import Path
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput, in_one_line, reason
-from camcal.images.image import RAW_SUFFIXES
+from camcal.images.image import RAW_SUFFIXES, conversion_advice
 from camcal.parsing import nearest
 
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
@@ -157,7 +157,7 @@ def _in_folder(folder: Path, recursive: bool, known: AbstractSet[str]) -> list[P
     if not found:
         below = not recursive and any(path.is_dir() for path in everything)
         advice = "; --recursive reads the folders below it" if below else ""
-        raise FileError(f"holds no image ({_contents(everything)}){advice}", where=str(folder))
+        raise FileError(f"holds no image ({_contents(everything)}){advice}{_conversion(everything)}", where=str(folder))
     return found
 
 
@@ -173,7 +173,8 @@ def _matching(pattern: str, known: AbstractSet[str]) -> list[Path]:
     everything = [Path(name) for name in names]
     found = _without_outputs([path for path in everything if _is_medium(path, known)])
     if not found:
-        matches = f"matches no image ({_contents(everything)})" if everything else "matches nothing"
+        found_there = f"matches no image ({_contents(everything)}){_conversion(everything)}"
+        matches = found_there if everything else "matches nothing"
         raise FileError(matches, where=pattern)
     return found
 
@@ -197,6 +198,11 @@ def _contents(paths: Iterable[Path]) -> str:
     kinds = Counter("folder" if path.is_dir() else path.suffix.lower() or "without suffix" for path in paths)
     words = [f"{count} {kind}{'s' if kind == 'folder' and count > 1 else ''}" for kind, count in kinds.most_common(5)]
     return ", ".join(words) or "it is empty"
+
+
+def _conversion(paths: Iterable[Path]) -> str:
+    advice = conversion_advice(path.suffix for path in paths)
+    return f"; {advice}" if advice else ""
 
 
 def _missing(path: Path) -> str:

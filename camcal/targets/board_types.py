@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
-from camcal.parsing import nearest
+from camcal.parsing import nearest, parse_number
 
 CHESSBOARD = "chessboard"
 CHARUCO = "charuco"
@@ -256,8 +256,17 @@ def _unlike(text: str, what: str, kind: str) -> InvalidInput:
 def _length(text: str, part: str) -> float:
     match = _LENGTH.match(part)
     if not match:
-        raise InvalidInput(f"board {text!r}: {part!r} is not a length with its unit; write 25mm, 2.5cm, 0.025m or 1in")
+        raise InvalidInput(f"board {text!r}: {without_unit(part)}")
     return float(match[1]) * METRES[match[2]]
+
+
+def without_unit(text: str) -> str:
+    """Return why a text is no length with its unit, and what to write."""
+    try:
+        parse_number(text)
+    except ValueError:
+        return f"{text!r} is not a length with its unit; write 25mm, 2.5cm, 0.025m or 1in"
+    return f"{text!r} has no unit; write {text}mm if it is in millimetres"
 
 
 def _share(text: str, part: str, what: str) -> float:
