@@ -16,7 +16,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from camcal.cli import show
+from camcal.cli import examples, show
 from camcal.errors import InvalidInput
 from camcal.images import limits
 from camcal.options import GENERAL, OUTPUT, Argument, Declared, Option, assembled, by_group, declared
@@ -85,6 +85,7 @@ class OptionsCommand(TyperCommand):
     """A command whose options are declared by records, which `command` makes."""
 
     declared: Sequence[Declared] = ()
+    examples: Sequence[str] = ()
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse a command line, in which numbers below zero may be arguments where the command takes such.
@@ -92,12 +93,17 @@ class OptionsCommand(TyperCommand):
         Nothing is required of one that only writes a settings file.
         """
         named = takewhile(lambda text: text != "--", args)
-        if any(text.partition("=")[0] == WRITE_SETTINGS for text in named):
-            for parameter in self.params:
-                parameter.required = False
+        writes = any(text.partition("=")[0] == WRITE_SETTINGS for text in named)
         if any(isinstance(each.option, Argument) and each.option.numbers for each in self.declared):
             args = [f" {text}" if _NEGATIVE.match(text) else text for text in args]
-        return super().parse_args(ctx, args)
+        required = [parameter for parameter in self.params if parameter.required and writes]
+        for parameter in required:
+            parameter.required = False
+        try:
+            return super().parse_args(ctx, args)
+        finally:
+            for parameter in required:
+                parameter.required = True
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:  # noqa: ARG002 - typer calls it so
         """Return what a command line is made of: options, then arguments in their order."""
@@ -114,6 +120,9 @@ class OptionsCommand(TyperCommand):
                 rows += [(f"{', '.join(each.opts)} {each.metavar or ''}".strip(), each.help) for each in others]
             with formatter.section(group):
                 formatter.write_dl(rows)
+        if self.examples:
+            with formatter.section("Examples"):
+                formatter.write("".join(f"  {example}\n" for example in self.examples))
 
 
 def usage(each: Declared) -> str:
@@ -149,6 +158,7 @@ def command(name: str, function: Callable[..., None]) -> OptionsCommand:
     made = typer.main.get_command(alone)
     assert isinstance(made, OptionsCommand)
     made.declared = maker.every
+    made.examples = examples.lines(name)
     return made
 
 

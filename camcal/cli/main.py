@@ -17,7 +17,7 @@ import typer
 from typer.core import CompletionItem, TyperGroup  # type: ignore[attr-defined] # what its own groups return
 
 from camcal import __version__
-from camcal.cli import show
+from camcal.cli import examples, show
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, in_one_line, translated
 from camcal.images import limits
 from camcal.run.process import BLAS_THREADS, Stopped, stop_on_signals
@@ -172,6 +172,8 @@ class Boundary(CommandGroup):
         code, kind, message, where = _described(error)
         if code != EXIT_BUG:
             show.error(f"{in_one_line(where)}: {message}" if where else message)
+        if code == InvalidInput.exit_code and arguments == (words := self.named_in(arguments).split()[1:]):
+            show.examples(examples.lines(" ".join(words)))
         if "--json" in takewhile(lambda argument: argument != "--", arguments):
             failure = {"error": {"kind": kind, "message": message, "where": where}, "exit": code}
             try:

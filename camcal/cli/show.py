@@ -216,6 +216,14 @@ def error(message: str) -> None:
     _complain("error", message)
 
 
+def examples(calls: Sequence[str]) -> None:
+    """Print the most common calls of a command to stderr, for whoever called it without anything."""
+    if sys.stderr is None or not calls:
+        return
+    with suppress(OSError):
+        print("\n".join(["most common calls:", *(f"  {call}" for call in calls)]), file=sys.stderr)  # noqa: T201
+
+
 def progress(quiet: bool) -> Progress:
     """Return what a task reports to: a bar on a terminal unless `quiet`, and warnings as lines in any case."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():

@@ -1,10 +1,14 @@
 """What somebody meets who tries a command for the first time: wrong words, files of other kinds, forgotten units."""
 
+import shlex
+
 import numpy as np
 import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cli.examples import EXAMPLES
+from camcal.cli.main import COMMANDS
 from camcal.formats import detections, native
 from camcal.images.save import save
 from camcal.simulate.scene import observe, views
@@ -101,3 +105,43 @@ def test_a_length_without_its_unit_and_a_number_with_one_are_told_what_to_write(
     code, _, err = run(*arguments.split())
     assert code == 2
     assert said in err
+
+
+CALLS = [call for calls in EXAMPLES.values() for call in calls]
+ALONE = {"demo", "doctor"}  # commands that need nothing
+
+
+def test_every_command_that_needs_input_has_three_common_calls():
+    assert set(EXAMPLES) | ALONE == {entry.name for entry in COMMANDS if entry.function}
+    assert {len(calls) for calls in EXAMPLES.values()} == {3}
+    assert max(map(len, CALLS)) <= 90
+    assert len(set(CALLS)) == len(CALLS)
+    assert all(call.startswith(f"{name} ") for name, calls in EXAMPLES.items() for call in calls)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pytest.param(call, marks=[pytest.mark.slow] * (number > 0))
+        for calls in EXAMPLES.values()
+        for number, call in enumerate(calls)
+    ],
+)
+def test_a_common_call_is_one_that_the_command_takes(run, tmp_path, call, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(*shlex.split(call), "--write-config", "settings.yaml")
+    assert (code, err) == (0, "")
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_command_called_with_nothing_shows_its_most_common_calls(run, name):
+    code, out, err = run(*name.split())
+    assert (code, out) == (2, "")
+    first, *rest = err.splitlines()
+    assert first.startswith("camcal: error: ")
+    assert rest == ["most common calls:", *(f"  camcal {call}" for call in EXAMPLES[name])]
+
+
+def test_help_ends_with_the_most_common_calls(run):
+    shown = run("calibrate", "--help")[1].splitlines()
+    assert shown[-4:] == ["Examples:", *(f"  camcal {call}" for call in EXAMPLES["calibrate"])]
