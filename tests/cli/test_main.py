@@ -379,7 +379,7 @@ def test_no_line_of_the_list_of_commands_is_cut(run):
 def test_the_options_of_a_command_stand_under_the_titles_of_their_groups(run):
     out = run("calibrate", "--help", app=camcal_app)[1]
     titles = [line.rstrip(":") for line in out.splitlines() if line.endswith(":") and not line.startswith(" ")]
-    assert titles == ["Input", "Board", "Lens", "Raw frames", "Method", "Checks", "Output", "General"]
+    assert titles == ["Input", "Board", "Lens", "Raw frames", "Method", "Checks", "Output", "General", "Examples"]
 
 
 def test_the_usage_names_arguments_as_they_are_written(run):
