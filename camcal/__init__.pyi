@@ -47,7 +47,6 @@ from camcal.formats.disparity import read as read_disparity
 from camcal.formats.disparity import write as write_disparity
 from camcal.formats.frames import read as read_frames
 from camcal.formats.frames import write as write_frames
-from camcal.formats.native import write as write_camera_file
 from camcal.formats.pointclouds import read as read_point_cloud
 from camcal.formats.pointclouds import write as write_point_cloud
 from camcal.formats.poses import read as read_poses
@@ -62,6 +61,7 @@ from camcal.geometry.pose import Trajectory as Trajectory
 from camcal.images.options import ViewOptions as ViewOptions
 from camcal.images.remap import build_maps as build_maps
 from camcal.images.views import make_view as make_view
+from camcal.messages import Message as Message
 from camcal.raw.demosaic import demosaic as demosaic
 from camcal.raw.develop import develop as develop
 from camcal.raw.mosaic import Mosaic as Mosaic
@@ -88,6 +88,7 @@ from camcal.tasks.library import calibrate_camera as calibrate_camera
 from camcal.tasks.library import detect_board as detect_board
 from camcal.tasks.library import point_cloud as point_cloud
 from camcal.tasks.library import undistort_image as undistort_image
+from camcal.tasks.library import write_camera_file as write_camera_file
 
 __all__ = [
     "MODELS",
@@ -117,6 +118,7 @@ __all__ = [
     "InsufficientData",
     "InvalidInput",
     "MatchOptions",
+    "Message",
     "Mosaic",
     "NamedTransform",
     "NotConverged",

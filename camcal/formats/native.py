@@ -26,9 +26,8 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera
 from camcal.formats import covariance, documents, emit, native_entry, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform, ValidRegion
+from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import Fault, child
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
@@ -97,16 +96,12 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
     return replace(file, warnings=tuple(map(document.located, found)))
 
 
-def write(path: str | Path, file: CameraFile | Camera, *, exact: bool = False) -> None:
-    """Write a camera file, or a camera alone, under the name `camera`: the same content gives the same bytes, and what
-    is written passes `check`.
+def write(path: Path, file: CameraFile, *, exact: bool = False) -> None:
+    """Write a camera file: the same content gives the same bytes, and what is written passes `check`.
 
     exact: numbers with all their digits, not with 12 significant ones.
     Raises InvalidInput if the content breaks a rule, FileError if the file cannot be written.
     """
-    path = Path(path)
-    if isinstance(file, Camera):
-        file = CameraFile({"camera": CameraEntry(file, valid=ValidRegion.of(file))})
     unit = "m" if file.board_shape is None else file.board_shape.board.unit
     comment = COMMENT.format(_LENGTHS[unit]) + (TRANSFORMS if file.transforms else "")
     content = emit.document(block(file, path), comment, emit.exact_text if exact else None)

@@ -15,7 +15,9 @@ import numpy as np
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
+from camcal.formats import cameras, native
 from camcal.formats.boards import load_board
+from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.load import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
@@ -81,6 +83,21 @@ def calibrate_camera(
             return replace(seen, detections=replace(seen.detections, views=views), files=inputs.files)
 
         return calibrated(look, options, progress)
+
+
+def write_camera_file(path: File, camera: Camera | CameraFile, kind: str = cameras.OWN) -> None:
+    """Write a camera, under the name `camera`, or all of a camera file, in camcal's format or another one.
+
+    kind: camcal, opencv, ros or kalibr. Raises InvalidInput, saying what would be lost, for what that format cannot
+    hold exactly, and for a suffix that it does not have; FileError if the file cannot be written.
+    """
+    if isinstance(camera, Camera):
+        camera = CameraFile({"camera": CameraEntry(camera, valid=ValidRegion.of(camera))})
+    own = cameras.FORMATS[cameras.OWN]
+    if kind == own.name:
+        native.write(Path(path), camera)
+    else:
+        cameras.write(Path(path), camera, cameras.format_for(Path(path), kind, own))
 
 
 @dataclass(frozen=True, eq=False)

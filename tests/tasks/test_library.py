@@ -72,6 +72,18 @@ def test_a_camera_alone_is_written_and_read_back(report, tmp_path):
     np.testing.assert_allclose(again.parameters, report.camera.parameters, rtol=1e-11, atol=1e-15)
 
 
+@pytest.mark.parametrize("kind", ["opencv", "ros", "kalibr"])
+def test_a_camera_is_written_for_other_programs(kind, report, tmp_path):
+    camcal.write_camera_file(tmp_path / "camera.yaml", report.camera, kind)
+    again = camcal.read_camera(str(tmp_path / "camera.yaml"))
+    np.testing.assert_allclose(again.parameters[:8], report.camera.parameters, rtol=1e-12, atol=1e-15)
+
+
+def test_an_unknown_kind_of_camera_file_is_refused(report, tmp_path):
+    with pytest.raises(camcal.InvalidInput, match="Did you mean 'ros'"):
+        camcal.write_camera_file(tmp_path / "camera.yaml", report.camera, "ross")
+
+
 def test_an_undistorted_image_is_what_its_camera_sees(images, report):
     straight = camcal.undistort_image(images[0], report.camera)
     assert straight.pixels.shape == images[0].shape

@@ -12,7 +12,6 @@ Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking an
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -149,7 +148,7 @@ class Consistency:
     verdict: str
     warning: Message | None
 
-    def data(self) -> dict[str, Any]:
+    def data(self) -> dict[str, object]:
         """Return the figures and the verdict as plain data; warnings are given with those of all else."""
         return {name: value for name, value in vars(self).items() if name != "warning"}
 

@@ -84,6 +84,11 @@ class CalibrateReport:
         """Whether the calibration may be trusted."""
         return self.assessment.trustworthy
 
+    @property
+    def failures(self) -> tuple[Message, ...]:
+        """Why it may not be trusted."""
+        return self.assessment.failures
+
 
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
     """Return the calibration of one camera after writing it to options.output, if that is given.
