@@ -6,12 +6,15 @@ import re
 import select
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol, TextIO
+from weakref import WeakKeyDictionary
 
 from camcal.errors import FileError, reason
 
@@ -20,24 +23,67 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
+STANDARD = "-"  # as a path: standard input or output
 LARGEST = 4 << 30  # bytes of a file that is read as a whole
 
 _LARGEST_PIPE = 256 << 20
 _PATIENCE_S = 10.0  # until something comes out of a named pipe
 _CHUNK = 1 << 20
+_HEAD = 4096  # bytes by which standard input is known
 _TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
+
+
+class Ledger(Protocol):
+    """What keeps account of the files that a run reads and writes, and refuses to lose one; see `run.outputs`."""
+
+    def reads(self, path: Path, file: os.stat_result) -> None:
+        """Note a file that is read; raises InvalidInput if it is to be written."""
+
+    def writes(self, path: Path) -> None:
+        """Raise InvalidInput for a file that must not be replaced, FileError for one that cannot be written."""
+
+    def wrote(self, file: os.stat_result) -> None:
+        """Note a file that was written."""
+
+
+LEDGER: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
+
+
+@contextmanager
+def unwatched() -> Iterator[None]:
+    """Leave out of the ledger what the block reads and writes, as of outputs that are only looked at."""
+    token = LEDGER.set(None)
+    try:
+        yield
+    finally:
+        LEDGER.reset(token)
+
+
+def note_read(path: Path) -> None:
+    """Tell the ledger, if a run has one, of a file that is read in another way than by `opened`."""
+    if (ledger := LEDGER.get()) is not None:
+        with suppress(OSError):
+            ledger.reads(path, path.stat())
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` (same suffix) that takes its place when the block succeeds.
 
+    What is no file but a device, a named pipe or standard output ("-") is written to when the block has succeeded.
     The file is flushed to disk before the rename, so a killed run leaves the old file or the new one, never half. What
     a killed run left of a temporary file is removed by the next one that writes into the folder.
-    Raises FileError if the folder cannot be written.
+    Raises FileError if the folder cannot be written, and what the ledger of a run raises.
     """
+    ledger = LEDGER.get()
+    if ledger is not None:
+        ledger.writes(path)
+    if is_stream(path):
+        with _sent(path) as temporary:
+            yield temporary
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent.absolute())
@@ -53,11 +99,44 @@ def replacing(path: Path) -> Iterator[Path]:
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
+        if ledger is not None:
+            ledger.wrote(path.stat())
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
         os.close(handle)
+
+
+def is_stream(path: Path) -> bool:
+    """Return whether what is written there goes on its way: standard output, a device or a named pipe."""
+    if str(path) == STANDARD:
+        return True
+    with suppress(OSError):
+        mode = path.stat().st_mode
+        return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
+    return False
+
+
+@contextmanager
+def _sent(path: Path) -> Iterator[Path]:
+    """Yield a temporary path, whose content goes to a stream when the block succeeds; a closed pipe ends the run."""
+    with tempfile.TemporaryDirectory(prefix=_TEMPORARY) as folder:
+        temporary = Path(folder) / f"output{path.suffix}"
+        yield temporary
+        try:
+            with temporary.open("rb") as content:
+                if str(path) != STANDARD:
+                    with path.open("wb") as stream:
+                        shutil.copyfileobj(content, stream)
+                    return
+                sys.stdout.flush()
+                shutil.copyfileobj(content, sys.stdout.buffer)
+                sys.stdout.buffer.flush()
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise _unwritable(path, error) from error
 
 
 def _reserved(path: Path) -> tuple[int, str]:
@@ -167,13 +246,20 @@ def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
 def opened(path: Path) -> Iterator[BinaryIO]:
     """Open a file for reading: a regular one, or a pipe once something is in it; errors within become FileError.
 
-    Raises FileError if it is missing, a folder or a device, or a named pipe into which nothing comes.
+    Standard input ("-") is read once and can be opened again. Raises FileError if it is missing, a folder or a device,
+    or a named pipe into which nothing comes.
     """
+    if str(path) == STANDARD:
+        with _standard_input() as stream:
+            yield stream
+        return
     try:
         # Without O_NONBLOCK a named pipe would wait here for its writer, however long that takes.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(handle, "rb") as stream:
             _require_readable(stream, path)
+            if (ledger := LEDGER.get()) is not None:
+                ledger.reads(path, os.fstat(handle))
             yield stream
     except FileNotFoundError as error:
         raise FileError("no such file", where=str(path)) from error
@@ -181,6 +267,41 @@ def opened(path: Path) -> Iterator[BinaryIO]:
         raise FileError("is a folder, a file is needed", where=str(path)) from error
     except OSError as error:
         raise FileError(f"cannot be read: {reason(error)}", where=str(path)) from error
+
+
+_RECEIVED: WeakKeyDictionary[TextIO, bytes] = WeakKeyDictionary()
+
+
+@contextmanager
+def _standard_input() -> Iterator[BinaryIO]:
+    """Yield a file with what comes from standard input up to its end, which is read once."""
+    source = sys.stdin
+    if source is None:
+        raise FileError("there is none", where="standard input")
+    if source not in _RECEIVED:
+        _RECEIVED[source] = _read_up_to(source.buffer, _LARGEST_PIPE + 1)
+    content = _RECEIVED[source]
+    if len(content) > _LARGEST_PIPE:
+        raise FileError(f"more than the limit of {_LARGEST_PIPE} bytes", where="standard input")
+    with tempfile.TemporaryFile() as stream:
+        stream.write(content)
+        stream.seek(0)
+        yield stream
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix of a path in small letters; of standard input the one that its content looks like.
+
+    That is .json for what begins with a bracket, .yaml for keys with a colon, otherwise .csv.
+    """
+    if str(path) != STANDARD:
+        return path.suffix.lower()
+    with opened(path) as stream:
+        head = stream.read(_HEAD)
+    if head.lstrip().startswith((b"{", b"[")):
+        return ".json"
+    lines = [line for line in head.splitlines() if line.strip() and not line.startswith(b"#")]
+    return ".yaml" if lines and re.match(rb"%YAML|---|[\w.]+:(\s|$)", lines[0]) else ".csv"
 
 
 def _require_readable(stream: BinaryIO, path: Path) -> None:

@@ -97,6 +97,26 @@ _BY_TYPE = {str: TEXT, Path: PATH, int: INTEGER, float: NUMBER}
 
 
 @dataclass(frozen=True)
+class Written:
+    """What the path of an output may be.
+
+    suffixes: of the files that are written, "" among them where a name needs none; a function where only the core knows
+    them. folder: it may be a folder, and is one without a suffix. stdout: "-" stands for standard output. words: texts
+    that are no path.
+    """
+
+    suffixes: Sequence[str] | Callable[[], Sequence[str]] = ()
+    folder: bool = False
+    stdout: bool = False
+    words: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The suffixes of files."""
+        return tuple(self.suffixes() if callable(self.suffixes) else self.suffixes)
+
+
+@dataclass(frozen=True)
 class Option:
     """What a user is told of an option, and what it takes.
 
@@ -104,7 +124,7 @@ class Option:
     long one first, as '--output -o' or '--landscape/--portrait'; by default that of the field. type: by default that
     of the field. values: so many texts make one value. least, most: of the field's value. recorded: whether it belongs
     to the command that a result records; what changes no number does not. required: it has to be given on a command
-    line, although the field has a default.
+    line, although the field has a default. written: of an option that names an output.
     """
 
     help: str | Callable[[], str]
@@ -118,6 +138,7 @@ class Option:
     choices: tuple[str, ...] = ()
     recorded: bool = True
     required: bool = False
+    written: Written | None = None
 
 
 @dataclass(frozen=True)
@@ -306,7 +327,10 @@ def _declared(record: type, above: tuple[str, ...]) -> Iterator[Declared]:
         if options:
             default = field.default if field.default_factory is MISSING else field.default_factory()
             several = get_origin(plain) is tuple and options[0].type is None and options[0].values == 1
-            yield Declared(path, options[0], _type_of(plain, options[0]), default, several)
+            each = Declared(path, options[0], _type_of(plain, options[0]), default, several)
+            if each.type is PATH and options[0].group == OUTPUT and options[0].written is None:
+                raise TypeError(f"{each.name}: the option of an output has to say what is written")
+            yield each
         elif dataclasses.is_dataclass(plain):
             hidden = {name for note in notes if isinstance(note, Without) for name in note.paths}
             below = _declared(plain, path)  # type: ignore[arg-type] # it is a class

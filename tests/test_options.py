@@ -24,6 +24,7 @@ from camcal.options import (
     Option,
     OptionsRecord,
     Without,
+    Written,
     assembled,
     by_group,
     command_line,
@@ -47,7 +48,9 @@ class Inner(OptionsRecord):
 @dataclass(frozen=True)
 class Outer(OptionsRecord):
     inputs: Annotated[tuple[str, ...], Argument("Files.", metavar="FILES…")]
-    output: Annotated[Path, Option("Where.", group=OUTPUT, names="--output -o", recorded=False)]
+    output: Annotated[
+        Path, Option("Where.", group=OUTPUT, names="--output -o", recorded=False, written=Written(folder=True))
+    ]
     board: Annotated["Heavy | str | None", Option("A board.", type=TEXT)] = None
     inner: Annotated[Inner, Without(("hidden",))] = Inner()
     share: Annotated[float, Option("A share.", type=PERCENT)] = 0.1

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
 from camcal.report.table import Column
-from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions, SheetOptions
+from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
+from camcal.tasks.calibration.sheet_options import SheetOptions
 
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner

@@ -18,8 +18,9 @@ from typer.core import TyperCommand
 
 from camcal.cli import examples, show
 from camcal.errors import InvalidInput
+from camcal.files import STANDARD
 from camcal.images import limits
-from camcal.options import GENERAL, OUTPUT, Argument, Declared, Option, assembled, by_group, declared
+from camcal.options import GENERAL, Argument, Declared, Option, assembled, by_group, declared
 from camcal.progress import Progress
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
@@ -211,28 +212,34 @@ class _Maker:
         return values
 
     def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
-        """Call the function with the records that these values make; `config` is not overwritten by its results."""
-        from camcal.run.paths import refuse_overwriting
+        """Call the function with the records that these values make, after reading `config`."""
+        from camcal.run.outputs import outputs_of, watching
 
         record = self.records[0]
         call = self.call(values)
         call.prepare()
-        if config is not None:
-            outputs = [each for each in values if each.option.group == OUTPUT and isinstance(values[each], Path)]
-            refuse_overwriting([values[each] for each in outputs], [config])
-        chosen = {each.path: values[each] for each in declared(record) if each in values}
-        options = {} if record is NoOptions else {"options": assembled(record, chosen)}
-        self.function(**options, call=call)
+        with watching(read=[] if config is None else [config]) as run:
+            run.add(values)
+            chosen = {each.path: values[each] for each in declared(record) if each in values}
+            options = {} if record is NoOptions else {"options": assembled(record, chosen)}
+            if not any(str(path) == STANDARD for each, value in values.items() for path in outputs_of(each, value)):
+                self.function(**options, call=call)
+                return
+            if call.json:
+                raise InvalidInput("--json and '-' both write to standard output; give the output a file")
+            with show.aside():
+                self.function(**options, call=call)
 
     def write(self, values: Mapping[Declared, Any], path: Path) -> None:
         """Write these values as a settings file, over none of the inputs that they name."""
-        from camcal.run.paths import refuse_overwriting
+        from camcal.run.outputs import inputs_of, watching
         from camcal.run.settings import write_settings
 
-        inputs = [each for each in values if not each.flag and each.option.group != OUTPUT]
-        texts = [text for each in inputs for text in each.texts(values[each])]
-        refuse_overwriting([path], [Path(text.rpartition("#")[0] or text) for text in texts])
-        write_settings(path, self.name, settable(self.every), values)
+        inputs = [named for each, value in values.items() for named in inputs_of(each, value)]
+        with watching(read=inputs) as run:
+            run.overwrite = any(value is True for each, value in values.items() if each.name == "--overwrite")
+            run.plan_named(path)
+            write_settings(path, self.name, settable(self.every), values)
         self.call(values).give(lambda: {"output": path}, lambda: show.wrote(path))
 
     def call(self, values: Mapping[Declared, Any]) -> Call:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.files import STANDARD
 from camcal.report.table import Column
 from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions
 
@@ -28,7 +29,8 @@ def inspect(options: InspectOptions, call: ImageCall) -> None:
     that match its length, until --format and --size are given.
     """
     path, _ = options.address
-    if path.suffix.lower() in CAMERA_SUFFIXES or not _is_raw(path):  # what reads raw frames need not be loaded
+    is_camera = str(path) == STANDARD or path.suffix.lower() in CAMERA_SUFFIXES
+    if is_camera or not _is_raw(path):  # what reads raw frames need not be loaded for a camera file
         _inspect_camera(options, call)
     else:
         _inspect_raw(options, call)

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from camcal.errors import FileError, in_one_line, reason
 from camcal.messages import Message, as_data
@@ -49,6 +49,7 @@ class Session:
 
 
 _session: ContextVar[Session | None] = ContextVar("session", default=None)
+_aside: ContextVar[bool] = ContextVar("aside", default=False)
 
 
 def text(line: str) -> None:
@@ -91,12 +92,28 @@ def _lines_of(line: str) -> list[str]:
 
 
 def _print(lines: Iterable[str]) -> None:
-    """Print lines to stdout; a closed pipe swallows them."""
+    """Print lines to stdout, or beside it; a closed pipe swallows them."""
+    stream = _stream()
     try:
-        for line in lines:
-            print(line)  # noqa: T201
+        for line in lines if stream is not None else ():
+            print(line, file=stream)
     except OSError as error:
-        discard_stdout(error)
+        if not _aside.get():
+            discard_stdout(error)
+
+
+@contextmanager
+def aside() -> Iterator[None]:
+    """Print to stderr what the block would print to stdout, because a result goes there."""
+    token = _aside.set(True)
+    try:
+        yield
+    finally:
+        _aside.reset(token)
+
+
+def _stream() -> TextIO | None:
+    return sys.stderr if _aside.get() else sys.stdout
 
 
 def width() -> int:
@@ -105,7 +122,8 @@ def width() -> int:
 
 
 def _on_terminal() -> bool:
-    return sys.stdout is not None and sys.stdout.isatty()
+    stream = _stream()
+    return stream is not None and stream.isatty()
 
 
 def _has_colours() -> bool:

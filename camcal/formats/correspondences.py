@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from camcal import files
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
@@ -81,7 +82,7 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
 
 
 def _table(path: Path) -> Table:
-    suffix = path.suffix.lower()
+    suffix = files.suffix_of(path)
     if suffix in (*JSON, *YAML):
         return _of_document(load_either(path, _check, _MAX_VALUES))
     return Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)

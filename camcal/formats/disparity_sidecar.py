@@ -75,16 +75,9 @@ def path_beside(disparity: Path) -> Path:
 
 
 def write(disparity: Path, sidecar: Sidecar) -> None:
-    """Write the sidecar of a disparity map beside it. Raises InvalidInput if something else stands there."""
+    """Write the sidecar of a disparity map beside it."""
     path = path_beside(disparity)
-    require_own(path)
     files.write_text(path, json.dumps(_document(sidecar, path.parent), indent=1, ensure_ascii=False) + "\n")
-
-
-def require_own(path: Path) -> None:
-    """Raise InvalidInput if something that is no sidecar stands where one goes."""
-    if path.exists() and f'"{SCHEMA}"'.encode() not in files.read_bytes(path):
-        raise InvalidInput("is no sidecar of a disparity map and is kept; choose another output", where=str(path))
 
 
 def read(disparity: Path) -> Sidecar | None:

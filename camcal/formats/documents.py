@@ -109,7 +109,7 @@ class Document(Mapping[str, Any]):
 
 def load_either(path: Path, check: Check | None = None, max_values: int = MAX_VALUES) -> Document:
     """Return the document in a file, JSON where its suffix says so, otherwise YAML; see `load` and `load_json`."""
-    return load_json(path, check) if path.suffix.lower() == ".json" else load(path, check, max_values)
+    return load_json(path, check) if files.suffix_of(path) == ".json" else load(path, check, max_values)
 
 
 def load(path: Path, check: Check | None = None, max_values: int = MAX_VALUES) -> Document:

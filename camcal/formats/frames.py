@@ -81,7 +81,7 @@ def read(path: str | Path) -> tuple[NamedTransform, ...]:
     Raises FileError if it cannot be read or is of another type, InvalidInput with the line of every fault.
     """
     path = Path(path)
-    if path.suffix.lower() == ".csv":
+    if files.suffix_of(path) == ".csv":
         return _of_poses(path)
     if cameras.format_of(path).name != cameras.OWN:
         return _of_cameras(path, lambda _key: str(path))
@@ -107,7 +107,7 @@ def read_loose(path: Path) -> tuple[LooseTransform, ...]:
 
     Raises as `read` does, but for rotations; those of a pose file are rotations or it is refused.
     """
-    document = None if path.suffix.lower() == ".csv" else load_either(path)
+    document = None if files.suffix_of(path) == ".csv" else load_either(path)
     if document is None or document.get("format") == plain_poses.FORMAT:
         return tuple(map(LooseTransform.of, _of_poses(path)))
     return _own(document)

@@ -80,9 +80,10 @@ def write(path: Path, smoothed: SmoothedSeries) -> None:
 
     The NIS is left empty, or None, where no measurement was predicted.
     """
-    require_suffix(path)
+    if not files.is_stream(path):
+        require_suffix(path)
     names, table = _columns(smoothed)
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() != ".json":
         form = ",".join(["%.9f", *["%.12g"] * (len(names) - 1)])
         rows = "\n".join([(form % tuple(row)).replace("nan", "") for row in table.tolist()])
         files.write_text(path, f"# {FORMAT} {VERSION}\n{','.join(names)}\n{rows}\n")

@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from contextvars import copy_context
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, NamedTuple
@@ -111,7 +112,7 @@ def _threaded(function: Callable[[Item], Value], items: Iterable[Item], count: i
         pool = ThreadPoolExecutor(count, thread_name_prefix="camcal")
         try:
             for item in items:
-                window.append(pool.submit(_attempt, function, item))
+                window.append(pool.submit(copy_context().run, _attempt, function, item))
                 if len(window) >= _THREAD_WINDOW * count:
                     yield window.popleft().result()
             while window:
@@ -357,7 +358,7 @@ def over_threads(jobs: int | None = None) -> Iterator[Callable[[Callable[[Item],
                 for item in items:
                     work(item)
                 return
-            for done in [pool.submit(work, item) for item in items]:
+            for done in [pool.submit(copy_context().run, work, item) for item in items]:
                 done.result()
 
         yield each

@@ -1,33 +1,29 @@
-"""What a command reads and writes: files, folders and patterns as lists of images; `rig.yaml#left`, a file and camera.
+"""What a command reads: files, folders and patterns as lists of images; `rig.yaml#left`, a file and camera.
 
-Files that camcal wrote into a folder are listed in `.camcal-output` there, one name per line (`recorded`). They
-are left out beside other images, so that a second run does not read what the first one wrote; a folder with nothing
-else was named on purpose and is read.
+Files that camcal wrote into a folder (see `outputs`) are left out beside other images, so that a second run does not
+read what the first one wrote; a folder with nothing else was named on purpose and is read.
 
-Left and right images belong together by their names. Results go to a file or a folder, no two to one place, and never
-over an input or over what others wrote.
+Left and right images belong together by their names. Results go to a file or a folder, no two to one place.
 """
 
 import glob
-import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from camcal import files
-from camcal.errors import FileError, InvalidInput, in_one_line, reason
+from camcal.errors import FileError, InvalidInput, in_one_line
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
 from camcal.parsing import nearest
+from camcal.run.outputs import listed
 
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".npy"
 }  # fmt: skip
 VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".mjpeg", ".mjpg"})
-OUTPUT_INDEX = ".camcal-output"
 
 # As words or before a capital or a digit (left_01, imgL, leftImage, L7), not within words such as bright.
 _SIDE = re.compile(
@@ -57,6 +53,8 @@ def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: Abst
     expanded = (_expand(str(text), recursive, known) for text in reversed(inputs))
     found = {path.resolve(): path for paths in expanded for path in reversed(paths)}
     paths = sorted(found.values(), key=_natural_path)
+    for path in paths:
+        files.note_read(path)
     return Media(
         images=tuple(path for path in paths if path.suffix.lower() not in VIDEO_SUFFIXES),
         videos=tuple(path for path in paths if path.suffix.lower() in VIDEO_SUFFIXES),
@@ -79,49 +77,8 @@ def find_images(
 
 def require_there(path: Path) -> None:
     """Raise FileError, with the nearest name beside it, unless a file or folder is there."""
-    if not path.exists():
+    if str(path) != files.STANDARD and not path.exists():
         raise FileError(_missing(path), where=str(path))
-
-
-def record_outputs(folder: Path, names: Iterable[str]) -> None:
-    """Add file names to the list of what camcal wrote into `folder`; runs that do so at once lose none."""
-    if added := set(names):
-        _change_list(folder, added, set())
-
-
-@contextmanager
-def recorded(folder: Path, names: Iterable[str]) -> Iterator[None]:
-    """List file names as outputs in `folder` while the block writes them, and after it those that are there.
-
-    A run that is killed leaves all of them listed, so that the next one takes none of them for an input.
-    """
-    planned = set(names)
-    is_new = not folder.exists()
-    record_outputs(folder, planned)
-    try:
-        yield
-    finally:
-        missing = {name for name in planned if not (folder / name).exists()}
-        if missing:
-            _change_list(folder, set(), missing)
-        if is_new:
-            with suppress(OSError):  # something is in it
-                folder.rmdir()
-
-
-def _change_list(folder: Path, added: AbstractSet[str], removed: AbstractSet[str]) -> None:
-    index = folder / OUTPUT_INDEX
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with files.locked(folder):
-            known = (_outputs(folder) | set(map(in_one_line, added))) - set(map(in_one_line, removed))
-            if known:
-                lines = "".join(f"{name}\n" for name in sorted(known, key=files.natural_key))
-                files.write_bytes(index, os.fsencode(lines))  # a file name need not be UTF-8
-            else:
-                index.unlink(missing_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot be written: {reason(error)}", where=str(index)) from error
 
 
 def split_address(text: str) -> tuple[Path, str | None]:
@@ -184,13 +141,8 @@ def _is_medium(path: Path, known: AbstractSet[str]) -> bool:
 
 
 def _without_outputs(paths: list[Path]) -> list[Path]:
-    written = {folder: _outputs(folder) for folder in {path.parent for path in paths}}
+    written = {folder: listed(folder) for folder in {path.parent for path in paths}}
     return [path for path in paths if in_one_line(path.name) not in written[path.parent]] or paths
-
-
-def _outputs(folder: Path) -> set[str]:
-    index = folder / OUTPUT_INDEX
-    return set(os.fsdecode(files.read_bytes(index)).split("\n")) - {""} if index.is_file() else set()
 
 
 def _contents(paths: Iterable[Path]) -> str:
@@ -290,6 +242,23 @@ _READINGS: tuple[Callable[[Path], str], ...] = (
 )
 
 
+def names_file(output: Path, kinds: Iterable[str]) -> bool:
+    """Return whether an output is a file, not a folder; raises InvalidInput for a suffix that is none of its kinds."""
+    if output.is_dir() or not (output.suffix or output.name.lower() in kinds):
+        return False
+    if output.name.lower() in kinds:
+        raise InvalidInput(f"is a suffix without a name; write NAME{output.name}, or a folder", where=str(output))
+    if output.suffix.lower() not in kinds:
+        raise InvalidInput(f"{output.suffix} is not written; use {', '.join(kinds)}", where=str(output))
+    return True
+
+
+def require_one(output: Path, count: int) -> None:
+    """Raise InvalidInput if more than one input would go into a file."""
+    if count > 1:
+        raise InvalidInput(f"{count} inputs do not go into one file; give a folder", where=str(output))
+
+
 def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str]) -> dict[Path, Path]:
     """Return the file for each input: the output itself for a single one, else one by its name in a folder.
 
@@ -297,33 +266,13 @@ def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str
     Raises InvalidInput if the output is a file for several inputs, of another kind, or a suffix without a name; see
     also `refuse_collisions`.
     """
-    if output.name.lower() in kinds and not output.is_dir():
-        raise InvalidInput(f"is a suffix without a name; write NAME{output.name}, or a folder", where=str(output))
-    if output.suffix and not output.is_dir():
-        if len(inputs) > 1:
-            raise InvalidInput(f"{len(inputs)} inputs do not go into one file; give a folder", where=str(output))
-        if output.suffix.lower() not in kinds:
-            raise InvalidInput(f"{output.suffix} is not written; use {', '.join(kinds)}", where=str(output))
+    if names_file(output, kinds):
+        require_one(output, len(inputs))
         outputs = {inputs[0]: output}
     else:
         outputs = {path: output / f"{path.stem}{suffix}" for path in inputs}
     refuse_collisions(outputs)
-    refuse_overwriting(outputs.values(), inputs)
     return outputs
-
-
-def require_folder(path: Path, option: str) -> None:
-    """Raise InvalidInput, naming the option, if files cannot go to this folder because it is a file."""
-    if path.exists() and not path.is_dir():
-        raise InvalidInput(f"{option} takes a folder, this is a file", where=str(path))
-
-
-def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Raise InvalidInput if an output is one of the inputs."""
-    read = {path.resolve() for path in inputs}
-    for path in outputs:
-        if path.resolve() in read:
-            raise InvalidInput("is an input and is not overwritten; choose another output", where=str(path))
 
 
 def refuse_collisions(outputs: Mapping[Path, Path]) -> None:

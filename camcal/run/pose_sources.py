@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+from camcal import files
 from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import frames, pose_text, trajectories
 from camcal.formats.frames import LooseTransform
@@ -129,7 +130,7 @@ def split_name(text: str) -> tuple[str, str]:
 def _of(text: str, form: Form | None) -> tuple[NamedTransform, ...]:
     name, body = split_name(text)
     path, address = split_address(body)
-    if _is_said(body) or path.suffix.lower() not in _TABLES:
+    if _is_said(body) or files.suffix_of(path) not in _TABLES:
         return tuple(item.named() for item in _loose(text, form))
     found = frames.read(path)
     if address is not None:
@@ -147,7 +148,7 @@ def _loose(text: str, form: Form | None) -> tuple[LooseTransform, ...]:
     if _is_said(body):
         return (LooseTransform(name, _said(body, form), None, repr(_tidy(body))),)
     path, address = split_address(body)
-    if path.suffix.lower() not in _TABLES:
+    if files.suffix_of(path) not in _TABLES:
         if address is not None:
             raise InvalidInput(f"a file of numbers holds one pose, and none by the name {address!r}", where=body)
         return (LooseTransform(name or pose_text.name_in(path), pose_text.read_loose(path, form), None, str(path)),)

@@ -11,7 +11,8 @@ from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
-from camcal.run.paths import refuse_overwriting, split_address
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import split_address
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.options import ConvertFileOptions
 
@@ -32,6 +33,7 @@ class ConvertedFile:
     left_out: tuple[str, ...]
 
 
+@writes
 def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> ConvertedFile:
     """Return what was written to options.output.
 
@@ -50,7 +52,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     if not file.provenance and target.name == cameras.OWN:
         file = replace(file, provenance=provenance.build(command_line("convert", options), None))
     outputs = target.outputs(options.output, file)
-    refuse_overwriting(outputs, [each for each in (path, options.second) if each is not None])
+    claim(outputs)
     target.write(options.output, file)
     return ConvertedFile(file, source, target, outputs, prepared.refits, cameras.left_out(file, target))
 

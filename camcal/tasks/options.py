@@ -22,20 +22,59 @@ from camcal.options import (
     Option,
     OptionsRecord,
     Without,
+    Written,
     separated,
 )
 from camcal.raw.options import MONO, NO_LAYOUT, PATTERNS, GivenLayout
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json")  # of camera files, of all formats
 
+FIGURES = Written((".png", ".svg", ".pdf"))
+CAMERA_FILE = Written((".yaml", ".yml", ""), stdout=True)
+DETECTIONS = Written((".csv", ".vnl"), stdout=True)
+FOLDER = Written(folder=True)
 
-def output_option(help: str, metavar: str = "PATH", *, required: bool = False) -> Option:  # noqa: A002 - as Option has it
+
+def image_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of images that are written: only the core knows them."""
+    from camcal.images.save import KINDS
+
+    return tuple(KINDS)
+
+
+def trajectory_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of trajectories that are written."""
+    from camcal.formats import trajectories
+
+    return trajectories.SUFFIXES
+
+
+PICTURES = Written(image_suffixes, folder=True)
+POSES = Written((".yaml", ".yml", ".json", ".csv"), stdout=True)
+TRAJECTORY = Written(trajectory_suffixes, stdout=True)
+
+
+def output_option(
+    help: str,  # noqa: A002 - as Option has it
+    written: Written,
+    metavar: str = "PATH",
+    *,
+    required: bool = False,
+) -> Option:
     """Return the option -o of a command with a help of its own."""
-    return Option(help, metavar=metavar, group=OUTPUT, names="--output -o", recorded=False, required=required)
+    return Option(
+        help, metavar=metavar, group=OUTPUT, names="--output -o", recorded=False, required=required, written=written
+    )
 
 
-OUTPUT_OPTION = output_option("Output file.", required=True)
-Output = Annotated[Path, OUTPUT_OPTION]
+def result_option(written: Written) -> Option:
+    """Return the option -o of a command that needs it."""
+    return output_option("Output file.", written, required=True)
+
+
+Overwrite = Annotated[
+    bool, Option("Also replace files that camcal did not write; never inputs.", group=OUTPUT, recorded=False)
+]
 Jobs = Annotated[
     int | None,
     Option(
@@ -190,7 +229,11 @@ class ConvertFileOptions(OptionsRecord):
     output: Annotated[
         Path,
         Argument(
-            "The file to write; a folder for a pair in ROS's format.", metavar="OUT", group=OUTPUT, recorded=False
+            "The file to write; a folder for a pair in ROS's format.",
+            metavar="OUT",
+            group=OUTPUT,
+            recorded=False,
+            written=Written(CAMERA_SUFFIXES, folder=True),
         ),
     ]
     to: Annotated[str | None, Option(camera_formats, metavar="FORMAT", group=OUTPUT)] = None
@@ -216,6 +259,7 @@ class ConvertFileOptions(OptionsRecord):
     ] = None
     given: Annotated[GivenCamera, Without(("camera_matrix", "distortion"))] = field(default_factory=GivenCamera)
     camera: CameraName = None
+    overwrite: Overwrite = False
 
 
 def lens_models() -> str:

@@ -20,7 +20,7 @@ def test_a_drawing_and_its_board_file_are_written(run, tmp_path, suffix):
     assert "print at 100 % (actual size), then measure the ruler" in lines
     assert f"wrote {output} and {tmp_path}/target.yaml" in lines
     assert boards.read(tmp_path / "target.yaml") == parse_board(CHESSBOARD)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f"target{suffix}", "target.yaml"])
+    assert {path.name for path in tmp_path.iterdir()} == {".camcal-output", f"target{suffix}", "target.yaml"}
 
 
 def test_json_is_one_document_with_its_schema_first(run, tmp_path):
@@ -63,7 +63,7 @@ def test_a_file_that_is_no_target_of_kalibr_is_kept(run, tmp_path):
     mine.write_text("type: aprilgrid\ntags: [4, 3]\ntag_mm: 40\nspacing_ratio: 0.3\n")
     code, _, err = run("board", mine, "-o", tmp_path / "a.pdf", "--kalibr", mine)
     assert (code, sorted(path.name for path in tmp_path.iterdir())) == (2, ["mine.yaml"])
-    assert err == f"camcal: error: {mine}: is another file and is kept; choose another one for Kalibr\n"
+    assert err == f"camcal: error: {mine}: is an input and is not overwritten; choose another output\n"
 
 
 def test_a_board_file_is_drawn_and_kept(run, tmp_path):
@@ -113,8 +113,8 @@ def test_the_board_file_of_another_board_is_kept(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((CHESSBOARD, "-o", "a.jpg"), "a.jpg: boards are drawn as .pdf, .svg, .png"),
-        ((CHESSBOARD, "-o", "a"), "a: boards are drawn as .pdf, .svg, .png"),
+        ((CHESSBOARD, "-o", "a.jpg"), "a.jpg: .jpg is not written; use .pdf, .svg, .png"),
+        ((CHESSBOARD, "-o", "a"), "a: a name without a suffix is not written; use .pdf, .svg, .png"),
         (("chessboard:9x6", "-o", "a.pdf"), "has no size to print it at; give it as in chessboard:9x6"),
         ((CHESSBOARD, "-o", "a.pdf", "--paper", "B5"), "paper 'B5' is unknown; use A4, A3"),
         ((CHESSBOARD, "-o", "a.pdf", "--portrait", "--paper", "A4"), "use --paper A3, or 19 mm in place of 25 mm"),

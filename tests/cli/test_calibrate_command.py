@@ -242,13 +242,15 @@ def test_an_image_of_a_folder_is_never_overwritten(run, tmp_path):
     image.write_bytes(b"a picture")
     code, _, err = run("calibrate", image.parent, "--board", "chessboard:9x6:25mm", "-o", image)
     assert code == 2
-    assert "1.png: is an input and is not overwritten" in err
+    assert "1.png: .png is not written; use .yaml, .yml" in err
     assert image.read_bytes() == b"a picture"
 
 
-@pytest.mark.parametrize(("name", "words"), [("camera.yaml", "written as .csv or .vnl"), ("same.csv", "of their own")])
+@pytest.mark.parametrize(
+    ("name", "words"), [("camera.yaml", "would both be written to it"), ("other.yaml", "use .csv, .vnl")]
+)
 def test_saved_detections_have_a_suffix_and_a_place_of_their_own(run, table, tmp_path, name, words):
-    output = tmp_path / ("camera.yaml" if name.endswith(".yaml") else name)
+    output = tmp_path / "camera.yaml"
     code, _, err = run("calibrate", table, "-o", output, "--save-detections", tmp_path / name)
     assert code == 2
     assert words in err

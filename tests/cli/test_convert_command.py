@@ -68,7 +68,7 @@ def test_what_is_refused_and_how(run, tmp_path, rig):
         ((rig, out, "--to", "rso"), 2, "--to rso: no camera format of this name. Did you mean 'ros'?"),
         ((rig, out, "--to", "ros"), 2, "out.yaml: a pair is two files for ROS (left.yaml, right.yaml): give a folder"),
         ((rig, tmp_path / "out.xml", "--to", "ros"), 2, "out.xml: ROS camera_info is written as .yaml or .yml"),
-        ((rig, tmp_path / "out.txt"), 2, "out.txt: .txt is no camera file"),
+        ((rig, tmp_path / "out.txt"), 2, "out.txt: .txt is not written; use .yaml, .yml, .xml, .json"),
         ((rig, rig, "--to", "camcal"), 2, "rig.yaml: is an input and is not overwritten"),
         ((rig, out, "--to", "camcal", "--with", rig), 2, "are all in one"),
         ((f"{rig}#middle", out, "--to", "ros"), 2, "no camera 'middle'"),

@@ -250,9 +250,9 @@ def test_strong_correlations_are_warned_of(run, tmp_path):
         (("-m", "expquad", "--loss", "hubre"), 2, "'hubre' is not one of none, huber"),
         (("-m", "expquad", "--method", "newton"), 2, "'newton' is not one of"),
         (("-m", "expquad", "--loss", "huber", "--profile"), 2, "--profile needs a likelihood"),
-        (("-m", "expquad", "--plot", "plot.bmp"), 2, "figures are"),
-        (("-m", "expquad", "-o", "fit.txt"), 2, "results are written as"),
-        (("-m", "expquad", "--trace", "trace.txt"), 2, "write 'table', or a file"),
+        (("-m", "expquad", "--plot", "plot.bmp"), 2, "is not written; use .png"),
+        (("-m", "expquad", "-o", "fit.txt"), 2, "is not written; use .yaml"),
+        (("-m", "expquad", "--trace", "trace.txt"), 2, "is not written; use .csv"),
         (("-m", "poly:20", "--x", "y", "--y", "x", "--fix", "a0", "--start", "a99=1"), 2, "--start a99"),
     ],
 )

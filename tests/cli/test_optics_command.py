@@ -347,7 +347,7 @@ def test_the_sample_settings_are_sound(run):
         ((WEBCAM, "--board", "chessboard:9x6:25mm", "--tilt", 90), "is more than 80"),
         ((WEBCAM, "--board", "chessboard:9x6:25mm", "--share", 0), "--share must be more than 0"),
         (("--f", 8, *PIXELS, "--plot", "a.png"), "--plot needs the depth of field: give --focus and --f-number too"),
-        ((*LENS, *PIXELS, "--plot", "a.jpg"), "figures are .png, .svg, .pdf"),
+        ((*LENS, *PIXELS, "--plot", "a.jpg"), "use .png, .svg, .pdf"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused_in_one_line(run, tmp_path, monkeypatch, arguments, words):

@@ -229,7 +229,7 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
             2,
             "it is camera_T_object or object_T_camera here",
         ),
-        (["camera.yaml", "--points", "points.csv", "--draw", "points.csv"], 2, "--draw takes a folder, this is a file"),
+        (["camera.yaml", "--points", "points.csv", "--draw", "points.csv"], 2, "is an input and is not overwritten"),
         (["camera.yaml", "--points", "points.csv", "-o", "points.csv"], 2, "is an input and is not overwritten"),
         (["camera.yaml", "--points", "points.csv", "--prior-sigma", "1,1"], 2, "says how well --prior is known"),
         (["camera.yaml", "--points", "points.csv", "--prior", "p.txt", "--prior-sigma", "1"], 2, "METRES,DEGREES"),

@@ -268,7 +268,7 @@ def test_the_same_input_gives_the_same_bytes(run, turning, tmp_path):
         (("--method", "batch", "--process-noise-form", "discrete"), 2, "rank 1"),
         (("--columns", "t,z"), 2, "no column 'z'"),
         (("-o", "out.tum"), 2, "series are written as"),
-        (("--plot", "out.bmp"), 2, "figures are"),
+        (("--plot", "out.bmp"), 2, "is not written; use"),
         (("--evaluate", "truth.tum"), 2, "go with poses"),
         (("--delta", "far"), 2, "--delta"),
     ],

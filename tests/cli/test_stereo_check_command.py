@@ -133,11 +133,11 @@ def test_folders_are_paired_and_checked_together(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_picture_in_a_folder_is_recorded_there_as_one_of_camcals_and_a_named_one_is_not(run, images, tmp_path):
+def test_pictures_are_listed_as_written_by_camcal(run, images, tmp_path):
     for output in (tmp_path / "folder", tmp_path / "check.png"):
         assert run("stereo", "check", images / "left.png", images / "right.png", "-o", output)[0] == 0
     assert (tmp_path / "folder" / ".camcal-output").read_text() == "left_check.png\n"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["check.png", "folder"]
+    assert (tmp_path / ".camcal-output").read_text() == "check.png\n"
 
 
 @pytest.mark.slow

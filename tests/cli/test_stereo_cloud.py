@@ -440,7 +440,7 @@ def test_a_folder_of_maps_gives_a_folder_of_clouds_and_a_bad_map_costs_only_itse
     assert list(document) == ["schema", "clouds", "failed", "warnings", "error", "exit"]
     assert [Path(report["output"]).name for report in document["clouds"]] == ["frame2.ply", "frame10.ply"]
     assert [Path(failure["source"]).name for failure in document["failed"]] == ["broken.pfm"]
-    assert sorted(path.name for path in (tmp_path / "clouds").iterdir()) == ["frame10.ply", "frame2.ply"]
+    assert sorted(path.name for path in (tmp_path / "clouds").glob("[!.]*")) == ["frame10.ply", "frame2.ply"]
 
 
 def test_a_folder_of_images_goes_with_a_folder_of_maps_by_name(run, tmp_path, image):

@@ -179,7 +179,7 @@ def test_all_transforms_of_a_file_are_inverted_into_another(run, frames, tmp_pat
         (("invert", "nowhere.txt"), 3, "nowhere.txt: no such file"),
         (("invert", "{frames}", "-o", "{frames}"), 2, "is an input"),
         (("invert", "{frames}", "-o", "out.txt"), 2, "3 transforms do not go into a text"),
-        (("invert", "{frames}", "-o", "out.png"), 2, "transforms are written as .yaml"),
+        (("invert", "{frames}", "-o", "out.png"), 2, "is not written; use .yaml"),
         (("invert", "{frames}", "--as", "quats"), 2, "form 'quats' is unknown"),
         (("invert", "1 0 0 0 0 1 0 0 0 0 -1 0"), 2, "det = -1, a reflection"),
         (("invert", ""), 2, "'' is no pose"),

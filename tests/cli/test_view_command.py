@@ -200,7 +200,7 @@ def test_json_says_what_was_made(run, tmp_path, cloud):
     [
         (["cloud.ply"], "say where to write: -o"),
         (["cloud.ply", "-o", "cloud.jpg"], ".jpg is not written; use .html, .png, .gif, .mp4, .rrd"),
-        (["cloud.ply", "-o", "cloud"], "no suffix is not written"),
+        (["cloud.ply", "-o", "cloud"], "a name without a suffix is not written"),
         (["cloud.ply", "left.png", "-o", "c.html"], "a cloud has its own"),
         (["cloud.ply", "-o", "c.png", "--montage", "--view", "top"], "--montage has views of its own"),
         (["cloud.ply", "-o", "c.html", "--montage"], "--montage is for a picture, not for a page"),

@@ -103,13 +103,6 @@ def test_what_is_cut_off_is_a_file_error(tmp_path, text):
         disparity_sidecar.read(tmp_path / "map.pfm")
 
 
-def test_a_json_file_of_something_else_is_not_overwritten(tmp_path):
-    (tmp_path / "map.pfm.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(InvalidInput, match="is kept"):
-        disparity_sidecar.write(tmp_path / "map.pfm", Sidecar())
-    assert (tmp_path / "map.pfm.json").read_text(encoding="utf-8") == "{}"
-
-
 def test_an_older_sidecar_is_replaced(tmp_path):
     disparity_sidecar.write(tmp_path / "map.pfm", Sidecar(scale=2.0))
     disparity_sidecar.write(tmp_path / "map.pfm", Sidecar(scale=4.0))

@@ -79,9 +79,12 @@ def test_an_input_is_not_overwritten_and_nothing_is_written_then(folder, tmp_pat
     assert not output.exists()
 
 
-def test_pictures_go_to_a_folder(folder, tmp_path):
-    with pytest.raises(InvalidInput, match="--draw takes a folder, this is a file"):
-        drawn(tmp_path, folder, draw=folder / "board.png")
+def test_the_picture_of_one_image_may_go_to_a_file(folder, tmp_path):
+    report = drawn(tmp_path, folder / "board.png", draw=tmp_path / "one.jpg")
+    assert report.pictures == (tmp_path / "one.jpg",)
+    assert (tmp_path / "one.jpg").is_file()
+    with pytest.raises(InvalidInput, match="2 inputs do not go into one file; give a folder"):
+        drawn(tmp_path, folder, draw=tmp_path / "both.jpg")
 
 
 def test_images_that_would_have_one_picture_are_refused(folder, tmp_path):

@@ -280,7 +280,7 @@ def test_nothing_is_searched_for_a_board_or_an_output_that_cannot_be(tmp_path):
         found(image, Board("chessboard", 9, 2))
     with pytest.raises(InvalidInput, match=r"did you mean DICT_4X4_50\?"):
         found(image, replace(CHARUCO, dictionary="DICT_4X4_5"))
-    with pytest.raises(InvalidInput, match=r"written as \.csv or \.vnl"):
+    with pytest.raises(InvalidInput, match=r"\.txt is not written; use \.csv, \.vnl"):
         found(image, output=tmp_path / "corners.txt")
     table = image.rename(tmp_path / "image.csv")
     with pytest.raises(InvalidInput, match="is an input and is not overwritten"):

@@ -16,6 +16,7 @@ from camcal.formats import detections, native
 from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile
 from camcal.formats.poses.record import PixelNoise, PoseKey
 from camcal.geometry.pose import Pose
+from camcal.images.save import save
 from camcal.progress import Silent
 from camcal.report import pose_words
 from camcal.simulate.scene import observe
@@ -180,12 +181,13 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
         ({"inputs": ("a.csv",), "outliers": "lots"}, "'--outliers': 'lots'"),
         ({"inputs": ("a.csv", "b.png")}, "read alone"),
         ({"inputs": ("a.png",)}, "what is to be found in the images\\? Give --board"),
-        ({"inputs": ("a.png",), "output": "poses.txt"}, "poses are written as"),
+        ({"inputs": ("a.png",), "output": "poses.txt"}, "is not written; use .yaml"),
         ({"inputs": ("a.csv",), "output": "a.csv"}, "is an input and is not overwritten"),
     ],
 )
 def test_options_that_do_not_fit_together_are_refused(camera_file, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
+    Path("a.csv").touch()
     paths = {name: tmp_path / options[name] for name in ("points", "output") if name in options}
     with pytest.raises(InvalidInput, match=message):
         pnp(PnpOptions(camera_file, **{**options, **paths}))
@@ -479,8 +481,9 @@ def test_pictures_of_images_with_one_name_are_told_apart_by_their_folders(camera
 def test_a_picture_never_takes_the_place_of_an_image(camera_file, tmp_path, seen, monkeypatch):
     monkeypatch.chdir(tmp_path)
     views = tuple(replace(view, image=name) for view, name in zip(seen.views, ("1.png", "1_pose.png"), strict=True))
+    save(tmp_path / "1_pose.png", np.zeros((4, 4), np.uint8))
     with pytest.raises(InvalidInput, match=r"1_pose\.png: is an input and is not overwritten"):
-        pnp(from_detections(camera_file, tmp_path, Detections(BOARD, views), draw=tmp_path))
+        pnp(from_detections(camera_file, tmp_path, Detections(BOARD, views), draw=tmp_path, overwrite=True))
 
 
 def test_frames_of_a_video_have_poses_and_pictures(tmp_path):

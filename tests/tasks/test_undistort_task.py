@@ -217,7 +217,7 @@ def test_a_camera_file_of_somebody_else_is_kept(folder):
     (folder / "out").mkdir()
     for content in ((folder / "lens.yaml").read_text(), "shopping list"):
         (folder / "out" / "camera.yaml").write_text(content)
-        with pytest.raises(InvalidInput, match="was not written by 'camcal undistort' and is kept"):
+        with pytest.raises(InvalidInput, match="exists and was not written by camcal"):
             run(folder)
         assert (folder / "out" / "camera.yaml").read_text() == content
 

@@ -32,16 +32,18 @@ def read(path: str | Path) -> Poses:
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is of another kind.
     """
     path = Path(path)
-    require_suffix(path)
-    if path.suffix.lower() == ".csv":
+    if str(path) != files.STANDARD:
+        require_suffix(path)
+    if files.suffix_of(path) == ".csv":
         return table.read(path)
     return plain.from_document(load_either(path, plain.check, _MAX_VALUES))
 
 
 def write(path: str | Path, poses: Poses) -> None:
-    """Write poses in the form the file's suffix says."""
+    """Write poses in the form the file's suffix says, to standard output as YAML."""
     path = Path(path)
-    require_suffix(path)
+    if not files.is_stream(path):
+        require_suffix(path)
     if path.suffix.lower() == ".csv":
         text = "".join(f"{line}\n" for line in table.lines(poses))
     else:

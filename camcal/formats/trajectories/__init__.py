@@ -6,6 +6,7 @@ names. kitti: 12 numbers a line, no times. tf: ROS transforms as YAML. EuRoC's d
 
 from pathlib import Path
 
+from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats.trajectories import native, table
 from camcal.formats.trajectories.native import write_tf
@@ -33,11 +34,13 @@ _WRITERS = {
 
 
 def kind_of(path: Path, kind: str | None = None) -> str:
-    """Return the form a trajectory is written in under this name, `kind` if it is given.
+    """Return the form a trajectory is written in under this name, `kind` if it is given; CSV to standard output.
 
     Raises InvalidInput if there is no such form, or it does not go with the suffix.
     """
     suffix = path.suffix.lower()
+    if files.is_stream(path) and (kind is None or kind in KINDS):
+        return kind or "csv"
     possible = [name for name, suffixes in KINDS.items() if suffix in suffixes]
     if kind is None and possible:
         return possible[0]
@@ -57,7 +60,7 @@ def read(path: str | Path, frames: str | None = None) -> Trajectory:
     Raises FileError if it cannot be read, InvalidInput with file and line for anything wrong in it.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
+    suffix = files.suffix_of(path)
     if suffix == ".csv":
         return table.read(path, frames)
     if suffix in (".yaml", ".yml", ".json"):
@@ -74,7 +77,7 @@ def is_trajectory_csv(path: Path) -> bool:
 
 def read_reference(path: Path) -> tuple[Trajectory, int]:
     """Return the trajectory to compare with, and how many poses were left out of it because their time is repeated."""
-    if path.suffix.lower() in KINDS["tum"]:
+    if files.suffix_of(path) in KINDS["tum"]:
         return read_with_repeats(path)
     return read(path), 0
 

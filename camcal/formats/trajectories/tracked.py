@@ -148,7 +148,7 @@ def write_tracks(path: Path, images: Sequence[str], objects: Mapping[str, Tracke
     Raises InvalidInput for another suffix.
     """
     suffix = path.suffix.lower()
-    if suffix == ".csv":
+    if suffix == ".csv" or files.is_stream(path):
         text = "".join(f"{line}\n" for line in _csv_lines(images, objects))
     elif suffix in SUFFIXES:
         comment = "camcal tracks of objects. Lengths: m; times: s; angles: rad."

@@ -9,12 +9,12 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, emit, kalibr_target, provenance
 from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
-from camcal.run.paths import refuse_overwriting
+from camcal.run.outputs import claim, overwrites, writes
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
 from camcal.targets.printing.draw import MM, RULER_MM, Footer, Ink, Sheet, encoded, ink_of, page_of, require_fine
 from camcal.targets.printing.page import Page, Paper, paper_named
 from camcal.targets.printing.png import size_in_pixels
-from camcal.tasks.calibration.options import SheetOptions
+from camcal.tasks.calibration.sheet_options import SheetOptions
 
 DPI = 254.0  # ten pixels a millimetre
 
@@ -30,6 +30,7 @@ class BoardSheet:
     pixels: tuple[int, int] | None
 
 
+@writes
 def board_sheet(options: SheetOptions, _: Progress = SILENT) -> BoardSheet:
     """Return how a board was drawn, the drawing and the board files written; one that is there already is kept.
 
@@ -39,8 +40,8 @@ def board_sheet(options: SheetOptions, _: Progress = SILENT) -> BoardSheet:
     ink = ink_of(board)
     page, paper = page_of(ink, _footer(board, ruler=options.ruler), _sheet(options))
     pixels = _pixels(options, ink, page)
-    refuse_overwriting([options.output], [Path(options.board)])
     there, target = _is_there(options.board_file, board), _target(options, board)
+    claim([options.output] if there else [options.output, options.board_file])
     files.write_bytes(options.output, encoded(page, options.output, options.dpi or DPI, provenance.created()))
     if not there:
         boards.write(options.board_file, board)
@@ -88,10 +89,11 @@ def _pixels(options: SheetOptions, ink: Ink, page: Page) -> tuple[int, int] | No
 
 def _is_there(path: Path, board: Board) -> bool:
     """Return whether a file describes the board already; raises InvalidInput if it is something else."""
-    if not path.exists():
+    if not path.exists() or overwrites():
         return False
     try:
-        found = boards.read(path)
+        with files.unwatched():
+            found = boards.read(path)
     except CamcalError as error:
         raise InvalidInput("is no board file and is kept; choose another output", where=str(path)) from error
     if emit.rounded(boards.block(_as_printed(found))) != emit.rounded(boards.block(board)):
@@ -107,8 +109,6 @@ def _target(options: SheetOptions, board: Board) -> str:
     text = kalibr_target.text_of(board)
     if path.resolve() in (options.output.resolve(), options.board_file.resolve()):
         raise InvalidInput("is written already; give the file for Kalibr a name of its own", where=str(path))
-    if path.exists() and files.read_text(path) != text:
-        raise InvalidInput("is another file and is kept; choose another one for Kalibr", where=str(path))
     return text
 
 

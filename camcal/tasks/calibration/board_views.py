@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import boards, detections
 from camcal.messages import Message
@@ -40,6 +41,11 @@ class BoardViews:
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
+def is_table(text: str) -> bool:
+    """Return whether an input is a detections file, as which standard input ("-") is read too."""
+    return text == files.STANDARD or Path(text).suffix.lower() in DETECTION_SUFFIXES
+
+
 def board_views(
     inputs: tuple[str, ...],
     board: str | Board | None,
@@ -62,7 +68,7 @@ def board_views(
     Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.
     """
     known = boards.load_board(board) if isinstance(board, str) else board
-    tables = [text for text in inputs if Path(text).suffix.lower() in DETECTION_SUFFIXES]
+    tables = [text for text in inputs if is_table(text)]
     if tables and len(inputs) > 1:
         raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])
     if tables and reading != AS_IMAGES:

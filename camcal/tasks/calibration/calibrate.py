@@ -33,10 +33,11 @@ from camcal.quality.assess import Assessment, assess
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data, view_record
-from camcal.run.paths import find_media, refuse_overwriting, split_address
+from camcal.run.outputs import writes
+from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
+from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
@@ -90,12 +91,12 @@ class CalibrateReport:
         return self.assessment.failures
 
 
+@writes
 def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> CalibrateReport:
     """Return the calibration of one camera after writing it to options.output, if that is given.
 
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
-    _require_outputs(options)
     return calibrated(lambda: seen_of(options, options.board, progress), options, progress)
 
 
@@ -179,20 +180,6 @@ def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
         text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
         values = {"uncertainty_px": reached, "limit_px": most}
         raise GateFailed.of([Message("projection_uncertainty", text, values, "--max-uncertainty")])
-
-
-def _require_outputs(options: CalibrateOptions) -> None:
-    """Raise InvalidInput if a result has no place of its own, or that of an input; FileError for inputs not there."""
-    table = options.save_detections
-    if table is not None and table.suffix.lower() not in DETECTION_SUFFIXES:
-        raise InvalidInput(f"detections are written as {' or '.join(DETECTION_SUFFIXES)}", where=str(table))
-    outputs = [path for path in (options.output, table) if path is not None]
-    if len(outputs) > 1 and outputs[0].resolve() == outputs[1].resolve():
-        raise InvalidInput("is where the camera goes; give the detections a file of their own", where=str(table))
-    media = find_media(options.inputs, options.recursive, options.reading.suffixes)
-    others = [] if options.board is None else [Path(options.board)]
-    others += [] if options.guess is None else [split_address(options.guess)[0]]
-    refuse_overwriting(outputs, [*media.images, *media.videos, *others])
 
 
 def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:

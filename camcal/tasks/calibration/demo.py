@@ -6,6 +6,7 @@ from typing import Any
 from camcal import files
 from camcal.calibrate.intrinsics import Calibration
 from camcal.progress import SILENT, Progress
+from camcal.run.outputs import claim, writes
 from camcal.simulate.scene import Truth
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
 from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
@@ -76,12 +77,14 @@ class DemoReport:
     compared: tuple[Compared, ...]
 
 
+@writes
 def demo(options: DemoOptions, progress: Progress = SILENT) -> DemoReport:
     """Return truth beside estimate after leaving images, corners, cameras and an explanation in options.output.
 
     Raises InvalidInput if the folder holds something else, FileError if it cannot be written.
     """
     folder = options.output
+    claim(folder / name for name in (CAMERA, DETECTIONS, README))
     simulated = simulate(_scene(options), progress)
     calibrated = calibrate(
         CalibrateOptions(

@@ -9,22 +9,15 @@ from typing import Any
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
-from camcal.images.save import save
+from camcal.images.save import KINDS, save
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.detection_image import is_raw, read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.report.overlays import corner_overlay
 from camcal.run.fanout import fan_out
-from camcal.run.paths import (
-    Media,
-    find_images,
-    find_media,
-    record_outputs,
-    refuse_collisions,
-    refuse_overwriting,
-    require_folder,
-)
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import Media, find_images, find_media, names_file, refuse_collisions, require_one
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
@@ -53,7 +46,6 @@ from camcal.tasks.calibration.which_board import (
     search,
 )
 
-SUFFIXES = (".csv", ".vnl")
 _PICTURE = "_corners.png"
 DEMOSAICED = Message(
     "demosaiced_colours",
@@ -84,6 +76,7 @@ class DetectReport:
         return sum(view.found for view in self.detections.views)
 
 
+@writes
 def detect_images(options: DetectOptions, progress: Progress = SILENT) -> DetectReport:
     """Return what images and chosen frames of videos show of a board, written to options.output if that is given.
 
@@ -150,7 +143,7 @@ def _drawn(
 ) -> tuple[Path, ...]:
     if options.draw is None:
         return ()
-    outputs = pictures([view.image for view in views], [video.path for video in videos], options.draw)
+    outputs = pictures([view.image for view in views], options.draw)
     return draw(views, outputs, videos, options.reading, options.jobs, progress)
 
 
@@ -165,14 +158,17 @@ def _media(options: DetectOptions) -> Media:
 
 def _require_outputs(options: DetectOptions, media: Media) -> None:
     """Raise InvalidInput if results have no place, or that of an input."""
-    inputs = (*media.images, *media.videos)
-    if options.output is not None:
-        if options.output.suffix.lower() not in SUFFIXES:
-            raise InvalidInput(f"detections are written as {' or '.join(SUFFIXES)}", where=str(options.output))
-        refuse_overwriting([options.output], inputs)
     if options.draw is not None:
-        require_folder(options.draw, "--draw")
-        pictures([path.as_posix() for path in media.images], inputs, options.draw)
+        names = [path.as_posix() for path in media.images]
+        if names_file(options.draw, KINDS):
+            _require_one_image(options.draw, media)
+        claim(pictures(names, options.draw).values())
+
+
+def _require_one_image(output: Path, media: Media) -> None:
+    require_one(output, len(media.images))
+    if media.videos:
+        raise InvalidInput("frames of a video do not go into one file; give a folder", where=str(output))
 
 
 def _require_readable(views: Sequence[BoardDetection], errors: Sequence[CamcalError]) -> None:
@@ -238,17 +234,18 @@ class _Sheet:
     gray: Array | None = None
 
 
-def pictures(images: Sequence[str], inputs: Sequence[Path], folder: Path) -> dict[str, Path]:
-    """Return the file in a folder for each image, by its name as the views have it.
+def pictures(images: Sequence[str], output: Path) -> dict[str, Path]:
+    """Return the file for each image, by its name as the views have it: one in a folder, or the output itself.
 
-    Raises InvalidInput if two images would have one picture, or a picture the place of an input.
+    Raises InvalidInput if two images would have one picture.
     """
+    if names_file(output, KINDS):
+        return dict.fromkeys(images, output)
     stems = {image: Path(image).stem for image in images}
     if len(set(stems.values())) < len(stems):  # of several folders
         stems = {image: f"{Path(image).parent.name}_{stem}" for image, stem in stems.items()}
-    outputs = {image: folder / f"{stem}{_PICTURE}" for image, stem in stems.items()}
+    outputs = {image: output / f"{stem}{_PICTURE}" for image, stem in stems.items()}
     refuse_collisions({Path(image): output for image, output in outputs.items()})
-    refuse_overwriting(outputs.values(), inputs)
     return outputs
 
 
@@ -263,8 +260,6 @@ def draw(
     """Return the pictures that were written, one for each view; raises FileError if one cannot be."""
     sheets = _sheets(views, outputs, videos)
     written = values_of(fan_out(partial(_draw, reading=reading), sheets, jobs=jobs, what="drawing", progress=progress))
-    for folder in {path.parent for path in written}:
-        record_outputs(folder, [path.name for path in written if path.parent == folder])
     return tuple(written)
 
 

@@ -22,12 +22,17 @@ from camcal.options import (
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.options import (
     BOARD_OPTION,
-    OUTPUT_OPTION,
+    CAMERA_FILE,
+    DETECTIONS,
+    FOLDER,
+    PICTURES,
     BoardText,
     Jobs,
+    Overwrite,
     Recursive,
     lens_models,
     output_option,
+    result_option,
 )
 
 if TYPE_CHECKING:
@@ -35,7 +40,6 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
-SHEET = "Sheet"
 
 Parts = Annotated[
     bool,
@@ -96,7 +100,7 @@ class DetectOptions(OptionsRecord):
         tuple[str, ...], Argument("Images, videos, folders or quoted globs.", metavar="IMAGES…", required=True)
     ] = ()
     board: Annotated["Board | str | None", BOARD_OPTION] = None
-    output: Annotated[Path | None, OUTPUT_OPTION] = None
+    output: Annotated[Path | None, result_option(DETECTIONS)] = None
     recursive: Recursive = False
     jobs: Jobs = None
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
@@ -104,14 +108,16 @@ class DetectOptions(OptionsRecord):
     draw: Annotated[
         Path | None,
         Option(
-            "Folder for pictures of every image with its corners, or the reason why there are none.",
-            metavar="FOLDER",
+            "Pictures of all images with corners, or the reason why there are none: a folder, for one image a file.",
+            metavar="PATH",
             group=OUTPUT,
             recorded=False,
+            written=PICTURES,
         ),
     ] = None
     parts: Parts = False
     mixed_sizes: MixedSizes = False
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ class CalibrateOptions(OptionsRecord):
         tuple[str, ...],
         Argument("Images, videos, folders, globs; or a detections file.", metavar="IMAGES…|DETECTIONS", required=True),
     ] = ()
-    output: Annotated[Path | None, OUTPUT_OPTION] = None
+    output: Annotated[Path | None, result_option(CAMERA_FILE)] = None
     board: BoardText = None
     model: Annotated[
         str | None,
@@ -182,6 +188,7 @@ class CalibrateOptions(OptionsRecord):
             metavar="FILE",
             group=OUTPUT,
             recorded=False,
+            written=DETECTIONS,
         ),
     ] = None
     image_size: Annotated[
@@ -220,6 +227,7 @@ class CalibrateOptions(OptionsRecord):
             recorded=False,
         ),
     ] = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -228,82 +236,14 @@ class CalibrateOptions(OptionsRecord):
 
 
 @dataclass(frozen=True)
-class SheetOptions(OptionsRecord):
-    """A board (its file or its short form), the file to draw it into, and the paper.
-
-    paper: a name or a size such as 300x400mm, None for the smallest of A4 … A0 that does. landscape: None for what
-    fits. margin_mm: what the printer cannot reach. dpi: of PNG. kalibr: where a target file for Kalibr goes.
-    """
-
-    board: Annotated[
-        str, Argument("A board file, or a short form such as chessboard:9x6:25mm.", metavar="BOARD", group=BOARD)
-    ]
-    output: Annotated[
-        Path,
-        output_option("Output: .pdf, .svg or .png; the board file is written beside it as .yaml.", metavar="FILE"),
-    ]
-    paper: Annotated[
-        str | None,
-        Option(
-            "A4, A3, A2, A1, A0, Letter, Legal, Tabloid or a size such as 300x400mm; by default the smallest of A4 to "
-            "A0 that the board fits on.",
-            metavar="NAME|WxHmm",
-            group=SHEET,
-        ),
-    ] = None
-    landscape: Annotated[
-        bool | None,
-        Option("Paper orientation; by default as the board fits.", group=SHEET, names="--landscape/--portrait"),
-    ] = None
-    margin_mm: Annotated[
-        float,
-        Option(
-            "Unprintable margin of the paper.",
-            metavar="MM",
-            group=SHEET,
-            names="--margin",
-        ),
-    ] = 5.0
-    ruler: Annotated[bool, Option("Draw a 100 mm ruler below the board to check the print.", group=SHEET)] = True
-    dpi: Annotated[
-        float | None,
-        Option(
-            "Resolution of a PNG; by default 254, ten pixels a millimetre.",
-            metavar="N",
-            group=OUTPUT,
-            least=1,
-            most=100_000,
-        ),
-    ] = None
-    kalibr: Annotated[
-        Path | None,
-        Option("Also write Kalibr's target YAML.", metavar="FILE", group=OUTPUT, recorded=False),
-    ] = None
-
-    def __post_init__(self) -> None:
-        from camcal.targets.printing.draw import KINDS
-
-        super().__post_init__()
-        suffix = self.output.suffix.lower()
-        if suffix not in KINDS:
-            raise InvalidInput(f"boards are drawn as {', '.join(KINDS)}", where=str(self.output))
-        if self.dpi is not None and suffix != ".png":
-            raise InvalidInput(f"--dpi is for .png; {suffix} has no pixels")
-
-    @property
-    def board_file(self) -> Path:
-        """Where the board file goes."""
-        return self.output.with_suffix(".yaml")
-
-
-@dataclass(frozen=True)
 class DemoOptions(OptionsRecord):
     """Where to leave the demonstration, how many photographs, which ones, and how many cores to work on."""
 
     output: Annotated[
         Path,
-        output_option("Output folder for images, results and a README.", metavar="DIR"),
+        output_option("Output folder for images, results and a README.", FOLDER, metavar="DIR"),
     ] = Path("camcal-demo")
     views: Annotated[int, Option("Number of images.", metavar="N", group=INPUT)] = 20
     seed: Annotated[int, Option("Random seed of poses and noise.", metavar="N", group=INPUT, least=0)] = 0
     jobs: Jobs = None
+    overwrite: Overwrite = False

@@ -28,20 +28,12 @@ from camcal.images.views import make_view
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
-from camcal.run.paths import (
-    Media,
-    find_media,
-    record_outputs,
-    recorded,
-    refuse_collisions,
-    refuse_overwriting,
-    split_address,
-)
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import read_camera_file, require_no_image
 
-_COMMAND = "camcal undistort"
 CAMERA_FILE = "camera.yaml"
 MASK_FILE = "valid_mask.png"
 _OTHERWISE = {".pfm": ".tiff"}  # of the types that are read and not written; all others become PNG
@@ -97,6 +89,7 @@ class UndistortReport:
         return tuple(outcome for outcome in self.outcomes if outcome.error is not None)
 
 
+@writes
 def undistort(options: UndistortOptions, progress: Progress = SILENT) -> UndistortReport:
     """Return what became of every image after writing what can be written to options.output.
 
@@ -107,11 +100,8 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
         require_no_image(split_address(options.camera_file)[0])
     media = find_media(options.images, recursive=options.recursive)
     source = read_source(options, partial(_first_size, media), progress)
-    outputs = {path: options.output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
-    camera_file, mask_file = options.output / CAMERA_FILE, options.output / MASK_FILE
-    refuse_collisions(outputs)
-    refuse_overwriting([*outputs.values(), camera_file, mask_file], [*source.files, *media.images])
-    require_own(camera_file)
+    outputs, camera_file, mask_file = _places(options, media)
+    claim([*outputs.values(), camera_file, *([mask_file] if options.mask else [])])
     if options.rescale:
         source = _rescaled(source, media)
     view = make_view(source.camera, options.view, source.circle)
@@ -121,14 +111,11 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     maps = align_channels(maps, lenses, view) if lenses else maps
     advice = ": if it was resized, not cropped, give --rescale"
     drawing = Drawing(maps, options.border, options.quality, advice)
-    names = [*(output.name for output in outputs.values()), *([MASK_FILE] if options.mask else [])]
-    with recorded(options.output, names):
-        outcomes = tuple(_drawn(drawing, outputs, media, options, progress))
-        require_success(outcomes)
-        if options.mask:
-            save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
-        write_view(camera_file, source, view, command_line("undistort", options), progress, tuple(lenses))
-    record_outputs(options.output, [outcome.value.output.name for outcome in outcomes if outcome.value])
+    outcomes = tuple(_drawn(drawing, outputs, media, options, progress))
+    require_success(outcomes)
+    if options.mask:
+        save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
+    write_view(camera_file, source, view, command_line("undistort", options), progress, tuple(lenses))
     return UndistortReport(
         view,
         outcomes,
@@ -137,6 +124,24 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
         float(maps.valid().mean()),
         tuple(lenses),
     )
+
+
+def _places(options: UndistortOptions, media: Media) -> tuple[dict[Path, Path], Path, Path]:
+    """Return the file for each image, that of the camera and that of the mask: in a folder, or beside the only image.
+
+    Raises InvalidInput if several images would go into one file.
+    """
+    output = options.output
+    if not names_file(output, tuple(KINDS)):
+        outputs = {path: output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
+        refuse_collisions(outputs)
+        return outputs, output / CAMERA_FILE, output / MASK_FILE
+    if media.videos:
+        raise InvalidInput("frames of a video do not go into one file; give a folder", where=str(output))
+    require_one(output, len(media.images))
+    if options.format is not None and KINDS[output.suffix.lower()] != KINDS[f".{options.format}"]:
+        raise InvalidInput(f"--format {options.format} is another type of file; leave it out", where=str(output))
+    return {media.images[0]: output}, output.with_suffix(f".{CAMERA_FILE}"), output.with_suffix(f".{MASK_FILE}")
 
 
 def _drawn(
@@ -251,21 +256,13 @@ def write_view(
         progress.warn(Message("replaced_view", text, where=str(path)))
 
 
-def require_own(path: Path) -> None:
-    """Raise InvalidInput if there is a file of that name which no undistortion wrote."""
-    if not path.exists():
-        return
-    try:
-        command = str(native.read(path).provenance.get("command", ""))
-    except CamcalError:
-        command = ""
-    if not command.startswith(_COMMAND):
-        raise InvalidInput("was not written by 'camcal undistort' and is kept; choose another output", where=str(path))
-
-
 def _earlier(path: Path) -> Camera | None:
-    """Return the camera of an earlier view in the same place."""
-    return next(iter(native.read(path).cameras.values())).camera if path.exists() else None
+    """Return the camera of an earlier view in the same place, None if there is none."""
+    try:
+        with files.unwatched():
+            return next(iter(native.read(path).cameras.values())).camera
+    except CamcalError:
+        return None
 
 
 def _same(one: Camera, other: Camera) -> bool:
@@ -287,6 +284,12 @@ class PointsReport:
     lost: int
 
 
+def _points_output(output: Path, points: Path) -> Path:
+    """Return the file that moved points go to: one of the same name in a folder."""
+    return output if output.suffix or files.is_stream(output) else output / points.name
+
+
+@writes
 def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> PointsReport:
     """Return what was written to options.output: the table with other u and v, empty where a point has no place.
 
@@ -295,12 +298,9 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
     if options.points is None:
         raise InvalidInput("no points are given; name a table with --points")
     source = read_source(options, lambda: options.view.size, progress)
-    output = options.output if options.output.suffix else options.output / options.points.name
-    camera_file = None if options.distort else output.with_suffix(".camera.yaml")
-    outputs = [output] if camera_file is None else [output, camera_file]
-    refuse_overwriting(outputs, [*source.files, options.points])
-    if camera_file is not None:
-        require_own(camera_file)
+    output = _points_output(options.output, options.points)
+    camera_file = None if options.distort or files.is_stream(output) else output.with_suffix(".camera.yaml")
+    claim([output] if camera_file is None else [output, camera_file])
     view = make_view(source.camera, options.view, source.circle)
     table = _read_points(options.points)
     pixels = np.column_stack([table.numbers_or_empty(name) for name in _PIXEL])

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.images.options import JPEG_QUALITY, ViewOptions
-from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without
-from camcal.tasks.options import CameraName, GivenCamera, Jobs, Output, Recursive
+from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without, Written
+from camcal.tasks.options import CameraName, GivenCamera, Jobs, Overwrite, Recursive, image_suffixes, output_option
 
 FORMATS = ("jpg", "png", "tiff", "npy")
 
@@ -28,7 +28,14 @@ class UndistortOptions(OptionsRecord):
         str | None,
         Argument("A camera file, or FILE#NAME for one of several; left out with --camera-matrix.", metavar="CAMERA"),
     ] = None
-    output: Output = Path("undistorted")
+    output: Annotated[
+        Path,
+        output_option(
+            "Output folder; for one image also the file, for --points a CSV.",
+            Written(lambda: (*image_suffixes(), ".csv"), folder=True, stdout=True),
+            required=True,
+        ),
+    ] = Path("undistorted")
     inputs: Annotated[tuple[str, ...], Argument("Images, videos, folders, globs.", metavar="IMAGES…")] = ()
     given: Annotated[GivenCamera, Without(("size",))] = field(default_factory=GivenCamera)
     camera_name: CameraName = None
@@ -75,6 +82,7 @@ class UndistortOptions(OptionsRecord):
     quality: Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -20,7 +20,7 @@ from camcal.formats.tables import Table, read_measurements
 from camcal.messages import Message
 from camcal.parsing import did_you_mean, parse_number
 from camcal.progress import SILENT, Progress
-from camcal.run.paths import refuse_overwriting
+from camcal.run.outputs import writes
 from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck, check_jacobian
 from camcal.tasks.curves.fit_report import FitReport, document, trace_csv, written
@@ -107,17 +107,13 @@ class Model:
     start: Mapping[str, float]
 
 
+@writes
 def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     """Return the fit of a model to a table, after writing what the options ask for.
 
     Raises InvalidInput, FileError, InsufficientData; a search that did not converge is written too, see
     `require_settled`.
     """
-    if options.plot is not None:
-        from camcal.report.figures import require_suffix  # plotting takes long to import
-
-        require_suffix(options.plot)
-    refuse_overwriting(options.outputs(), [options.data])
     table = read_measurements(options.data)
     measured = Measured(table, _names(options.x), options.y, options.sigma)
     fixed, values = fixed_of(options.fix)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
-from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord
-from camcal.tasks.options import output_option
+from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
+from camcal.tasks.options import FIGURES, Overwrite, output_option
 
 LOSSES = ("none", "huber", "soft_l1", "cauchy", "tukey")
 METHODS = ("levenberg-marquardt", "gauss-newton")
@@ -71,6 +71,7 @@ class FitOptions(OptionsRecord):
             metavar="FILE|table",
             group=OUTPUT,
             recorded=False,
+            written=Written(TRACES, words=(TABLE,)),
         ),
     ] = None
     check_jacobian: Annotated[bool, Option("Check the derivatives against numerical ones.")] = False
@@ -81,22 +82,20 @@ class FitOptions(OptionsRecord):
             metavar="PATH",
             group=OUTPUT,
             recorded=False,
+            written=FIGURES,
         ),
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Output file: .yaml or .json."),
+        output_option("Output file: .yaml or .json.", Written(OUTPUTS, stdout=True)),
     ] = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.loss != "none" and (self.profile or self.compare):
             option = "--profile" if self.profile else "--compare"
             raise InvalidInput(f"{option} needs a likelihood, which a robust loss is not; leave --loss {self.loss} out")
-        if self.output is not None and self.output.suffix.lower() not in OUTPUTS:
-            raise InvalidInput(f"results are written as {', '.join(OUTPUTS)}", where=str(self.output))
-        if self.trace not in (None, TABLE) and Path(str(self.trace)).suffix.lower() not in TRACES:
-            raise InvalidInput(f"--trace {self.trace}: write 'table', or a file ending in {', '.join(TRACES)}")
 
     def outputs(self) -> list[Path]:
         """Return the files that are written."""

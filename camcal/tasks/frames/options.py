@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from camcal.errors import InvalidInput
-from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
-from camcal.tasks.options import Output as OutputFile
-from camcal.tasks.options import output_option
+from camcal.files import STANDARD
+from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without, Written
+from camcal.tasks.options import Overwrite, output_option, result_option
 
 if TYPE_CHECKING:
     from camcal.formats.pose_text import Form
@@ -40,6 +40,18 @@ FormName = Annotated[
 ]
 
 
+def _transform_suffixes() -> tuple[str, ...]:
+    from camcal.formats import frames
+
+    return (*frames.SUFFIXES, *_TEXTS)
+
+
+def _point_suffixes() -> tuple[str, ...]:
+    from camcal.formats import pointclouds
+
+    return (_CSV, *pointclouds.SUFFIXES)
+
+
 @dataclass(frozen=True)
 class Output(OptionsRecord):
     """Where transforms go, None for nowhere, and the form of their numbers in texts (None: matrix).
@@ -49,7 +61,10 @@ class Output(OptionsRecord):
 
     path: Annotated[
         Path | None,
-        output_option("Output file: .yaml or .json with covariances; or .txt."),
+        output_option(
+            "Output file: .yaml or .json with covariances; or .txt.",
+            Written(lambda: (*_transform_suffixes(), _CSV), stdout=True),
+        ),
     ] = None
     form: Annotated[
         str | None,
@@ -67,16 +82,16 @@ class Output(OptionsRecord):
             group=INPUT,
         ),
     ] = False
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
-        from camcal.formats import frames
         from camcal.formats.pose_text import form_of
 
         super().__post_init__()
         form_of(self.form)  # which refuses what is none
-        known = (*frames.SUFFIXES, *_TEXTS)
-        if not self.trajectory and self.path is not None and self.path.suffix.lower() not in known:
-            raise InvalidInput(f"transforms are written as {', '.join(known)}", where=str(self.path))
+        if not self.trajectory and self.path is not None and self.path.suffix.lower() == _CSV:
+            known = ", ".join(_transform_suffixes())
+            raise InvalidInput(f"transforms are written as {known}", where=str(self.path))
 
     @property
     def numbers(self) -> "Form | None":
@@ -221,18 +236,24 @@ class PointsOptions(OptionsRecord):
             names="--with",
         ),
     ]
-    output: OutputFile
+    output: Annotated[Path, result_option(Written(_point_suffixes, stdout=True))]
     inverse: Annotated[bool, Option("Apply the inverse: from a to b.")] = False
     form: FormName = None
     unit: Annotated[
         str, Option("Unit of the points of a CSV; clouds state theirs.", metavar="m|mm", group=INPUT, choices=UNITS)
     ] = "m"
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.points.suffix.lower() == _CSV) != (self.output.suffix.lower() == _CSV):
+        if self.is_table != _is_table(self.output):
             raise InvalidInput("a CSV is written as a CSV and a cloud as a cloud", where=str(self.output))
-        if self.output.suffix.lower() != _CSV:
-            from camcal.formats import pointclouds
 
-            pointclouds.require_suffix(self.output)
+    @property
+    def is_table(self) -> bool:
+        """Whether the points are a CSV, not a cloud."""
+        return _is_table(self.points)
+
+
+def _is_table(path: Path) -> bool:
+    return str(path) == STANDARD or path.suffix.lower() == _CSV

@@ -18,8 +18,8 @@ from camcal.geometry.pose import Derived, Key, NamedTransform
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain, plain_loop
-from camcal.run.paths import refuse_overwriting
-from camcal.run.pose_sources import files_of, read_transforms
+from camcal.run.outputs import writes
+from camcal.run.pose_sources import read_transforms
 from camcal.tasks.frames.options import ChainOptions, ExpressionOptions, Output, PosesOptions
 
 _CONSISTENT = 27.86  # χ² of 6 degrees of freedom that chance exceeds once in 10 000 times
@@ -39,12 +39,12 @@ class TransformResult:
     loops: tuple[Loop, ...] = ()
 
 
+@writes
 def chain(options: ChainOptions, progress: Progress = SILENT) -> TransformResult:
     """Return target_T_source by way of the fewest transforms.
 
     Raises InvalidInput where the frames are not joined or a loop does not close, FileError.
     """
-    require_own(options.output, options.sources)
     transforms = _named(read_transforms(options.sources, form_of(options.form)))
     graph = FrameGraph(transforms)
     links = graph.path(options.target, options.source)
@@ -57,9 +57,9 @@ def chain(options: ChainOptions, progress: Progress = SILENT) -> TransformResult
     return TransformResult((result,), (_product(map(graph.name_of, links)),), _exact(factors, progress), loops)
 
 
+@writes
 def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> TransformResult:
     """Return the product that an expression says; raises InvalidInput if inner frames do not cancel, FileError."""
-    require_own(options.output, options.sources)
     transforms: dict[str, NamedTransform] = {}
     for item in _named(read_transforms(options.sources, form_of(options.form))):
         if item.name in transforms:
@@ -72,12 +72,12 @@ def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Transfo
     return TransformResult((result,), (product.text,), _exact(used, progress))
 
 
+@writes
 def compose(options: PosesOptions, progress: Progress = SILENT) -> TransformResult:
     """Return the product of transforms in their order; frames that are not named are taken to fit.
 
     Raises InvalidInput where named frames do not meet, FileError.
     """
-    require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form))
     if len(transforms) < 2:
         raise InvalidInput(f"{len(transforms)} transform is no product; give two or more, each in quotes if in numbers")
@@ -94,9 +94,9 @@ def compose(options: PosesOptions, progress: Progress = SILENT) -> TransformResu
     return TransformResult((result,), (_product(item.called for item in transforms),), _exact(factors, progress))
 
 
+@writes
 def invert(options: PosesOptions, _: Progress = SILENT) -> TransformResult:
     """Return the inverse of every transform; raises InvalidInput, FileError."""
-    require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form))
     inverses = tuple(item.inverse() for item in transforms)
     write(options.output, inverses)
@@ -158,12 +158,6 @@ def _require_closed(loop: Loop, options: ChainOptions) -> None:
         raise InvalidInput(f"{far}, more than {limit}; one of them is wrong, or allow it with --loop-mm, --loop-deg")
 
 
-def require_own(output: Output, sources: Sequence[str]) -> None:
-    """Raise InvalidInput if the output is one of the files that arguments name."""
-    if output.path is not None:
-        refuse_overwriting([output.path], files_of(sources))
-
-
 def write(output: Output, transforms: Sequence[NamedTransform]) -> None:
     """Write transforms if they go anywhere.
 
@@ -174,7 +168,7 @@ def write(output: Output, transforms: Sequence[NamedTransform]) -> None:
         return
     if not transforms:
         raise InsufficientData("there are no transforms to write", where=str(path))
-    if path.suffix.lower() in frames.SUFFIXES:
+    if files.is_stream(path) or path.suffix.lower() in frames.SUFFIXES:
         frames.write(path, [_with_frames(transform) for transform in transforms], output.numbers)
         return
     if len(transforms) != 1:

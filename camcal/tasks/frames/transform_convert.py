@@ -17,10 +17,10 @@ from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.paths import refuse_overwriting
+from camcal.run.outputs import writes
 from camcal.run.pose_sources import files_of, read_transforms, split_name
 from camcal.tasks.frames.options import ConvertOptions, Output
-from camcal.tasks.frames.transform import require_own, write
+from camcal.tasks.frames.transform import write
 
 _UNNAMED = ("a", "b")
 _KINDS = {"tum": "tum", "kitti": "kitti", "ros": "tf"}
@@ -77,13 +77,13 @@ class Converted:
     principal_points: tuple[PrincipalPoint, ...]
 
 
+@writes
 def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
     """Return transforms along other axes.
 
     Raises InvalidInput for a frame or convention that is not there and where one frame alone would become left-handed,
     InsufficientData where there is nothing to convert, FileError.
     """
-    require_own(options.output, options.sources)
     transforms = read_transforms(options.sources, form_of(options.form), allow_none=True)
     centres = _principal_points_of(options.sources, progress)
     if not transforms and not centres:
@@ -189,6 +189,7 @@ class ConvertedTrajectory:
     output: Path
 
 
+@writes
 def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> ConvertedTrajectory:
     """Return what was written to the output: the trajectory of the one source, in other axes or another form.
 
@@ -202,7 +203,6 @@ def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> 
     if options.form is not None:
         raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
     name, body = split_name(options.sources[0])
-    refuse_overwriting([output], [Path(body)])
     kind = trajectories.kind_of(output, None if form is None else _KINDS[form])
     trajectory = trajectories.read(Path(body), name or None)
     if options.inverse:

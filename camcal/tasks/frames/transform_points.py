@@ -16,8 +16,8 @@ from camcal.geometry.pose import NamedTransform, point_jacobian
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
-from camcal.run.paths import refuse_overwriting
-from camcal.run.pose_sources import files_of, read_one
+from camcal.run.outputs import writes
+from camcal.run.pose_sources import read_one
 from camcal.stereo.points.frames import METRES, NORMAL, POSITION, VertexStream
 from camcal.tasks.frames.options import PointsOptions
 
@@ -36,16 +36,16 @@ class MovedPoints:
     output: Path
 
 
+@writes
 def transform_points(options: PointsOptions, progress: Progress = SILENT) -> MovedPoints:
     """Return what was written to options.output: the points, and all else that the file has, in the other frame.
 
     Raises InvalidInput for what is no points or several transforms, FileError.
     """
-    refuse_overwriting([options.output], [options.points, *files_of([options.transform])])
     transform = read_one(options.transform, form_of(options.form))
     if options.inverse:
         transform = transform.inverse()
-    work = _table if options.points.suffix.lower() == _CSV else _cloud
+    work = _table if options.is_table else _cloud
     return work(options, transform, progress)
 
 

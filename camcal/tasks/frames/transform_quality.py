@@ -19,9 +19,10 @@ from camcal.geometry.rotation import HOPELESS, Orthogonality, examine
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
+from camcal.run.outputs import writes
 from camcal.run.pose_sources import read_loose, read_trajectories, read_transforms
 from camcal.tasks.frames.options import AverageOptions, CheckOptions, Output
-from camcal.tasks.frames.transform import require_own, write
+from camcal.tasks.frames.transform import write
 
 EXACT = 1e-6  # what a camera file asks of its rotations
 OK = "ok"
@@ -42,12 +43,12 @@ class Averaged:
     weighted: bool
 
 
+@writes
 def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
     """Return the mean of transforms that all have one name, or none.
 
     Raises InvalidInput for transforms of other frames, FileError, InsufficientData for fewer than two, NotConverged.
     """
-    require_own(options.output, options.sources)
     estimates = _estimates(options)
     _require_one_name(estimates)
     covariances = [item.covariance for item in estimates if item.covariance is not None]
@@ -157,9 +158,9 @@ class Checked:
     fixed: tuple[NamedTransform, ...]
 
 
+@writes
 def check(options: CheckOptions, _: Progress = SILENT) -> Checked:
     """Return what was found of poses; raises InvalidInput, FileError for what is not even numbers."""
-    require_own(options.output, options.sources)
     poses = tuple(_checked(written) for written in read_loose(options.sources, form_of(options.form)))
     fixed = tuple(_fixed(pose.written) for pose in poses if pose.verdict in {OK, INEXACT}) if options.fix else ()
     if fixed:

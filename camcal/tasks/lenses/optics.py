@@ -11,7 +11,7 @@ from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.run.paths import refuse_overwriting, split_address
+from camcal.run.outputs import writes
 from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
 from camcal.tasks.lenses.board_plan import BoardAt, BoardPlan, plan_board
@@ -40,14 +40,13 @@ class OpticsReport:
     plot: Path | None
 
 
+@writes
 def optics(options: OpticsOptions, progress: Progress = SILENT) -> OpticsReport:
     """Return all that can be said of a lens in use, after drawing its blur over distance if a file is named.
 
     Raises InvalidInput for options that contradict each other, or that say too little for any figure, for the board
     or for the plot; FileError for a file that cannot be read or written.
     """
-    if options.plot is not None:
-        _require_drawable(options.plot, options.camera)
     report = _report(set_up(options))
     if options.plot is not None:
         _draw(report, options.plot)
@@ -168,14 +167,6 @@ def _sharp_words(report: OpticsReport) -> str:
     if sharp is None or sharp.near is None:
         return ""
     return f", and {sharp.near:.3g} m to {sharp.far:.3g} m are in focus"
-
-
-def _require_drawable(plot: Path, camera: str | None) -> None:
-    """Raise InvalidInput for a file that is no figure or is the camera file."""
-    from camcal.report.figures import require_suffix  # matplotlib takes longer to import than all the rest to compute
-
-    require_suffix(plot)
-    refuse_overwriting([plot], [split_address(camera)[0]] if camera else [])
 
 
 def _draw(report: OpticsReport, plot: Path) -> None:

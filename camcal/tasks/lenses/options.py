@@ -24,7 +24,7 @@ from camcal.options import (
     declared,
     scaled,
 )
-from camcal.tasks.options import BoardText, CameraName
+from camcal.tasks.options import FIGURES, BoardText, CameraName, Overwrite
 
 SENSOR, SCENE = "Sensor", "Scene"
 SOLVABLE = ("f", "wd", "sensor")
@@ -184,8 +184,15 @@ class OpticsOptions(OptionsRecord):
     formats: Annotated[bool, Option("Only list the sensor formats.", group=OUTPUT)] = False
     plot: Annotated[
         Path | None,
-        Option("Plot the blur over distance (.png, .svg, .pdf).", metavar="FILE", group=OUTPUT, recorded=False),
+        Option(
+            "Plot the blur over distance (.png, .svg, .pdf).",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=FIGURES,
+        ),
     ] = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -22,7 +22,17 @@ from camcal.options import (
     separated,
 )
 from camcal.parsing import parse_number
-from camcal.tasks.options import BoardText, CameraName, GivenCamera, Jobs, Recursive, output_option
+from camcal.tasks.options import (
+    PICTURES,
+    POSES,
+    BoardText,
+    CameraName,
+    GivenCamera,
+    Jobs,
+    Overwrite,
+    Recursive,
+    output_option,
+)
 
 if TYPE_CHECKING:
     from camcal.formats.poses.record import PoseRecord
@@ -212,15 +222,16 @@ class PnpOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Output file of the poses: .yaml, .json or .csv."),
+        output_option("Output file of the poses: .yaml, .json or .csv.", POSES),
     ] = None
     draw: Annotated[
         Path | None,
         Option(
-            "Folder for pictures of the axes, projected points and enlarged residuals.",
-            metavar="FOLDER",
+            "Pictures of the axes, projected points and enlarged residuals: a folder, for one image a file.",
+            metavar="PATH",
             group=OUTPUT,
             recorded=False,
+            written=PICTURES,
         ),
     ] = None
     name: CameraName = None
@@ -275,6 +286,7 @@ class PnpOptions(OptionsRecord):
     all_solutions: Annotated[bool, Option("List all solutions, not only the two most likely.", group=OUTPUT)] = False
     intrinsics: Annotated[bool, Option("Include the covariance of the camera parameters in that of the poses.")] = True
     gates: Gates = field(default_factory=Gates)
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

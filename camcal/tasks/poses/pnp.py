@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
@@ -23,12 +24,12 @@ from camcal.messages import Message
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
-from camcal.run.paths import refuse_overwriting, require_folder
-from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
+from camcal.run.outputs import writes
+from camcal.tasks.calibration.board_views import is_table
 from camcal.tasks.given_camera import read_camera_file, require_no_image
 from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
-from camcal.tasks.poses.pnp_observer import Observer, draw, joined, seen_by_rig, sheets, videos_in
+from camcal.tasks.poses.pnp_observer import Observer, Sheet, draw, joined, seen_by_rig, sheets, videos_in
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
 from camcal.tasks.poses.pnp_views import Observation, PnpViews, first_size, seen_by
 
@@ -59,6 +60,7 @@ class PnpReport:
             raise GateFailed.of(found)
 
 
+@writes
 def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     """Return the pose of every object in every image, after writing them to options.output if that is given.
 
@@ -82,6 +84,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     warn_of(warnings, progress)
     straight = _poses(options, observer, seen, found, refused)
     result = straight.inverse() if inverse else straight
+    pages = _pages(options, observer, straight, found, observations)
     if options.output:
         poses.write(options.output, result)
     return PnpReport(
@@ -90,7 +93,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
         lines=seen.lines,
         failed=(*seen.failed, *map(str, refused)),
         unsettled=tuple(pose_key for pose_key, estimate in found.items() if not estimate.converged),
-        pictures=_drawn(options, observer, straight, found, observations, progress),
+        pictures=draw(pages, videos_in(options.paths), _folders(options), options.detection.jobs, progress),
         views={} if options.rig else {pose_key: each.views[0] for pose_key, each in observations.items()},
         camera=None if options.rig else observer.cameras[None],
     )
@@ -115,19 +118,11 @@ def _check(options: PnpOptions) -> None:
         raise InvalidInput(
             "--noise takes the place of the pixels' standard deviations, which --noise-scale multiplies; give one"
         )
-    if options.draw is not None:
-        require_folder(options.draw, "--draw")
-    if options.output is None:
-        return
-    poses.require_suffix(options.output)
-    named = (path, options.points, options.prior.path)
-    inputs = [*options.paths, *(each for each in named if each is not None)]
-    refuse_overwriting([options.output], inputs)
 
 
 def _first_size_of(options: PnpOptions) -> tuple[int, int] | None:
     """Return the size of the first image that was seen, None if there is none."""
-    pictures = [text for text in options.seen if Path(text).suffix.lower() not in DETECTION_SUFFIXES]
+    pictures = [text for text in options.seen if not is_table(text)]
     return first_size(tuple(pictures), options.detection.recursive)[0] if pictures and not options.rig else None
 
 
@@ -253,24 +248,30 @@ def _warnings(
     return warnings
 
 
-def _drawn(
+def _folders(options: PnpOptions) -> list[Path]:
+    """Return the folders in which images are looked for that are named by their names alone."""
+    return [path.parent for path in (*options.paths, options.points) if path is not None]
+
+
+def _pages(
     options: PnpOptions,
     observer: Observer,
     straight: Poses,
     found: Mapping[PoseKey, PoseEstimate],
     observations: Mapping[PoseKey, Observation],
-    progress: Progress,
-) -> tuple[Path, ...]:
-    """Return the pictures that were drawn of the poses, which take points of the object to the camera or rig."""
+) -> list[Sheet]:
+    """Return what is to be drawn of the poses, which take points of the object to the camera or rig."""
     if options.draw is None:
-        return ()
+        return []
     objects: dict[tuple[str, str | None], list[Posed]] = {}
     for pose_key, estimate in found.items():
         words = pose_words.caption(straight, pose_key, straight.estimates[pose_key])
         for key, posed in observer.posed(observations[pose_key], estimate, words).items():
             objects.setdefault(key, []).append(posed)
-    folders = [path.parent for path in (*options.paths, options.points) if path is not None]
-    return draw(sheets(objects, options.draw), videos_in(options.paths), folders, options.detection.jobs, progress)
+    for image in {image for image, _ in objects}:
+        for place in (Path(image), *(folder / image for folder in _folders(options))):
+            files.note_read(place)
+    return sheets(objects, options.draw)
 
 
 def document(report: PnpReport) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from camcal.formats.camera_file import CalibrationNoise, CameraFile
 from camcal.formats.poses.record import PoseKey
 from camcal.geometry.pose import Pose
 from camcal.images.load import gray_8bit
-from camcal.images.save import save
+from camcal.images.save import KINDS, save
 from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
@@ -28,8 +28,9 @@ from camcal.progress import Progress, values_of, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, record_outputs, refuse_collisions, refuse_overwriting
-from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES
+from camcal.run.outputs import claim
+from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, names_file, refuse_collisions, require_one
+from camcal.tasks.calibration.board_views import is_table
 from camcal.tasks.poses.options import DetectionOptions
 from camcal.tasks.poses.pnp_views import Observation, PnpViews, seen_by
 
@@ -181,7 +182,7 @@ def joined(observations: Iterable[Observation]) -> tuple[Observation, ...]:
 
 def _by_camera(inputs: tuple[str, ...], names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the inputs of every camera."""
-    if len(inputs) == 1 and Path(inputs[0]).suffix.lower() in DETECTION_SUFFIXES and "=" not in inputs[0]:
+    if len(inputs) == 1 and is_table(inputs[0]) and "=" not in inputs[0]:
         return dict.fromkeys(names, inputs)
     found: dict[str, tuple[str, ...]] = {}
     for text in inputs:
@@ -245,17 +246,21 @@ def videos_in(paths: Sequence[Path]) -> list[Path]:
     return [path for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
 
 
-def sheets(objects: Mapping[tuple[str, str | None], Sequence[Posed]], folder: Path) -> list[Sheet]:
+def sheets(objects: Mapping[tuple[str, str | None], Sequence[Posed]], output: Path) -> list[Sheet]:
     """Return one sheet for each image (its name, and its camera in a rig) with all objects in it.
 
-    Raises InvalidInput if two images would have one picture, or a picture the place of an image.
+    output: a folder, or of one image the file. Raises InvalidInput if two images would have one picture, or a picture
+    must not be written.
     """
+    if names_file(output, KINDS):
+        require_one(output, len(objects))
+        return [Sheet(key[0], output, tuple(posed)) for key, posed in objects.items()]
     names = {key: f"{key[1]}_{Path(key[0]).stem}" if key[1] else Path(key[0]).stem for key in objects}
     if len(set(names.values())) < len(names):  # of several folders
         names = {key: f"{Path(key[0]).parent.name}_{name}" for key, name in names.items()}
-    outputs = {key: folder / f"{name}{_SUFFIX}" for key, name in names.items()}
+    outputs = {key: output / f"{name}{_SUFFIX}" for key, name in names.items()}
     refuse_collisions({Path(image): outputs[image, camera] for image, camera in objects})
-    refuse_overwriting(outputs.values(), [Path(image) for image, _ in objects])
+    claim(outputs.values())
     return [Sheet(key[0], outputs[key], tuple(posed)) for key, posed in objects.items()]
 
 
@@ -272,8 +277,6 @@ def draw(
     nowhere, or has another size than the camera, is drawn on gray. Raises FileError if a picture cannot be written.
     """
     written = values_of(fan_out(_draw, _work(pages, videos, folders), jobs=jobs, what="drawing", progress=progress))
-    for folder in {path.parent for path in written}:
-        record_outputs(folder, [path.name for path in written if path.parent == folder])
     return tuple(written)
 
 

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -23,7 +22,7 @@ from camcal.run.paths import find_media
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import Surface
-from camcal.tasks.calibration.board_views import DETECTION_SUFFIXES, BoardViews, board_views
+from camcal.tasks.calibration.board_views import BoardViews, board_views, is_table
 from camcal.tasks.poses.options import DetectionOptions
 from camcal.tasks.poses.tag_views import board_frames, tag_views
 
@@ -89,7 +88,7 @@ def seen_by(
     file with several are told apart.
     Raises InvalidInput, FileError, or InsufficientData if a board is in none of the images.
     """
-    tables = any(Path(text).suffix.lower() in DETECTION_SUFFIXES for text in inputs)
+    tables = any(is_table(text) for text in inputs)
     if detection.tags is not None:
         if tables:
             raise InvalidInput("holds corners of a board; tags are found in images", where=inputs[0])
@@ -156,7 +155,7 @@ def _boards(
     inputs: tuple[str, ...], board: Board | None, detection: DetectionOptions, progress: Progress
 ) -> BoardViews:
     """Return what is seen of a board; videos are read frame by frame."""
-    if board is None or any(Path(text).suffix.lower() in DETECTION_SUFFIXES for text in inputs):
+    if board is None or any(is_table(text) for text in inputs):
         return board_views(inputs, board, detection.recursive, detection.jobs, progress)
     media = find_media(inputs, detection.recursive)
     if not media.videos:

@@ -17,9 +17,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.report import figures
 from camcal.report.over_time import Panel, over_time
-from camcal.run.paths import refuse_overwriting
+from camcal.run.outputs import writes
 from camcal.tasks.poses.smooth_options import SmoothOptions
 from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
@@ -28,15 +27,12 @@ _PARTS = ("translation", "rotation")
 _AXES = ("tx, m", "ty, m", "tz, m", "rx, rad", "ry, rad", "rz, rad")
 
 
+@writes
 def smooth(options: SmoothOptions, progress: Progress = SILENT) -> Smoothing:
     """Return what came of smoothing, everything asked for written.
 
     Raises InvalidInput and FileError for what cannot be read, InsufficientData naming what is not observed.
     """
-    inputs = [path for path in (options.source, options.controls, options.reference) if path is not None]
-    refuse_overwriting(options.outputs(), inputs)
-    if options.plot is not None:
-        figures.require_suffix(options.plot)
     found = smooth_table(options) if _is_table(options) else smooth_trajectory(options, progress)
     if found.consistency.warning is not None:
         progress.warn(found.consistency.warning)
@@ -73,17 +69,17 @@ def document(found: Smoothing) -> dict[str, Any]:
 
 def _is_table(options: SmoothOptions) -> bool:
     if options.columns or options.controls is not None:
-        if options.source.suffix.lower() != _TABLE_SUFFIX:
+        if files.suffix_of(options.source) != _TABLE_SUFFIX:
             raise InvalidInput("--columns and --input go with a CSV of numbers over time", where=str(options.source))
         return True
-    return options.source.suffix.lower() == _TABLE_SUFFIX and not trajectories.is_trajectory_csv(options.source)
+    return files.suffix_of(options.source) == _TABLE_SUFFIX and not trajectories.is_trajectory_csv(options.source)
 
 
 def smooth_table(options: SmoothOptions) -> Smoothing:
     """Return what came of smoothing the columns of a table, everything asked for written."""
     if options.reference is not None or options.kind is not None or options.frames is not None:
         raise InvalidInput("--evaluate, --format and --frames go with poses, not with a table of other numbers")
-    if options.output is not None:
+    if options.output is not None and not files.is_stream(options.output):
         tables.require_suffix(options.output)
     series = _read_series(options)
     grid = wanted_stamps(options, series.stamps)

@@ -18,7 +18,7 @@ from camcal.options import (
     ValueType,
 )
 from camcal.parsing import parse_number
-from camcal.tasks.options import output_option
+from camcal.tasks.options import FIGURES, TRAJECTORY, Overwrite, output_option
 from camcal.tasks.poses.options import AUTO
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class SmoothOptions(OptionsRecord):
     ]
     output: Annotated[
         Path | None,
-        output_option("Smoothed poses (.tum .csv .yaml .json), or numbers (.csv .json)."),
+        output_option("Smoothed poses (.tum .csv .yaml .json), or numbers (.csv .json).", TRAJECTORY),
     ] = None
     columns: Annotated[
         tuple[str, ...],
@@ -152,7 +152,7 @@ class SmoothOptions(OptionsRecord):
     ] = (1.0, "frames")
     plot: Annotated[
         Path | None,
-        Option("Plot over time: .png, .svg or .pdf.", metavar="FILE", group=OUTPUT, recorded=False),
+        Option("Plot over time: .png, .svg or .pdf.", metavar="FILE", group=OUTPUT, recorded=False, written=FIGURES),
     ] = None
     frames: Annotated[
         str | None, Option("Direction of the poses, if the file does not state it.", metavar="A_T_B", group=INPUT)
@@ -166,6 +166,7 @@ class SmoothOptions(OptionsRecord):
             names="--format",
         ),
     ] = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

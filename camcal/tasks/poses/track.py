@@ -22,7 +22,8 @@ from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import track_words
-from camcal.run.paths import Media, find_media, refuse_collisions, refuse_overwriting, require_there
+from camcal.run.outputs import writes
+from camcal.run.paths import Media, find_media, refuse_collisions, require_there
 from camcal.targets.markers.tags import single_name
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.poses.frame_times import frame_times, require_times
@@ -66,6 +67,7 @@ class _FramePoses:
     camera: Camera | None = None
 
 
+@writes
 def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
     """Return the tracks of all objects, after writing them and their picture where that is asked for.
 
@@ -138,16 +140,6 @@ def _check(options: TrackingOptions) -> None:
             trajectories.kind_of(options.output, options.kind)
     elif options.kind is not None:
         raise InvalidInput("--format is about the output; give it with -o")
-    if options.plot is not None:
-        from camcal.report.figures import require_suffix  # matplotlib takes longer to import than a short track
-
-        require_suffix(options.plot)
-    outputs = [path for path in (options.output, options.plot) if path is not None]
-    sources = [options.camera.rpartition("#")[0] or options.camera] if options.camera else []
-    sources += [options.timing.source] if options.timing.source else []
-    refuse_overwriting(outputs, map(Path, (*options.frames, *sources)))
-    if len(outputs) == 2 and outputs[0].resolve() == outputs[1].resolve():
-        raise InvalidInput("would be both the track and its picture", where=str(outputs[0]))
 
 
 def _of_file(options: TrackingOptions) -> _FramePoses:
@@ -216,9 +208,14 @@ def _direction(options: TrackingOptions, seen: Poses) -> str:
     return turned if options.output is not None and _form(options) in _OF_CAMERA else straight
 
 
+def _has_states(output: Path) -> bool:
+    """Return whether all frames and their state are written under this name."""
+    return files.is_stream(output) or output.suffix.lower() in SUFFIXES
+
+
 def _form(options: TrackingOptions) -> str | None:
     """Return the form of trajectory that is written, None for a track with all its frames."""
-    if options.output is None or (options.kind is None and options.output.suffix.lower() in SUFFIXES):
+    if options.output is None or (options.kind is None and _has_states(options.output)):
         return None
     return trajectories.kind_of(options.output, options.kind)
 

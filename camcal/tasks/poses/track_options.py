@@ -8,7 +8,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, ValueType, Without, separated
-from camcal.tasks.options import CameraName, GivenCamera, output_option
+from camcal.tasks.options import FIGURES, TRAJECTORY, CameraName, GivenCamera, Overwrite, output_option
 from camcal.tasks.poses.options import AUTO, DetectionOptions
 
 POSE_SUFFIXES = (".yaml", ".yml", ".json")
@@ -94,7 +94,9 @@ class TrackingOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Output file: .csv, .yaml or .json with all frames and their state; .tum with poses only."),
+        output_option(
+            "Output file: .csv, .yaml or .json with all frames and their state; .tum with poses only.", TRAJECTORY
+        ),
     ] = None
     kind: Annotated[
         str | None,
@@ -112,6 +114,7 @@ class TrackingOptions(OptionsRecord):
             metavar="FILE",
             group=OUTPUT,
             recorded=False,
+            written=FIGURES,
         ),
     ] = None
     pose: Annotated[
@@ -156,6 +159,7 @@ class TrackingOptions(OptionsRecord):
         ),
     ] = None
     name: CameraName = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,7 +5,6 @@ looks like with each of the four patterns.
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -40,7 +39,8 @@ from camcal.raw.options import (
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.paths import find_images, place, record_outputs, recorded, refuse_overwriting
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import find_images, place
 from camcal.tasks.raw.options import DemosaicOptions
 from camcal.tasks.raw.raw_corrections import load_corrections, read_frame
 
@@ -71,6 +71,7 @@ class DevelopedFrame:
     gains: tuple[float, float, float] | None
 
 
+@writes
 def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outcome[Path, DevelopedFrame]]:
     """Return what became of every raw frame, in the order of the inputs; a frame that fails costs only itself.
 
@@ -81,18 +82,13 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     _require_pattern(sources, options.reading.pattern)
     outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
     settings = [_settings_beside(output) for output in outputs.values()]
-    refuse_overwriting(settings, sources)
-    for path in settings:
-        _require_own_settings(path)
+    claim([*outputs.values(), *settings])
     corrections = load_corrections(options.corrections, options.reading, sources[0])
-    into_a_folder = outputs[sources[0]] != options.output
-    names = [output.name for output in outputs.values()]
-    with recorded(options.output, names) if into_a_folder else nullcontext():
-        if len(sources) == 1:
-            outcomes = [_alone(sources[0], outputs, options, corrections)]
-        else:
-            work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
-            outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
+    if len(sources) == 1:
+        outcomes = [_alone(sources[0], outputs, options, corrections)]
+    else:
+        work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
+        outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
     _warn_of_a_short_scale(outcomes, options.reading.white, progress)
     return outcomes
 
@@ -212,12 +208,6 @@ def _settings_beside(image: Path) -> Path:
     return image.with_name(image.name + _SETTINGS)
 
 
-def _require_own_settings(path: Path) -> None:
-    """Raise InvalidInput if something else stands where settings go."""
-    if path.exists() and _COMMENT.encode() not in files.read_bytes(path):
-        raise InvalidInput("was not written by 'camcal demosaic' and is kept; choose another output", where=str(path))
-
-
 def _settings_text(options: DemosaicOptions, record: Mapping[str, Any]) -> str:
     """Return the settings file: options of the command by name, and under x_record what was found on the way.
 
@@ -255,6 +245,7 @@ class PatternPreviews:
     likely: tuple[str, ...]
 
 
+@writes
 def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
     """Return what was written: for each raw frame four small PNG images in the folder options.output.
 
@@ -263,18 +254,23 @@ def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
     """
     look = Development(HALF, Balance(GRAY_WORLD), tone="srgb", depth="8")
     written = []
-    for source in find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES):
+    sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
+    claim(_preview(options, source, pattern) for source in sources for pattern in PATTERNS)
+    for source in sources:
         frame = read_frame(source, replace(options.reading, pattern=options.reading.pattern or PATTERNS[0]))
         if frame.pattern not in PATTERNS:
             raise InvalidInput(f"has the pattern {frame.pattern}, not one of four", where=str(source))
         thumbnails = {}
         for pattern in PATTERNS:
-            path = options.output / f"{source.stem}_{pattern}.png"
+            path = _preview(options, source, pattern)
             save(path, _thumbnail(develop(replace(frame, pattern=pattern), look).pixels))
             thumbnails[pattern] = path
-        record_outputs(options.output, [path.name for path in thumbnails.values()])
         written.append(PatternPreviews(source, thumbnails, _likely(frame)))
     return written
+
+
+def _preview(options: DemosaicOptions, source: Path, pattern: str) -> Path:
+    return options.output / f"{source.stem}_{pattern}.png"
 
 
 def _likely(frame: Mosaic) -> tuple[str, ...]:

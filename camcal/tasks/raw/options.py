@@ -16,10 +16,20 @@ from camcal.options import (
     Argument,
     Option,
     OptionsRecord,
+    Written,
     separated,
 )
 from camcal.raw.options import NO_LAYOUT, Development, GivenLayout
-from camcal.tasks.options import Jobs, Output, Pattern, Recursive
+from camcal.tasks.options import (
+    CAMERA_FILE,
+    FIGURES,
+    Jobs,
+    Overwrite,
+    Pattern,
+    Recursive,
+    image_suffixes,
+    result_option,
+)
 
 CORRECTIONS, SENSOR = "Corrections", "Sensor"
 DEFAULT_TYPE = "tiff"  # 16-bit PNG takes seventeen times as long to write
@@ -106,7 +116,10 @@ class DemosaicOptions(OptionsRecord):
             metavar="IN…",
         ),
     ]
-    output: Output
+    output: Annotated[
+        Path,
+        result_option(Written(lambda: (*image_suffixes(), ".dng", ".txt", ".badpixels"), folder=True)),
+    ]
     reading: RawInput = AS_THEY_SAY
     corrections: CorrectionFiles = NO_FILES
     development: Development = field(default_factory=Development)
@@ -123,6 +136,7 @@ class DemosaicOptions(OptionsRecord):
     trust_pattern: Annotated[bool, Option("Skip the check of the pattern against the frame.", group=CHECKS)] = False
     recursive: Recursive = False
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -157,7 +171,7 @@ class SensorOptions(OptionsRecord):
             names="--dark",
         ),
     ]
-    output: Output
+    output: Annotated[Path, result_option(CAMERA_FILE)]
     pattern: Pattern = None
     layout: GivenLayout = NO_LAYOUT
     exposures: Annotated[
@@ -199,9 +213,16 @@ class SensorOptions(OptionsRecord):
     ] = None
     plot: Annotated[
         Path | None,
-        Option("Draw the photon transfer curve (.png, .svg, .pdf).", metavar="FILE", group=OUTPUT, recorded=False),
+        Option(
+            "Draw the photon transfer curve (.png, .svg, .pdf).",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=FIGURES,
+        ),
     ] = None
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -19,7 +19,8 @@ from camcal.raw.develop import NO_CORRECTIONS, Corrections, linearise
 from camcal.raw.mosaic import Mosaic, channel_names
 from camcal.raw.options import HEADERLESS_SUFFIXES, MONO
 from camcal.raw.reading import read_mosaic
-from camcal.run.paths import find_images, refuse_overwriting
+from camcal.run.outputs import writes
+from camcal.run.paths import find_images
 from camcal.tasks.raw.options import NO_FILES, CorrectionFiles, DemosaicOptions, RawInput
 
 _FOUR = ("R", "Gr", "Gb", "B")  # the order in which four black levels are given
@@ -80,6 +81,7 @@ class BadPixelMap:
     pixels: int
 
 
+@writes
 def make_bad_pixel_map(options: DemosaicOptions, progress: Progress = SILENT) -> BadPixelMap:
     """Return what was found after writing the map to options.output: text as dcraw reads it, PNG or NPY.
 
@@ -87,7 +89,6 @@ def make_bad_pixel_map(options: DemosaicOptions, progress: Progress = SILENT) ->
     stand out to be called bad.
     """
     sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
-    refuse_overwriting([options.output], sources)
     pattern = options.reading.pattern or read_frame(sources[0], options.reading).pattern
     progress.start("dark frames", len(sources))
 

@@ -25,7 +25,7 @@ from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, char
 from camcal.report import figures
 from camcal.report.uncertain import value_and_std
 from camcal.run.fanout import fan_out
-from camcal.run.paths import refuse_overwriting
+from camcal.run.outputs import writes
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
 from camcal.tasks.raw.options import RawInput, SensorOptions
 from camcal.tasks.raw.raw_corrections import read_frame
@@ -61,6 +61,7 @@ class SensorReport:
     warnings: tuple[Message, ...]
 
 
+@writes
 def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     """Return what a sensor can do, after writing it to options.output and, if asked for, a figure.
 
@@ -69,13 +70,11 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     """
     if options.sensor_format is not None:
         sensor_format(options.sensor_format)
-    if options.plot is not None:
-        figures.require_suffix(options.plot)
     darks = _sets(options, progress)
     known = [one.mean for one in darks if one.mean is not None]
     flats = _sets(options, progress, black=min(known, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
-    _require_own_paths(options, flats, darks)
+    _require_apart(flats, darks)
     spread = _widened((*flats, *darks), options, progress)
     found = characterise(*(_levels(sets, spread, options, progress) for sets in (flats, darks)))
     warnings = (*_counts_warnings(found, spread, options), *found.warnings)
@@ -111,18 +110,11 @@ def _at_one_speed(
     return iso, kept[0], kept[1]
 
 
-def _require_own_paths(options: SensorOptions, flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None:
-    """Raise InvalidInput if a frame is a flat and a dark one, or an output an input, a folder, or both outputs."""
+def _require_apart(flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None:
+    """Raise InvalidInput if a frame is a flat and a dark one."""
     of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
     if both := of_light & of_darkness:
         raise InvalidInput("is given as a flat and as a dark frame", where=str(min(both)))
-    outputs = [path for path in (options.output, options.plot) if path is not None]
-    refuse_overwriting(outputs, of_light | of_darkness)
-    for path in outputs:
-        if path.is_dir():
-            raise InvalidInput("is a folder; give the name of a file", where=str(path))
-    if len({path.resolve() for path in outputs}) < len(outputs):
-        raise InvalidInput("is asked for twice, as --output and as --plot", where=str(options.output))
 
 
 def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from camcal.errors import InvalidInput
@@ -23,7 +24,7 @@ from camcal.options import (
 )
 from camcal.parsing import parse_number
 from camcal.simulate.options import USUAL_SENSOR, Sensor
-from camcal.tasks.options import BOARD_OPTION, CameraName, Jobs, Output, lens_models
+from camcal.tasks.options import BOARD_OPTION, FOLDER, CameraName, Jobs, Overwrite, lens_models, result_option
 
 if TYPE_CHECKING:
     from camcal.simulate.mosaics import RawCamera
@@ -33,7 +34,7 @@ SCENE, IMAGE, PAIRS = "Scene", "Image", "Pairs"
 MAX_LEVELS, MAX_DARKS = 200, 1000
 
 _EVEN_LIGHT = (1.0, 1.0, 1.0)
-_OF_PAIRS_TOO = {"stereo", "output", "size", "fov", "blur", "noise", "depth", "seed", "jobs"}
+_OF_PAIRS_TOO = {"stereo", "output", "size", "fov", "blur", "noise", "depth", "seed", "jobs", "overwrite"}
 _OF_A_SENSOR = ("noise", "gamma", "depth")  # what it gives itself
 
 
@@ -238,7 +239,7 @@ class SimulateOptions(OptionsRecord):
     Raises InvalidInput for options that have no meaning with, or without, stereo.
     """
 
-    output: Output
+    output: Annotated[Path, result_option(FOLDER)]
     board: Annotated[str | None, Argument(BOARD_OPTION.help, metavar="BOARD")] = None
     camera: Annotated[
         str | None,
@@ -306,6 +307,7 @@ class SimulateOptions(OptionsRecord):
     ] = False
     pairs: PairsOptions = ONE_PAIR
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -26,6 +26,7 @@ from camcal.images.save import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
+from camcal.run.outputs import OUTPUT_INDEX, claim, owned, writes
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series, lenses
@@ -70,6 +71,7 @@ class SimulateReport:
     frames: tuple[Path, ...] = ()
 
 
+@writes
 def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateReport:
     """Return what was photographed after writing images and truth into options.output.
 
@@ -88,10 +90,13 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     poses = views(camera, board, options.views, rng=rng, partial=options.partial)
     corners, truth = observe(camera, board, poses, rng=rng, shape=shape)
     folder = options.output
-    _clear(folder, options.views)
-    _write_truth(folder, truth, corners, options)
-    images = _photograph_all(folder, truth, options, progress)
-    return SimulateReport(truth, corners, images, _take_frames(folder, camera, options, progress))
+    require_own(folder, TRUTH)
+    with owned(folder):
+        claim([*(folder / name for name in (TRUTH, BOARD, POSES, CORNERS)), *_places(folder, truth)])
+        _clear(folder, options.views)
+        _write_truth(folder, truth, corners, options)
+        images = _photograph_all(folder, truth, options, progress)
+        return SimulateReport(truth, corners, images, _take_frames(folder, camera, options, progress))
 
 
 def _require_mild(shape: Shape, board: Board) -> None:
@@ -119,8 +124,7 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
 
 
 def _clear(folder: Path, count: int) -> None:
-    """Remove the images of an earlier run that this one does not replace; refuse a folder of something else."""
-    require_own(folder, TRUTH)
+    """Remove the images of an earlier run that this one does not replace."""
     kept = {view_name(index) for index in range(count)}
     for path in (folder / IMAGES).glob("view[0-9][0-9][0-9][0-9].png"):
         if path.name not in kept:
@@ -128,8 +132,12 @@ def _clear(folder: Path, count: int) -> None:
     clear_frames(folder)
 
 
+def _places(folder: Path, truth: Truth) -> list[Path]:
+    return [folder / IMAGES / view_name(index) for index in range(len(truth.poses))]
+
+
 def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
-    items = [(folder / IMAGES / view_name(index), index, pose) for index, pose in enumerate(truth.poses)]
+    items = [(path, *each) for path, each in zip(_places(folder, truth), enumerate(truth.poses), strict=True)]
     work = partial(_photograph, truth, options)
     require_all(fan_out(work, items, jobs=options.jobs, processes=True, what="rendering", progress=progress), "images")
     return tuple(path for path, _, _ in items)
@@ -330,12 +338,14 @@ def require_own(folder: Path, truth: str) -> None:
     """Raise InvalidInput unless a folder is empty, new, or holds an earlier simulation; truth: its camera file."""
     if folder.exists() and not folder.is_dir():
         raise InvalidInput("is a file; images go into a folder", where=str(folder))
-    if folder.is_dir() and any(folder.iterdir()) and not _is_ours(folder / truth):
+    other = folder.is_dir() and any(path.name != OUTPUT_INDEX for path in folder.iterdir())
+    if other and not _is_ours(folder / truth):
         raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))
 
 
 def _is_ours(truth: Path) -> bool:
     try:
-        return MARK in native.read(truth).extra
+        with files.unwatched():
+            return MARK in native.read(truth).extra
     except CamcalError:
         return False

@@ -18,6 +18,7 @@ from camcal.images.save import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
+from camcal.run.outputs import claim, owned, writes
 from camcal.simulate.stereo_scene import PairOptions, StereoTruth, render_pair
 from camcal.stereo.geometry import StereoGeometry, of_pair
 from camcal.tasks.simulation import simulate
@@ -100,6 +101,7 @@ def _disparities(given: PairsOptions, width: int, focal: float) -> tuple[float, 
     return least * width, greatest * width
 
 
+@writes
 def simulate_pairs(options: SimulateOptions, progress: Progress = SILENT) -> StereoReport:
     """Return the pairs after writing images, disparities, what both cameras see, and the cameras into options.output.
 
@@ -110,12 +112,14 @@ def simulate_pairs(options: SimulateOptions, progress: Progress = SILENT) -> Ste
     if not 1 <= count <= MAX_PAIRS:
         raise InvalidInput(f"{count} pairs: use 1 to {MAX_PAIRS}")
     simulate.require_own(folder, RIG)
-    for path in _left_over(folder, count):
-        path.unlink()
-    native.write(folder / RIG, rig_file(options, pair))
-    work = partial(_make, folder, pair, options.seed)
-    made = fan_out(work, range(count), jobs=options.jobs, processes=True, what="rendering", progress=progress)
-    outcomes = list(made)
+    with owned(folder):
+        claim([folder / RIG, *(path for index in range(count) for path in _files_of(folder, index))])
+        for path in _left_over(folder, count):
+            path.unlink()
+        native.write(folder / RIG, rig_file(options, pair))
+        work = partial(_make, folder, pair, options.seed)
+        made = fan_out(work, range(count), jobs=options.jobs, processes=True, what="rendering", progress=progress)
+        outcomes = list(made)
     require_all(outcomes, "pairs")
     pairs = tuple(outcome.value for outcome in outcomes if outcome.value is not None)
     return StereoReport(folder / RIG, pair.size, of_pair(*pair.cameras()), pairs)
@@ -134,16 +138,22 @@ def _name(index: int) -> str:
     return f"{index:03d}"
 
 
+def _files_of(folder: Path, index: int) -> list[Path]:
+    """Return the files of a pair but for sidecars: left, right, both disparities, what both see."""
+    suffixes = (".png", ".png", ".pfm", ".pfm", ".png")
+    return [folder / kind / f"{_name(index)}{suffix}" for kind, suffix in zip(FOLDERS, suffixes, strict=True)]
+
+
 def _make(folder: Path, options: PairOptions, seed: int, index: int) -> PairFiles:
     # A generator of its own for every pair, so that the images do not depend on who renders them.
     truth = render_pair(options, np.random.default_rng([seed, index]))
-    name = _name(index)
+    left, right, disparity_left, disparity_right, visible = _files_of(folder, index)
     pair = PairFiles(
-        left=folder / LEFT / f"{name}.png",
-        right=folder / RIGHT / f"{name}.png",
-        disparity=folder / DISPARITY / f"{name}.pfm",
-        disparity_right=folder / DISPARITY_RIGHT / f"{name}.pfm",
-        visible=folder / VISIBLE / f"{name}.png",
+        left=left,
+        right=right,
+        disparity=disparity_left,
+        disparity_right=disparity_right,
+        visible=visible,
         least=float(np.nanmin(truth.disparity_left)),
         greatest=float(np.nanmax(truth.disparity_left)),
         shared=float(truth.visible.mean()),

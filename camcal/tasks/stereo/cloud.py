@@ -18,7 +18,8 @@ from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Outcome, Progress, values_of
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.paths import place, refuse_overwriting, require_there, split_address
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import place, require_there, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
@@ -58,6 +59,7 @@ class CloudReport:
     fields: tuple[str, ...]
 
 
+@writes
 def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudReport:
     """Return what was written to options.output.
 
@@ -72,7 +74,6 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
     found = disparity.read(options.disparity, options.scale)
     if image_path is None and found.sidecar:
         image_path = named_file(found.sidecar.image, options.disparity, progress)
-    refuse_overwriting([options.output], _inputs(options, image_path))
     pair = _pair(options, address, found, progress)
     image = _stereo_image(options, found, pair, image_path, progress)
     frame = _frame(options.vertices, found.sidecar, progress)
@@ -91,10 +92,6 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
     if len(cameras) > 1 or len(images) > 1:
         raise InvalidInput(f"one image and one camera file are taken, found {' and '.join(files)}")
     return (images[0] if images else None), (cameras[0] if cameras else None)
-
-
-def _inputs(options: CloudOptions, image: Path | None) -> list[Path]:
-    return [options.disparity, *(path for path in (image, options.points.mask, options.vertices.pose) if path)]
 
 
 def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> RectifiedPair:
@@ -260,6 +257,7 @@ def cloud_folder(options: CloudOptions, progress: Progress = SILENT) -> list[Out
     maps = disparity.maps_in(options.disparity)
     suffix = GRIDS[0] if options.vertices.organised else _SUFFIX
     outputs = place(maps, options.output, suffix, pointclouds.SUFFIXES)
+    claim(outputs.values())
     work = partial(_one, options=options, outputs=outputs, progress=progress)
     return list(fan_out(work, maps, jobs=options.jobs, what="cloud", progress=progress))
 

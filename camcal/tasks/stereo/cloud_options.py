@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord
-from camcal.tasks.options import Jobs, Output
+from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord, Written
+from camcal.tasks.options import Jobs, Overwrite, result_option
 from camcal.tasks.stereo.options import GeometryOptions, PairCamera
 
 POINTS, FILTERS = "Points", "Which pixels"
@@ -109,6 +109,12 @@ class VertexOptions(OptionsRecord):
     ascii_text: Annotated[bool, Option("Write PLY or PCD as text.", group=OUTPUT, names="--ascii")] = False
 
 
+def _cloud_suffixes() -> tuple[str, ...]:
+    from camcal.formats import pointclouds
+
+    return pointclouds.SUFFIXES
+
+
 @dataclass(frozen=True)
 class CloudOptions(OptionsRecord):
     """A disparity map, the left image, and where the geometry comes from.
@@ -122,7 +128,7 @@ class CloudOptions(OptionsRecord):
         Path,
         Argument("Disparity map of the left image: PFM, TIFF, PNG, NPY, NPZ, EXR; or a folder.", metavar="DISPARITY"),
     ]
-    output: Output
+    output: Annotated[Path, result_option(Written(_cloud_suffixes, folder=True))]
     image: Annotated[str | None, Argument("The rectified left image, for colour.", metavar="IMAGE")] = None
     camera_file: PairCamera = None
     geometry: GeometryOptions = field(default_factory=GeometryOptions)
@@ -137,6 +143,7 @@ class CloudOptions(OptionsRecord):
     points: PointOptions = field(default_factory=PointOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     @property
     def files(self) -> tuple[str, ...]:

@@ -6,19 +6,18 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
-from camcal.options import (
-    CHECKS,
-    INPUT,
-    OUTPUT,
-    SIZE,
-    Argument,
-    Option,
-    OptionsRecord,
-    ValueType,
-    Without,
-)
+from camcal.options import CHECKS, INPUT, OUTPUT, SIZE, Argument, Option, OptionsRecord, ValueType, Without, Written
 from camcal.stereo.options import MatchOptions
-from camcal.tasks.options import CameraName, GivenCamera, Jobs, Output, Recursive, output_option
+from camcal.tasks.options import (
+    PICTURES,
+    CameraName,
+    GivenCamera,
+    Jobs,
+    Overwrite,
+    Recursive,
+    output_option,
+    result_option,
+)
 
 CAMERA = "Camera of the pair"
 MAP_TYPES = ("pfm", "tiff", "tif", "png", "npy", "npz", "exr")
@@ -71,6 +70,18 @@ class GeometryOptions(OptionsRecord):
         return known | {name: value for name, value in single.items() if value is not None}
 
 
+def _map_suffixes() -> tuple[str, ...]:
+    from camcal.formats import disparity
+
+    return disparity.SUFFIXES
+
+
+def _view_suffixes() -> tuple[str, ...]:
+    from camcal.tasks.stereo import view
+
+    return tuple(view.KINDS)
+
+
 @dataclass(frozen=True)
 class StereoCheckOptions(OptionsRecord):
     """Pairs (files, folders, patterns of either side), where their pictures go, and what they must hold.
@@ -89,7 +100,7 @@ class StereoCheckOptions(OptionsRecord):
     ]
     output: Annotated[
         Path | None,
-        output_option("A picture of the check (.png); a folder for several pairs."),
+        output_option("A picture of the check (.png); a folder for several pairs.", Written((".png",), folder=True)),
     ] = None
     max_rms: Annotated[
         float | None,
@@ -101,6 +112,7 @@ class StereoCheckOptions(OptionsRecord):
     ] = None
     recursive: Recursive = False
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,7 +136,7 @@ class DisparityOptions(OptionsRecord):
     right: Annotated[
         tuple[str, ...], Argument("Rectified right image, folder or glob.", metavar="RIGHT", type=ONE_SIDE)
     ]
-    output: Output
+    output: Annotated[Path, result_option(Written(_map_suffixes, folder=True))]
     camera_file: PairCamera = None
     geometry: GeometryOptions = field(default_factory=GeometryOptions)
     matching: MatchOptions = field(default_factory=MatchOptions)
@@ -152,6 +164,7 @@ class DisparityOptions(OptionsRecord):
     ] = False
     recursive: Recursive = False
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -220,7 +233,7 @@ class EvalOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("Error picture; for folders a folder."),
+        output_option("Error picture; for folders a folder.", PICTURES),
     ] = None
     scale: Annotated[
         float | None,
@@ -245,6 +258,7 @@ class EvalOptions(OptionsRecord):
         ),
     ] = ()
     jobs: Jobs = None
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
@@ -271,7 +285,10 @@ class ViewOptions(OptionsRecord):
     ] = None
     output: Annotated[
         Path | None,
-        output_option("A page (.html), a picture (.png), a video (.gif, .mp4) or a recording for Rerun (.rrd)."),
+        output_option(
+            "A page (.html), a picture (.png), a video (.gif, .mp4) or a recording for Rerun (.rrd).",
+            Written(_view_suffixes),
+        ),
     ] = None
     frame: Annotated[
         str | None,
@@ -320,6 +337,7 @@ class ViewOptions(OptionsRecord):
         bool,
         Option("Open the Rerun viewer, or with -o write for it; needs camcal[view].", group=OUTPUT),
     ] = False
+    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

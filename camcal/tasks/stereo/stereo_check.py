@@ -1,7 +1,6 @@
 """`camcal stereo check`: rectified pairs, looked at before anything is made of them."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,8 @@ from camcal.progress import SILENT, Outcome, Progress
 from camcal.report import stereo_words as words
 from camcal.report.stereo_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out
-from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
 from camcal.tasks.stereo.options import StereoCheckOptions
 
@@ -49,6 +49,7 @@ class Overall:
     worst: Path
 
 
+@writes
 def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> list[Outcome[Pair, CheckedPair]]:
     """Return what became of every pair, in natural order; one that fails costs only itself.
 
@@ -57,14 +58,10 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     pairs = find_pairs(options.left, options.right, options.recursive)
     pictures = _pictures(pairs, options.output)
     work = partial(_check_files, pictures=pictures)
-    is_folder = options.output is not None and options.output not in pictures.values()
-    names = [picture.name for picture in pictures.values()]
-    with recorded(options.output, names) if options.output is not None and is_folder else nullcontext():
-        if len(pairs) == 1:
-            outcomes = [Outcome(pairs[0], work(pairs[0]))]
-        else:
-            checks = fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress)
-            outcomes = list(checks)
+    if len(pairs) == 1:
+        outcomes = [Outcome(pairs[0], work(pairs[0]))]
+    else:
+        outcomes = list(fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress))
     for outcome in outcomes:
         if outcome.value is not None:
             _warn(outcome.value, progress)
@@ -120,7 +117,7 @@ def _pictures(pairs: Sequence[Pair], output: Path | None) -> Mapping[Path, Path]
     if output is None:
         return {}
     pictures = place([left for left, _ in pairs], output, _SUFFIX, SUFFIXES)
-    refuse_overwriting(pictures.values(), [right for _, right in pairs])
+    claim(pictures.values())
     return pictures
 
 

@@ -1,7 +1,6 @@
 """`camcal stereo disparity`: rectified pairs to disparity maps with their files, figures and uncertainty."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +21,8 @@ from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.raw.planes import one_by_one
 from camcal.report.stereo_pictures import disparity_picture, robust_range
 from camcal.run.fanout import fan_out, over_threads
-from camcal.run.paths import find_pairs, place, recorded, refuse_overwriting
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import find_pairs, place
 from camcal.stereo.acceptance import too_few
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.learned import learned_disparity
@@ -111,6 +111,7 @@ class MatchedPair:
     failures: tuple[Message, ...]
 
 
+@writes
 def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> list[Outcome[Pair, MatchedPair]]:
     """Return what became of every pair, in natural order; one that fails costs only itself.
 
@@ -121,12 +122,9 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     outputs = _places(pairs, options)
     warn_of_file(options.camera_file, progress)
     work = partial(_match_files, options=options, outputs=outputs)
-    names = [path.name for output in outputs.values() for path in MapFiles.beside(output)]
-    into_a_folder = options.output not in outputs.values()
-    with recorded(options.output, names) if into_a_folder else nullcontext():
-        if len(pairs) == 1:
-            return [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
-        return list(_all_alike(pairs, work, options, progress))
+    if len(pairs) == 1:
+        return [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
+    return list(_all_alike(pairs, work, options, progress))
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> None:
@@ -158,11 +156,7 @@ def _all_alike(
 
 def _places(pairs: Sequence[Pair], options: DisparityOptions) -> Mapping[Path, Path]:
     outputs = place([left for left, _ in pairs], options.output, f".{options.type}", maps.SUFFIXES)
-    inputs = [path for pair in pairs for path in pair]
-    for output in outputs.values():
-        written = MapFiles.beside(output)
-        refuse_overwriting(written, inputs)
-        disparity_sidecar.require_own(written.sidecar)
+    claim(path for output in outputs.values() for path in MapFiles.beside(output))
     return outputs
 
 

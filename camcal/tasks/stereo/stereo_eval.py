@@ -23,7 +23,8 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.report.stereo_pictures import error_picture
 from camcal.run.fanout import fan_out
-from camcal.run.paths import paired, place, refuse_overwriting, require_there
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import paired, place, require_there
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.truth import (
     AT_LEAST,
@@ -100,6 +101,7 @@ class Gate(NamedTuple):
     limit: float
 
 
+@writes
 def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport:
     """Return the errors of all maps. A map of several that cannot be evaluated costs only itself.
 
@@ -147,7 +149,7 @@ def _pictures(pairs: Sequence[TruthPair], output: Path | None) -> dict[Path, Pat
     if output is None:
         return {}
     pictures = place([pair.disparity for pair in pairs], output, ".png", PICTURES)
-    refuse_overwriting(pictures.values(), [path for pair in pairs for path in pair.files.values()])
+    claim(pictures.values())
     return pictures
 
 

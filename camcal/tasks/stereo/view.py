@@ -19,7 +19,6 @@ from camcal.files import read_bytes
 from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.formats.disparity_sidecar import path_beside as sidecar_of
 from camcal.geometry.axes import rotation_of
 from camcal.images.npy import names_in
 from camcal.images.save import save
@@ -30,7 +29,8 @@ from camcal.report.cloud_view import Start
 from camcal.report.cloud_views import turn, view_of
 from camcal.report.colour_scale import Paint, paint_of
 from camcal.run.fanout import over_threads
-from camcal.run.paths import refuse_overwriting, require_there
+from camcal.run.outputs import writes
+from camcal.run.paths import require_there
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import WORDS, Frame, VertexStream
 from camcal.stereo.points.selection import Selection, select
@@ -88,6 +88,7 @@ class ViewReport:
     frame: str | None = None
 
 
+@writes
 def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
     """Return what was made to look at.
 
@@ -98,7 +99,6 @@ def view(options: ViewOptions, progress: Progress = SILENT) -> ViewReport:
     _refuse_what_has_no_effect(options)
     if kind in (RECORDING, WINDOW):
         cloud_view.require_rerun()
-    _refuse_overwriting(options)
     source = _source(options, progress)
     if isinstance(source, DisparityMap):
         return _as_map(options, source)
@@ -139,12 +139,6 @@ def _refuse_what_has_no_effect(options: ViewOptions) -> None:
     for name, (given, kinds) in fitting.items():
         if given and kind_of(options) not in kinds:
             raise InvalidInput(f"{name} is for a {' or a '.join(kinds)}, not for a {kind_of(options)}")
-
-
-def _refuse_overwriting(options: ViewOptions) -> None:
-    if options.output is not None:
-        inputs = [options.source, sidecar_of(options.source), *([options.image] if options.image else [])]
-        refuse_overwriting([options.output], inputs)
 
 
 def _as_map(options: ViewOptions, found: DisparityMap) -> ViewReport:
