@@ -79,7 +79,8 @@ def track(options: TrackingOptions, call: ImageCall) -> None:
 
 
 def _show_tracks(report: "TrackReport", verbose: bool) -> None:
-    from camcal.report.track_words import lines, plain
+    from camcal.estimate.smoothing.kalman import CONSISTENT
+    from camcal.report.track_words import consistency_line, lines, plain
 
     for line in report.lines:
         show.text(line)
@@ -87,6 +88,8 @@ def _show_tracks(report: "TrackReport", verbose: bool) -> None:
         show.text(f"{item.track.frames}{f', {name}' if name else ''}:")
         for line in lines(item):
             show.text(f"  {line}")
+        if (judged := item.track.consistency) is not None:
+            show.verdict(f"  {consistency_line(judged)}", good=judged.verdict == CONSISTENT)
         if verbose:
             for image in plain(item, report.images)["rejected"]:
                 show.text(f"  left out: {image}")
@@ -107,9 +110,14 @@ def smooth(options: SmoothOptions, call: Call) -> None:
 
 
 def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
-    from camcal.tasks.poses.smoothing import evaluation_rows, lines, outlier_line
+    from camcal.estimate.smoothing.kalman import CONSISTENT
+    from camcal.tasks.poses.smoothing import consistency_lines, evaluation_rows, lines, outlier_line
 
     for line in lines(found):
+        show.text(line)
+    verdict, *reasons = consistency_lines(found)
+    show.verdict(verdict, good=found.consistency.verdict == CONSISTENT if reasons else None)
+    for line in reasons:
         show.text(line)
     if found.outliers:
         show.text(outlier_line(found, verbose))

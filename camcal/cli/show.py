@@ -62,10 +62,10 @@ def value(line: str) -> None:
     _print([printable(line)])
 
 
-def verdict(line: str, *, good: bool) -> None:
-    """Print what a user should see first, on a terminal in bold green or red."""
+def verdict(line: str, *, good: bool | None) -> None:
+    """Print what a user should see first, on a terminal in bold green or red; None: nothing was judged."""
     lines = _lines_of(line)
-    if _has_colours():
+    if good is not None and _has_colours():
         lines = [f"{_BOLD_GREEN if good else _BOLD_RED}{part}{_PLAIN}" for part in lines]
     _print(lines)
 
@@ -296,22 +296,27 @@ class _Terminal:
             warning(message)
             return
         _collect(message)
-        for line in _lines(str(message)):
-            self.bar.console.print(f"camcal: warning: {line}", markup=False, highlight=False, soft_wrap=True)
+        for line in _lines("warning", str(message)):
+            self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _complain(kind: str, message: str) -> None:
     if sys.stderr is None:
         return
     with suppress(OSError):  # nobody is left to hear of it
-        for line in _lines(message):
-            print(f"camcal: {kind}: {line}", file=sys.stderr)  # noqa: T201
+        for line in _lines(kind, message):
+            print(line, file=sys.stderr)  # noqa: T201
 
 
-def _lines(message: str) -> Iterator[str]:
-    """Yield the lines of a message as they are shown: without what steers a terminal, and none without end."""
+def _lines(kind: str, message: str) -> Iterator[str]:
+    """Yield the lines of a message as they are shown: without what steers a terminal, and none without end.
+
+    On a terminal they end at words.
+    """
     for line in map(printable, message.split("\n")):
-        yield line if len(line) <= _LONGEST else f"{line[: _LONGEST - _END]} … {line[-_END:]}"
+        short = line if len(line) <= _LONGEST else f"{line[: _LONGEST - _END]} … {line[-_END:]}"
+        said = f"camcal: {kind}: {short}"
+        yield from wrapped(said, width()) if sys.stderr.isatty() else [said]
 
 
 def _printable_cell(cell: object) -> object:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.estimate.smoothing.kalman import Consistency
 from camcal.estimate.tracking.jitter import Jitter, JitterStd
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
@@ -33,12 +34,14 @@ def lines(item: TrackedObject) -> Iterator[str]:
     yield f"process noise (PSD{fading}): {densities}"
     if track.jitter_std is not None and track.jitter_std.any:
         yield f"vibration (RMS per axis): {_shaking(track.jitter_std)}"
-    judged = track.consistency
-    if judged is not None:
-        low, high = judged.interval
-        nis = f"mean NIS {judged.mean_nis:.2f} per degree of freedom ({low:.2f} … {high:.2f} expected)"
-        beyond = f"{100 * judged.beyond_95:.1f} % beyond their 95 % bound"
-        yield f"{judged.verdict}: {nis}, {beyond}, lag-1 correlation {judged.autocorrelation:+.2f}"
+
+
+def consistency_line(judged: Consistency) -> str:
+    """Return whether the covariances of a track are reliable, and why."""
+    low, high = judged.interval
+    nis = f"mean NIS {judged.mean_nis:.2f} per degree of freedom ({low:.2f} … {high:.2f} expected)"
+    beyond = f"{100 * judged.beyond_95:.1f} % beyond their 95 % bound"
+    return f"{judged.verdict}: {nis}, {beyond}, lag-1 correlation {judged.autocorrelation:+.2f}"
 
 
 def warnings(item: TrackedObject) -> Iterator[Message]:

@@ -14,6 +14,7 @@ from camcal.geometry.frame_graph import Loop
 from camcal.geometry.pose import NamedTransform
 from camcal.report.uncertain import values_and_stds
 
+_PLACES = 6  # of metres, degrees and quaternions of no known uncertainty
 _QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -97,7 +98,7 @@ def _title(transform: NamedTransform) -> str:
 
 
 def _row(name: str, numbers: Array, std: Array | None) -> str:
-    numbers = np.round(numbers, 12) + 0.0
+    numbers = np.round(numbers, _PLACES if std is None else 12) + 0.0
     if std is None:
         return f"  {name:<20}  {' '.join(f'{number:.9g}' for number in numbers)}"
     return f"  {name:<20}  {'  ± '.join(values_and_stds(numbers, std))}"

@@ -114,3 +114,12 @@ def test_one_line_says_what_was_written(capsys):
         "wrote a, b and c",
         "wrote out/0.png",
     ]
+
+
+def test_an_error_ends_at_words_on_a_terminal_and_is_one_line_in_a_pipe(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    show.error("left.yaml:9: cameras.left.distorsion: unknown key")
+    assert capsys.readouterr().err == "camcal: error: left.yaml:9: cameras.left.distorsion: unknown key\n"
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    show.error("left.yaml:9: cameras.left.distorsion: unknown key")
+    assert capsys.readouterr().err == ("camcal: error: left.yaml:9:\n  cameras.left.distorsion: unknown key\n")

@@ -10,7 +10,7 @@ from camcal.estimate.tracking.track import TrackOptions, track_poses
 from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.report.track_words import lines, warnings
+from camcal.report.track_words import consistency_line, lines, warnings
 
 
 @pytest.fixture
@@ -24,7 +24,9 @@ def seen():
 def told(truth, poses):
     track = track_poses(truth.stamps, poses, TrackOptions(ProcessNoise(0.02, 0.5)))
     item = TrackedObject(track, poses)
-    return "\n".join(lines(item)), {warning.code: warning for warning in warnings(item)}
+    return "\n".join([*lines(item), consistency_line(item.track.consistency)]), {
+        warning.code: warning for warning in warnings(item)
+    }
 
 
 def test_a_row_of_detections_left_out_is_remarked_on(seen):

@@ -66,7 +66,7 @@ class Smoothing:
 
 
 def lines(found: Smoothing) -> Iterator[str]:
-    """Yield what was smoothed, with which noise, and whether the result can be believed."""
+    """Yield what was smoothed, and with which noise."""
     span = found.stamps[-1] - found.stamps[0]
     missing = f", {found.missing} missing" if found.missing else ""
     yield f"{found.options.source}: {found.measured} measurements{missing} over {span:.6g} s"
@@ -75,8 +75,21 @@ def lines(found: Smoothing) -> Iterator[str]:
     if found.sigma:
         yield f"measurement noise sigma {_noise(found.sigma, found)}{_estimated(found.options.sigma is None)}"
     yield f"measured minus smoothed, root mean square: {_noise(found.residual, found)}"
-    yield from _consistency(found.consistency)
-    if found.options.q is None and found.consistency.innovations:
+
+
+def consistency_lines(found: Smoothing) -> Iterator[str]:
+    """Yield whether the covariances are reliable, and then why."""
+    report = found.consistency
+    low, high = report.interval
+    yield f"consistency: {report.verdict}"
+    if not report.innovations:
+        return
+    yield (
+        f"  mean NIS {report.mean_nis:.3f} of 1 ({low:.3f} to {high:.3f} by chance), "
+        f"{100 * report.beyond_95:.1f} % beyond their 95 % bound, correlation of successive "
+        f"innovations {report.autocorrelation:+.2f} (±{report.autocorrelation_limit:.2f} by chance)"
+    )
+    if found.options.q is None:
         yield "  (q is the one that makes this so, as far as it can; a second recording is the better judge)"
 
 
@@ -108,18 +121,6 @@ def evaluation_rows(
             if figures is not None:
                 rows.append([name, state, *(scale * value for value in (figures.rmse, figures.median, figures.max))])
     return title, ("error", "", "RMS", "median", "largest"), rows
-
-
-def _consistency(report: Consistency) -> Iterator[str]:
-    low, high = report.interval
-    yield f"consistency: {report.verdict}"
-    if not report.innovations:
-        return
-    yield (
-        f"  mean NIS {report.mean_nis:.3f} of 1 ({low:.3f} to {high:.3f} by chance), "
-        f"{100 * report.beyond_95:.1f} % beyond their 95 % bound, correlation of successive "
-        f"innovations {report.autocorrelation:+.2f} (±{report.autocorrelation_limit:.2f} by chance)"
-    )
 
 
 def _model(found: Smoothing) -> str:
