@@ -10,6 +10,7 @@ from camcal.cameras.model import Camera
 from camcal.cli.examples import EXAMPLES
 from camcal.cli.main import COMMANDS
 from camcal.formats import detections, native
+from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.save import save
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
@@ -46,7 +47,7 @@ def test_a_coefficient_of_a_fisheye_is_held_and_an_unknown_one_is_told_with_the_
 
 
 def test_the_header_of_a_camera_file_says_the_unit_of_its_lengths(run, corners, tmp_path):
-    native.write(tmp_path / "metres.yaml", FISHEYE)
+    native.write(tmp_path / "metres.yaml", CameraFile({"camera": CameraEntry(FISHEYE)}))
     run("calibrate", corners(None), "-o", tmp_path / "squares.yaml", "--model", "fisheye", "-j", 1, "-q")
     for name, unit in (("metres", "metres"), ("squares", "squares of the board")):
         assert f"# camcal camera file. Units: pixels, {unit}, radians." in (tmp_path / f"{name}.yaml").read_text()
@@ -101,7 +102,7 @@ def test_a_length_without_its_unit_and_a_number_with_one_are_told_what_to_write(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x").mkdir()
     save(tmp_path / "x" / "1.png", np.zeros((8, 8), np.uint8))
-    native.write(tmp_path / "camera.yaml", FISHEYE)
+    native.write(tmp_path / "camera.yaml", CameraFile({"camera": CameraEntry(FISHEYE)}))
     code, _, err = run(*arguments.split())
     assert code == 2
     assert said in err
