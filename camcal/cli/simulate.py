@@ -88,7 +88,7 @@ def _show_pairs(report: "StereoReport", output: Path, verbose: bool) -> None:
     if verbose:
         rows = [[pair.left.name, pair.least, pair.greatest, 100 * pair.shared] for pair in report.pairs]
         show.table("pairs", PAIR_COLUMNS, rows)
-    show.wrote(report.rig, f"{count} pair{'s' * (count > 1)} with their disparities to {output}{os.sep}")
+    show.wrote(report.rig, f"{count} pair{'s' * (count > 1)} with disparities to {output}{os.sep}")
     first = report.pairs[0]
     show.text(f"next: camcal stereo disparity {first.left} {first.right} {report.rig} -o disparity.pfm")
 

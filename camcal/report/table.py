@@ -80,9 +80,9 @@ def table_lines(
         lines = [line for block in _blocks(shown[:1], shown[1:], width) for line in _block_lines(block, width)]
     else:
         lines = [line for block in _blocks([], shown[1:], width) for line in _under_lines(shown[0], block, width)]
-    left_out = dict.fromkeys(each.column.title for each in laid if each not in shown)
+    left_out = dict.fromkeys(each.column.head for each in laid if each not in shown)
     if left_out:
-        said = f"not shown: {', '.join(left_out)} (--verbose or a wider terminal shows all columns)"
+        said = f"not shown: {'; '.join(left_out)} (--verbose or a wider terminal shows all columns)"
         lines += wrapped(" " * INDENT + said, width)
     return lines
 

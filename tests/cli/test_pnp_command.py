@@ -66,7 +66,7 @@ def test_poses_are_printed_as_a_table_and_written(folder, capsys):
     printed = capsys.readouterr().out
     assert "camera_T_object" in printed
     assert "x y z, mm" in printed
-    assert "not shown: points, ± std, seen from (--verbose" in printed
+    assert "not shown: points; ± std, mm; ± std, deg; seen from (--verbose" in printed
     assert "20 degrees of freedom" in printed
     assert "wrote poses.yaml" in printed
     assert [pose_key.image for pose_key in poses.read(folder / "poses.yaml").estimates] == ["a", "b"]
@@ -237,7 +237,7 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
         (["camera.yaml", "points.csv", "--tags", "none.yaml"], 2, "points.csv: holds corners of a board"),
         (["camera.yaml", "a.png", "--tags", "none.yaml"], 3, "none.yaml: no such file"),
         (["camera.yaml"], 2, "nothing to work on: give --points"),
-        ([], 2, "which camera? Give a camera file, --camera-matrix FX,FY,CX,CY, or --rig"),
+        (["-v"], 2, "which camera? Give a camera file, --camera-matrix FX,FY,CX,CY, or --rig"),
         (["camera.yaml", "detections.csv"], 2, "detections.csv: names no board: give --board"),
         (
             ["--rig", "rig.yaml", "photos", "--board", "chessboard:9x6"],

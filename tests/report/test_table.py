@@ -38,7 +38,7 @@ def test_columns_go_by_their_priority_and_are_named():
     ]
     narrow = table_lines(POSES, ROWS, 40)
     assert narrow[0].split() == ["image", "x", "y", "z,", "mm"]
-    assert " ".join(narrow[3:]).split()[:5] == ["not", "shown:", "points,", "±", "std"]
+    assert " ".join(narrow[3:]).split()[:5] == ["not", "shown:", "points;", "±", "std"]
 
 
 def test_in_full_all_columns_and_whole_paths_are_shown_in_blocks():
