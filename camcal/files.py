@@ -1,5 +1,6 @@
 """Reading what is a file and no more than that, writing without half files, and the order of numbered files."""
 
+import codecs
 import hashlib
 import os
 import re
@@ -29,7 +30,14 @@ LARGEST = 4 << 30  # bytes of a file that is read as a whole
 _LARGEST_PIPE = 256 << 20
 _PATIENCE_S = 10.0  # until something comes out of a named pipe
 _CHUNK = 1 << 20
-_HEAD = 4096  # bytes by which standard input is known
+_HEAD = 4096  # bytes by which the kind of a text is known
+_KINDS = {".json": "JSON", ".yaml": "YAML", ".xml": "XML", ".csv": "CSV"}
+_STARTS = (
+    (".json", re.compile(rb'\s*(?:\{\s*["}]|\[\s*["\[\]{\d-])')),
+    (".yaml", re.compile(rb"\s*(?:%YAML|---\s)")),
+    (".xml", re.compile(rb"\s*<[?\w]")),
+)
+_UNMISTAKABLE = (".json", ".xml")  # kinds that always begin so
 _TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
@@ -302,6 +310,19 @@ def suffix_of(path: Path) -> str:
         return ".json"
     lines = [line for line in head.splitlines() if line.strip() and not line.startswith(b"#")]
     return ".yaml" if lines and re.match(rb"%YAML|---|[\w.]+:(\s|$)", lines[0]) else ".csv"
+
+
+def require_content(path: Path) -> None:
+    """Raise FileError if the suffix of a text file and its content contradict each other, as YAML in a .json does."""
+    suffix = {".yml": ".yaml"}.get(path.suffix.lower(), path.suffix.lower())
+    if suffix not in _KINDS or not path.is_file():
+        return
+    with unwatched(), opened(path) as stream:
+        head = stream.read(_HEAD).removeprefix(codecs.BOM_UTF8)
+    found = next((kind for kind, start in _STARTS if start.match(head)), None)
+    if head and found != suffix and (found or suffix in _UNMISTAKABLE):
+        held = f"holds {_KINDS[found]}" if found else f"does not begin as {_KINDS[suffix]} does"
+        raise FileError(f"the suffix is {path.suffix} and the file {held}; rename it", where=str(path))
 
 
 def _require_readable(stream: BinaryIO, path: Path) -> None:

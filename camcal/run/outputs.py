@@ -120,7 +120,7 @@ class Run:
         self._has_options = False
 
     def add(self, values: Mapping[Declared, Any]) -> None:
-        """Check the outputs that options name against all that they read; those of the first ones are the user's own.
+        """Check what options read, and the outputs that they name against it; those of the first are the user's own.
 
         Raises InvalidInput or FileError.
         """
@@ -128,6 +128,7 @@ class Run:
         for each, value in values.items():
             for path in inputs_of(each, value):
                 files.note_read(path)
+                files.require_content(path)
         outputs = [(each, path) for each, value in values.items() for path in outputs_of(each, value)]
         _refuse_one_place(outputs)
         named = not self._has_options

@@ -163,6 +163,18 @@ def test_an_output_that_cannot_be_is_refused_before_the_work(run, tmp_path, monk
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize("name", OPTIONS)
+def test_an_input_whose_suffix_contradicts_its_content_is_refused(run, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    path = Path("input.json")
+    path.write_text("%YAML 1.1\n---\nformat: camcal\n")
+    for each in OPTIONS[name]:
+        if names_inputs(each, path):
+            code, _, err = run(*words(name, {each: str(path)}))
+            reason = "the suffix is .json and the file holds YAML; rename it"
+            assert (code, err) == (3, f"camcal: error: input.json: {reason}\n"), each.name
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
 @pytest.mark.parametrize("name", WRITING)
 def test_a_folder_that_may_not_be_written_is_told_before_the_work(run, tmp_path, monkeypatch, name):

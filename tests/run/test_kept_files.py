@@ -144,3 +144,33 @@ def test_a_file_is_no_folder_and_a_folder_no_file(source, tmp_path):
 def test_a_device_is_written_to_and_stays_one(source):
     work(Options(source, Path(os.devnull)))
     assert Path(os.devnull).is_char_device()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content", "kind"),
+    [
+        (".json", b"%YAML 1.1\n---\na: 1\n", "holds YAML"),
+        (".json", b"a,b\n1,2\n", "does not begin as JSON does"),
+        (".yaml", b'{\n "a": 1}', "holds JSON"),
+        (".YML", b"<?xml version='1.0'?>", "holds XML"),
+        (".csv", b"[[1, 2]]", "holds JSON"),
+        (".csv", b"--- \na: 1", "holds YAML"),
+        (".xml", b"%YAML:1.0\n", "holds YAML"),
+        (".json", b'\xef\xbb\xbf {"a": 1}', None),
+        (".json", b"[]", None),
+        (".json", b"", None),
+        (".yaml", b"a: 1\n", None),
+        (".yaml", b"# a, b\n{a: 1}\n", None),
+        (".csv", b'"a","b"\n', None),
+        (".csv", b"-1,2\n", None),
+        (".txt", b"{}", None),
+    ],
+)
+def test_a_suffix_and_a_content_that_contradict_each_other(tmp_path, suffix, content, kind):
+    path = tmp_path / f"file{suffix}"
+    path.write_bytes(content)
+    if kind is None:
+        files.require_content(path)
+    else:
+        with pytest.raises(FileError, match=f"the suffix is {suffix} and the file {kind}; rename it"):
+            files.require_content(path)

@@ -478,6 +478,15 @@ def test_pictures_of_images_with_one_name_are_told_apart_by_their_folders(camera
     assert report.pictures == (drawn / "a_1_pose.png", drawn / "b_1_pose.png")
 
 
+def test_the_picture_of_one_image_may_go_to_a_file(camera_file, tmp_path, seen):
+    one = tmp_path / "one.jpg"
+    report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, seen.views[:1]), draw=one))
+    assert report.pictures == (one,)
+    assert one.is_file()
+    with pytest.raises(InvalidInput, match="2 inputs do not go into one file; give a folder"):
+        pnp(from_detections(camera_file, tmp_path, Detections(BOARD, seen.views[:2]), draw=one))
+
+
 def test_a_picture_never_takes_the_place_of_an_image(camera_file, tmp_path, seen, monkeypatch):
     monkeypatch.chdir(tmp_path)
     views = tuple(replace(view, image=name) for view, name in zip(seen.views, ("1.png", "1_pose.png"), strict=True))
