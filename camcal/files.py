@@ -1,4 +1,4 @@
-"""Reading what is a file and no more than that, writing without half files, and the order of numbered files."""
+"""Safe reading of regular files, atomic writing, and natural order of file names."""
 
 import codecs
 import hashlib

@@ -1,4 +1,4 @@
-"""What finding targets takes of OpenCV, the same with 4.14 and 5.x, and what makes its results repeatable."""
+"""OpenCV functions for target detection, the same with 4.14 and 5.x, and reproducible."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""What people write: numbers, and names that may be misspelt.
+"""Parsing of user input: numbers, and suggestions for misspelt names.
 
 Numbers are taken as every other program writes them: Python alone also takes 1_000 and the digits of all scripts.
 """

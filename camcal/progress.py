@@ -1,4 +1,4 @@
-"""How long work reports on itself, and what one item of a fan-out leaves behind."""
+"""Progress reports, and the outcome of one item of a fan-out."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What ought to be the same in all views: the focal length, the board, and how sharp the images are.
+"""Checks of parameters that should be equal in all views: focal length, board, image sharpness.
 
 A change is told from errors within views (rolling shutter, a board that bends) by its order, or by two groups of views,
 and not by how large residuals are: such errors make them larger without any order.

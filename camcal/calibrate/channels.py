@@ -1,4 +1,4 @@
-"""One lens per colour: lateral chromatic aberration against the colour a camera was calibrated in.
+"""Lateral chromatic aberration: a separate lens for a colour, relative to the calibrated one.
 
 A lens images red and blue a little larger or smaller than green. Green has given the poses, the shape of the board
 and a lens; these poses and that shape are held, and what the corners in another colour leave over is put down to its

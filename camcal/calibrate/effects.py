@@ -1,4 +1,4 @@
-"""What is wrong with one view and not with the next, as zero-mean effects: their columns beside those of its pose.
+"""Errors within single views as zero-mean random effects: their design columns beside those of the pose.
 
 smooth: a field over the board, whatever its cause (blur, compression, air, a lens that focuses). rolling: the rows of
 the image were exposed one after the other while the camera moved. flex: the board bent out of its own shape.

@@ -1,4 +1,4 @@
-"""Lens, poses, board and errors within views together with the scale of each of them, in alternation.
+"""Alternating estimation of lens, poses, board and errors within views with their variance components.
 
 Every pass takes from the residuals the noise, of all corners, of a view's and of single ones; from one linearisation
 the variances of the effects within views; solves for everything that is linear in it; and takes from the solution the

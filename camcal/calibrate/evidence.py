@@ -1,4 +1,4 @@
-"""How clear it is that errors within views are more than noise, and what they are: evidence and size of effects."""
+"""Evidence for and size of errors within views beyond noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

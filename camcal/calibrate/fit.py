@@ -1,4 +1,4 @@
-"""From a start to the solution: robust first, then the ends of a symmetric board, then estimates and their average."""
+"""The calibration from start to solution: robust fits, symmetric boards, estimates and their average."""
 
 from dataclasses import dataclass, replace
 

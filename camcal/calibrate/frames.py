@@ -1,4 +1,4 @@
-"""Which frames of a video of a board to calibrate from: sharp ones that tell most about the lens and are not alike.
+"""Selection of video frames for calibration: sharp, informative about the lens, and different from each other.
 
 What a view tells about the lens, its pose unknown, is the Schur complement of its normal matrix: a Fisher information.
 Informations add up, and each frame chosen is the one that lets the determinant of the sum grow most, as a D-optimal

@@ -1,4 +1,4 @@
-"""A first camera and first board poses for any lens model, without a hint.
+"""Initial camera and board poses for any lens model, without an initial guess.
 
 The lens starts without distortion at a focal length found by a sweep: for each candidate the pixels become rays,
 the rays give every view's homography and pose, and the candidate whose poses reproject best wins. Unlike the closed

@@ -1,4 +1,4 @@
-"""One camera from detections of a board: lens, poses, the board's shape, and how well each is known."""
+"""Calibration of one camera from detections of a board: lens, poses, board shape, and their uncertainty."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

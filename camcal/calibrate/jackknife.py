@@ -1,4 +1,4 @@
-"""What leaving out views tells: how estimates of a lens are weighted, what is known of it, which model predicts best.
+"""Influence of views: weights and covariance of estimates, and model selection by cross-validation.
 
 What a view does to an estimate is known without solving again (the jackknife's one step). Estimates that take errors
 within views for noise, or model them, are all unbiased; which of them varies least depends on what the errors really

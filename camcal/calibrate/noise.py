@@ -1,4 +1,4 @@
-"""How far corners are off for no reason that is modelled: of all views, of one view, of a single corner.
+"""Corner noise beyond the detection covariances: of all views, of one view, of a single corner.
 
 Medians alone say which corners cannot be measurements of this board through this lens. Beyond that a corner's weight
 falls smoothly where its residual is beyond four standard deviations, 1 / (1 + (d² / 16)³); a view's where its corners

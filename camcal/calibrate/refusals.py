@@ -1,4 +1,4 @@
-"""Where a calibration must be refused, and what is likely to be wrong.
+"""Conditions under which a calibration is refused, with the likely cause.
 
 Either corners are wrong, not merely noisy, or the observations cannot hold a calibration, however small the residuals
 would be.

@@ -1,4 +1,4 @@
-"""Views of two cameras in one input: do the views fall into two groups that each have a lens of their own?
+"""Detection of views of two cameras in one input: two groups of views with different lenses.
 
 A screen that costs little says where to look. From one linearisation it is known how the corners of every view follow a
 change of the lens, its pose eliminated; views are sorted into two groups, each view to that of two changes of the lens

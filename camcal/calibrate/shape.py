@@ -1,4 +1,4 @@
-"""The board's shape: the scale of every class of it, the offsets of its points, the record of what was estimated.
+"""The board's shape: variance of every class of terms, offsets of points, the record of the result.
 
 A class has k coefficients x ~ N(0, τ² I) of which the data say N(Λ⁻¹ g, Λ⁻¹). Its scale τ is 0 with probability ½, else
 log-normal. Averaged over what the data leave of τ, each coefficient shrinks continuously from the data's value towards

@@ -1,4 +1,4 @@
-"""What single views would add to parameters that ought to be the same in all of them, and changes that explain it.
+"""Changes of parameters in single views, and models of changes that explain them.
 
 Let a view v have k parameters θ_v of its own beside its pose and its effects, while lens and board are common. What is
 left of the normal equations is A θ = y, and A⁻¹ is the covariance of the estimates of all θ_v. Offsets that vary from

@@ -1,4 +1,4 @@
-"""What became of the views and of single corners of a calibration, and in words why some are not used."""
+"""Results of views and of single corners, and the reasons why some are not used."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Where fixed directions are imaged when the parameters of a lens change, but for a rotation of all directions.
+"""Displacement of the images of fixed directions under changes of the lens, up to a common rotation.
 
 A camera's own axes are a choice of its calibration: a rotation of all directions changes what the parameters are, not
 what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.

@@ -1,4 +1,4 @@
-"""All that was seen as one table: the pixels of many views, with the camera, the body and the time of each."""
+"""The observations of many views as one table: pixels with the camera, the body and the time of each view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Views that hold more than a pinhole can: cylinder, equirectangular and stereographic, with fx fy cx cy and no more.
+"""Projections for more than 180°: cylinder, equirectangular and stereographic, with fx fy cx cy only.
 
 They are what images are undistorted to when a lens sees 180° or more. fx, fy: pixels per radian at the image's middle.
 Source: Snyder, Map projections: a working manual, USGS 1987 (perspective cylinder, plate carrée, stereographic).

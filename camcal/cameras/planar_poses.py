@@ -1,4 +1,4 @@
-"""First poses of planes, seen through any lens."""
+"""Initial poses of planar objects for any lens."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What lens models share that map rays to a plane, distort the plane and scale it to pixels.
+"""Base of lens models that map rays to a plane, distort the plane and scale it to pixels.
 
 The work goes in parts of PART points, whose temporaries stay in the processor's cache. The distortion is inverted by
 the tilt in closed form, the radius by bracketed Newton steps, the rest by damped Newton steps in two dimensions.

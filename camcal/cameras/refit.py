@@ -1,4 +1,4 @@
-"""The camera of another lens model that comes nearest to a given one: over the image, without any image."""
+"""The nearest camera of another lens model, fitted over the image area."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

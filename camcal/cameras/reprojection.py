@@ -1,4 +1,4 @@
-"""Points of bodies against the pixels that show them: residuals, their derivatives, and whitening.
+"""Reprojection: residuals of points, their derivatives, and whitening.
 
 Long axes come last: V views of P points each are (…, V, P).
 """

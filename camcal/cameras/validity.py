@@ -1,4 +1,4 @@
-"""Where a camera's image can be used: its image circle, folds of its model, field of view, and the size of its pixels.
+"""Valid region of a camera: image circle, domain of the lens model, field of view, pixel size.
 
 The size of a pixel is the angle it sees, or its side on a plane in front of the camera, through the lens's rays.
 """

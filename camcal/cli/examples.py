@@ -1,4 +1,4 @@
-"""The most common calls of every command that needs input: for its --help, and for who calls it with nothing."""
+"""The most common calls of every command that needs input: for its --help, and for calls without arguments."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -1,4 +1,4 @@
-"""The mean of several estimates of one pose, on SO(3) × R³: the pose from which the sum of squared steps is least.
+"""The mean of several estimates of one pose, on SO(3) × R³: minimises the sum of squared steps.
 
 Without covariances every estimate counts alike and the mean of the rotations is Karcher's; with them it is the most
 likely pose. Source: Karcher, Riemannian Center of Mass and Mollifier Smoothing, 1977; Hartley, Trumpf, Dai, Li,

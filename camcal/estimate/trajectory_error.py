@@ -1,4 +1,4 @@
-"""How far a trajectory is from a reference: absolute and relative error.
+"""Errors of a trajectory against a reference: absolute and relative error.
 
 Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, 2012; Umeyama, Least-squares estimation of
 transformation parameters between two point patterns, 1991. Pairs and defaults are those of evo, so that numbers agree.

@@ -1,1 +1,1 @@
-"""Everybody's file formats, exact or refused."""
+"""File formats of camcal and of other programs; conversions are exact or refused."""

@@ -1,4 +1,4 @@
-"""What a camera file holds: named cameras, the transforms between them, and where the numbers come from."""
+"""Contents of a camera file: named cameras, the transforms between them, and provenance."""
 
 import math
 from collections.abc import Mapping

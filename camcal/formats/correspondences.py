@@ -1,4 +1,4 @@
-"""Points of an object and where images show them: what `camcal pnp --points` reads, as CSV, YAML or JSON.
+"""Correspondences of points and pixels, the input of `camcal pnp --points`, as CSV, YAML or JSON.
 
     image,id,X,Y,Z,u,v
     a.png,0,0.0,0.0,0.0,101.25,88.5

@@ -1,4 +1,4 @@
-"""What a disparity map cannot say of itself, in a JSON file beside it: scale, invalid code, geometry, where it is from.
+"""The sidecar of a disparity map, a JSON file beside it: scale, invalid value, geometry, provenance.
 
 `disparity.png` has `disparity.png.json`. Paths in it are relative to its folder.
 """

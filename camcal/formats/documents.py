@@ -1,4 +1,4 @@
-"""YAML and JSON as plain data; whatever two readers could take differently is refused.
+"""Strict YAML and JSON as plain data: ambiguous values are refused.
 
 Of YAML the line of every key is kept. Refused: duplicate keys, aliases, anchors, tags, a second document, dates and
 numbers that YAML 1.1 reads in its own way (yes, 012, 0x1F, 1_000, 12:30), more than 100 000 values, 64 MB or 32 levels.

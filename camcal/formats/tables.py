@@ -1,4 +1,4 @@
-"""Text tables with named columns, read a column at a time; whatever is wrong is told with file and line."""
+"""Text tables with named columns, read a column at a time; errors name file and line."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence

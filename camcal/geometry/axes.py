@@ -1,4 +1,4 @@
-"""Which way the axes of a frame point: from words such as "x forward, y left, z up", and by the names of programs."""
+"""Directions of the axes of a frame: from text such as "x forward, y left, z up", and by names of programs."""
 
 import re
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Named frames joined by transforms: the way from one to another, how well loops close, and products written as text.
+"""Named frames connected by transforms: paths, loop closure errors, and expressions of products.
 
 A product such as "a_T_b * inv(c_T_b)" is read without running it, and its frames are checked.
 """

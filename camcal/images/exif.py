@@ -1,4 +1,4 @@
-"""The orientation tag and the little else of EXIF that matters to measuring, in EXIF blocks and in TIFF files alike.
+"""The orientation tag and other relevant EXIF tags, in EXIF blocks and in TIFF files.
 
 An EXIF block is a TIFF file without an image: a header, then directories of entries of 12 bytes. Of JPEG and PNG files
 it is found here, with the size, and whether the end is there.

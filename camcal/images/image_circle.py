@@ -1,4 +1,4 @@
-"""The image circle of a circular fisheye, found in photographs: the disc of the image that the lens lights.
+"""The image circle of a circular fisheye, detected in images: the illuminated disc of the image.
 
 What the scene leaves dark in one photograph is bright in another: the pixelwise maximum of several is searched. The
 circle is where it crosses a threshold; where the light falls off gradually, some light is left beyond.

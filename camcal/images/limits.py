@@ -1,4 +1,4 @@
-"""How many pixels an image may have: whoever decodes one asks before memory is taken for what its header says."""
+"""Limits of the image size, checked before memory is allocated for a size stated in a header."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Reading images: pixels as the file holds them, the EXIF orientation noted and never applied.
+"""Reading images: pixels as stored; the EXIF orientation is kept but never applied.
 
 The size that the header of an image file states is found without decoding: memory is taken only for what is allowed.
 Sources: W3C PNG, section 5 and 11.2; ITU-T T.81, annex B; TIFF 6.0, section 2; Microsoft BITMAPINFOHEADER; Netpbm's pnm

@@ -1,4 +1,4 @@
-"""What a view shows, as it is asked for: the records that commands take their options from."""
+"""Options of undistorted views."""
 
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Writing images: the type follows from the suffix, a killed run leaves no half file, the orientation is kept once."""
+"""Writing images: type by suffix, atomic replacement, orientation kept once."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Reading videos frame by frame, as the sensor saw them; how sharp frames are, and how far things move between them."""
+"""Reading videos frame by frame without rotation; sharpness of frames and motion between them."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The cameras that images are undistorted to: a pinhole that crops or keeps, or a panorama for lenses beyond it.
+"""Cameras of undistorted images: a cropped or complete pinhole view, or a panorama for wide lenses.
 
 What is shown is a box (left, top, right, bottom) inside or around the region of the plane that the lens sees.
 """

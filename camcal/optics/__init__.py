@@ -1,1 +1,1 @@
-"""Lenses and sensors by formulas of the thin lens: what is in focus, how large, how sharp, how bright."""
+"""Thin-lens formulas of lenses and sensors: focus, magnification, blur, exposure."""

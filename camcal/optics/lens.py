@@ -1,4 +1,4 @@
-"""The thin lens: where the image is sharp, how large it is, how bright, and what blur does to measurements.
+"""The thin lens: focus, magnification, exposure, and the effect of blur on measurements.
 
 Lengths are metres, pixels where a name says so. Distances in front of the lens count from its front principal plane,
 which in most lenses lies within a few centimetres of the front glass. An infinite distance is math.inf.

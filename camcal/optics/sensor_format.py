@@ -1,4 +1,4 @@
-"""Sensor formats by name. The inch of a format is that of the tube of an old camera, not that of the sensor."""
+"""Sensor formats by name. The "inch" of a format refers to camera tubes, not to the sensor size."""
 
 import re
 from collections.abc import Mapping

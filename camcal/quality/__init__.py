@@ -1,1 +1,1 @@
-"""What a result is worth, in numbers."""
+"""Quality of results, in numbers."""

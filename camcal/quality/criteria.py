@@ -1,4 +1,4 @@
-"""What a calibration is judged by: every criterion, its limit, whether it is a failure or a warning, and its source.
+"""The criteria of the verdict of a calibration: limit, failure or warning, and source of each.
 
 A failure makes a result untrustworthy; a warning says what is weak but usable. Faults between views are found here:
 focal length, board and sharpness that are not the same in all of them.

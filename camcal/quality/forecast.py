@@ -1,4 +1,4 @@
-"""How well a board will be measured before any image is taken: the Cramér-Rao bound of planned views.
+"""Expected accuracy with a board before images are taken: the Cramér-Rao bound of planned views.
 
 The bound is the covariance that no unbiased estimate can beat; the package's maximum-likelihood fits reach it.
 Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, ch. 3.

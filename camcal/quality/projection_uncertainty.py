@@ -1,4 +1,4 @@
-"""How far a calibration may misplace the projection of a direction.
+"""Uncertainty of projected directions due to the calibration.
 
 A camera's own axes are a choice of its calibration: a rotation of all directions changes what the parameters are, not
 what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.

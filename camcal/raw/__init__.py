@@ -1,1 +1,1 @@
-"""From the sensor's counts to light: raw frames read, corrected, developed, and what the sensor itself can do."""
+"""Raw frames: reading, correction, demosaicing, and sensor characterisation."""

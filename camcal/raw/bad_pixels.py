@@ -1,4 +1,4 @@
-"""Bad pixels: found in dark frames, kept in a map, repaired in the mosaic before any step mixes neighbours."""
+"""Bad pixels: detected in dark frames, stored in a map, replaced in the mosaic before other filters."""
 
 import re
 from collections.abc import Iterable, Iterator

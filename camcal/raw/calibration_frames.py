@@ -1,4 +1,4 @@
-"""Dark frames and flat fields: what is subtracted, and what is divided by.
+"""Dark frames and flat fields, for subtraction and division.
 
 Dark frames, many exposures of no light, become the one that is subtracted, and the noise of every pixel. They are added
 up as they come, so memory does not grow with their number. Of three and more, every pixel leaves out its highest and

@@ -1,4 +1,4 @@
-"""White balance, tone curve and depth: what stands before and after the making of colour.
+"""White balance, tone curve and bit depth.
 
 The gains that make gray things gray are found on the mosaic, before any colour is made.
 """

@@ -1,4 +1,4 @@
-"""From one colour sample per pixel to three: every way there is, by its name.
+"""Demosaicing algorithms by name.
 
 Colour comes back as (H, W, 3) in the order blue, green, red, as everywhere in this package.
 

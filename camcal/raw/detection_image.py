@@ -1,4 +1,4 @@
-"""What detectors look at: images as they are, and raw frames as brightness that no demosaicing has moved.
+"""Images for detectors: ordinary images, and raw frames without demosaicing.
 
 Filling in colours mixes red, green and blue, which a lens does not put in the same place. A corner is therefore found
 where green was sampled, or in all samples alike, and measured by the samples of one colour alone.

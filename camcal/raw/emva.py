@@ -1,4 +1,4 @@
-"""The figures of one phase of a sensor, from its photon transfer curve and its levels of light and darkness.
+"""EMVA 1288 figures of one Bayer phase, from its photon transfer curve and its dark levels.
 
 The curve says how noise grows with light, and where it ends. Photons arrive by chance, so their variance is their
 number: of counts above black x the variance is K x + σ², where K is the gain in counts per electron.

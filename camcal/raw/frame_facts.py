@@ -1,4 +1,4 @@
-"""What a raw frame says of itself: its exposure channel by channel, the bits of its counts, where its greens stand.
+"""Statistics of a raw frame: exposure per channel, bits used, the diagonal of the green samples.
 
 Counts give away the bits they have where a file or an option says more. Both greens of a Bayer cell see the same light,
 so on the right diagonal of the cell the two samples agree, and on the other one red meets blue. Red and blue cannot be

@@ -1,4 +1,4 @@
-"""Raw frames without a header: nothing in the file says what it is, so the layout is given, and checked by length."""
+"""Raw frames without a header: the layout is given, and checked against the file length."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

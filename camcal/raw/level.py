@@ -1,4 +1,4 @@
-"""Several frames of one scene under one light: the mean of each colour's samples, how they vary in time and in space.
+"""Statistics of several frames of one exposure level: mean, temporal and spatial variance per colour.
 
 Frames are read one after the other; only their sum is kept. Rounding to whole counts, and ending at 0, did something to
 the noise of dark frames, which is undone.

@@ -1,4 +1,4 @@
-"""Demosaicing by linear filters: `malvar`, and those that OpenCV has or that are a line.
+"""Demosaicing by linear filters: `malvar`, those of OpenCV, and simple ones.
 
 `malvar` has 5 × 5 filters, on half-size planes; the others are means of neighbours, a cell as a pixel, green alone.
 Source: Malvar, He and Cutler, High-quality linear interpolation for demosaicing of Bayer-patterned color images,

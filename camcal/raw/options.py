@@ -1,4 +1,4 @@
-"""What is said of raw frames beforehand, and what is to be done to them: patterns, layouts, balance, development."""
+"""Options of raw frames: patterns, layouts, white balance, development."""
 
 from dataclasses import dataclass
 from math import isfinite

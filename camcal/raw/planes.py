@@ -1,4 +1,4 @@
-"""Half-size planes of a Bayer mosaic, laid out so that looking at a neighbour costs nothing.
+"""Half-size planes of a Bayer mosaic, laid out for fast access to adjacent samples.
 
 Every plane of a tile is one contiguous row of numbers with room on both ends: the plane seen one pixel to the right, or
 one row further down, is a slice of it. NumPy and OpenCV work on such slices several times faster than on shifted 2-D

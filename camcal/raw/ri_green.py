@@ -1,4 +1,4 @@
-"""The first half of `ri`: green where the sensor saw red or blue, as its difference from the colour that was seen.
+"""The first half of `ri`: green at red and blue samples, as the difference of the colours.
 
 Along rows and along columns every colour is estimated where it is missing: the mean of its two neighbours, corrected
 by the second difference of the colour that is there, times the gain with which the two vary together nearby. Of the

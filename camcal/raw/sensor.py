@@ -1,4 +1,4 @@
-"""What a sensor can do, from frames of even light and frames without: the figures of EMVA 1288.
+"""Sensor characterisation (EMVA 1288) from flat and dark frames.
 
 Source: EMVA Standard 1288, Release 4.0 Linear (2021). Its saturation is the signal of the largest variance, which lies
 three deviations below the full well and depends on the levels taken; here it is the signal at which pixels are full.

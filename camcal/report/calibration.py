@@ -1,4 +1,4 @@
-"""A calibration in words and as plain data."""
+"""A calibration as text and as plain data."""
 
 from collections.abc import Sequence
 from dataclasses import replace

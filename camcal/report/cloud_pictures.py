@@ -1,4 +1,4 @@
-"""Pictures of point clouds for machines without a screen: one view, four beside each other, or a video of a turn.
+"""Pictures of point clouds without a display: one view, a montage of four, or a video of an orbit.
 
 Points are drawn as small discs, near ones over far ones, with numpy alone. Over them stand a caption, a scale bar and
 the legend of their colours. Videos are GIF for any page, MP4 for longer ones.

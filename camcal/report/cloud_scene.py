@@ -1,4 +1,4 @@
-"""What is shown of a point cloud: as many of its points as can be looked at, and what is known about them."""
+"""The points of a cloud that are shown, and their attributes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

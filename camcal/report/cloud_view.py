@@ -1,4 +1,4 @@
-"""A point cloud as one page that shows it: opened from disk, offline, nothing else needed than a browser with WebGL.
+"""A point cloud as one offline HTML page for browsers with WebGL.
 
 The page unpacks the points: 16-bit steps, differences, deflate. Before deflate the bytes of N points stand in planes of
 N: low and high bytes of x, of y and of z as differences from point to point (modulo 65536); if there are colours,

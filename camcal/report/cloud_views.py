@@ -1,4 +1,4 @@
-"""From where a cloud is looked at: the camera's own view, front, top, side, or any angle."""
+"""Viewpoints of a cloud: the camera's view, front, top, side, or any angle."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

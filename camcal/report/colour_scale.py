@@ -1,4 +1,4 @@
-"""Numbers as colours: a range that a few outliers do not stretch, the turbo colours, and colours of points."""
+"""Colour maps: a range robust to outliers, the turbo map, and colours of points."""
 
 from dataclasses import dataclass
 from functools import cache

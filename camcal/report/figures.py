@@ -1,4 +1,4 @@
-"""Figures of a sensor's noise, a lens's blur and a fitted curve, drawn without a screen; style and encoding."""
+"""Plots of sensor noise, lens blur and fitted curves, without a display; style and encoding."""
 
 from dataclasses import dataclass
 from io import BytesIO

@@ -1,4 +1,4 @@
-"""Figures of numbers and of tracks over time: what was measured, what is known of it, and how the two fit."""
+"""Plots of series and tracks over time, with uncertainty and consistency."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Poses in words and tables."""
+"""Poses as text and tables."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Pictures of disparity maps and their errors above legends of their colours; of a pair and how its rows are off."""
+"""Pictures of disparity maps and their errors with legends; of a pair and its row offsets."""
 
 from dataclasses import dataclass
 from io import BytesIO

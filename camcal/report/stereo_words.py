@@ -1,4 +1,4 @@
-"""A check of a rectified pair in words and as plain data, and the errors of disparity maps as rows of tables."""
+"""The check of a rectified pair as text and as plain data, and errors of disparity maps as table rows."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

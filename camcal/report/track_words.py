@@ -1,4 +1,4 @@
-"""A track in words and as plain data: what was seen, what was left out, and whether its uncertainty can be trusted."""
+"""A track as text and as plain data: detections, rejections, and consistency."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Transforms in words, in bare numbers and as plain data."""
+"""Transforms as text, as plain numbers and as plain data."""
 
 from collections.abc import Sequence
 from typing import Any

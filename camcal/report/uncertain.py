@@ -1,4 +1,4 @@
-"""A value and its standard deviation as text, no digit more than is known."""
+"""A value and its standard deviation as text, rounded by its standard deviation."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite, log10

@@ -1,4 +1,4 @@
-"""What a process has: its cores, the signals that stop it, and what a worker finds when it starts.
+"""Resources of a process: available cores, signals that stop it, and the environment of workers.
 
 A process may use the cores of its CPU affinity and of the quota of its control group. A worker finds one BLAS and
 OpenCV thread, no Ctrl-C, no main script to run again.

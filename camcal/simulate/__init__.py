@@ -1,1 +1,1 @@
-"""Rendered data with known truth."""
+"""Rendered data with ground truth."""

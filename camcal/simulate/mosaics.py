@@ -1,4 +1,4 @@
-"""Raw frames of a known sensor: photographs of a board, evenly lit flat frames, dark frames.
+"""Simulated raw frames of a sensor model: images of a board, flat frames, dark frames.
 
 Light goes in and raw counts come out, with the noise that photon transfer looks for.
 """

@@ -1,4 +1,4 @@
-"""The sensor of a simulation, whose figures commands take as options."""
+"""Options of the simulated sensor."""
 
 from dataclasses import dataclass
 from math import isfinite

@@ -1,4 +1,4 @@
-"""Photographs of a board: its drawing on its bent surface, through a lens, under some light, onto a noisy sensor.
+"""Rendered images of a board: pattern, surface, lens, illumination, sensor noise.
 
 Regions of constant brightness are integrated over every pixel, from nothing but their outlines.
 A pixel is the drawing under a point spread: its own square, one pixel wide, blurred by a Gaussian. By Green's theorem

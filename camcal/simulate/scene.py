@@ -1,4 +1,4 @@
-"""A camera from what people know of one, where a careful person would hold a board, and what a detector hands on.
+"""Simulated cameras, plausible board poses, and detections.
 
 Poses are spread over the image, tilted, near and far.
 """

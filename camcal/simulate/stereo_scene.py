@@ -1,4 +1,4 @@
-"""Pairs of photographs of a generated world, rectified, with the exact disparity of every pixel.
+"""Rendered rectified pairs of a generated scene, with exact disparity.
 
 The left camera stands in the origin of the world, the right one `baseline` to its right; both see along z. A disparity
 belongs to the ray through the middle of a pixel; nothing is taken from the pictures.

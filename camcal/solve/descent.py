@@ -1,4 +1,4 @@
-"""The Levenberg–Marquardt loop: steps that are damped until they lower the cost; how a step is found is the search's.
+"""The Levenberg–Marquardt loop: damped steps that lower the cost; a search computes the steps.
 
 Its searches are those of `least_squares` (normal equations of an arrow, whose groups are eliminated) and `dense_search`
 (orthogonal factors of the Jacobian itself). `independent` follows the same rules for many small problems at once.

@@ -1,4 +1,4 @@
-"""The disparity of a rectified pair, pixel by pixel: how much, how sure, and where it comes from."""
+"""The disparity map of a rectified pair: values, uncertainty, and confidence class of every pixel."""
 
 from dataclasses import dataclass
 from enum import IntEnum

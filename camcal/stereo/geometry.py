@@ -1,4 +1,4 @@
-"""The geometry of a rectified pair: all that turns disparity into depth."""
+"""The geometry of a rectified pair, for conversion of disparity to depth."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""How rectified pairs are matched, as a program or a command line says it."""
+"""Options of stereo matching."""
 
 from dataclasses import dataclass
 from typing import Annotated

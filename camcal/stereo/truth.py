@@ -1,4 +1,4 @@
-"""Errors of a disparity map against the truth, the way Middlebury and KITTI count them.
+"""Errors of a disparity map against ground truth, as defined by Middlebury and KITTI.
 
 Every figure is given for the non-occluded pixels, which the right camera sees as well, and for all that have a truth,
 and there twice: with pixels without a disparity counted as bad, and among those that have one. Sparsification tells

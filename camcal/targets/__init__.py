@@ -1,1 +1,1 @@
-"""Boards, their shape, and finding them in images."""
+"""Calibration boards, their shape, and their detection in images."""

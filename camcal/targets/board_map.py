@@ -1,4 +1,4 @@
-"""How a flat board is seen by a lens that nobody knows yet: a map from its plane to the pixels, fitted to its points.
+"""The map from the plane of a board to pixels for an uncalibrated lens, fitted to its points.
 
 A homography, then a radial distortion, q = p / (1 + λ₁ r² + λ₂ r⁴ + λ₃ r⁶) with p, r from a middle near the image's
 (the division model, Fitzgibbon 2001), which even few points determine; what these leave is a polynomial in the board's

@@ -1,4 +1,4 @@
-"""What tells one type of board from another: names, the meaning of a Board's fields, layouts of points, short forms.
+"""Board types: names, meaning of the fields of a Board, layouts of points, short forms.
 
 Layouts say where the points lie and which turns look alike; their lengths are in pitches. The short form of a board is
 one word for the command line, such as chessboard:9x6:25mm.

@@ -1,4 +1,4 @@
-"""The points of a board in one image."""
+"""Detection of a board in one image."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What is printed on a board: a drawing of black and white rectangles between lines, and of discs on them."""
+"""The printed pattern of a board: black and white rectangles, and discs."""
 
 from dataclasses import dataclass, field
 

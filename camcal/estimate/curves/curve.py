@@ -1,4 +1,4 @@
-"""A curve, a formula for what is measured or for how far a point lies from a shape; and what a fit of it is worth."""
+"""A curve: a formula for a measured value or for the distance of a point from a shape; the quality of a fit."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

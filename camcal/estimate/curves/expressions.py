@@ -1,4 +1,4 @@
-"""Formulas in text, such as exp(a*x**2 + b*x + c): read, never run, and differentiated exactly.
+"""Formulas in text, such as exp(a*x**2 + b*x + c): parsed, never executed, and differentiated exactly.
 
 The text becomes Python's syntax tree, of which only arithmetic, numbers, names and a fixed list of functions are taken;
 nothing is evaluated by Python. Values carry their derivatives along by the chain rule, operation by operation (forward

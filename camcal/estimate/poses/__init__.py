@@ -1,1 +1,1 @@
-"""The pose of an object from its points and their pixels: starts, minima, samples against outliers, and judgement."""
+"""The pose of an object from its points and their pixels: starts, minima, RANSAC, quality."""

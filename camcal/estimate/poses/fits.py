@@ -1,4 +1,4 @@
-"""Fits of groups of views: to all points, or to those that agree."""
+"""Fits of groups of views: to all points, or to inliers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Poses from the points that agree with them: fitted and told apart in turns until both belong together.
+"""Robust poses: alternating inlier selection and refinement until both are consistent.
 
 For views in which many points are wrong, the first poses come from random triplets of points. Triplets are drawn until,
 with the confidence asked for, one had no outlier; the best poses are settled with their inliers as soon as they are

@@ -1,4 +1,4 @@
-"""Covariances of poses, those of poorly known ones as second moments along the bent valleys of the error.
+"""Covariances of poses; weakly determined ones as second moments along the profile of the likelihood.
 
 Where a direction is known to a few degrees only, as of a tag seen from the front or of four points close together, the
 pixels are not linear within its region: the valley of the error bends, and one side of it is flatter than the other.

@@ -1,4 +1,4 @@
-"""What one camera sees of many objects, side by side in arrays whose long axes come last.
+"""Correspondences of many views of one camera, packed in arrays whose last axes are views and points.
 
 Views are grouped by the arrays they share; what keeps a view from having a pose at all is found here, too.
 """

@@ -1,4 +1,4 @@
-"""What is known of poses found: covariances, alternatives and the figures of their quality."""
+"""Quality of estimated poses: covariances, alternatives, statistics of residuals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What goes into the estimation of poses and what comes out of it."""
+"""Input and output records of pose estimation."""
 
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,4 +1,4 @@
-"""First poses of many views by one camera: by the error in space, or through three points exactly.
+"""Initial poses of many views of one camera: by the object-space error, or exact poses of three points.
 
 The error in space are the distances of the points from the rays they should lie on. Σ ‖(I - d dᵀ)(R x + t)‖² is
 quadratic in [R t], so that a linear solution starts a search among rotations alone; the best translation follows the

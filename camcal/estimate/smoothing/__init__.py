@@ -1,1 +1,1 @@
-"""States over time from what was measured: filters, smoothers, and whether to believe them."""
+"""State estimation over time: filters, smoothers, and consistency checks."""

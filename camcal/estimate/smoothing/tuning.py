@@ -1,4 +1,4 @@
-"""How strong the noise is, from the measurements themselves: the value under which they were most likely."""
+"""Maximum-likelihood estimates of process noise and measurement noise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

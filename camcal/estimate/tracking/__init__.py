@@ -1,1 +1,1 @@
-"""Poses followed over time: filtered, smoothed, and judged."""
+"""Tracking of poses over time: filtering, smoothing, consistency checks."""

@@ -1,4 +1,4 @@
-"""Stretches of a track that may be mirrored: every one is turned over, solved anew, and judged by its evidence.
+"""Mirrored sections of a track: each candidate is reflected, solved again, and compared by its evidence.
 
 A flat object seen from the front changes from one of its two poses to the other without a jump. So a track is cut
 where its tilt is least and where the object was not seen; runs of pieces are mirrored, solved together with the frames

@@ -1,4 +1,4 @@
-"""Free motion of a body on SO(3) × R³: how a pose and its rates go on, how unsure that is, and poses between the two.
+"""Free motion of a body on SO(3) × R³: prediction of pose and velocity, its covariance, and interpolation.
 
 A state is a pose, its velocities (R' = hat(w) R) and, in Singer's model, their accelerations. Rotation and translation
 move independently. The covariance of a state is of its error: steps of the pose in the order tx ty tz rx ry rz,

@@ -1,4 +1,4 @@
-"""Several hypotheses of a motion followed at once through the pixels of successive frames.
+"""Multi-hypothesis tracking of a motion through the pixels of successive frames.
 
 A frame of a small plane has two poses that explain it nearly as well. Every hypothesis is continued by both: from its
 forecast and from every pose that the frame allows, damped Gauss-Newton steps descend χ² of the pixels plus that of the

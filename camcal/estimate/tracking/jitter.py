@@ -1,4 +1,4 @@
-"""What is not smooth in a series of poses: its jitter, and shakes as on a carrier that vibrates.
+"""Jitter of a series of poses, and vibration of camera or object.
 
 Jitter is what is left of each pose when its two neighbours have predicted it. Shakes have three independent causes: the
 camera turns about its own centre, the object is shifted, the object is turned. Each has a variance that all frames

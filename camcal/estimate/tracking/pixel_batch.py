@@ -1,4 +1,4 @@
-"""All frames at once: the motion that is likeliest given the pixels of every frame, with covariances and evidence.
+"""Batch estimation of the motion from the pixels of all frames, with covariances and evidence.
 
 Frames of one chain are linked by free motion; chains stand one after another in one block-tridiagonal system, and
 Levenberg's damping goes chain by chain, so that many variants of a stretch of a track are solved in one go. Where a

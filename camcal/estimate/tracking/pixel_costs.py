@@ -1,4 +1,4 @@
-"""How well poses explain the pixels of single frames: cost, gradient and curvature, for many poses at once.
+"""Cost, gradient and curvature of poses given the pixels of single frames, for many poses at once.
 
 A pixel is compared with its point on the plane that touches the unit sphere at the pixel's ray, so that any lens is a
 pinhole there: e = A p / (r · p), A = L⁻¹ D B, B two directions across the ray r, D what a pixel moves per step along

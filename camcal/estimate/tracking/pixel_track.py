@@ -1,4 +1,4 @@
-"""Poses followed over time on the pixels themselves: several hypotheses forward, all frames at once, flips searched.
+"""Tracking on pixels: multi-hypothesis filter, batch estimation, search for mirrored poses.
 
 With a bounded look-ahead, a frame's pose is that of the hypothesis that is best so many frames later, smoothed back
 along it (Rauch, Tung, Striebel 1965).

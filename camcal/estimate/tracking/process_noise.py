@@ -1,4 +1,4 @@
-"""How strongly a motion accelerates, by its innovations; what drives and shakes it, by the evidence of a track.
+"""Process noise: from the innovations of a filter, or from the evidence of a track with vibration.
 
 The densities of white noise are those that make the innovations likeliest. The likelihood is that of the filter, each
 frame's part bounded by that of an outlier. Candidates of the densities are tried side by side, and so are stretches of

@@ -1,4 +1,4 @@
-"""Poses of single frames followed in pieces: where a track starts, what it leaves out, and where it is lost.
+"""Track segments from poses of single frames: initialisation, gating, and termination.
 
 A frame allows several poses where a plane leaves a doubt. A wrong start among two mirrored poses would be followed for
 long. So a piece starts with every candidate of its first frames, and the one that agrees with most of the frames to

@@ -1,4 +1,4 @@
-"""Poses followed over time: what single frames saw, made one track with covariances, velocities and a judgement."""
+"""Tracks from poses of single frames, with covariances, velocities and a consistency check."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

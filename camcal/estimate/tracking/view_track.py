@@ -1,4 +1,4 @@
-"""Tracks from the pixels of single frames: what they say of a motion, as a track in pieces, and judged."""
+"""Tracks from the pixels of single frames, in track segments, with a consistency check."""
 
 from collections.abc import Sequence
 from dataclasses import replace

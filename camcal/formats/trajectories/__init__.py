@@ -1,4 +1,4 @@
-"""Trajectory files: which form a file has, by its suffix, by what stands in it, or as asked for.
+"""Trajectory files: the format by suffix, by content, or as asked for.
 
 tum: lines `time tx ty tz qx qy qz qw`. csv: named columns, with covariances and velocities. yaml, json: the same with
 names. kitti: 12 numbers a line, no times. tf: ROS transforms as YAML. EuRoC's data.csv is read too.

@@ -1,4 +1,4 @@
-"""Rows of numbers as trajectories: what all forms of text share. Whatever is wrong is told with file and line."""
+"""Rows of numbers as trajectories, common to all text formats; errors name file and line."""
 
 from collections.abc import Sequence
 

@@ -1,1 +1,1 @@
-"""From two images to the disparity of every pixel."""
+"""Matching of rectified images: disparity of every pixel."""

@@ -1,4 +1,4 @@
-"""Disparities for the pixels that have none, and a smooth map that keeps its steps."""
+"""Filling of disparity gaps, and edge-preserving smoothing."""
 
 from typing import NamedTuple
 

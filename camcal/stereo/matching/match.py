@@ -1,4 +1,4 @@
-"""A rectified pair to its disparity, with how sure it is of every pixel."""
+"""The disparity of a rectified pair with its uncertainty."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The two matchers of a pair, what both of its images agree on, and both made one.
+"""The two matchers of a pair, the left–right check, and their fusion.
 
 The matchers fail in different places: the census does not mind the light, gray levels do not mind noise. So where they
 agree, they are right. Believed is what both images agree on, and what does not stand alone.

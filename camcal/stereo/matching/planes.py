@@ -1,4 +1,4 @@
-"""Planes for smooth areas of the image that matching says little of: a wall, a table, a board without texture.
+"""Planes for smooth areas with few matches: walls, tables, boards without texture.
 
 Such an area is matched only along its border and where something is printed on it. Where what is matched of it lies on
 one plane, the plane tells the rest. Else a large area is taken for the background, and for the farthest plane that goes

@@ -1,4 +1,4 @@
-"""A pair made ready to be matched: gray, of one depth and exposure, its rows aligned, and the range to look through."""
+"""Preparation of a pair for matching: gray conversion, exposure, row alignment, disparity range."""
 
 from dataclasses import dataclass, replace
 

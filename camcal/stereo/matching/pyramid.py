@@ -1,4 +1,4 @@
-"""Large pairs from coarse to fine: all disparities are looked through only where the images are small.
+"""Coarse-to-fine matching of large pairs: the full range is searched at reduced size only.
 
 At full size the few about what was found there are enough, so that time and memory do not grow with their number.
 """

@@ -1,4 +1,4 @@
-"""Semi-global matching of census transforms: four paths, smooth where the image is, and the disparity of least cost.
+"""Semi-global matching of census transforms with four paths.
 
 The census transform says what differs between the surroundings of two pixels. Everything fits eight bits: a cost of at
 most 24, plus a jump of at most 39, gives 63 along a path and 252 for all four.

@@ -1,4 +1,4 @@
-"""How far a disparity may be off, told by what is around it."""
+"""Uncertainty of disparities, predicted from features of each pixel."""
 
 from collections.abc import Mapping
 from dataclasses import replace

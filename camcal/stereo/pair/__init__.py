@@ -1,1 +1,1 @@
-"""A pair before it is matched: its rows, its order, its light and its range of disparities."""
+"""Checks of a pair before matching: rows, order, exposure and range of disparities."""

@@ -1,4 +1,4 @@
-"""How far the rows of a rectified pair are off, how that changes over the image, and the right image put right.
+"""Row offsets of a rectified pair, their trend over the image, and the correction of the right image.
 
 Rows are compared by features, or in a tenth of the time by corners of the left image followed into the right one.
 """

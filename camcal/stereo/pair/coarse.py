@@ -1,4 +1,4 @@
-"""Roughly where pixels of a pair are in the other image: two passes at reduced size, the first over all there could be.
+"""Coarse correspondences of a pair: two passes at reduced size, the first over the whole range.
 
 From the coarse map comes the range of disparities to search. Features that both images share say where to compare
 their rows, their exposure and their order.

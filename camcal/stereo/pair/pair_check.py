@@ -1,4 +1,4 @@
-"""What two images say of themselves as a rectified pair: rows, order, exposure and range of disparities."""
+"""The check of two images as a rectified pair: rows, order, exposure and range of disparities."""
 
 from dataclasses import dataclass
 from math import degrees

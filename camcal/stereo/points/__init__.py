@@ -1,1 +1,1 @@
-"""From disparity to points in space."""
+"""Point clouds from disparity."""

@@ -1,4 +1,4 @@
-"""From the pixels of a stereo image to vertices, some rows at a time: no cloud need be in memory as a whole.
+"""Vertices from the pixels of a stereo image, computed in blocks of rows.
 
 Normals of surfaces come from planes fitted to disparities. The plane n · P = D is seen with the disparity d + doffs =
 (f b / D) (n_x x + n_y y + n_z) at the image point (x, y), so a plane in space is a plane in the disparity map too: its

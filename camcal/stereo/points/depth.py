@@ -1,4 +1,4 @@
-"""The left image of a rectified pair with its disparities: depth, and how well it is known, a few rows at a time.
+"""Depth and its uncertainty from the disparities of a rectified pair, computed in blocks of rows.
 
 Maps have tens of megapixels; everything here works on a slice of rows, so that what stands between the map and its
 points stays in the cache.

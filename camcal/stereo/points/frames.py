@@ -1,4 +1,4 @@
-"""Points of a cloud in the frame asked for, as vertices: records without padding, in blocks that fit in memory."""
+"""Points of a cloud in a given frame, as packed vertex records in blocks."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field

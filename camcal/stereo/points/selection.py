@@ -1,4 +1,4 @@
-"""Which pixels of a stereo image become points, and which points stand alone.
+"""Selection of pixels for a cloud, and removal of isolated points.
 
 A point stands alone by the disparities around its pixel, or by the points around it.
 """

@@ -1,1 +1,1 @@
-"""AprilGrids found in images."""
+"""Detection of AprilGrids."""

@@ -1,4 +1,4 @@
-"""An AprilGrid in an image: a few tags are read, the corners of all are found from them, verified and located.
+"""Detection of an AprilGrid: a few tags are identified, all corners predicted, verified and refined.
 
 Tags of such a board meet small black squares at their corners, so that every corner is a crossing of two edges, as on a
 chessboard, but with less room: the next edges are a gap away on one side, and on the other the tag's bits begin within

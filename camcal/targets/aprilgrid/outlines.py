@@ -1,4 +1,4 @@
-"""The tags of an AprilGrid as they look in reduced copies of an image, and how their bits agree with the board's.
+"""Candidate tags of an AprilGrid in reduced copies of an image, and the agreement of their bits.
 
 A tag is a dark quadrilateral with a bright gap around it. At its corners it touches the small black squares of the
 print, but only there, so that a threshold somewhat below the local mean keeps them apart. Bits are never decided one by

@@ -1,4 +1,4 @@
-"""The tags of a grid as one lattice: where its neighbours put a corner, and where on the board a group of tags is.
+"""The tags of a grid as one lattice: prediction of corners, and position of a group of tags on the board.
 
 Lines at the edges of all tags cross in 2 rows × 2 columns corners, which an array (2 rows, 2 columns, 2) of pixels
 holds, NaN where a corner is missing; rows go upwards on the print, as Kalibr's do. Lengths are in sides of a tag.

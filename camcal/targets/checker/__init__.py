@@ -1,1 +1,1 @@
-"""Chessboards and ChArUco boards found in images."""
+"""Detection of chessboards and ChArUco boards."""

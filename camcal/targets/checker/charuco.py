@@ -1,4 +1,4 @@
-"""A ChArUco board in an image: its checker pattern is found as a chessboard's is, its markers say which part it is.
+"""Detection of a ChArUco board: its checker pattern, and the markers that identify its position.
 
 Markers are arranged in two ways: as OpenCV draws boards today, and as it did before 4.6, which differs where the board
 has an even number of rows of squares. A board drawn with its sizes exchanged has other markers in other places too.

@@ -1,4 +1,4 @@
-"""Which ChArUco board an image shows, where nothing of it is known: marker size, dictionary and squares are read off.
+"""Search for an unknown ChArUco board: marker size, dictionary and number of squares.
 
 The checker pattern says where the squares are. The white margin around a marker says how large it is. Its bits are
 looked up in every dictionary. Ids then say how many squares a row has: down two rows they grow by just that number, and

@@ -1,4 +1,4 @@
-"""From the corners a detector proposes to the corners of a checker pattern that the image bears out.
+"""Verification of proposed corners of a checker pattern.
 
 A corner is kept if two crossing edges are seen there, dark and bright as a checker pattern demands, where its
 neighbours put it. One that fails is looked for again where its neighbours put it, and left out if that fails too.

@@ -1,4 +1,4 @@
-"""A chessboard in an image: proposals, verified, numbered so that the same id is the same corner in every view.
+"""Detection of a chessboard: proposals, verification, consistent numbering.
 
 Where columns + rows is odd the colours tell the two ends apart: the square before corner 0, at the board's own corner,
 is dark. Dots tell the ends of any board apart. Otherwise the board looks the same turned, and the turn whose rows run

@@ -1,4 +1,4 @@
-"""Grids of board corners in an image: what a grid predicts of its nodes, local steps, handedness.
+"""Grids of board corners in an image: prediction of nodes, local steps, orientation.
 
 A grid is an array (rows, columns, 2) of pixels, NaN where a corner is missing.
 """

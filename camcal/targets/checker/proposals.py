@@ -1,4 +1,4 @@
-"""Where a chessboard may be: checker patterns in copies of an image, the cheap ones first.
+"""Proposals of checker patterns in copies of an image, the cheapest first.
 
 Finding asks for structure, not for precision, so large images are searched in reduced copies: the time goes with the
 number of pixels. What is proposed is verified and located at full resolution by targets/checker/checker.py.

@@ -1,1 +1,1 @@
-"""Grids of circles found and measured in images."""
+"""Detection and measurement of grids of circles."""

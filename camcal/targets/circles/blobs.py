@@ -1,4 +1,4 @@
-"""Where an image may show a grid of discs: ellipses, and lattices of them.
+"""Candidate ellipses in an image, and lattices of them.
 
 An ellipse is the outline of a region darker or brighter than around it. It says how its disc is seen: where it becomes
 a unit circle, its four neighbours lie at equal distances and at right angles, whatever the perspective. From such a

@@ -1,4 +1,4 @@
-"""A grid of circles in an image: ellipses on a lattice, fitted, numbered so that the same id is the same dot.
+"""Detection of a grid of circles: ellipses on a lattice, refined and numbered.
 
 A plain grid looks the same after half a turn, a square one after a quarter, and so does an asymmetric one of an even
 number of rows; the turn whose rows run most to the right is then taken. The pixels are those of the discs' centres,

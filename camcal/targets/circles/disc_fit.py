@@ -1,4 +1,4 @@
-"""Discs as exactly as an image allows: blurred ellipses fitted around the rims of dots, and the discs' own centres.
+"""Refinement of circles: blurred ellipses fitted around their rims, and the projected centres.
 
 First roughly to some samples, then to all that the rims' blur reaches. Where dots stand so close that the blur of one
 reaches the next, what the others put into a window is counted in.

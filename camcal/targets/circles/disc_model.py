@@ -1,4 +1,4 @@
-"""The picture of a dot with eleven unknowns, and their estimate, for all dots of an image at once.
+"""The image model of a circle with eleven parameters, fitted to all circles of an image at once.
 
 Around a rim the image is modelled as
     (1 + g · (x, y)) · (level + contrast · (f + tone · f (1 - f))),

@@ -1,1 +1,1 @@
-"""Corners where two edges cross, measured as exactly as an image allows."""
+"""Corner refinement."""

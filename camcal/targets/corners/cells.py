@@ -1,4 +1,4 @@
-"""The cell of every corner of a board, and the pixels in it that say where the corner is.
+"""The cell of every corner of a board, and the pixels used for its refinement.
 
 A cell is where a corner's two edges lead, how they bend, how far the picture is theirs alone: half-way to the next
 corner an edge begins to be that corner's. Edges are straight on the board but not in the image of a lens that distorts.

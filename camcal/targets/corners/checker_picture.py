@@ -1,4 +1,4 @@
-"""The picture of a corner of a checker pattern under a blur, with derivatives, and what gamma makes of it.
+"""The image model of a blurred checker corner, with derivatives and tone curve.
 
 With d₁, d₂ the signed distances to two edges and s the blur, a crossing looks like  E[sign(d₁ + ε₁) sign(d₂ + ε₂)],
 ε normal of standard deviation s and correlated by the cosine ρ of the angle between the edges' normals:

@@ -1,4 +1,4 @@
-"""The corners of a board measured where they have been found, as exactly as an image allows, with their covariance.
+"""Refinement of detected corners of a board, with covariance.
 
 They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are. Who
 knows the lens and where the board is looks once more: corners that were found are measured again along the edges as the

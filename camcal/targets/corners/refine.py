@@ -1,4 +1,4 @@
-"""Corners as exactly as an image allows: a picture of two crossing edges fitted to every corner's own cell.
+"""Corner refinement: a model of two crossing edges fitted to the cell of every corner.
 
 Around a corner the image is modelled as
     (1 + g · (x, y)) · (level + contrast · T(f)),   f the crossing and T the curve of checker_picture.py,

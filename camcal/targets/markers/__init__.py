@@ -1,1 +1,1 @@
-"""Square markers found, read and measured in images, and what they are on."""
+"""Detection and measurement of square markers, and tags on objects."""

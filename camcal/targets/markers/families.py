@@ -1,4 +1,4 @@
-"""Families of square markers by the names their users know them by, and what is printed of a marker.
+"""Families of square markers by their common names, and their printed patterns.
 
 tag36h11 and DICT_APRILTAG_36h11 are the same markers drawn two ways: OpenCV draws AprilTags upside down, turned by 180°
 to the images of the AprilTag project. Which corner is the top-left follows from the name that is given.

@@ -1,4 +1,4 @@
-"""Corners of a marker to a hundredth of a pixel: the marker's own drawing fitted to the image.
+"""Refinement of marker corners to a hundredth of a pixel, by fitting the pattern to the image.
 
 Which cells of a marker are white is known once it has been read, so that all of its edges say where it is, not its
 border alone. The image is modelled as  level + contrast · f(drawing(u, v)):  the drawing blurred by a Gaussian, the

@@ -1,4 +1,4 @@
-"""Square markers in an image: OpenCV finds and reads them, their drawings fitted to the image say where they are."""
+"""Detection of square markers with OpenCV, with corners refined by their patterns."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Tags on objects: where the markers of a family are on which rigid object.
+"""Tags on objects: markers of a family and the rigid objects they belong to.
 
 Corners of a tag are in the order in which markers are found: clockwise from its top-left as printed (markers.Markers).
 """

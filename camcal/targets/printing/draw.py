@@ -1,4 +1,4 @@
-"""Boards as pages to be printed at true scale: where the board, its white border and its footer stand on the paper.
+"""Layout of boards on pages for printing at true scale: board, white border, footer.
 
 The ink of a board is in millimetres; one path goes around squares that share a side, so that no seam shows there. The
 footer below a board is a ruler to check the print with, and what the board is.

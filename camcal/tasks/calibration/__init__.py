@@ -1,1 +1,1 @@
-"""From images of boards to cameras, and what is done with a camera."""
+"""Calibration from images of boards, and undistortion."""

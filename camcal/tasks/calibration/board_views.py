@@ -1,4 +1,4 @@
-"""What is seen of a board, from images or from a detections file: the first step of every task that needs a board."""
+"""Views of a board from images or from a detections file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

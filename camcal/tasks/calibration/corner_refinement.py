@@ -1,4 +1,4 @@
-"""A second look at the images of a calibration, with its lens, its poses and the shape of its board in hand."""
+"""Corner refinement with the calibrated lens, its poses and the shape of its board."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

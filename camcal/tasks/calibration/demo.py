@@ -1,4 +1,4 @@
-"""`camcal demo`: the main job on photographs of our own, so that the truth stands beside the estimate."""
+"""`camcal demo`: calibration of rendered images, with estimates beside ground truth."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""`camcal detect`: the points of a board in images and frames of videos, on all cores there are, and their pictures."""
+"""`camcal detect`: detection of a board in images and video frames, in parallel, and pictures of the result."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Drawing images and the frames of videos through maps, as many at a time as there are cores."""
+"""Remapping of images and video frames, in parallel."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence

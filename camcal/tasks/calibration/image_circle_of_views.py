@@ -1,4 +1,4 @@
-"""The image circle of a camera, measured from some of the images in which a board was searched."""
+"""The image circle of a camera, measured in some of the searched images."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

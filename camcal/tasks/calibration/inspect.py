@@ -1,4 +1,4 @@
-"""`camcal inspect`: what a camera file says, for a person and for a shell script."""
+"""`camcal inspect`: contents of a camera file, as text or single values."""
 
 import math
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Views in images of another size than most: named, or with --mixed-sizes made views of the usual size.
+"""Views in images of other sizes: reported, or with --mixed-sizes mapped to the usual size.
 
 A file does not tell which way an image was turned by 90 degrees, and turned the wrong way its lens is upside down: its
 principal point lies on the other side of the middle. So the other views are calibrated, and the way that this lens fits

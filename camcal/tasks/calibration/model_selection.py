@@ -1,4 +1,4 @@
-"""A calibration with the lens model that suits the views: chosen by prediction, then by where it is valid."""
+"""Lens model selection: by cross-validation, then by the valid domain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

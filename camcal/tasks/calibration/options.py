@@ -1,4 +1,4 @@
-"""The options of the commands that calibrate and look for boards."""
+"""The options of the commands for calibration and board detection."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`camcal undistort`: images and videos to straight lines, and the camera file that fits what was written.
+"""`camcal undistort`: undistorted images and videos, and their camera file.
 
 With --points, a table of pixels of the distorted image to pixels of the view, and the reverse.
 """

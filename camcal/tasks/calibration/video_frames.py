@@ -1,4 +1,4 @@
-"""Frames of videos to find a board in: sharp ones first, of those with the board the ones that tell most of the lens.
+"""Selection of video frames for detection: sharp ones, then those with most information on the lens.
 
 A video is read twice. The first time every frame is reduced and its sharpness noted; the sharpest frame of each stretch
 is then searched for the board at its full size, and `calibrate.frames` chooses among those that show it. No frame is

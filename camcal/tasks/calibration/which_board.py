@@ -1,4 +1,4 @@
-"""Which board images show: what one of them shows of it, many at a time, and what is to be said of them all.
+"""Parallel board detection in images, and diagnosis if another board is visible.
 
 Of a ChArUco board also its arrangement, or another board where the one that is given does not fit.
 """

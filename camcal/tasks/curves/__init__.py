@@ -1,1 +1,1 @@
-"""Curves through data."""
+"""Curve fitting."""

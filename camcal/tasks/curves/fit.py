@@ -1,4 +1,4 @@
-"""`camcal fit`: from a table and the words of the options to a curve, its data and its start, and to the fit."""
+"""`camcal fit`: the curve, data and start from a table and the options, and the fit."""
 
 import math
 from collections.abc import Mapping, Sequence

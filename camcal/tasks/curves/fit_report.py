@@ -1,4 +1,4 @@
-"""What `camcal fit` found, as a record and as plain data; whether it can be trusted, and if not, why."""
+"""The result of `camcal fit`, as a record and as plain data, with its failures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

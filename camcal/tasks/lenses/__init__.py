@@ -1,1 +1,1 @@
-"""What a lens, a sensor and a board will be worth."""
+"""Planning with a lens, a sensor and a board."""

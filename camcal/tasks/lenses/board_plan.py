@@ -1,4 +1,4 @@
-"""A board planned for a camera: where it fits, is sharp and large enough, and how well it will be measured."""
+"""Planning of a board for a camera: distances at which it fits, is sharp and detectable, and accuracy."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

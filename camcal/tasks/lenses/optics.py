@@ -1,4 +1,4 @@
-"""`camcal optics`: what a lens and a sensor can see, how sharp, and how well a board will be measured with them."""
+"""`camcal optics`: field of view, sharpness, and expected accuracy with a board."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The figures of `camcal optics` as plain data for --json and as rows of tables, in the units that people use."""
+"""The figures of `camcal optics` as plain data for --json and as table rows, in practical units."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict

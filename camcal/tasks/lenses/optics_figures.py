@@ -1,4 +1,4 @@
-"""The figures of a lens in use, each where enough is known for it, in SI units."""
+"""The figures of a lens, each computed if its inputs are known, in SI units."""
 
 from collections.abc import Collection
 from dataclasses import dataclass

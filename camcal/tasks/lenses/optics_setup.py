@@ -1,4 +1,4 @@
-"""What is known of a lens, its sensor and its use: given, read from a camera file, or following from the rest."""
+"""Known quantities of a lens, its sensor and its use: given, from a camera file, or derived."""
 
 import re
 from collections.abc import Mapping

@@ -1,1 +1,1 @@
-"""Where things are and where they go: single poses, tracks, series over time."""
+"""Poses: single poses, tracks, series over time."""

@@ -1,4 +1,4 @@
-"""When frames were taken: from a rate, a file, their names, their EXIF, or the video they come from."""
+"""Time stamps of frames: from a rate, a file, their names, their EXIF data, or the video."""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The observer of poses: one camera, or several fixed to each other that saw something at the same instants.
+"""The observer of poses: one camera, or a rig of several cameras with common instants.
 
 Pictures of the poses are drawn over the images they come from, as many at a time as there are cores.
 """

@@ -1,4 +1,4 @@
-"""From estimates of poses to the records that are written, and to warnings about units, outliers, noise and lens."""
+"""Pose records from estimates, and warnings about units, outliers, noise and lens."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What one camera saw of objects with known points: the first step of `camcal pnp`, whatever it is given."""
+"""Observations of objects with known points by one camera, for `camcal pnp`."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

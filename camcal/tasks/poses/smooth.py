@@ -1,4 +1,4 @@
-"""`camcal smooth`: poses or numbers of a table over time, smoothed, with what is known of them and of their noise."""
+"""`camcal smooth`: smoothing of trajectories or series, with covariances and noise estimates."""
 
 from dataclasses import asdict, replace
 from typing import Any

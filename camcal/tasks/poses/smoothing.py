@@ -1,4 +1,4 @@
-"""What `camcal smooth` found, as a record and in words."""
+"""The result of `camcal smooth`, as a record and as text."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What images and videos show of tags, and videos of boards: the first step of poses by them."""
+"""Detections of tags in images and videos, and of boards in videos."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,1 +1,1 @@
-"""Raw frames: development, corrections, and the sensor behind them."""
+"""Raw frames: development, corrections, and sensor characterisation."""

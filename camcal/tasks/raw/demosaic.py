@@ -1,4 +1,4 @@
-"""`camcal demosaic`: raw frames to images, as many at a time as there are cores.
+"""`camcal demosaic`: raw frames to images, in parallel.
 
 Settings that repeat a development bit for bit are written beside every image. With --preview-patterns, what a mosaic
 looks like with each of the four patterns.

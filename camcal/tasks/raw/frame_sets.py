@@ -1,4 +1,4 @@
-"""Flat and dark frames sorted into levels of light, by their folders, their exposures and their brightness."""
+"""Flat and dark frames grouped into exposure levels by folder, exposure and brightness."""
 
 import re
 from collections.abc import Sequence

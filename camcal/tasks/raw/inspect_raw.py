@@ -1,4 +1,4 @@
-"""`camcal inspect` of a raw frame: its levels, how it was exposed, and what its file says about the capture."""
+"""`camcal inspect` of a raw frame: levels, exposure, and metadata."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass

@@ -1,4 +1,4 @@
-"""`camcal sensor`: what a sensor can do, from flat and dark frames."""
+"""`camcal sensor`: characterisation of a sensor from flat and dark frames."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace

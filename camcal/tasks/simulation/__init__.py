@@ -1,1 +1,1 @@
-"""Data sets with known truth."""
+"""Simulated data sets with ground truth."""

@@ -1,4 +1,4 @@
-"""The options of `camcal simulate`: photographs of a board, raw frames, rectified pairs."""
+"""The options of `camcal simulate`: images of a board, raw frames, rectified pairs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

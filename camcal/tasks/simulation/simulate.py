@@ -1,4 +1,4 @@
-"""`camcal simulate`: photographs of a board by a known camera, with the truth beside them.
+"""`camcal simulate`: rendered images of a board by a known camera, with ground truth.
 
 With --raw there are mosaics in place of images, flat and dark frames, and the sensor in the truth. The folder is known
 by its truth, so that another run may replace it and nothing else is touched.

@@ -1,4 +1,4 @@
-"""`camcal simulate --stereo`: rectified pairs of a generated world, with the exact disparity of every pixel."""
+"""`camcal simulate --stereo`: rendered rectified pairs with exact disparity."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace

@@ -1,1 +1,1 @@
-"""Pairs, disparity maps, point clouds, and looking at them."""
+"""Stereo pairs, disparity maps, point clouds, and their views."""

@@ -1,4 +1,4 @@
-"""The geometry of a rectified pair, from wherever it is known: options, a camera file, the sidecar of a map.
+"""The geometry of a rectified pair: from options, a camera file, or the sidecar of a map.
 
 The other files that a sidecar names become the image that points are made of.
 """

@@ -1,4 +1,4 @@
-"""`camcal stereo check`: rectified pairs, looked at before anything is made of them."""
+"""`camcal stereo check`: checks of rectified pairs before matching."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

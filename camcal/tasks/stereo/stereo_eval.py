@@ -1,4 +1,4 @@
-"""`camcal stereo eval`: disparity maps against the truth, with gates.
+"""`camcal stereo eval`: disparity maps against ground truth, with quality gates.
 
 There is one map and one truth, or folders of both.
 """
