@@ -146,7 +146,7 @@ def _pairs(calibration: Calibration, views: Sequence[BoardDetection], colour: st
 class _LensProblem:
     """The residuals of pixels (N, 2) of points (N, 3) known in the camera frame; the free lens parameters alone move.
 
-    start: (K,) parameters that weak priors of width spread (K,) hold. weights: (N,), 0 for what is not believed.
+    start: (K,) parameters that weak priors of width spread (K,) hold. weights: (N,), 0 for outliers.
     """
 
     model: CameraModel

@@ -32,7 +32,7 @@ _NAMES = tuple(effect.name for effect in EFFECTS)
 
 @dataclass(frozen=True)
 class Evidence:
-    """share: 0…1, how far effects are to be believed in. rolling, flex: the gains of the log likelihood that these two
+    """share: 0…1, the weight of the effects. rolling, flex: the gains of the log likelihood that these two
     bring beside the others.
     """
 
@@ -45,7 +45,7 @@ class Evidence:
 class WithinViews:
     """What the errors within views are.
 
-    share: 0…1, how far they are believed to be more than noise. rolling_px: by how far the rows of an image are apart
+    share: 0…1, the evidence that they are more than noise. rolling_px: by how far the rows of an image are apart
     over its height, where a rolling shutter is seen, flex: RMS height in the board's unit by which the board bends,
     where that is seen: each of a typical view (median) and at most.
     """

@@ -148,7 +148,7 @@ def _with_effects(start: Estimate, effects: tuple[str, ...]) -> Estimate | None:
 def _averaged(
     estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array, image_size: tuple[int, int]
 ) -> CalibrationFit:
-    """Return the solution by estimates, of which those that model effects count as far as these are believed in."""
+    """Return the solution by estimates, in which those that model effects are weighted by the evidence for these."""
     plain = estimates[0]
     moved = _displacements(plain, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
     if not len(moved):  # the lens is held, or holds nowhere, as that of a wrong board may

@@ -73,16 +73,16 @@ def image_metric(displacements: Array) -> Array:
     return np.asarray(flat.T @ flat / len(displacements))
 
 
-def weights_of(left_out: Sequence[Array], metric: Array, believed: float = 1.0) -> Array:
+def weights_of(left_out: Sequence[Array], metric: Array, evidence: float = 1.0) -> Array:
     """Return the weights of estimates, none negative, that sum to one.
 
     left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
-    believed: 0…1, how far the weights are followed; the rest goes to the first estimate.
+    evidence: 0…1, the share of the weights; the rest goes to the first estimate.
     Each estimate's own scatter counts once more with ten views, and less with more of them: from a few views it is not
     known well, and weights fitted to chance would vary more than equal ones.
     """
     spreads = _spreads(left_out, metric)
-    return _believed(_least_spread(spreads.sum(axis=0), len(spreads)), believed)
+    return _weighted_by_evidence(_least_spread(spreads.sum(axis=0), len(spreads)), evidence)
 
 
 def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
@@ -102,32 +102,32 @@ def _least_spread(spread: Array, views: int) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _believed(weights: Array, believed: float) -> Array:
-    return np.asarray((1 - believed) * np.eye(1, len(weights))[0] + believed * weights)
+def _weighted_by_evidence(weights: Array, evidence: float) -> Array:
+    return np.asarray((1 - evidence) * np.eye(1, len(weights))[0] + evidence * weights)
 
 
 def covariance_of(
-    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, believed: float = 1.0
+    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float = 1.0
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
     than the estimates claim. Its shape is that of the same scatter, which G views determine in as many directions only,
-    drawn towards the claimed one as by D further views. Where errors within views are not believed in, the claimed one
+    drawn towards the claimed one as by D further views. Without evidence for errors within views, the claimed one
     is right and CR3 too large, unless the views are too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
-    scatter = _scatter(estimates, left_out, metric, weights, believed)
+    scatter = _scatter(estimates, left_out, metric, weights, evidence)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
     claimed_px, scatter_px = (float(np.sum(own[:lens, :lens] * metric)) for own in (claimed, scatter))
     mixed = (views * scatter + size * scatter_px / claimed_px * claimed) / (views + size)
     mixed *= max(claimed_px / scatter_px, 1.0)
-    doubted = believed + (1 - believed) * min((_FEW / views) ** 2, 1.0)
+    doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)
     return np.asarray(doubted * mixed + (1 - doubted) * claimed)
 
 
 def _scatter(
-    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, believed: float
+    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float
 ) -> Array:
     """Return the scatter (D, D) from view to view, each view with the weights that the others give, as weights that
     suit all views make their scatter small; that of the estimates, as what they disagree in is not known better; and
@@ -135,7 +135,7 @@ def _scatter(
     """
     spreads = _spreads(left_out, metric)
     others = np.array(
-        [_believed(_least_spread(spreads.sum(axis=0) - own, len(spreads) - 1), believed) for own in spreads]
+        [_weighted_by_evidence(_least_spread(spreads.sum(axis=0) - own, len(spreads) - 1), evidence) for own in spreads]
     )
     moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
     shared = np.array([_shared(own.problem, own.state) for own in estimates])

@@ -39,7 +39,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class RejectedCorner:
-    """A corner that was measured but not believed; residual: projected minus observed, px."""
+    """A corner that was measured but rejected; residual: projected minus observed, px."""
 
     image: str
     id: int

@@ -188,11 +188,11 @@ def render_pair(scene: Scene | PairOptions, rng: np.random.Generator) -> StereoT
     if isinstance(scene, PairOptions):
         scene = make_scene(scene, rng)
     options = scene.options
-    left_eye, right_eye = _eyes(options)
-    left, right = (picture(scene.surfaces, eye, options.blur) for eye in (left_eye, right_eye))
+    left_camera, right_camera = _stereo_cameras(options)
+    left, right = (picture(scene.surfaces, camera, options.blur) for camera in (left_camera, right_camera))
     right = options.gain * right**options.gamma + options.offset / 255
-    left_disparity, visible = disparity(scene.surfaces, left_eye, right_eye)
-    right_disparity, _ = disparity(scene.surfaces, right_eye, left_eye)
+    left_disparity, visible = disparity(scene.surfaces, left_camera, right_camera)
+    right_disparity, _ = disparity(scene.surfaces, right_camera, left_camera)
     camera, other, right_T_left = options.cameras()
     return StereoTruth(
         left=_counts(left, options, rng),
@@ -206,7 +206,7 @@ def render_pair(scene: Scene | PairOptions, rng: np.random.Generator) -> StereoT
     )
 
 
-def _eyes(options: PairOptions) -> tuple[StereoCamera, StereoCamera]:
+def _stereo_cameras(options: PairOptions) -> tuple[StereoCamera, StereoCamera]:
     x, y = (options.size[0] - 1) / 2, (options.size[1] - 1) / 2
     left = StereoCamera(np.zeros(3), options.size, options.focal, (x, y))
     place = np.array([options.baseline, 0.0, 0.0])
@@ -225,9 +225,9 @@ def _counts(brightness: Array, options: PairOptions, rng: np.random.Generator) -
     return np.asarray(values, dtype=np.uint8 if options.depth == 8 else np.uint16)
 
 
-def picture(surfaces: Sequence[Surface], eye: StereoCamera, blur: float) -> Array:
-    """Return the picture (H, W, 3), BGR, 0 … 1, that an eye sees; blur: of the Gaussian, pixels."""
-    width, height = eye.size
+def picture(surfaces: Sequence[Surface], camera: StereoCamera, blur: float) -> Array:
+    """Return the picture (H, W, 3), BGR, 0 … 1, that a camera sees; blur: of the Gaussian, pixels."""
+    width, height = camera.size
     margin = math.ceil(REACH * blur)  # pixels beside a pixel that its spread reaches into
     weights = _shares(_centres(0, 1, margin), 1 / CELLS, blur)
     columns = _centres(0, width, margin)
@@ -235,12 +235,12 @@ def picture(surfaces: Sequence[Surface], eye: StereoCamera, blur: float) -> Arra
     for first, last in strips(height, CELLS**2 * width):
         rows = _centres(first, last, margin)
         across, down = np.meshgrid(columns, rows)
-        surface, points = seen(surfaces, eye, across.ravel(), down.ravel())
+        surface, points = seen(surfaces, camera, across.ravel(), down.ravel())
         cells = colours(surfaces, surface, points).reshape(*across.shape, 3)
         edge = _edges(surface.reshape(across.shape))
         cells[edge] = 0
         part = _gathered(_gathered(cells, weights, 0), weights, 1)
-        _add_edges(part, surfaces, eye, (across, down), edge, blur)
+        _add_edges(part, surfaces, camera, (across, down), edge, blur)
         result[first:last] = part
     return result
 
@@ -275,7 +275,7 @@ def _edges(surface: Array) -> Array:
 
 
 def _add_edges(
-    image: Array, surfaces: Sequence[Surface], eye: StereoCamera, grid: tuple[Array, Array], edge: Array, blur: float
+    image: Array, surfaces: Sequence[Surface], camera: StereoCamera, grid: tuple[Array, Array], edge: Array, blur: float
 ) -> None:
     """Add to an image (H, W, 3) what its pixels gather of the edge cells (R, C); grid: the middles of all cells."""
     x, y = _places()
@@ -287,7 +287,7 @@ def _add_edges(
             if not alike.any():
                 continue
             columns, rows = (axis[row::CELLS, column::CELLS][alike][:, None] for axis in grid)
-            surface, points = seen(surfaces, eye, (columns + x).ravel(), (rows + y).ravel())
+            surface, points = seen(surfaces, camera, (columns + x).ravel(), (rows + y).ravel())
             values = colours(surfaces, surface, points).reshape(-1, len(x), 3)
             weights = _edge_weights(row, column, margin, blur)
             spots = np.einsum("cnb,nrs->crsb", values, weights, optimize=True)
@@ -323,18 +323,18 @@ def _product(rows: Array, columns: Array) -> Array:
     return np.asarray(rows[..., :, None] * columns[..., None, :])
 
 
-def disparity(surfaces: Sequence[Surface], eye: StereoCamera, other: StereoCamera) -> tuple[Array, Array]:
-    """Return the disparity (H, W), float32 pixels, at the pixels of an eye, and which of them (H, W) the other sees.
+def disparity(surfaces: Sequence[Surface], camera: StereoCamera, other: StereoCamera) -> tuple[Array, Array]:
+    """Return the disparity (H, W), float32 pixels, at the pixels of a camera, and which of them (H, W) the other sees.
 
-    The disparity is the column of the left eye less that of the right one; NaN where nothing is seen.
+    The disparity is the column of the left camera less that of the right one; NaN where nothing is seen.
     """
-    width, height = eye.size
+    width, height = camera.size
     result = np.full((height, width), np.nan, np.float32)
     visible = np.zeros((height, width), bool)
-    sign = 1 if eye.place[0] < other.place[0] else -1
+    sign = 1 if camera.place[0] < other.place[0] else -1
     for first, last in strips(height, width):
         rows, columns = (grid.ravel() for grid in np.mgrid[first:last, 0:width].astype(float))
-        surface, points = seen(surfaces, eye, columns, rows)
+        surface, points = seen(surfaces, camera, columns, rows)
         with np.errstate(invalid="ignore"):
             matches, levels = other.pixels(points)
             result[first:last] = (sign * (columns - matches)).reshape(-1, width)
@@ -344,18 +344,18 @@ def disparity(surfaces: Sequence[Surface], eye: StereoCamera, other: StereoCamer
     return result, visible
 
 
-def _hidden(surfaces: Sequence[Surface], eye: StereoCamera, points: Array) -> Array:
-    """Return which points (N, 3) another surface hides from an eye."""
-    x, y, z = (points - eye.place).T
-    return np.asarray(first_hits(surfaces, eye.place, x / z, y / z)[1] < z * (1 - SAME))
+def _hidden(surfaces: Sequence[Surface], camera: StereoCamera, points: Array) -> Array:
+    """Return which points (N, 3) another surface hides from a camera."""
+    x, y, z = (points - camera.place).T
+    return np.asarray(first_hits(surfaces, camera.place, x / z, y / z)[1] < z * (1 - SAME))
 
 
-def seen(surfaces: Sequence[Surface], eye: StereoCamera, columns: Array, rows: Array) -> tuple[Array, Array]:
-    """Return which surface an eye sees at pixels (N,), and which point (N, 3) of it, NaN if none."""
-    x, y = eye.rays(columns, rows)
-    surface, depths = first_hits(surfaces, eye.place, x, y)
+def seen(surfaces: Sequence[Surface], camera: StereoCamera, columns: Array, rows: Array) -> tuple[Array, Array]:
+    """Return which surface a camera sees at pixels (N,), and which point (N, 3) of it, NaN if none."""
+    x, y = camera.rays(columns, rows)
+    surface, depths = first_hits(surfaces, camera.place, x, y)
     depths[surface == NOTHING] = np.nan
-    return surface, eye.place + depths[:, None] * np.stack([x, y, np.ones_like(x)], axis=1)
+    return surface, camera.place + depths[:, None] * np.stack([x, y, np.ones_like(x)], axis=1)
 
 
 def strips(height: int, rays_of_a_row: int) -> Iterator[tuple[int, int]]:

@@ -60,9 +60,9 @@ class Facet:
         with np.errstate(invalid="ignore"):  # inf · 0
             return np.asarray(self.centre + sides @ self.axes)
 
-    def depths(self, eye: Array, x: Array, y: Array) -> Array:
-        """Return at what depth (N,), metres, rays from `eye` (3,) along (x, y, 1) meet it; inf for those that miss."""
-        normal, off = np.cross(self.axes[0], self.axes[1]), self.centre - eye
+    def depths(self, origin: Array, x: Array, y: Array) -> Array:
+        """Return the depth (N,), metres, at which rays from `origin` (3,) along (x, y, 1) meet it; inf if none."""
+        normal, off = np.cross(self.axes[0], self.axes[1]), self.centre - origin
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = normal @ off / (normal[0] * x + normal[1] * y + normal[2])
             hit = depth > 0
@@ -101,9 +101,9 @@ class Ball:
         sides = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         return np.asarray(self.centre + self.radius * sides)
 
-    def depths(self, eye: Array, x: Array, y: Array) -> Array:
-        """Return at what depth (N,), metres, rays from `eye` (3,) along (x, y, 1) meet it; inf for those that miss."""
-        to_centre = self.centre - eye
+    def depths(self, origin: Array, x: Array, y: Array) -> Array:
+        """Return the depth (N,), metres, at which rays from `origin` (3,) along (x, y, 1) meet it; inf if none."""
+        to_centre = self.centre - origin
         squared = x**2 + y**2 + 1
         half = to_centre[0] * x + to_centre[1] * y + to_centre[2]
         discriminant = half**2 - squared * (to_centre @ to_centre - self.radius**2)
@@ -119,27 +119,27 @@ class Ball:
 Surface = Facet | Ball
 
 
-def first_hits(surfaces: Sequence[Surface], eye: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return which surface rays from `eye` (3,) along (x, y, 1) meet first (N,), and at what depth (N,), metres.
+def first_hits(surfaces: Sequence[Surface], origin: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return which surface rays from `origin` (3,) along (x, y, 1) meet first (N,), and at what depth (N,), metres.
 
     A ray that meets none has NOTHING and inf.
     """
     first = np.full(len(x), NOTHING, dtype=np.int16)
     depths = np.full(len(x), np.inf)
     for number, surface in enumerate(surfaces):
-        rays = _towards(surface, eye, x, y)
+        rays = _towards(surface, origin, x, y)
         if not rays.size:
             continue
-        found = surface.depths(eye, x[rays], y[rays])
+        found = surface.depths(origin, x[rays], y[rays])
         nearer = found < depths[rays]
         depths[rays[nearer]] = found[nearer]
         first[rays[nearer]] = number
     return first, depths
 
 
-def _towards(surface: Surface, eye: Array, x: Array, y: Array) -> Array:
+def _towards(surface: Surface, origin: Array, x: Array, y: Array) -> Array:
     """Return the numbers of the rays that go through the box around a surface: the others cannot meet it."""
-    corners = surface.corners() - eye
+    corners = surface.corners() - origin
     if not np.isfinite(corners).all() or corners[:, 2].min() <= 0:
         return np.arange(len(x))
     (left, top), (right, bottom) = (limit(corners[:, :2] / corners[:, 2:], axis=0) for limit in (np.min, np.max))

@@ -13,7 +13,7 @@ from camcal.arrays import Array
 from camcal.geometry import rotation as so3
 from camcal.simulate.stereo_surfaces import Ball, Facet, Paint, Surface
 
-STEEPEST = np.radians(65)  # of a facet against the image; steeper ones are hardly more than a line to both eyes
+STEEPEST = np.radians(65)  # of a facet against the image; steeper ones are hardly more than a line to both cameras
 FINEST = 2.5  # texels per pixel at the most, where a surface is farthest: the point spread leaves little of finer paint
 TILES = (128, 2048)  # texels: the smallest and the largest painting before it repeats
 
@@ -24,9 +24,9 @@ _TRIES = 20
 
 @dataclass(frozen=True)
 class ViewFrustum:
-    """What the left eye sees: size (width, height), focal length and principal point in pixels, depths in metres.
+    """What the left camera sees: size (width, height), focal length and principal point in pixels, depths in metres.
 
-    overhang: how many columns the other eye sees on the right beyond these, pixels.
+    overhang: how many columns the other camera sees on the right beyond these, pixels.
     """
 
     size: tuple[int, int]
@@ -77,7 +77,9 @@ def _room(frustum: ViewFrustum, rng: np.random.Generator) -> list[Surface]:
     """Return a back wall, somewhat oblique, and a ramp before it that comes near at one border, mostly the lower."""
     wall, end = rng.uniform(0.04, 0.3), rng.uniform(0.45, 0.85)
     right, down = rng.uniform(-0.4, 0.4, 2) * wall
-    wider = 1 + 2 * frustum.overhang / frustum.size[0]  # the right eye sees more on the right; the wall goes on there
+    wider = (
+        1 + 2 * frustum.overhang / frustum.size[0]
+    )  # the right camera sees more on the right; the wall goes on there
     foot = rng.uniform(0.3, 0.9) * wall
     rise, lean = end - foot, rng.uniform(-0.1, 0.1)
     ramp = ((lean, rise), (rise, lean), (-rise, lean))[rng.choice(3, p=(0.6, 0.2, 0.2))]

@@ -1,4 +1,4 @@
-"""A point cloud as read from a file, and what all formats share: comments, and columns under the names of the house.
+"""A point cloud as read from a file, and what all formats share: comments, and columns under their usual names.
 
 Text has nine significant digits, all that a float32 holds.
 """
@@ -135,7 +135,7 @@ def cloud_of(
 
 
 def _known(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the columns under the names of the house; raises FileError without x, y and z."""
+    """Return the columns under their usual names; raises FileError without x, y and z."""
     lower = {name.lower(): column for name, column in columns.items() if column.ndim == 1}
     known = {
         name: next(lower[alias] for alias in aliases if alias in lower)
