@@ -319,7 +319,7 @@ def test_the_sample_settings_are_sound(run):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "too little to compute anything: give a CAMERA file; --focal and --sensor"),
+        (("-v",), "too little to compute anything: give a CAMERA file; --focal and --sensor"),
         (("--N", 4), "too little to compute anything"),
         (("--f", 8, "--sensor", "1/2.8x"), "sensor format '1/2.8x' is unknown"),
         (("--f", 0), "--focal must be more than 0 and finite, found 0"),
