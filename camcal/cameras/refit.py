@@ -48,6 +48,8 @@ def _judged(camera: Camera, fitted: Camera) -> Refit:
     projection = fitted.project(rays)
     apart = np.linalg.norm(projection.pixels - pixels, axis=1)
     there = apart[projection.valid]
+    if not len(there):
+        return Refit(fitted, np.inf, np.inf)
     whole = len(there) == _CHECKED**2
     return Refit(fitted, float(np.sqrt(np.mean(there**2))), float(there.max()) if whole else np.inf)
 

@@ -320,6 +320,7 @@ BAD = {
     "<opencv_storage><a>1</a>": "is not XML, or cut off",
     '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]><opencv_storage>&a;</opencv_storage>': "document type",
     "<opencv_storage>" + "<a>" * 100 + "</a>" * 100 + "</opencv_storage>": "more than 32 levels",
+    "<opencv_storage><a>" + " 1" * (5 << 20) + "</a></opencv_storage>": "more than 8388608 characters in <a>",
     '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "is not YAML, or cut off",
 }
 
@@ -334,6 +335,12 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, text, said):
         read(tmp_path, text)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(str(tmp_path / "file.yml"))
+
+
+def test_a_reader_refuses_a_file_of_another_format():
+    for name, said in (("kalibr", "has no cam0"), ("ros", "has no image_width"), ("opencv", "has no camera matrix")):
+        with pytest.raises(InvalidInput, match=said):
+            FORMATS[name].read([Source(Path("a.yml"), "a: 1\n")], Given())
 
 
 @given(

@@ -10,7 +10,7 @@ from camcal.formats import documents, native
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source
 
-_KEY = re.compile(rf"^[\"']?format[\"']?\s*:\s*[\"']?{native.FORMAT}", re.MULTILINE)
+_KEY = re.compile(rf"^[\"']?format[\"']?[ \t]*:[ \t]*[\"']?{native.FORMAT}", re.MULTILINE)
 
 
 def sniff(text: str) -> bool:

@@ -20,8 +20,8 @@ from camcal.parsing import parse_integer, parse_number
 
 ROOT = "opencv_storage"
 
-_MATRICES = ("opencv-matrix", "opencv-nd-matrix")
 _LISTS = ("data", "sizes")
+_LONGEST = 8 << 20  # characters of an element: of as many numbers as are read
 _XML_START = re.compile(r"\s*(<\?xml|<!--|<opencv_storage)")
 
 Item = float | str | Array
@@ -78,8 +78,8 @@ class _Builder:
         self.open.append(_Element(tag, attributes.get("type_id", "")))
 
     def data(self, text: str) -> None:
-        if self.open:
-            self.open[-1].text.append(text)
+        if self.open and self.open[-1].append(text) > _LONGEST:
+            raise FileError(f"more than {_LONGEST} characters in <{self.open[-1].tag[:40]}>", where=self.where)
 
     def end(self, tag: str) -> None:
         element = self.open.pop()
@@ -99,8 +99,15 @@ class _Element:
     def __init__(self, tag: str, kind: str) -> None:
         self.tag, self.kind = tag, kind
         self.text: list[str] = []
+        self.length = 0
         self.keys: dict[str, Any] = {}
         self.items: list[Any] = []
+
+    def append(self, text: str) -> int:
+        """Add text, and return how much there is."""
+        self.text.append(text)
+        self.length += len(text)
+        return self.length
 
     def add(self, tag: str, value: Any) -> bool:
         """Add what stands inside; return whether it was not there yet."""

@@ -32,7 +32,10 @@ _LENSES = {word: model for model, word in MODELS.items()} | {"radial-tangential"
 _COUNTS = {"pinhole": 0, "opencv4": 4, "kannala_brandt4": 4}
 _KEPT = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "line_delay")
 _CAMERA = re.compile(r"cam\d+\Z")
-_KEYS = re.compile(r"^cam\d+\s*:", re.MULTILINE), re.compile(r"^\s+(camera_model|intrinsics)\s*:", re.MULTILINE)
+_KEYS = (
+    re.compile(r"^cam\d+[ \t]*:", re.MULTILINE),
+    re.compile(r"^[ \t]+(camera_model|intrinsics)[ \t]*:", re.MULTILINE),
+)
 _AGREE = 1e-3  # m and of R, to which T_cam_imu of several cameras agree with T_cn_cnm1
 
 
@@ -49,6 +52,8 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     (source,) = sources
     document = parse_foreign(source.text, str(source.path))
     names = sorted((name for name in document if _CAMERA.match(name)), key=files.natural_key)
+    if not names:
+        raise InvalidInput("has no cam0", where=str(source.path))
     values = {name: Values(document).below(name) for name in names}
     transforms: dict[str, Transform] = {}
     for before, name in zip([None, *names], names, strict=False):

@@ -57,7 +57,9 @@ _OF_PAIR = (
 _SIDES = ("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("Left", "Right"), ("L", "R")
 _FLAGS = ("fisheye_model", "fisheye")
 _RMS, _COUNT = ("avg_reprojection_error", "Avg_Reprojection_Error"), ("nframes", "nr_of_frames", "nrOfFrames")
-_KEY = re.compile(r"^\s*[\"']?(?:{})[\"']?\s*:".format("|".join((*_MATRIX, "M1", "K1", "cameraMatrix1"))), re.MULTILINE)
+_KEY = re.compile(
+    r"^[ \t]*[\"']?(?:{})[\"']?[ \t]*:".format("|".join((*_MATRIX, "M1", "K1", "cameraMatrix1"))), re.MULTILINE
+)
 
 
 def sniff(text: str) -> bool:

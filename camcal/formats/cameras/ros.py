@@ -41,8 +41,8 @@ _BY_COUNT = {
 _OTHER_NAMES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _SAME = 1e-9  # m and pixels, to which R and P that were read still say where the right camera stands
 _KEYS = (
-    re.compile(r"^camera_matrix\s*:", re.MULTILINE),
-    re.compile(r"^(projection_matrix|rectification_matrix|distortion_model)\s*:", re.MULTILINE),
+    re.compile(r"^camera_matrix[ \t]*:", re.MULTILINE),
+    re.compile(r"^(projection_matrix|rectification_matrix|distortion_model)[ \t]*:", re.MULTILINE),
 )
 
 
