@@ -42,10 +42,11 @@ DEFINED = {  # names of classes and functions
     *("settle", "approached", "through"),
 }
 ANYWHERE = {"freedom", "floor_px", "film", "films", "rooms"}  # names of fields, arguments and variables as well
+FIELDS = {"remarks", "findings", "faults", "advice"}  # of records: messages are warnings or failures
 MEMBERS = {"View": {"turned"}, "Board": {"crossed", "coded", "pitch", "inward"}}  # of these classes alone
 
 _SUSPECT = re.compile(
-    rf"(class|def) _*({'|'.join(sorted(DEFINED | set(MEMBERS)))})\b|\b({'|'.join(sorted(ANYWHERE))})\b"
+    rf"(class|def) _*({'|'.join(sorted(DEFINED | set(MEMBERS)))})\b|\b({'|'.join(sorted(ANYWHERE | FIELDS))})\b"
 )
 
 
@@ -69,7 +70,7 @@ def old_names(text):
         if isinstance(node, ast.ClassDef):
             own = {part.name for part in node.body if isinstance(part, ast.FunctionDef)}
             own |= {part.target.id for part in node.body if isinstance(part, ast.AnnAssign)}
-            found += [f"{node.name}.{name}" for name in sorted(own & MEMBERS.get(node.name, set()))]
+            found += [f"{node.name}.{name}" for name in sorted(own & (FIELDS | MEMBERS.get(node.name, set())))]
     return found
 
 
@@ -102,6 +103,7 @@ def test_a_planted_message_is_found(words, line):
         ("def gate(freedom): ...", "freedom"),
         ("print(found.floor_px)", "floor_px"),
         ("class View:\n    turned: int = 0", "View.turned"),
+        ("class Report:\n    remarks: tuple = ()", "Report.remarks"),
         ("class Board:\n    def pitch(self): ...", "Board.pitch"),
     ],
 )

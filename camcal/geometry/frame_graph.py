@@ -216,12 +216,12 @@ def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FramePro
 
 def _named(name: str, transforms: Mapping[str, NamedTransform]) -> FrameProduct:
     if name not in transforms:
-        raise InvalidInput(f"no transform {name!r}{_advice(name, transforms)}")
+        raise InvalidInput(f"no transform {name!r}{_suggestion(name, transforms)}")
     found = transforms[name]
     return FrameProduct(found.target, found.source, Derived.of(name, found.pose), name)
 
 
-def _advice(name: str, transforms: Mapping[str, NamedTransform]) -> str:
+def _suggestion(name: str, transforms: Mapping[str, NamedTransform]) -> str:
     known = list(transforms)
     if JOINT in name:
         target, source = frames_of(name)
