@@ -233,7 +233,7 @@ class ConvertFileOptions(OptionsRecord):
             metavar="OUT",
             group=OUTPUT,
             recorded=False,
-            written=Written(CAMERA_SUFFIXES, folder=True),
+            written=Written(CAMERA_SUFFIXES, folder=True, stdout=True),
         ),
     ]
     to: Annotated[str | None, Option(camera_formats, metavar="FORMAT", group=OUTPUT)] = None

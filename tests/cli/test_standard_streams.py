@@ -116,6 +116,14 @@ def test_a_camera_file_from_standard_input_is_shown(streamed):
     assert (code, "pinhole" in out) == (0, True)
 
 
+@pytest.mark.parametrize("form", ["camcal", "opencv", "ros"])
+def test_a_camera_file_is_converted_on_its_way(streamed, tmp_path, form):
+    assert streamed("convert", "camera.yaml", tmp_path / "camera.yaml", "--to", form)[0] == 0
+    code, out, _ = streamed("convert", "-", "-", "--to", form, stdin="camera.yaml")
+    assert code == 0
+    assert _without_origin(out) == _without_origin((tmp_path / "camera.yaml").read_text())
+
+
 def test_commands_join_by_pipes(streamed, folder, tmp_path):
     code, out, _ = streamed("pnp", "camera.yaml", "corners.csv", "-o", "-")
     assert code == 0

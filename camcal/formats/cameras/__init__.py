@@ -97,16 +97,21 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
 def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFormat:
     """Return the format to write to a path: the one that is wanted, or the only one its suffix can mean.
 
-    source: the format of what is written; camera files of other programs become camcal's where nothing says more.
+    source: the format of what is written; camera files of other programs, and what goes to standard output, become
+    camcal's where nothing says more.
     Raises InvalidInput for an unknown name, a suffix that does not go with it, and where it is not clear.
     """
     if wanted is not None:
         if wanted not in FORMATS:
             raise InvalidInput(f"--to {wanted}: no camera format of this name{did_you_mean(wanted, FORMATS)}")
         form = FORMATS[wanted]
+        if files.is_stream(path):
+            return form
         if path.suffix.lower() not in form.suffixes and not (form.in_folder and not path.suffix):
             raise InvalidInput(f"{form.title} is written as {' or '.join(form.suffixes)}", where=str(path))
         return form
+    if files.is_stream(path):
+        return FORMATS[OWN]
     possible = [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
     if len(possible) == 1:
         return possible[0]

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from camcal import files
 from camcal.cameras.catalogue import MODELS
 from camcal.errors import InvalidInput
 from camcal.formats import documents, native
@@ -30,7 +31,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
 
 def write(path: Path, file: CameraFile) -> None:
     """Write a camera file with all digits of its numbers; raises as `native.write` does."""
-    if path.suffix.lower() not in FORMAT.suffixes:
+    if path.suffix.lower() not in FORMAT.suffixes and not files.is_stream(path):
         raise InvalidInput("a camera file of camcal is .yaml", where=str(path))
     native.write(path, file, exact=True)
 

@@ -141,7 +141,7 @@ def _name(values: Values) -> str:
 
 def outputs(path: Path, file: CameraFile) -> tuple[Path, ...]:
     """Return the files that are written: the path itself, or in a folder one for each camera."""
-    return (path,) if path.suffix else tuple(path / f"{name}.yaml" for name in file.cameras)
+    return (path,) if path.suffix or files.is_stream(path) else tuple(path / f"{name}.yaml" for name in file.cameras)
 
 
 def write(path: Path, file: CameraFile) -> None:
@@ -155,7 +155,7 @@ def write(path: Path, file: CameraFile) -> None:
             outputs(path, file)[0], _text(names[0], entries[0].camera, _kept(entries[0]) or of_one(entries[0].camera))
         )
         return
-    if path.suffix or path.is_file():
+    if path.suffix or path.is_file() or files.is_stream(path):
         raise InvalidInput(
             f"a pair is two files for ROS ({names[0]}.yaml, {names[1]}.yaml): give a folder", where=str(path)
         )
