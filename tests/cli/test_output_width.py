@@ -18,8 +18,11 @@ from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFi
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.report.table import cells, table_lines, wrapped
+from camcal.simulate.options import Sensor
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
+from camcal.tasks.simulation.options import RawOptions, SimulateOptions
+from camcal.tasks.simulation.simulate import simulate
 
 WIDTHS = (80, 120)
 LONG = (
@@ -32,7 +35,7 @@ SPREAD = np.diag(np.array([1e6, 1e-3, 1e-12, 40.0, 1e-9, 1e-30, 1e-9, 1e-9, 0.0]
 
 RUNS = {
     "demo": "demo -o demo --views 12 -j 1",
-    "simulate": "simulate --raw RGGB --flats 6 --darks 4 --size 96x72 chessboard:5x4:20mm -o raw --views 1 -j 1",
+    "simulate": "simulate --raw RGGB --flats 6 --darks 4 --size 96x72 chessboard:5x4:20mm -o made --views 1 -j 1",
     "simulate --stereo": "simulate --stereo -o pairs --size 160x120 -j 1",
     "board": "board aprilgrid:4x3:40mm:0.3 -o board.svg --kalibr kalibr.yaml",
     "detect": "detect boards tags/b --board chessboard:5x5:40mm -o corners.csv --draw drawn -j 1",
@@ -99,6 +102,8 @@ def folder(tmp_path_factory):
         folder / "seen.csv", observe(WIDE, BOARD, views(WIDE, BOARD, 8, rng=rng), rng=rng, noise_px=0.1)[0]
     )
     _tables(folder, rng)
+    raw = RawOptions("RGGB", Sensor(0.25, 4.0, 15000.0, 64.0, 12), flats=6, darks=4)
+    simulate(SimulateOptions(folder / "raw", "chessboard:5x4:20mm", size=(96, 72), views=1, jobs=1, raw=raw))
     return folder
 
 
