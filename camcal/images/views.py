@@ -196,16 +196,19 @@ def _box(outline: Array, aspect: float, fine: float = _FINE) -> tuple[Array, flo
 
     Seen with one axis scaled, a box is a ball of the largest-coordinate distance: its half height is the distance
     from its middle to the outline, and the middle is moved while that grows. Where it hardly does, as along the
-    longer sides of a barrel, the middle stays near the axis.
+    longer sides of a barrel, the middle stays near the axis. It never leaves the extent of the outline, beyond which
+    the distance grows for ever.
     """
     stretch = np.array([aspect, 1.0])
     points = outline / stretch
+    low, high = points.min(axis=0), points.max(axis=0)
     middle, worth = np.zeros(2), float(np.abs(points).max(axis=1).min())
     step, smallest = worth / 2, fine * worth
     while step > smallest:
         candidates = middle + step * _AROUND
         distances = np.abs(points - candidates[:, None]).max(axis=2).min(axis=1)
-        worths = distances - _PULL * np.abs(candidates).sum(axis=1)
+        within = ((candidates > low) & (candidates < high)).all(axis=1)
+        worths = np.where(within, distances - _PULL * np.abs(candidates).sum(axis=1), -np.inf)
         best = int(np.argmax(worths))
         if worths[best] > worth:
             middle, worth = candidates[best], float(worths[best])

@@ -165,3 +165,9 @@ def test_views_that_make_no_sense_are_refused(arguments, words):
 def test_a_part_of_a_fisheye_fits_a_pinhole():
     view = make_view(ALL_AROUND, ViewOptions(fov_deg=90))
     assert build_maps(ALL_AROUND, view).valid().all()
+
+
+def test_the_search_for_a_crop_ends_where_the_axis_is_at_the_corner_of_the_image():
+    lens = Camera(model_named("kannala_brandt4"), (400, 300), np.array([150, 150, 2, 2, 0.01, -0.01, 0.002, -0.001]))
+    with pytest.raises(InvalidInput, match="more than a pinhole can hold"):
+        make_view(lens, ViewOptions())
