@@ -210,7 +210,7 @@ def _kind(message: str) -> str:
 def remedy(given: Set, seed: int, said: str) -> tuple[str, Sequence[Set]]:
     """Return what a message advises, in a word, and the sets that following it leads to: the first that applies."""
     images = re.findall(r"\w+/view\d+\.png|\w+/\d+\.png", said)
-    if "calibrate each group by itself" in said:
+    if "calibrate each group separately" in said:
         groups = name_groups([view.image for view in given.views])
         if not groups:  # views of one camera: what is named is wrong
             return "each group", []

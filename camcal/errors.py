@@ -111,11 +111,11 @@ def translated(error: BaseException) -> CamcalError | None:
         return error
     if isinstance(error, MemoryError) or _is_out_of_memory_in_opencv(error):
         asked = str(getattr(error, "err", error)).rstrip(".")
-        return FileError(f"out of memory{': ' if asked else ''}{asked}; smaller inputs or fewer --jobs need less")
+        return FileError(f"out of memory{': ' if asked else ''}{asked}; use smaller inputs or fewer --jobs")
     if isinstance(error, OSError):
         where = error.filename if isinstance(error.filename, (str, bytes)) else None
         if where is None and error.errno == errno.ENOENT and not _has_working_folder():
-            return FileError("the folder this command was started in is gone; change to another one")
+            return FileError("the working directory does not exist any more; change to another one")
         return FileError(f"cannot be read or written: {reason(error)}", where=os.fsdecode(where) if where else None)
     return None
 

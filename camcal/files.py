@@ -272,7 +272,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
     except FileNotFoundError as error:
         raise FileError("no such file", where=str(path)) from error
     except IsADirectoryError as error:
-        raise FileError("is a folder, a file is needed", where=str(path)) from error
+        raise FileError("is a folder, not a file", where=str(path)) from error
     except OSError as error:
         raise FileError(f"cannot be read: {reason(error)}", where=str(path)) from error
 
@@ -328,14 +328,14 @@ def require_content(path: Path) -> None:
 def _require_readable(stream: BinaryIO, path: Path) -> None:
     mode = os.fstat(stream.fileno()).st_mode
     if stat.S_ISDIR(mode):
-        raise FileError("is a folder, a file is needed", where=str(path))
+        raise FileError("is a folder, not a file", where=str(path))
     if _is_pipe(stream):
         patience = _PATIENCE_S if _is_named(path) else None
         if not select.select([stream], [], [], patience)[0]:
-            raise FileError(f"is a named pipe that nobody wrote to for {_PATIENCE_S:g} s", where=str(path))
+            raise FileError(f"is a named pipe without data for {_PATIENCE_S:g} s", where=str(path))
         os.set_blocking(stream.fileno(), True)
     elif not stat.S_ISREG(mode):
-        raise FileError("is a device, a file is needed", where=str(path))
+        raise FileError("is a device, not a file", where=str(path))
 
 
 def _read_up_to(stream: BinaryIO, most: int) -> bytes:

@@ -68,6 +68,6 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
     names = sorted(constant for constant in dir(cv2.aruco) if constant.startswith("DICT_"))
     if name not in names:
         near = nearest(name.upper(), names, likeness=0.3)
-        advice = f"did you mean {near}?" if near else f"known are {', '.join(names)}"
+        advice = f"did you mean {near}?" if near else f"one of {', '.join(names)}"
         raise InvalidInput(f"marker dictionary {name!r} is unknown; {advice}")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))

@@ -258,7 +258,7 @@ class Declared:
             if item is None or isinstance(item, (str, bool)) or (option.least is None and option.most is None):
                 continue
             if isnan(item):
-                raise self.invalid("nan is no number")
+                raise self.invalid("nan is not a number")
             if option.least is not None and not item >= option.least:
                 raise self.invalid(f"{self.written(item)} is less than {self.written(option.least)}")
             if option.most is not None and not item <= option.most:

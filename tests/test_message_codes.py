@@ -16,12 +16,12 @@ LISTED = [code for codes in CODES.values() for code in codes]
 
 
 def literal_codes(package: Path) -> Iterator[str]:
-    """Yield the codes in calls of Message, and of the `warn` of a file's values."""
+    """Yield the codes in calls of Message and of functions that pass them on."""
     for path in sorted(package.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call) or not node.args or not isinstance(node.args[0], ast.Constant):
                 continue
-            if getattr(node.func, "id", "") == "Message" or getattr(node.func, "attr", "") == "warn":
+            if getattr(node.func, "id", "") in {"Message", "_refused"} or getattr(node.func, "attr", "") == "warn":
                 yield str(node.args[0].value)
 
 

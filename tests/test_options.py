@@ -127,7 +127,7 @@ def test_a_text_that_does_not_do_is_refused_by_name(name, text, message):
 
 
 def test_what_is_no_number_is_out_of_every_range():
-    with pytest.raises(InvalidInput, match="nan is no number"):
+    with pytest.raises(InvalidInput, match="nan is not a number"):
         Inner(count=nan)
 
 

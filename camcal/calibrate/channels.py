@@ -78,7 +78,7 @@ def fit_colour(calibration: Calibration, views: Sequence[BoardDetection], colour
     problem, solution = _simplest(*_settled(problem), calibration.sigma_px)
     if not solution.converged:
         raise NotConverged(
-            f"the lens of a colour did not settle ({solution.reason}): add views, or leave out --channels"
+            f"the lens of a colour did not converge ({solution.reason}): add views, or leave out --channels"
         )
     kept = problem.weights > 0
     dof = 2 * int(kept.sum()) - problem.shared

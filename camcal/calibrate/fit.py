@@ -244,7 +244,7 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
     poses = poses_from_pixels(problem.model, state.parameters, problem.board, few)
     if poses is None:
         raise InsufficientData(
-            "a view has fewer than four corners that the lens model can describe: try another --model "
+            "a view has fewer than four corners inside the domain of the lens model: try another --model "
             f"({WIDE_MODEL} for wide lenses)"
         )
     return replace(state, rotations=poses[0], translations=poses[1])

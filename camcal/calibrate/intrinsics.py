@@ -116,7 +116,7 @@ def calibrate(detections: Sequence[BoardDetection], board: Board, options: Optio
         result = fit(plain, turns, size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
-            "the views leave some parameters undetermined; add views tilted by 20° to 45° about both axes, "
+            "some parameters are not determined by the views: add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"
         ) from error
     cameras = two_cameras(plain, [view.image for view in usable], size, options.shape, options.named_groups)
@@ -125,7 +125,7 @@ def calibrate(detections: Sequence[BoardDetection], board: Board, options: Optio
         require_one_camera(cameras)
         require_tilts(result.state.rotations)
         raise NotConverged(
-            f"the calibration did not settle in {result.plain.passes} passes: use a --model with fewer coefficients, "
+            f"calibration not converged after {result.plain.passes} passes: use a --model with fewer coefficients, "
             "add views, or give a --guess"
         )
     return _record(result, detections, reasons=reasons, size=size, options=options, cameras=cameras)
@@ -147,7 +147,7 @@ def compare_models(
             plain, _ = _plain(observations, board, size, replace(options, model=model), brief=True)
             result.append(candidate_model(model.name, plain))
         except (SingularError, np.linalg.LinAlgError):
-            result.append(CandidateModel(model.name, reason="the views leave some of its parameters undetermined"))
+            result.append(CandidateModel(model.name, reason="some parameters are not determined by the views"))
         except (InsufficientData, InvalidInput) as error:
             result.append(CandidateModel(model.name, reason=error.message))
     return tuple(result)
@@ -185,7 +185,9 @@ def _usable(detections: Sequence[BoardDetection], board: Board) -> tuple[tuple[i
     usable = [index for index, reason in enumerate(reasons) if reason is None]
     repeats = repeated([detections[index] for index in usable])
     for index, first in repeats.items():
-        reasons[usable[index]] = f"repeats {detections[usable[first]].image} (all corners within {SAME_VIEW_PX:g} px)"
+        reasons[usable[index]] = (
+            f"duplicate of {detections[usable[first]].image} (all corners within {SAME_VIEW_PX:g} px)"
+        )
     require_views(len(usable) - len(repeats), len(detections), len(repeats))
     return size, reasons
 
@@ -208,7 +210,7 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
             if name in guess.model.parameter_names:
                 start[index] = guess.value(name)
     elif {"fx", "fy"} & set(options.fixed):
-        raise InvalidInput("--fix fx or fy needs a --guess that says their values")
+        raise InvalidInput("--fix fx or fy needs a --guess with their values")
     held = np.array([start[i] if name in options.fixed else np.nan for i, name in enumerate(names)])
     return held, start if guess is not None else None
 

@@ -4,7 +4,7 @@ Either corners are wrong, not merely noisy, or the observations cannot hold a ca
 would be.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
 from camcal.calibrate.view_records import names_of, px_words
 from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.errors import InsufficientData
+from camcal.messages import Message, Value
 from camcal.targets.board import Board
 from camcal.targets.board_map import polynomial_terms
 from camcal.targets.detection import BoardDetection
@@ -102,10 +103,10 @@ def roughness(problem: BoardProblem) -> float:
     return float(np.median(found)) if found else np.nan
 
 
-def require_one_camera(cameras: TwoCameras | None, how: str = "the views do not fit together") -> None:
+def require_one_camera(cameras: TwoCameras | None, how: str = "inconsistent views") -> None:
     """Raise InsufficientData where views are clearly those of two cameras; how: what is wrong, in words."""
     if cameras is not None and cameras.ratio >= _TWO_CAMERAS:
-        raise InsufficientData(f"{how}: {cameras.words}")
+        raise _refused("views_of_two_cameras", f"{how}: {cameras.words}", {"ratio": cameras.ratio})
 
 
 def require_fit(
@@ -128,35 +129,35 @@ def require_fit(
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
     if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():
         names = names_of([images[index] for index in np.flatnonzero(wrong).tolist()])
-        raise InsufficientData(
-            f"{how}: {int(wrong.sum())} of {len(wrong)} views do not fit the others (ids in another order, another "
-            f"board or another camera): leave out {names}"
-        )
+        text = f"{how}: {int(wrong.sum())} of {len(wrong)} views rejected (other order of ids, board or camera)"
+        raise _refused("inconsistent_views", f"{text}: leave out {names}", {"views": int(wrong.sum())})
     if found.median_px <= found.median_limit_px:
-        raise InsufficientData(
-            f"{how}: most corners fit, so board and lens model do; corners of many views are wrong: look at them with "
-            "camcal detect --draw, use sharper images, or let them be rejected with --max-rejected"
-        )
-    order = "corners are in the order of the board"
+        text = "board and lens model fit most corners, but many views have wrong corners: check them with"
+        text = f"{how}: {text} camcal detect --draw, use sharper images, or set --max-rejected"
+        raise _refused("wrong_corners", text, {"share": share, "limit": most})
+    order = "corner ids are consistent"
     if found.roughness <= _ROUGH and found.smoothness > SMOOTH:
-        raise InsufficientData(
-            f"{how}: {order} and errors are smooth over it, so the lens model ({model}) is wrong: try another --model "
-            f"({WIDE_MODEL} for wide lenses), or none"
-        )
+        text = f"{how}: {order} and residuals vary smoothly, so the lens model ({model}) does not fit: try another"
+        raise _refused("lens_model_does_not_fit", f"{text} --model ({WIDE_MODEL} for wide lenses), or none")
     if found.roughness <= _ROUGH and found.smoothness > 0:
-        raise InsufficientData(
-            f"{how}: {order} and errors are random, as in blurred images: use sharper images, and look at the corners "
-            "with camcal detect --draw"
+        text = (
+            f"{how}: {order} and residuals are random, as in blurred images: use sharper images, and check the corners"
         )
+        raise _refused("blurred_images", f"{text} with camcal detect --draw")
     if found.roughness <= _ROUGH:
-        raise InsufficientData(
-            f"{how}: {order}, so the lens model ({model}) is wrong, or images are "
-            f"blurred: try another --model ({WIDE_MODEL} for wide lenses), or none, and use sharper images"
-        )
-    raise InsufficientData(
-        f"{how}: the board is not the one that --board describes, several cameras are mixed, or the lens model "
-        f"({model}) is wrong: check columns, rows and type of the board, and calibrate each camera by itself"
+        text = f"{how}: {order}, so the lens model ({model}) does not fit, or images are blurred: try another --model"
+        text = f"{text} ({WIDE_MODEL} for wide lenses), or none, and use sharper images"
+        raise _refused("lens_model_or_blur", text)
+    text = (
+        f"{how}: --board describes another board, several cameras are mixed, or the lens model ({model}) does not fit"
     )
+    text = f"{text}: check columns, rows and type of the board, and calibrate each camera separately"
+    raise _refused("board_does_not_fit", text)
+
+
+def _refused(code: str, text: str, values: Mapping[str, Value] | None = None) -> InsufficientData:
+    """Return the error of views that cannot be calibrated from, with the failure."""
+    return InsufficientData(text, failures=[Message(code, text, values or {})])
 
 
 def reason_unusable(view: BoardDetection, board: Board) -> str | None:
@@ -168,7 +169,7 @@ def reason_unusable(view: BoardDetection, board: Board) -> str | None:
     places = board.points()[view.ids, :2] / board.spacing
     x, y = (places - places.mean(axis=0)).T
     if (x @ x) * (y @ y) - (x @ y) ** 2 < 1e-6:
-        return "all corners are on one line of the board: show more of it"
+        return "all corners are collinear: show more of the board"
     return None
 
 
@@ -195,12 +196,13 @@ def repeated(views: Sequence[BoardDetection]) -> dict[int, int]:
 def require_views(usable: int, total: int, repeats: int) -> None:
     """Raise InsufficientData unless at least MIN_VIEWS views that differ are at hand."""
     if usable < MIN_VIEWS:
-        aside = f" ({repeats} more repeat one of them)" if repeats else ""
-        raise InsufficientData(
+        aside = f" ({repeats} more are duplicates)" if repeats else ""
+        text = (
             f"{usable} usable view{'s' * (usable != 1)}{aside} of {total}, at least {MIN_VIEWS} different ones are "
             "needed; take more images with the board tilted in different directions (camcal detect lists why others "
             "are not used)"
         )
+        raise _refused("too_few_views", text, {"views": usable, "limit": MIN_VIEWS})
 
 
 def tilt_spread(rotations: Array) -> float:
@@ -215,17 +217,16 @@ def require_tilts(rotations: Array) -> None:
     """Raise InsufficientData when the board was never tilted: focal length and distance then trade freely."""
     spread = tilt_spread(rotations)
     if spread < _MIN_TILT_SPREAD:
-        raise InsufficientData(
-            f"the board has nearly the same tilt in every view (within {np.degrees(spread):.1f}°), so the focal length "
-            "cannot be told from the distance; add views tilted by 20° to 45° about both axes, or give a known lens "
-            "with --guess and --fix fx,fy"
+        text = (
+            f"nearly parallel views (board tilts within {np.degrees(spread):.1f}°): focal length and distance are not "
+            "separable; add views tilted by 20° to 45° about both axes, or a known lens with --guess and --fix fx,fy"
         )
+        raise _refused("no_tilted_views", text, {"tilt_deg": float(np.degrees(spread))})
 
 
 def require_focal(focal: float, std: float) -> None:
     """Raise InsufficientData when the focal length (px) is not determined to better than a twentieth."""
     if not std < _MAX_FOCAL_ERROR * focal:
-        raise InsufficientData(
-            f"the views leave the focal length undetermined ({focal:.0f} ± {std:.0f} px); "
-            "add views tilted by 20° to 45° about both axes"
-        )
+        text = f"focal length not determined by the views ({focal:.0f} ± {std:.0f} px)"
+        values = {"focal_px": focal, "std_px": std}
+        raise _refused("undetermined_focal_length", f"{text}: add views tilted by 20° to 45° about both axes", values)

@@ -74,9 +74,9 @@ class TwoCameras:
         larger, smaller = (f"{len(images)} views ({names_of(images, _LISTED)})" for images in self.groups)
         focal = " and ".join(f"{value:.0f}" for value in self.focal_px)
         return (
-            f"two cameras, or one whose zoom or focus was changed: {larger} and {smaller} have lenses of their own, fx "
-            f"{focal} px; with the lens of the former, corners of the latter are off by {px_words(self.other_px)} "
-            f"(median), with their own by {px_words(self.own_px)}: calibrate each group by itself"
+            f"views of two cameras, or of one with changed zoom or focus: {larger} and {smaller}, fx {focal} px; "
+            f"median error of the latter {px_words(self.other_px)} with the lens of the former, "
+            f"{px_words(self.own_px)} with their own: calibrate each group separately"
         )
 
 

@@ -94,7 +94,7 @@ def _misfit_words(median_px: float, limit_px: float) -> str:
     how = (
         f"median reprojection error {px_words(median_px)}"
         if np.isfinite(median_px)
-        else "beyond the lens model's domain"
+        else "points outside the domain of the lens model"
     )
     return f"rejected: {how} (limit {px_words(limit_px)})"
 

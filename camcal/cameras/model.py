@@ -236,10 +236,10 @@ class Rig:
 
     def __post_init__(self) -> None:
         if not self.cameras:
-            raise InvalidInput("a rig has one camera or more")
+            raise InvalidInput("a rig needs at least one camera")
         without = [name for name in self.cameras if name not in self.rig_T_camera]
         if without:
-            raise InvalidInput(f"nothing says where camera {without[0]!r} stands in the rig")
+            raise InvalidInput(f"no transform connects camera {without[0]!r} to the rig")
         object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
         object.__setattr__(self, "rig_T_camera", MappingProxyType(dict(self.rig_T_camera)))
 
@@ -254,7 +254,7 @@ def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
     (width, height), (usual_width, usual_height) = image_size, camera.image_size
     if abs(width * usual_height - height * usual_width) > max(*image_size, *camera.image_size):
         raise InvalidInput(
-            f"images of {width} x {height} pixels are no resized images of {usual_width} x {usual_height}: "
+            f"images of {width} x {height} pixels are not resized images of {usual_width} x {usual_height}: "
             "they need a camera of their own"
         )
     scale = width / usual_width, height / usual_height

@@ -83,14 +83,14 @@ def _show_channels(report: "CalibrateReport") -> None:
         corner = value_and_std(seen.corner_px, seen.corner_std_px)
         largest = value_and_std(seen.largest_px, seen.largest_std_px)
         rows.append([colour, *corner, *largest, lens.points, lens.rejected, f"{lens.sigma_px:.3f}"])
-    measured = [Column("colour"), Column("outwards at the corner"), Column("± std"), Column("largest"), Column("± std")]
+    measured = [Column("colour"), Column("shift at the corner"), Column("± std"), Column("largest"), Column("± std")]
     counted = [Column("corners", priority=3), Column("rejected", priority=2), Column("noise", priority=1)]
     show.table("lateral chromatic aberration against green, px", [*measured, *counted], rows)
 
 
 def _how_far(corner: "RejectedCorner") -> str:
     """Return how far a rejected corner is off in words; one that the lens does not see at all is nowhere near."""
-    return f"off by {corner.distance:.2f} px" if isfinite(corner.distance) else "beyond what the lens model covers"
+    return f"off by {corner.distance:.2f} px" if isfinite(corner.distance) else "outside the domain of the lens model"
 
 
 def _list(title: str, lines: list[str], verbose: bool) -> None:
@@ -115,7 +115,7 @@ def _show_sheet(sheet: "BoardSheet") -> None:
     options, (width, height) = sheet.options, sheet.ink.size
     show.text(f"{sheet.board.words}, {width:g} x {height:g} mm, on {sheet.paper.described()}")
     if sheet.pixels is not None:
-        show.text("  {} x {} pixels, gray where an edge runs through one".format(*sheet.pixels))
+        show.text("  {} x {} pixels, anti-aliased edges".format(*sheet.pixels))
     show.text("print at 100 % (actual size)" + (", then measure the ruler" if options.ruler else ""))
     show.text(f"next: camcal calibrate IMAGES --board {options.board_file} -o camera.yaml")
     show.wrote(options.output, options.board_file, options.kalibr)
@@ -162,9 +162,9 @@ def _show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
 
     taken = [record for record in records if record.taken]
     shown = records if verbose else taken[:IMAGES_LISTED]
-    title = f"{len(taken)} of {len(records)} frames that were searched are taken"
+    title = f"{len(taken)} of {len(records)} searched frames used"
     show.table(title, COLUMNS, [cells(record) for record in shown], verbose=verbose)
     if len(shown) < len(taken):
         show.text(f"  … and {len(taken) - len(shown)} more")
     if len(shown) < len(records):
-        show.text("  (--verbose lists all that were searched)")
+        show.text("  (--verbose lists all searched frames)")

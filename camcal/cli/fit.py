@@ -69,7 +69,7 @@ def _lines(found: "CurveFit") -> list[str]:
         lines.append(f"R2 {good.r_squared:.6f}")
     outliers = int(found.outliers.sum())
     if outliers:
-        lines.append(f"{outliers} of {good.rows} rows count less than half")
+        lines.append(f"{outliers} of {good.rows} rows with less than half weight")
     lines.append(
         f"{found.reason}; {found.iterations} iterations, best of {found.runs} runs, condition {found.condition:.3g}"
     )
@@ -89,7 +89,7 @@ def _show_comparison(report: "FitReport") -> None:
     words = {"first": report.fit.curve.text, "second": other.curve.text, "neither": "neither"}
     show.text(f"preferred: {words[comparison.preferred]}")
     if comparison.f is not None:
-        show.text(f"F {comparison.f:.4g}, p {comparison.p_value:.3g}, if one is a special case of the other")
+        show.text(f"F {comparison.f:.4g}, p {comparison.p_value:.3g}, if the models are nested")
 
 
 def _show_trace(report: "FitReport") -> None:

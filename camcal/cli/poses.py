@@ -55,7 +55,7 @@ def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
     poses = report.poses
     rows = [row for item in poses.estimates.items() for row in pose_words.alternative_rows(poses, *item)]
     if not rows:
-        show.text("no other pose fits")
+        show.text("no alternative poses")
         return
     columns = pose_words.alternative_columns(poses)
     show.table("other poses", columns, rows, verbose=verbose, most=show.LISTED)
@@ -75,7 +75,7 @@ def track(options: TrackingOptions, call: ImageCall) -> None:
     call.give(lambda: document(report), lambda: _show_tracks(report, call.verbose))
     if report.lost or report.failed:
         lost = [f"{name}: {error.message}" for name, error in report.lost.items()]
-        raise ItemsFailed(f"some failed, the rest is followed: {'; '.join((*lost, *report.failed))}")
+        raise ItemsFailed(f"some failed, the rest is tracked: {'; '.join((*lost, *report.failed))}")
 
 
 def _show_tracks(report: "TrackReport", verbose: bool) -> None:
@@ -92,7 +92,7 @@ def _show_tracks(report: "TrackReport", verbose: bool) -> None:
             show.verdict(f"  {consistency_line(judged)}", good=judged.verdict == CONSISTENT)
         if verbose:
             for image in plain(item, report.images)["rejected"]:
-                show.text(f"  left out: {image}")
+                show.text(f"  rejected: {image}")
     show.wrote(*report.outputs)
 
 

@@ -72,7 +72,7 @@ def _preview(options: DemosaicOptions, call: ImageCall) -> None:
 
 
 def _show_map(found: "BadPixelMap") -> None:
-    show.text(f"{found.bad} of {found.pixels} pixels stand out in {found.frames} dark frames")
+    show.text(f"{found.bad} of {found.pixels} bad pixels in {found.frames} dark frames")
     show.wrote(found.output)
 
 
@@ -121,7 +121,7 @@ def _show_sensor(report: "SensorReport", options: SensorOptions, verbose: bool) 
     width, height = found.size
     show.text(f"{len(report.flats)} illumination levels, {len(report.darks)} dark levels, {width}x{height}")
     show.table("sensor", FIGURE_COLUMNS, rows(found.figures))
-    show.text(f"the counts end at the {found.saturation}" if found.saturation != "not reached" else "not saturated")
+    show.text(f"saturation at the {found.saturation}" if found.saturation != "not reached" else "not saturated")
     if report.pitch is not None:
         show.text(f"pixel pitch {1e6 * report.pitch:.3g} um")
     if verbose:

@@ -152,7 +152,7 @@ def _show_cloud(report: "CloudReport") -> None:
     geometry = report.geometry
     show.text(
         f"disparity = count / {report.scale:g}, {report.points} points of {report.pixels} pixels "
-        f"({report.matched} with a match, {report.outliers} of these alone)"
+        f"({report.matched} with a match, {report.outliers} outliers)"
     )
     show.text(f"fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px")
     if report.depth is not None:
@@ -191,7 +191,7 @@ def _show_errors(report: "EvalReport", verbose: bool) -> None:
     if report.mean.classes:
         show.table("confidence, all-valid", CLASS_COLUMNS, class_rows(report.mean.classes), verbose=verbose)
     for verdict in report.verdicts:
-        line = f"gate {verdict.gate}: {verdict.value:.4g}, {'holds' if verdict.passed else 'FAILED'}"
+        line = f"gate {verdict.gate}: {verdict.value:.4g}, {'passed' if verdict.passed else 'FAILED'}"
         show.verdict(line, good=verdict.passed)
     show.failed(report.outcomes)
     show.wrote(show.several([pair.picture for pair in report.pairs if pair.picture is not None], "picture"))
@@ -230,7 +230,7 @@ def _show_view(report: "ViewReport") -> None:
     if report.points:
         shown = report.shown + report.outside
         points = f"{report.points} points" if shown == report.points else f"{shown} of {report.points} points"
-        outside = f" ({report.outside} far outside left out)" if report.outside else ""
+        outside = f" ({report.outside} far outliers omitted)" if report.outside else ""
         show.text(f"{points}{outside} in {report.unit}, coloured by {report.colour}; {report.frame}")
     if report.output:
         show.wrote(report.output)

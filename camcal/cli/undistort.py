@@ -43,7 +43,7 @@ def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
 
 
 def _show_points(report: "PointsReport") -> None:
-    lost = f", {report.lost} without a place (empty cells)" if report.lost else ""
+    lost = f", {report.lost} outside the lens model (empty cells)" if report.lost else ""
     show.text(f"{report.count} points{lost}")
     show.wrote(report.output, report.camera_file)
 
@@ -54,9 +54,9 @@ def _show(report: "UndistortReport", verbose: bool) -> None:
         show.table("undistorted", [Column("image", file=True)], [[str(path)] for path in written], verbose=True)
     show.failed(report.failed)
     if report.aligned:
-        show.text(f"{' and '.join(report.aligned)} of colour images are drawn through lenses of their own")
+        show.text(f"{' and '.join(report.aligned)} of colour images undistorted with their own lens models")
     width, height = report.view.image_size
     focal = " ".join(f"{name}={report.view.value(name):.6g}" for name in ("fx", "fy", "cx", "cy"))
-    empty = f"; {100 * (1 - report.valid):.1f} % of its pixels have no source" if report.valid < 1 else ""
+    empty = f"; {100 * (1 - report.valid):.1f} % of its pixels without source" if report.valid < 1 else ""
     show.text(f"{report.view.model.name}, {width}x{height}, {focal}{empty}")
     show.wrote(report.camera_file, report.mask_file, show.several(written, "image"))

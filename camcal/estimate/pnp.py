@@ -61,7 +61,7 @@ def estimate_pose(
     view = Correspondences("image", np.asarray(points, np.float64), np.asarray(pixels, np.float64))
     outcome = estimate_poses(camera, [view], options)[0]
     if outcome.value is None:
-        raise outcome.error or InsufficientData("there is no pose")
+        raise outcome.error or InsufficientData("no pose")
     return outcome.value
 
 
@@ -71,7 +71,7 @@ def estimate_rig_poses(
     """Return rig_T_object of every instant from what the rig's cameras saw at it; each view names its camera.
 
     residuals and inliers of an estimate are those of the instant's views one after another, in the order given.
-    Raises InvalidInput for a camera that the rig does not have or that stands twice in an instant.
+    Raises InvalidInput for a camera that the rig does not have or that occurs twice in an instant.
     """
     names = list(rig.cameras)
     placed = [_by_camera(names, [_weighted(view, options) for view in instant]) for instant in views]
@@ -98,7 +98,7 @@ def _by_camera(names: Sequence[str], instant: Sequence[Correspondences]) -> list
         if view.camera is None or view.camera not in names:
             raise InvalidInput(f"camera {view.camera!r} is not in the rig of {', '.join(names)}", where=view.image)
         if view.camera in placed:
-            raise InvalidInput(f"camera {view.camera!r} stands twice in one instant", where=view.image)
+            raise InvalidInput(f"camera {view.camera!r} occurs twice at one instant", where=view.image)
         placed[view.camera] = view
     return [placed.get(name) for name in names]
 
@@ -158,12 +158,14 @@ def _fixed(fit: PoseFit, options: PoseOptions, found: Found) -> PoseFit:
     for index in np.flatnonzero(~sound).tolist():
         if not np.isnan(least[index]):
             condition = 1 / max(least[index], 1e-16)
-            message = f"the points do not fix the pose (condition {condition:.0e}); add points, spread out"
+            message = (
+                f"degenerate points: the pose is not determined (condition {condition:.0e}); add points, spread out"
+            )
         elif options.outliers == "none":
             message = "no pose puts all points in front of the lens"
-            message += "; are u and v exchanged, or is it another camera's image?"
+            message += "; check the order of u and v, and the camera"
         else:
-            message = f"no pose agrees with {points_needed(options)} or more of {sum(fit.group.counts()[index])} points"
-            message += "; do points and pixels belong together?"
+            message = f"no pose has {points_needed(options)} or more of {sum(fit.group.counts()[index])} points"
+            message += "; check that points and pixels correspond"
         found[int(fit.group.items[index])] = InsufficientData(message, where=fit.group.name(index))
     return fit if sound.all() else fit.take(np.flatnonzero(sound))

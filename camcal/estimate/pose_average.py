@@ -70,7 +70,7 @@ def average_poses(
     problem = _MeanProblem(rotations, translations, whitening, Cauchy(_SCALE) if robust else None)
     solution = minimise(problem, start)
     if not solution.converged:
-        raise NotConverged(f"the mean of {len(poses)} poses did not settle: {solution.reason}")
+        raise NotConverged(f"the mean of {len(poses)} poses did not converge: {solution.reason}")
     squared = problem.squared(solution.state)
     weights = np.ones(len(poses)) if problem.loss is None else problem.loss.weight(squared)
     steps = _steps(solution.state, rotations, translations)
@@ -151,7 +151,7 @@ def _whitening(covariances: Array) -> Array:
     try:
         return np.linalg.inv(np.linalg.cholesky(covariances))
     except np.linalg.LinAlgError as error:
-        raise InvalidInput("a covariance is singular: one of the poses would be exact; leave it out") from error
+        raise InvalidInput("singular covariance: leave the pose out") from error
 
 
 def _scatter(steps: Array, weights: Array) -> Array:

@@ -115,7 +115,7 @@ def trajectory_error(
     of_estimate, of_reference = associate(estimate.stamps, reference.stamps, options.max_difference)
     if len(of_estimate) < 2:
         raise InsufficientData(
-            f"{len(of_estimate)} stamps agree within {options.max_difference:g} s; are both of one clock?"
+            f"{len(of_estimate)} stamps agree within {options.max_difference:g} s: check that both use one clock"
         )
     compared, truth = estimate.rows(of_estimate), reference.rows(of_reference)
     alignment = align(compared.translations, truth.translations, options.alignment)

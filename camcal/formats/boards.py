@@ -150,7 +150,7 @@ def _check_lengths(data: Data, path: str) -> Iterator[Fault]:
     elif keys.need and not parts:
         yield Fault(path, f"{keys.need}: {keys.part}_mm, or {ratio} as a share of the {keys.scale}")
     elif parts and not scales and parts != [ratio]:
-        yield Fault(path, f"{parts[0]} without a {keys.scale}'s length: add {keys.scale}_mm, or give {ratio}")
+        yield Fault(path, f"{parts[0]} without the length of a {keys.scale}: add {keys.scale}_mm, or give {ratio}")
 
 
 def _parts(keys: BoardKeys) -> tuple[str, ...]:

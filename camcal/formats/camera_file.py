@@ -177,6 +177,6 @@ def _pose(graph: FrameGraph, frame: str, camera: str, where: str) -> Pose:
         return graph.along(graph.path(frame, camera)).pose
     except InvalidInput as error:
         raise InvalidInput(
-            f"nothing says where camera {camera!r} stands: transforms such as {camera}{JOINT}{frame} are missing",
+            f"no transform connects camera {camera!r}: transforms such as {camera}{JOINT}{frame} are missing",
             where=where,
         ) from error

@@ -95,7 +95,7 @@ def _check(data: Any, path: str) -> Iterator[Fault]:
 
 def _check_points(points: Any, path: str) -> Iterator[Fault]:
     if not isinstance(points, list):
-        yield Fault(path, "a list is needed, a mapping with X, Y, Z, u, v for each point")
+        yield Fault(path, "expected a list of mappings with X, Y, Z, u, v")
         return
     point = mapping(dict.fromkeys(COLUMNS, _scalar), dict.fromkeys(OPTIONAL, _scalar))
     for index, item in enumerate(points):
@@ -104,12 +104,12 @@ def _check_points(points: Any, path: str) -> Iterator[Fault]:
         yield from faults
         if not faults and set(item) != set(points[0]):
             odd = min(set(item) ^ set(points[0]))
-            yield Fault(place, f"{odd!r} stands at some points only; give it to all or to none")
+            yield Fault(place, f"{odd!r} is given for some points only; give it for all or none")
 
 
 def _scalar(value: Any, path: str) -> Iterator[Fault]:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        yield Fault(path, "is neither a number nor a text")
+        yield Fault(path, "is not a number or text")
 
 
 def _of_document(document: Document) -> Table:
@@ -166,7 +166,7 @@ def _covariance(table: Table) -> Array | None:
         return None
     if len(ways) > 1:
         given = " and ".join(",".join(way) for way in ways)
-        raise InvalidInput(f"columns {given} say the same; keep one of them", where=table.path)
+        raise InvalidInput(f"columns {given} are redundant; keep one of them", where=table.path)
     if ways[0] == COVARIANCE:
         return _full_covariance(table)
     if ways[0] == ("weight",):
@@ -190,14 +190,14 @@ def _refuse_beyond(table: Table, values: Array, named: str) -> None:
     """Refuse sizes (N,) that are not 0 and so large or small that nothing can be computed with them."""
     sizes = np.abs(values)
     beyond = (sizes > 0) & ((sizes > BEYOND) | (sizes < 1 / BEYOND))
-    table.refuse(beyond, lambda row: f"{named.format(values[row])} is beyond reason")
+    table.refuse(beyond, lambda row: f"{named.format(values[row])} is implausible")
 
 
 def _refuse_immense(table: Table, points: Array) -> None:
     farthest = np.abs(points).max(axis=1)
     table.refuse(
         farthest > FARTHEST,
-        lambda row: f"a coordinate of {farthest[row]:g} m is no measurement; are X, Y, Z in metres?",
+        lambda row: f"a coordinate of {farthest[row]:g} m is implausible: check that X, Y, Z are in metres",
     )
 
 
@@ -206,17 +206,17 @@ def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
         far_outside(pixels, sizes),
         lambda row: (
             f"({pixels[row, 0]:g}, {pixels[row, 1]:g}) is far outside the camera's image of "
-            f"{sizes[row, 0]} x {sizes[row, 1]}; are u and v exchanged, was the image resized, or is it another camera?"
+            f"{sizes[row, 0]} x {sizes[row, 1]}; check the order of u and v, the image size and the camera"
         ),
     )
 
 
 def _refuse_repeats(table: Table, image: str, points: Array, ids: Array | None) -> None:
-    """Refuse a point that stands twice in one image, by its id or by its coordinates."""
+    """Refuse a point that occurs twice in one image, by its id or by its coordinates."""
     if ids is not None:
-        table.refuse(_repeated(ids[:, None]), lambda row: f"image {image!r}: id {ids[row]} stands twice")
+        table.refuse(_repeated(ids[:, None]), lambda row: f"image {image!r}: id {ids[row]} occurs twice")
     named = "({:g}, {:g}, {:g})"
-    table.refuse(_repeated(points), lambda row: f"image {image!r}: the point {named.format(*points[row])} stands twice")
+    table.refuse(_repeated(points), lambda row: f"image {image!r}: the point {named.format(*points[row])} occurs twice")
 
 
 def _repeated(values: Array) -> Array:

@@ -54,14 +54,14 @@ def check(block: Mapping[str, Any], path: str, names: Sequence[str], fixed: Sequ
         if name not in names:
             yield Fault(where, f"no parameter {name!r}{did_you_mean(name, names)}")
         elif name in fixed:
-            yield Fault(where, f"{name!r} is fixed and has no uncertainty; leave it out")
+            yield Fault(where, f"{name!r} is fixed and cannot have an uncertainty; leave it out")
     if len(set(order)) < len(order):
-        yield Fault(child(path, "covariance_order"), f"{max(order, key=order.count)!r} stands twice")
+        yield Fault(child(path, "covariance_order"), f"{max(order, key=order.count)!r} occurs twice")
     given = {"covariance", "covariance_file"} & block.keys()
     if bool(order) != bool(given) or len(given) > 1:
         yield Fault(path, "covariance_order goes with covariance, or with covariance_file")
     elif Path(block.get("covariance_file", "")).name != block.get("covariance_file", ""):
-        yield Fault(child(path, "covariance_file"), "the matrix stands beside the file: give a name without a folder")
+        yield Fault(child(path, "covariance_file"), "the matrix must be beside the file: give a name without a folder")
     elif "covariance" in block:
         yield from _check_matrix(block, child(path, "covariance"))
 
@@ -79,7 +79,7 @@ def _check_matrix(block: Mapping[str, Any], path: str) -> Iterator[Fault]:
     for name, variance in zip(order, np.diag(found), strict=True):
         std = block.get("std", {}).get(name)
         if std is not None and abs(std - np.sqrt(variance)) > STD_AGREEMENT * max(std, np.sqrt(variance)):
-            yield Fault(path, f"std.{name} is {std:g}, the covariance says {np.sqrt(variance):g}")
+            yield Fault(path, f"std.{name} is {std:g}, {np.sqrt(variance):g} by the covariance")
 
 
 def why_no_covariance(found: Array) -> str | None:
@@ -90,10 +90,10 @@ def why_no_covariance(found: Array) -> str | None:
     absurd = (variances > 0) & ~((variances >= 1 / LARGEST_VARIANCE) & (variances <= LARGEST_VARIANCE))
     if absurd.any():
         row = int(np.argmax(absurd))
-        return f"not a covariance: the variance in row {row + 1}, {variances[row]:.3g}, is no measurement's"
+        return f"not a covariance: the variance in row {row + 1}, {variances[row]:.3g}, is implausible"
     scale = np.where(variances > 0, np.sqrt(variances), 1.0)
     if (np.abs(found) > 2 * np.outer(scale, scale)).any():
-        return "not a covariance: two rows have more in common than their variances allow"
+        return "not a covariance: a correlation is larger than 1"
     correlations = found / np.outer(scale, scale)
     asymmetry = np.abs(correlations - correlations.T).max(initial=0.0)
     if asymmetry > -NEGATIVE:
@@ -132,10 +132,10 @@ def _matrix(block: Mapping[str, Any], folder: Path) -> Array:
     try:
         found = arrays_of(files.read_bytes(path))["covariance"]
     except (ValueError, LookupError) as error:
-        raise FileError("is not a covariance written by camcal, or cut off", where=str(path)) from error
+        raise FileError("is not a covariance written by camcal, or truncated", where=str(path)) from error
     count = len(block["covariance_order"])
     if found.shape != (count, count) or _digest(found) not in path.name:
-        raise InvalidInput("does not hold the covariance its name and covariance_order tell of", where=str(path))
+        raise InvalidInput("does not match covariance_order and its hash", where=str(path))
     return np.asarray(found)
 
 

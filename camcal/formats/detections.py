@@ -93,7 +93,7 @@ def _board(path: str, first: str, given: Board | None) -> Board | None:
     words = dict(word.partition("=")[::2] for word in rest)
     named = _named_board(path, words) if "board" in words else None
     if given and named and _numbering(given) != _numbering(named):
-        message = f"the points are those of another board ({named.words}) than the one given ({given.words})"
+        message = f"the points are those of another board ({named.words}) than given ({given.words})"
         raise InvalidInput(message, where=f"{path}:1")
     return given or named
 
@@ -191,7 +191,7 @@ def _ids(table: Table, board: Board | None, view_of_row: Array) -> Array:
     order = np.argsort(pairs, kind="stable")
     repeated = np.zeros(len(ids), dtype=bool)
     repeated[order[1:]] = np.diff(pairs[order]) == 0
-    table.refuse(repeated, lambda row: f"image {table.columns['image'][row]!r}: id {ids[row]} stands twice")
+    table.refuse(repeated, lambda row: f"image {table.columns['image'][row]!r}: id {ids[row]} occurs twice")
     return ids
 
 
@@ -222,7 +222,7 @@ def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
         far_outside(pixels, sizes),
         lambda row: (
             f"image {table.columns['image'][row]!r}: ({pixels[row, 0]:g}, {pixels[row, 1]:g}) "
-            f"is far outside the image of {sizes[row, 0]} x {sizes[row, 1]}; are u and v exchanged?"
+            f"is far outside the image of {sizes[row, 0]} x {sizes[row, 1]}; check the order of u and v"
         ),
     )
 
@@ -233,7 +233,7 @@ def _covariance(table: Table) -> Array | None:
     if not given:
         return None
     if len(given) < len(COVARIANCE):
-        raise InvalidInput(f"column {given[0]!r} without the others of {','.join(COVARIANCE)}", where=table.path)
+        raise InvalidInput(f"column {given[0]!r} without all of {','.join(COVARIANCE)}", where=table.path)
     empty = np.array([[not text.strip() for text in table.columns[name]] for name in COVARIANCE])
     table.refuse(
         np.asarray(empty.any(axis=0) & ~empty.all(axis=0)), lambda _row: f"only a part of {','.join(COVARIANCE)}"

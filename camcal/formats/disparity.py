@@ -110,7 +110,7 @@ def maps_in(folder: Path) -> list[Path]:
     images = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
     maps = [path for path in images if disparity_sidecar.path_beside(path).is_file()] or images
     if not maps:
-        raise FileError(f"holds no disparity map ({', '.join(SUFFIXES)})", where=str(folder))
+        raise FileError(f"contains no disparity map ({', '.join(SUFFIXES)})", where=str(folder))
     return sorted(maps, key=lambda path: natural_key(path.name))
 
 
@@ -128,7 +128,7 @@ def write(path: str | Path, values: Array, *, scale: float | None = None) -> Wri
     if suffix == ".png":
         return _write_png(path, values, scale)
     if scale not in (None, 1.0):
-        raise InvalidInput(f"{suffix} holds pixels as they are; a scale of {scale:g} is for .png", where=str(path))
+        raise InvalidInput(f"{suffix} is not scaled; a scale of {scale:g} is for .png", where=str(path))
     code = INF if suffix == ".pfm" else NAN
     plain = np.where(np.isfinite(values), values, float(code)).astype(np.float32)
     if suffix == ".npz":
@@ -150,11 +150,11 @@ def _write_png(path: Path, values: Array, scale: float | None) -> Written:
     known = np.isfinite(values)
     smallest, largest = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
     if smallest < 0:
-        raise InvalidInput(f"a PNG cannot hold {smallest:.2f} px; write .tiff or .pfm", where=str(path))
+        raise InvalidInput(f"a PNG cannot store {smallest:.2f} px; write .tiff or .pfm", where=str(path))
     chosen = _fitting_scale(largest) if scale is None else _positive(scale)
     if round(largest * chosen) > _FULL:
         raise InvalidInput(
-            f"a PNG of {chosen:g} counts per pixel cannot hold {largest:.2f} px; write .tiff or .pfm", where=str(path)
+            f"a PNG of {chosen:g} counts per pixel cannot store {largest:.2f} px; write .tiff or .pfm", where=str(path)
         )
     counts = np.maximum(np.rint(np.where(known, values, 0) * chosen), 1)  # 0 would say that there is no match
     save(path, np.where(known, counts, 0).astype(np.uint16))
@@ -187,7 +187,7 @@ def _gray(values: Array, path: Path) -> Array:
     if values.ndim == 3 and values.shape[2] == 3 and not np.ptp(values, axis=2).any():
         values = values[:, :, 0]
     if values.ndim != 2 or values.size == 0:
-        raise InvalidInput(f"a disparity map has rows and columns, this has the shape {values.shape}", where=str(path))
+        raise InvalidInput(f"a disparity map has rows and columns, found shape {values.shape}", where=str(path))
     return values
 
 
@@ -210,7 +210,7 @@ def _read_tiff(path: Path) -> Array:
     except cv2.error:
         values = None
     if values is None:
-        raise FileError("not a TIFF file that can be read", where=str(path))
+        raise FileError("not a readable TIFF file", where=str(path))
     return np.asarray(values)
 
 
@@ -219,14 +219,14 @@ def _read_npz(path: Path) -> Array:
     try:
         arrays = arrays_of(read_bytes(path))
     except ValueError as error:
-        raise FileError("not a NumPy archive that can be read", where=str(path)) from error
+        raise FileError("not a readable NumPy archive", where=str(path)) from error
     names = list(arrays)
     values = arrays.get(names[0] if len(names) == 1 else _ARRAY)
     if values is None:
         held = f"holds the arrays {', '.join(names[:8])}" if names else "holds no array"
         raise InvalidInput(f"{held}; one is needed, or one named {_ARRAY}", where=str(path))
     if values.dtype.kind not in "uif":
-        raise FileError("holds no plain array of numbers", where=str(path))
+        raise FileError("contains no numeric array", where=str(path))
     return np.asarray(values)
 
 
@@ -286,7 +286,7 @@ def read_exr(path: Path) -> Array:
         plain = (attributes["compression"], attributes["lineOrder"]) == (_NO_COMPRESSION, _ROWS_DOWN)
         ours = plain and channel == _channel_list(channel[: channel.index(b"\0")])
     except (KeyError, ValueError, struct.error) as error:
-        raise FileError("is a damaged or cut off EXR file", where=str(path)) from error
+        raise FileError("damaged or truncated EXR file", where=str(path)) from error
     width, height = right - left + 1, bottom - top + 1
     if not ours or width < 1 or height < 1:
         raise FileError(_NOT_OURS, where=str(path))

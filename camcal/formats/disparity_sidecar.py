@@ -89,7 +89,7 @@ def read(disparity: Path) -> Sidecar | None:
     if not path.exists():
         return None
     data = parse_json(files.read_text(path, _LIMIT), str(path))
-    faults = list(_CHECK(data, "")) if isinstance(data, dict) else [Fault("", "holds no JSON object")]
+    faults = list(_CHECK(data, "")) if isinstance(data, dict) else [Fault("", "not a JSON object")]
     if faults:
         lines = [f"{fault.path}: {fault.text}" if fault.path else fault.text for fault in faults]
         raise InvalidInput(f"\n{path}: ".join(lines), where=str(path))

@@ -39,7 +39,7 @@ _WORDS: dict[str, dict[str, Any]] = {
     "float": {".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf, ".nan": math.nan},
 }
 _ADVICE = {
-    "bool": "a truth value in YAML 1.1 only; write true or false, or quote it if it is text",
+    "bool": "a boolean in YAML 1.1 only; write true or false, or quote it if it is text",
     "int": "a number in YAML 1.1 only; write it with decimal digits, or quote it if it is text",
     "float": "a number in YAML 1.1 only; write it with decimal digits, or quote it if it is text",
     "timestamp": "a date in YAML 1.1; quote it",
@@ -145,11 +145,11 @@ def _parsed(text: str, builder: "_Builder", check: Check | None) -> Document:
         data = builder.document(yaml.parse(text, Loader=_LOADER))
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise FileError(f"is not YAML, or cut off: {error.problem}", where=f"{where}:{line}") from error
+        raise FileError(f"invalid or truncated YAML: {error.problem}", where=f"{where}:{line}") from error
     except yaml.YAMLError as error:
-        raise FileError(f"is not YAML: {str(error).splitlines()[0]}", where=where) from error
+        raise FileError(f"invalid YAML: {str(error).splitlines()[0]}", where=where) from error
     if not isinstance(data, dict):
-        raise FileError("holds no YAML mapping (key: value lines); is this the right file?", where=where)
+        raise FileError("not a YAML mapping (key: value)", where=where)
     document = Document(where, data, builder.lines)
     findings = check(data, "") if check else ()
     faults = [*builder.faults, *(fault for fault in findings if fault.path not in builder.without_value)]
@@ -183,7 +183,7 @@ class _Builder:
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
                 if self.count:
-                    raise InvalidInput("a second document starts here; one is expected", where=self.at(event))
+                    raise InvalidInput("more than one YAML document", where=self.at(event))
                 data = self.value(next(events), events, "", 0)
         return data
 
@@ -204,10 +204,10 @@ class _Builder:
             raise InvalidInput(f"more than {limit}", where=self.at(event))
         self.lines.setdefault(path, _line(event))
         if isinstance(event, yaml.AliasEvent):
-            return self.unreadable(event, path, f"alias *{event.anchor} is not accepted; write the value out")
+            return self.unreadable(event, path, f"alias *{event.anchor} not supported; write the value")
         if event.anchor or (event.tag and not self.foreign):
             what = f"anchor &{event.anchor}" if event.anchor else f"tag {event.tag}"
-            self.fault(event, path, f"{what} is not accepted; leave it out")
+            self.fault(event, path, f"{what} not supported; remove it")
         if isinstance(event, yaml.ScalarEvent):
             return self.scalar(event, path)
         if isinstance(event, yaml.SequenceStartEvent):
@@ -224,7 +224,7 @@ class _Builder:
         result: dict[str, Any] = {}
         while not isinstance(event := next(events), yaml.MappingEndEvent):
             if not isinstance(event, yaml.ScalarEvent):
-                raise InvalidInput("a key must be a plain name", where=self.at(event))
+                raise InvalidInput("keys must be plain text", where=self.at(event))
             key, where = event.value, child(path, event.value)
             if key in result:
                 self.fault(event, path, f"duplicate key {key!r} (first at line {self.lines[where]})")
@@ -279,7 +279,7 @@ def parse_json(text: str, where: str | None = None) -> Any:
         return json.loads(text, object_pairs_hook=_json_mapping, parse_constant=_json_refuse, parse_int=_json_integer)
     except json.JSONDecodeError as error:
         line = where and f"{where}:{error.lineno}"
-        raise FileError(f"is not JSON, or cut off: {error.msg}", where=line) from error
+        raise FileError(f"invalid or truncated JSON: {error.msg}", where=line) from error
     except RecursionError as error:
         raise FileError("is nested too deeply", where=where) from error
     except InvalidInput as error:
@@ -301,4 +301,4 @@ def _json_mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _json_refuse(text: str) -> NoReturn:
-    raise InvalidInput(f"{text} is no number of JSON; leave the item out")
+    raise InvalidInput(f"{text} is not a JSON number; leave the item out")

@@ -139,7 +139,7 @@ def _flow(value: Any, number: NumberText) -> str:
 
 def _key(key: str) -> str:
     if not _KEY.match(key) or key.lower() in WORDS:
-        raise InvalidInput(f"key {key!r} cannot be written: letters, digits and _ . ( ) / + - are taken")
+        raise InvalidInput(f"invalid key {key!r}: use letters, digits and _ . ( ) / + -")
     return key
 
 

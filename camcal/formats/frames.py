@@ -163,14 +163,14 @@ def _check_whole(data: Mapping[str, Any], path: str) -> Iterator[Fault]:
     """Check that there is one rotation, one translation, and that both and the covariance are what they say."""
     given = [name for name in _ROTATIONS if name in data]
     if len(given) != 1:
-        what = f"{' and '.join(given)} say the same" if given else "no rotation"
+        what = f"{' and '.join(given)} are redundant" if given else "no rotation"
         yield Fault(path, f"{what}; give one of {', '.join(_ROTATIONS)}")
     elif ("t" in data) == ("matrix" in data):
         yield Fault(path, "matrix has the translation: leave t out" if "t" in data else "missing key 't'")
     elif "euler" in data and (reason := _why_no_euler(data["euler"])):
         yield Fault(child(path, "euler"), reason)
     if set(_UNCERTAIN) <= data.keys():
-        yield Fault(path, "covariance says what std does; leave std out")
+        yield Fault(path, "covariance and std are redundant; leave std out")
     elif "covariance" in data and (reason := why_no_covariance(np.array(data["covariance"], dtype=float))):
         yield Fault(child(path, "covariance"), reason)
 

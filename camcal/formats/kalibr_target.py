@@ -51,7 +51,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
         return
     faults = list(_CHECKS[kind](data, path))
     if not faults and kind == "checkerboard" and data["rowSpacingMeters"] != data["colSpacingMeters"]:
-        faults.append(Fault("colSpacingMeters", "differs from rowSpacingMeters; camcal's chessboards have squares"))
+        faults.append(Fault("colSpacingMeters", "differs from rowSpacingMeters: squares are required"))
     if not faults:
         try:
             board_of(data)
@@ -73,7 +73,7 @@ def text_of(board: Board) -> str:
 def data_of(board: Board) -> dict[str, Any]:
     """Return a board as plain data with the keys of a target file. Raises InvalidInput if Kalibr has none for it."""
     if board.square is None:
-        raise InvalidInput("a target file of Kalibr's needs the size of the board")
+        raise InvalidInput("a Kalibr target file needs the size of the board")
     if board.type == APRILGRID and board.dictionary == TAG_FAMILY:
         side = board.marker or 0.0
         tags = {"tagCols": board.columns, "tagRows": board.rows, "tagSize": side}
@@ -86,7 +86,7 @@ def data_of(board: Board) -> dict[str, Any]:
         staggered = board.type == ASYMMETRIC_CIRCLES
         return {KEY: "circlegrid", **size, "spacingMeters": board.square, "asymmetricGrid": staggered}
     raise InvalidInput(
-        f"Kalibr does not know the {board.words}; it knows AprilGrids of {TAG_FAMILY}, checkerboards, circle grids"
+        f"Kalibr does not support the {board.words}, only AprilGrids of {TAG_FAMILY}, checkerboards, circle grids"
     )
 
 

@@ -182,7 +182,9 @@ def _without_uncertainty(path: str, names: Sequence[str]) -> Iterator[Message]:
 def check_name(name: str, path: str) -> Iterator[Fault]:
     """Check the name of a camera or a frame."""
     if not NAME.match(name) or JOINT in name:
-        yield Fault(path, f"{name!r} is no name: letters and digits joined by single '_', a letter first, no '_T_'")
+        yield Fault(
+            path, f"{name!r} is not a valid name: letters and digits joined by single '_', a letter first, no '_T_'"
+        )
 
 
 def _check_transforms(data: Any, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
@@ -215,7 +217,7 @@ def _check_rotation(matrix: Array, path: str) -> Iterator[Fault]:
 def _check_frames(key: str, path: str, cameras: Sequence[str]) -> Iterator[Fault]:
     frames = key.split(JOINT)
     if len(frames) != 2:
-        yield Fault(path, f"{key!r} is no transform; write a_T_b, which takes points in b to points in a")
+        yield Fault(path, f"{key!r} is not a transform name such as a_T_b (takes points in b to points in a)")
         return
     for name in frames:
         yield from check_name(name, path)

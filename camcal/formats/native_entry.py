@@ -121,7 +121,7 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     yield from _check_lens(data, path, MODELS[name])
     yield from _check_held_by_prior(data, path, MODELS[name])
     if "configuration" in data:
-        yield Fault(child(path, "configuration"), f"model {name!r} takes no configuration; leave it out")
+        yield Fault(child(path, "configuration"), f"model {name!r} has no configuration; leave it out")
     channels = data.get("channels")
     for colour, lens in channels.items() if isinstance(channels, dict) else ():
         if isinstance(lens, dict):
@@ -219,9 +219,9 @@ def _check_held_by_prior(block: Mapping[str, Any], path: str, model: CameraModel
     yield from faults
     for index, name in enumerate([] if faults else held):
         if name in held[:index]:
-            yield Fault(child(where, index), f"{name!r} stands twice")
+            yield Fault(child(where, index), f"{name!r} occurs twice")
         elif isinstance(fixed, list) and name in fixed:
-            yield Fault(child(where, index), f"{name!r} is fixed and has no prior; leave it out")
+            yield Fault(child(where, index), f"{name!r} is fixed and cannot have a prior; leave it out")
 
 
 def _core(names: Sequence[str]) -> list[str]:

@@ -54,7 +54,7 @@ def read(path: Path, left: str | None = None) -> PairCalibration:
         return _middlebury(entries, path)
     if any(name in entries for name in ("P0", "P1", "P2", "P3")):
         return _kitti(entries, path, left)
-    raise FileError("is no calibration of a pair: it has neither Middlebury's cam0 nor KITTI's P0", where=str(path))
+    raise FileError("not a stereo calibration file: no cam0 (Middlebury) and no P0 (KITTI)", where=str(path))
 
 
 def _entries(path: Path) -> Mapping[str, _Entry]:
@@ -65,13 +65,11 @@ def _entries(path: Path) -> Mapping[str, _Entry]:
         match = _LINE.fullmatch(line)
         if match is None:
             if line.strip():
-                raise FileError(
-                    f"{line.strip()[:40]!r} is no line of a calib.txt (name=value or name: value)", where=where
-                )
+                raise FileError(f"{line.strip()[:40]!r} not name=value or name: value", where=where)
             continue
         name = re.sub(r"([PS])_rect_0(?=[0-3]$)", r"\1", match[1])
         if name in entries:
-            raise InvalidInput(f"{match[1]} stands here a second time", where=where)
+            raise InvalidInput(f"{match[1]} duplicate key", where=where)
         entries[name] = _Entry(match[2], where)
     return entries
 
@@ -103,9 +101,7 @@ def _kitti(entries: Mapping[str, _Entry], path: Path, left: str | None) -> PairC
     along, down, forward = (right_centre - left_centre).tolist()
     aside = float(np.hypot(down, forward))
     if aside > _SHARE * abs(along):
-        raise InvalidInput(
-            f"{names[1]} is {aside:.3g} m off the row of {names[0]}; the pair is not rectified", where=where
-        )
+        raise InvalidInput(f"{names[1]} is {aside:.3g} m off the row of {names[0]}: pair not rectified", where=where)
     doffs = second[0, 2] - first[0, 2]
     return PairCalibration(_geometry(first, along, doffs, where), _kitti_size(entries, f"S{names[0][1]}", path))
 
@@ -158,7 +154,7 @@ def _numbers(entries: Mapping[str, _Entry], name: str, count: int, path: Path) -
 def _whole(entries: Mapping[str, _Entry], name: str, path: Path) -> int:
     value = float(_numbers(entries, name, 1, path)[0])
     if value < 1 or value != int(value):
-        raise InvalidInput(f"{name} {value:g} is no number of pixels", where=entries[name].where)
+        raise InvalidInput(f"{name} {value:g} is not a number of pixels", where=entries[name].where)
     return int(value)
 
 

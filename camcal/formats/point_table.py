@@ -45,7 +45,7 @@ def read(path: Path) -> PointTable:
     if any(lower.count(name) != 1 for name in POSITION):
         raise InvalidInput(f"the first row names the columns, x, y, z once among them; found {names}", where=str(path))
     if len(set(lower)) < len(lower):
-        raise InvalidInput(f"column {max(lower, key=lower.count)!r} stands twice", where=str(path))
+        raise InvalidInput(f"column {max(lower, key=lower.count)!r} occurs twice", where=str(path))
     table = Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
     covariances = _columns(table, COVARIANCE)
     points = _columns(table, POSITION)
@@ -83,9 +83,7 @@ def _columns(table: Table, names: Sequence[str]) -> Array | None:
     if len(missing) == len(names):
         return None
     if missing:
-        raise InvalidInput(
-            f"column {missing[0]!r} is missing beside the others of {', '.join(names)}", where=table.path
-        )
+        raise InvalidInput(f"column {missing[0]!r} is missing; needed with {', '.join(names)}", where=table.path)
     columns = [table.numbers_or_empty(name) for name in known]
     for name, column in zip(known, columns, strict=True):
         if name.lower() in _VARIANCES:
@@ -94,7 +92,7 @@ def _columns(table: Table, names: Sequence[str]) -> Array | None:
 
 
 def _refuse_negative(table: Table, name: str, column: Array) -> None:
-    table.refuse(column < 0, lambda row: f"{name}: {table.columns[name][row]} is no variance")
+    table.refuse(column < 0, lambda row: f"{name}: {table.columns[name][row]} is not a variance")
 
 
 def _full(upper: Array) -> Array:

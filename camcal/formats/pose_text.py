@@ -84,7 +84,7 @@ class LoosePose:
     def fault(self) -> str:
         """What is wrong in words, empty if it is a pose but for rounding."""
         if self.norm is not None and abs(self.norm - 1) > ROUNDED:
-            return f"the quaternion does not have length 1 but {self.norm:.6g}"
+            return f"quaternion norm is not 1 but {self.norm:.6g}"
         if self.strays > ROUNDED:
             return f"what should be 0 0 0 1, or at right angles, is off by {self.strays:.3g}"
         return examine(self.matrix).fault(ROUNDED)
@@ -166,14 +166,14 @@ def form_named(text: str) -> Form:
         raise InvalidInput(f"form {text!r} is unknown; use one of {', '.join(FORMS)}")
     if kind == "quat":
         if len(words) != 1 or words[0] not in _QUATERNIONS:
-            raise InvalidInput(f"form {text!r}: say the order of the quaternion, quat:wxyz or quat:xyzw")
+            raise InvalidInput(f"form {text!r}: quaternion order missing, quat:wxyz or quat:xyzw")
         return Form(kind, quaternion=words[0])
     if kind == "euler":
         return _euler(text, words)
     if kind == "rvec" and len(words) <= 1 and set(words) <= set(_UNITS):
         return Form(kind, unit=(words or ["rad"])[0])
     if words:
-        raise InvalidInput(f"form {text!r}: nothing stands behind {kind}")
+        raise InvalidInput(f"form {text!r}: nothing allowed after {kind}")
     return Form(kind)
 
 
@@ -205,7 +205,7 @@ def guessed(count: int) -> Form:
     possible = {7: "quat:wxyz, quat:xyzw, tum, ros or colmap", 4: "quat:wxyz or quat:xyzw"}
     angles = "rvec, or Euler angles such as euler:ZYX:deg"
     if count in {*possible, 6, 3}:
-        raise InvalidInput(f"{count} numbers may be a pose in several forms; say which: {possible.get(count, angles)}")
+        raise InvalidInput(f"{count} numbers are ambiguous; choose a form: {possible.get(count, angles)}")
     raise InvalidInput(
         f"{count} numbers; one pose has 16 or 12 (a matrix, row by row), or 8: time tx ty tz qx qy qz qw"
     )
@@ -220,10 +220,10 @@ def is_row(text: str) -> bool:
 def numbers_in(text: str) -> Array:
     """Return the numbers of a row; raises InvalidInput if they are not finite, or the text is no row."""
     if not is_row(text):
-        raise InvalidInput("something else than the numbers of a pose")
+        raise InvalidInput("not a list of numbers")
     numbers = np.array(parse_numbers(part for part in _SEPARATORS.split(text) if part))
     if not np.isfinite(numbers).all():
-        raise InvalidInput("a pose has finite numbers")
+        raise InvalidInput("a pose needs finite numbers")
     return numbers
 
 
@@ -245,7 +245,7 @@ def elementary(text: str) -> LoosePose:
 def _checked(angles: Array) -> Array:
     """Return angles (N,) in radians; raises InvalidInput if one is too large to say a direction."""
     if not np.abs(angles).max() <= LARGEST_ANGLE:
-        raise InvalidInput(f"an angle of more than {LARGEST_ANGLE:g} rad says no direction")
+        raise InvalidInput(f"an angle of more than {LARGEST_ANGLE:g} rad is not a valid rotation")
     return angles
 
 
@@ -322,7 +322,7 @@ def static_transform_publisher(frames: str, a_T_b: Pose) -> str:
 def _parsed(text: str, form: Form | None) -> LoosePose:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_REMARK)]
     if lines and not is_row(" ".join(lines)):
-        raise FileError("holds something else than the numbers of a pose")
+        raise FileError("holds not a list of numbers")
     numbers = numbers_in(" ".join(lines)) if lines else np.empty(0)
     if len(lines) > 1 and len(numbers) in {count * len(lines) for count in _IN_A_LINE}:
         raise InvalidInput(

@@ -64,7 +64,7 @@ def integer(low: int | None = None) -> Check:
 def text(value: Any, path: str) -> Iterator[Fault]:
     """Check for a text."""
     if not isinstance(value, str):
-        yield Fault(path, f"{_shown(value)} is not a text; put it in quotes if it is meant as one")
+        yield Fault(path, f"{_shown(value)} is not text; put it in quotes")
 
 
 def flag(value: Any, path: str) -> Iterator[Fault]:

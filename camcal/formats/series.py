@@ -33,7 +33,9 @@ def read(path: Path, columns: Sequence[str] = ()) -> Series:
     """
     table = read_measurements(path)
     if not columns and any(f"{_STD}{name}" in table.columns for name in table.columns):
-        raise InvalidInput("holds smoothed states, not measurements; --columns says what to smooth", where=str(path))
+        raise InvalidInput(
+            "contains smoothed states, not measurements; choose what to smooth with --columns", where=str(path)
+        )
     time, *names = columns or [name for name in table.columns if not name.startswith(_SIGMA)]
     if len({time, *names}) < 1 + len(names):
         raise InvalidInput(f"--columns names one twice: {','.join(columns)}")

@@ -122,7 +122,7 @@ def pixel_covariances(table: Table) -> Array:
     """Return the covariances (N, 2, 2) of pixels, px², in columns suu, suv, svv; raises InvalidInput if one is none."""
     suu, suv, svv = (table.numbers(name) for name in COVARIANCE)
     bad = np.asarray((suu <= 0) | (suu * svv <= suv**2))
-    table.refuse(bad, lambda _row: "suu, suv, svv are no covariance (not positive)")
+    table.refuse(bad, lambda _row: "suu, suv, svv are not positive definite")
     return np.stack([suu, suv, suv, svv], axis=1).reshape(-1, 2, 2)
 
 
@@ -136,7 +136,7 @@ def csv_rows(path: str, lines: Lines) -> list[list[str]]:
     """Return the cells of CSV lines, a row each; raises InvalidInput if a quote is left open."""
     rows: list[list[str]] = []
     reader = csv.reader((line for _, line in lines), skipinitialspace=True, strict=True)
-    fault = "it is not closed in its line"
+    fault = "unclosed quote"
     try:
         for row in reader:
             if reader.line_num > len(rows) + 1:
@@ -146,7 +146,7 @@ def csv_rows(path: str, lines: Lines) -> list[list[str]]:
             return rows
     except csv.Error as error:
         fault = str(error)
-    raise InvalidInput(f"not a CSV row, a quote is wrong: {fault}", where=f"{path}:{lines[len(rows)][0]}")
+    raise InvalidInput(f"invalid CSV row: {fault}", where=f"{path}:{lines[len(rows)][0]}")
 
 
 def _check_names(where: str, names: Sequence[str], required: Sequence[str], optional: Sequence[str]) -> None:
@@ -159,7 +159,7 @@ def _check_names(where: str, names: Sequence[str], required: Sequence[str], opti
     if missing:
         raise InvalidInput(f"missing column {missing[0]!r}; needed: {','.join(required)}", where=where)
     if len(set(names)) < len(names):
-        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=where)
+        raise InvalidInput(f"column {max(names, key=names.count)!r} occurs twice", where=where)
 
 
 def _converts(cell: str, convert: Callable[[str], float]) -> bool:
@@ -173,7 +173,7 @@ def _converts(cell: str, convert: Callable[[str], float]) -> bool:
 def require_cell(path: Path) -> None:
     """Raise InvalidInput for a file whose name no table can hold."""
     if path.as_posix().splitlines() != [path.as_posix()]:
-        raise InvalidInput("has a line break in its name, which a table cannot hold; rename it", where=str(path))
+        raise InvalidInput("has a line break in its name; rename it", where=str(path))
 
 
 def cell(text: str) -> str:
@@ -182,7 +182,7 @@ def cell(text: str) -> str:
     What a spreadsheet would take for a formula stands behind an apostrophe.
     """
     if text.splitlines() not in ([], [text]):
-        raise InvalidInput(f"{text!r} has a line break, which a table cannot hold")
+        raise InvalidInput(f"{text!r} has a line break")
     if text.lstrip(_SHIELD)[:1] in _FORMULA and not is_number(text):
         text = _SHIELD + text
     if text.strip() != text or any(letter in text for letter in ',"#'):
@@ -213,7 +213,7 @@ def read_measurements(path: Path) -> Table:
 
 def _check_columns(where: str, names: list[str]) -> None:
     if all(map(is_number, names)):
-        raise InvalidInput("no column names; the first row is to name the columns, such as x,y", where=where)
+        raise InvalidInput("no column names: the first row must name the columns, such as x,y", where=where)
     used = next((letter for letter in _SEPARATORS if len(names) == 1 and letter in names[0]), None)
     if used is not None:
         raise InvalidInput(
@@ -222,4 +222,4 @@ def _check_columns(where: str, names: list[str]) -> None:
     if not all(names):
         raise InvalidInput(f"column {names.index('') + 1} has no name", where=where)
     if len(set(names)) < len(names):
-        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=where)
+        raise InvalidInput(f"column {max(names, key=names.count)!r} occurs twice", where=where)

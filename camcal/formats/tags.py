@@ -150,7 +150,7 @@ def _check_ids(data: Mapping[str, Any], path: str, family: Family) -> Iterator[F
         except InvalidInput as error:
             yield Fault(where, error.message)
         if tag in first:
-            yield Fault(where, f"id {tag} is given already, at {first[tag]}; a tag is on one object once")
+            yield Fault(where, f"id {tag} is given already, at {first[tag]}; each tag belongs to one object")
         first.setdefault(tag, where)
     listed = data.get("ids", [])
     for place, tag in enumerate(listed):
@@ -176,7 +176,7 @@ def _check_tag(tag: Mapping[str, Any], path: str, data: Mapping[str, Any]) -> It
     placed = [key for key in tag if key.startswith(("size", "translation")) or key in _ROTATIONS]
     corners = _length(tag, "corners")
     if corners is not None and placed:
-        yield Fault(child(path, placed[0]), "the corners say it already; give one of them")
+        yield Fault(child(path, placed[0]), "redundant with the corners; give one of them")
     elif corners is None and _length(tag, "translation") is None:
         yield Fault(path, "needs corners_mm, or translation_mm with a size")
     elif corners is None and _length(tag, "size") is None and _length(data, "size") is None:
@@ -184,7 +184,7 @@ def _check_tag(tag: Mapping[str, Any], path: str, data: Mapping[str, Any]) -> It
     elif len([key for key in tag if key in _ROTATIONS]) > 1:
         yield Fault(path, "rotation_vector and quaternion: give one of them")
     elif "quaternion" in tag and np.linalg.norm(list(tag["quaternion"].values())) < _SHORTEST_QUATERNION:
-        yield Fault(child(path, "quaternion"), "is zero, which is no rotation")
+        yield Fault(child(path, "quaternion"), "is zero and not a rotation")
     elif corners is not None:
         try:
             require_quadrangle(corners)

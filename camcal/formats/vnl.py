@@ -33,9 +33,9 @@ def read(path: Path, board: Board | None, image_size: ImageSize | None) -> Detec
     Raises InvalidInput without a board or a size, and with file and line for a row that breaks a rule.
     """
     if board is None:
-        raise InvalidInput("a .vnl file does not say which board it is of; give --board", where=str(path))
+        raise InvalidInput("a .vnl file has no board; give --board", where=str(path))
     if image_size is None:
-        raise InvalidInput("a .vnl file does not say how large the images are; give their size", where=str(path))
+        raise InvalidInput("a .vnl file has no image size; give it", where=str(path))
     table = _table(str(path), numbered_lines(path))
     names = table.columns["filename"]
     groups = [list(rows) for _, rows in groupby(range(len(table)), key=names.__getitem__)]
@@ -65,7 +65,7 @@ def _refuse_scattered(table: Table, groups: Sequence[Sequence[int]]) -> None:
         name = table.columns["filename"][group[0]]
         if name in seen:
             where = f"{table.path}:{table.lines[group[0]]}"
-            raise InvalidInput(f"rows of image {name!r} stand in two places", where=where)
+            raise InvalidInput(f"rows of image {name!r} are not contiguous", where=where)
         seen.add(name)
 
 

@@ -94,10 +94,7 @@ def reexpress(a_T_b: Pose, change_a: Array, change_b: Array) -> Pose:
     Raises InvalidInput if one changes the hand and the other does not: no rotation joins them.
     """
     if np.linalg.det(change_a) * np.linalg.det(change_b) < 0:
-        raise InvalidInput(
-            "one of the two frames would be left-handed and the other right-handed, which no rotation joins; "
-            "change the axes of both"
-        )
+        raise InvalidInput("one frame would be left-handed and the other right-handed: change the axes of both")
     return Pose(change_a @ a_T_b.rotation @ change_b.T, change_a @ a_T_b.translation)
 
 

@@ -155,7 +155,7 @@ class FrameGraph:
         sides = f"one is with {', '.join(here)}, the other with {', '.join(there)}"
         text = f"no transforms join {target!r} and {source!r}: {sides}"
         alike = next(((name, near) for name in here if (near := nearest(name, there, ALIKE))), None)
-        return f"{text}. Are {alike[0]!r} and {alike[1]!r} one frame?" if alike else text
+        return f"{text}. Are {alike[0]!r} and {alike[1]!r} the same frame?" if alike else text
 
 
 def _way(tree: _Tree, frame: str) -> tuple[Link, ...]:
@@ -192,11 +192,11 @@ def evaluate(text: str, transforms: Mapping[str, NamedTransform]) -> FrameProduc
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InvalidInput(f"{text[:60]!r} is no expression; write such as 'a_T_b * inv(c_T_b)'") from error
+        raise InvalidInput(f"{text[:60]!r} is not an expression such as 'a_T_b * inv(c_T_b)'") from error
     try:
         return _value(tree.body, transforms)
     except RecursionError as error:
-        raise InvalidInput("the expression has too many brackets within each other") from error
+        raise InvalidInput("too many nested brackets") from error
 
 
 def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FrameProduct:
@@ -209,9 +209,7 @@ def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FramePro
             value = _value(inner, transforms)
             return FrameProduct(value.source, value.target, value.derived.inverse(), f"inv({value.text})")
         case _:
-            raise InvalidInput(
-                f"{ast.unparse(node)!r} is not understood; possible are names a_T_b, *, inv() and brackets"
-            )
+            raise InvalidInput(f"{ast.unparse(node)!r} is not supported: use names a_T_b, *, inv() and brackets")
 
 
 def _named(name: str, transforms: Mapping[str, NamedTransform]) -> FrameProduct:

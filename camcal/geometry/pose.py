@@ -202,7 +202,7 @@ def frames_of(name: str) -> tuple[str, str]:
     """Return the frames (a, b) of a name a_T_b; raises InvalidInput if it is none."""
     target, joint, source = name.partition(JOINT)
     if not (joint and target and source) or JOINT in source:
-        raise InvalidInput(f"{name!r} is no transform; write a_T_b, which takes points in b to points in a")
+        raise InvalidInput(f"{name!r} is not a transform name such as a_T_b (takes points in b to points in a)")
     return target, source
 
 

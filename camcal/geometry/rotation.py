@@ -178,7 +178,7 @@ class Orthogonality:
     def fault(self, tolerance: float) -> str:
         """Return what is wrong in words, empty for a rotation."""
         if self.is_reflection:
-            why = "a reflection; is an axis flipped, or a frame left-handed?"
+            why = "a reflection: check for a flipped axis or a left-handed frame"
             return f"not a rotation: det = {self.determinant:.3g}, {why}"
         if self.is_rotation(tolerance):
             return ""
@@ -248,7 +248,9 @@ class EulerOrder:
     def __post_init__(self) -> None:
         axes = self.axes
         if len(axes) != 3 or not set(axes) <= set(_AXES) or axes[0] == axes[1] or axes[1] == axes[2]:
-            raise InvalidInput(f"{axes!r} is no order of Euler angles: three of x, y, z, neighbours different, as zyx")
+            raise InvalidInput(
+                f"{axes!r} is not an order of Euler angles: three of x, y, z without repetition in a row, such as zyx"
+            )
 
     @classmethod
     def named(cls, text: str) -> "EulerOrder":

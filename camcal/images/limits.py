@@ -29,8 +29,8 @@ def require_pixels(size: tuple[int, int], path: Path) -> None:
     """Raise FileError if an image of `size` (width, height) has more pixels than are allowed, or none."""
     width, height = size
     if width < 1 or height < 1:
-        raise FileError(f"says it has {width} x {height} pixels; it is damaged", where=str(path))
+        raise FileError(f"invalid image size {width} x {height}: damaged header", where=str(path))
     if width * height > max_pixels():
         megapixels, allowed = width * height / 1e6, max_pixels() / 1e6
         message = f"{width} x {height} are {megapixels:.0f} million pixels, more than --max-pixels {allowed:g}"
-        raise FileError(f"{message}; raise it if the file is what it says", where=str(path))
+        raise FileError(f"{message}; increase it if the header is right", where=str(path))

@@ -125,7 +125,7 @@ def _load_npy(path: Path, content: bytes | None) -> Image:
 def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:
     header = read_jpeg(content)
     if not header.complete:
-        raise FileError("is cut off: the end of the JPEG data is missing", where=str(path))
+        raise FileError("truncated JPEG data", where=str(path))
     if scratch is None:
         return _with_exif(_decode(path, content), header.exif)
     height_and_width = header.size[::-1]
@@ -167,8 +167,8 @@ def _unreadable(path: Path, content: bytes) -> FileError:
 def _damaged(content: bytes) -> str:
     kind = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
     if kind is None:
-        return f"not an image of a known kind (it begins with {content[:8]!r})"
-    return f"a damaged or cut off {kind} file"
+        return f"unknown image format (begins with {content[:8]!r})"
+    return f"a damaged or truncated {kind} file"
 
 
 def stated_size(content: bytes) -> Size | None:
@@ -181,7 +181,7 @@ def stated_size(content: bytes) -> Size | None:
             if content.startswith(starts):
                 return read(content)
     except (struct.error, IndexError) as error:
-        raise ValueError("the header is cut off") from error
+        raise ValueError("truncated header") from error
     return None
 
 
@@ -192,20 +192,20 @@ def _png(content: bytes) -> Size:
     while position < len(content):
         length, kind = struct.unpack_from(">I4s", content, position)
         if position + length + _CHUNK > len(content):
-            raise ValueError(f"a chunk of {length} bytes ends beyond the file")
+            raise ValueError(f"a chunk of {length} bytes exceeds the file")
         position += length + _CHUNK
         if kind == b"IEND":
             break
     bits = width * height * depth * {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(colour, 1)
     if bits > 8 * _PACKED * len(content):
-        raise ValueError(f"{width} x {height} pixels do not fit into its {len(content)} bytes")
+        raise ValueError(f"{width} x {height} pixels exceed its {len(content)} bytes")
     return width, height
 
 
 def _jpeg(content: bytes) -> Size:
     size = read_jpeg(content).size
     if size == (0, 0):
-        raise ValueError("it has no frame")
+        raise ValueError("no frame header")
     return size
 
 
@@ -218,14 +218,14 @@ def _bmp(content: bytes) -> Size:
 def _pnm(content: bytes) -> Size:
     match = _PNM.match(content)
     if match is None:
-        raise ValueError("width and height are not there")
+        raise ValueError("width and height are missing")
     return int(match[1]), int(match[2])
 
 
 def _pam(content: bytes) -> Size:
     match = _PAM.match(content[:_PAM_HEADER])
     if match is None:
-        raise ValueError("WIDTH and HEIGHT are not there")
+        raise ValueError("WIDTH and HEIGHT are missing")
     return int(match[1]), int(match[2])
 
 
@@ -244,7 +244,7 @@ def _jpeg_2000(content: bytes) -> Size:
     """Return the size of the code stream, which is what a decoder makes room for."""
     start = content.find(_J2K)
     if start < 0:
-        raise ValueError("it has no code stream")
+        raise ValueError("no code stream")
     right, bottom, left, top = struct.unpack_from(">IIII", content, start + 8)
     return right - left, bottom - top
 

@@ -44,9 +44,9 @@ def read_npy(path: Path, kinds: str = "uif", content: bytes | None = None) -> Ar
     try:
         values = array_of(content)
     except ValueError as error:
-        raise FileError("not a NumPy array file that can be read", where=str(path)) from error
+        raise FileError("not a readable NumPy array file", where=str(path)) from error
     if values.dtype.kind not in kinds:
-        raise FileError("holds no plain array of numbers", where=str(path))
+        raise FileError("contains no numeric array", where=str(path))
     with np.errstate(over="ignore", invalid="ignore"):  # of what float32 does not hold
         return values.astype(np.float32 if values.dtype.kind == "f" else values.dtype.newbyteorder("="))
 
@@ -72,7 +72,7 @@ def arrays_of(content: bytes) -> dict[str, Array]:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
             if sum(member.file_size for member in members) > max(_SMALL, _PACKED * len(content)):
-                raise ValueError("the archive says it holds more than its bytes can")
+                raise ValueError("archive size exceeds its bytes")
             return {member.filename.removesuffix(".npy"): array_of(archive.read(member)) for member in members}
     except _BAD_ARCHIVE as error:
         raise ValueError("a damaged NumPy archive") from error

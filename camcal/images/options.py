@@ -64,7 +64,7 @@ class ViewOptions(OptionsRecord):
         given = {"--alpha": self.alpha is not None, "--keep-k": self.keep_k, "--fov": self.fov_deg is not None}
         chosen = [name for name, wanted in given.items() if wanted]
         if len(chosen) > 1:
-            raise InvalidInput(f"{' and '.join(chosen)} exclude each other: each says what the view shows")
+            raise InvalidInput(f"{' and '.join(chosen)} exclude each other")
         if self.projection != PINHOLE and (self.alpha is not None or self.keep_k or self.stretch):
             raise InvalidInput(f"--alpha, --keep-k and --stretch are for a pinhole; a {self.projection} takes --fov")
         require_possible(self.projection, self.size, self.fov_deg)

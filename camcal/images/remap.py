@@ -163,7 +163,7 @@ def align_channels(maps: Maps, lenses: Mapping[str, Camera], view: Camera) -> Ma
     """
     unknown = sorted(set(lenses) - set(CHANNELS))
     if unknown:
-        raise InvalidInput(f"channel {unknown[0]!r} is none of an image; they are {', '.join(CHANNELS)}")
+        raise InvalidInput(f"channel {unknown[0]!r} is not an image channel; use one of {', '.join(CHANNELS)}")
     own = {CHANNELS.index(colour): _followed(maps, lens, view) for colour, lens in lenses.items()}
     return replace(maps, aligned=MappingProxyType(own))
 

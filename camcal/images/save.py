@@ -83,7 +83,7 @@ def _encoded(path: Path, pixels: Array, quality: int) -> bytes:
     try:
         done, content = cv2.imencode(suffix, pixels, parameters)
     except cv2.error as error:
-        raise FileError("cannot be encoded; is the image too large for its type of file?", where=str(path)) from error
+        raise FileError("cannot be encoded; the image may be too large for this file type", where=str(path)) from error
     if not done:
         raise FileError("cannot be encoded", where=str(path))
     return np.asarray(content).tobytes()

@@ -45,7 +45,7 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(str(path))
     try:
         if not capture.isOpened():
-            raise FileError("not a video that can be read; it may be cut off", where=str(path))
+            raise FileError("not a readable video, or truncated", where=str(path))
         sides = (capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         width, height = map(int, sides)
         limits.require_pixels((width, height), path)
@@ -79,7 +79,7 @@ def _read(path: Path, capture: cv2.VideoCapture) -> Iterator[Image]:
         count += 1
         yield Image(pixels, turned)
     if count == 0 or count < _LEAST * announced:
-        raise FileError(f"ends after {count} of {max(announced, 0)} frames; it may be cut off", where=str(path))
+        raise FileError(f"ends after {count} of {max(announced, 0)} frames; the file may be truncated", where=str(path))
 
 
 def reduced(gray: Array) -> Array:

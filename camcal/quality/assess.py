@@ -88,7 +88,7 @@ def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Mess
         text = f"distortion is not invertible {where}: use fewer coefficients or cover the corners"
         yield message("not_invertible", text, fold.radius_px / outermost)
     else:
-        text = f"the lens is not known {where}: pixels there are masked; add views with the board there"
+        text = f"distortion is not invertible {where}: pixels there are masked; add views with the board there"
         yield message("partly_invertible", text, fold.radius_px / fold.corner_px)
 
 
@@ -98,7 +98,7 @@ def _cameras(calibration: Calibration) -> Iterator[Message]:
         return
     code = "several_cameras_by_name" if found.by_name else "several_cameras"
     if found.ratio > _limit(code) and found.other_px > CRITERIA[code].minimum_px:
-        yield message(code, f"the views are of {found.words}", found.ratio, found.groups[1])
+        yield message(code, found.words, found.ratio, found.groups[1])
 
 
 def _lens_model(calibration: Calibration) -> Iterator[Message]:
@@ -109,7 +109,7 @@ def _lens_model(calibration: Calibration) -> Iterator[Message]:
         others = [other for other in ("opencv8", "kannala_brandt4", "kannala_brandt5t") if other != name]
         text = (
             f"residuals point {way} by {abs(trend.largest_px):.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px "
-            f"from the centre: {name} does not describe this lens; try --model {' or '.join(others)}"
+            f"from the centre: {name} does not fit this lens; try --model {' or '.join(others)}"
         )
         yield message("lens_model", text, abs(trend.largest_px) / calibration.sigma_px)
 
@@ -119,9 +119,9 @@ def _focal_length(calibration: Calibration) -> Iterator[Message]:
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
     count, code, why = len(calibration.used), "focal_length", ""
     if count < _FEW_FOR_SCATTER:
-        share, code, why = share * _few_views_factor(count), "focal_length_few_views", f" by {count} views"
+        share, code, why = share * _few_views_factor(count), "focal_length_few_views", f" with {count} views"
     if share > _limit(code):
-        known = f"the focal length is known to {100 * share:.1f} % only{why}"
+        known = f"standard deviation of the focal length {100 * share:.1f} %{why}"
         text = f"{known}: add views tilted by 20° to 45° about both axes"
         yield message(code, text, share)
 
@@ -135,7 +135,7 @@ def _few_views_factor(count: int) -> float:
 def _views(calibration: Calibration) -> Iterator[Message]:
     views = calibration.used
     if len(views) < _limit("few_views"):
-        text = f"{len(views)} views are few: take 15 to 40 in varied positions"
+        text = f"{len(views)} views only: take 15 to 40 in varied positions"
         yield message("few_views", text, len(views))
 
 
@@ -149,16 +149,14 @@ def _coverage(calibration: Calibration, circle: ImageCircle | None) -> Iterator[
         )
         yield message("extrapolated", text, seen.reach)
     elif seen.cells < _limit("coverage"):
-        text = (
-            f"only {100 * seen.cells:.0f} % of the image was covered by the board: add views with it in the other parts"
-        )
+        text = f"corners cover {100 * seen.cells:.0f} % of the image: add views with the board in the other parts"
         yield message("coverage", text, seen.cells)
 
 
 def _noise(calibration: Calibration) -> Iterator[Message]:
     if calibration.sigma_px > _limit("noise"):
         text = (
-            f"corners scatter by {calibration.sigma_px:.2f} px, where 0.1 px is usual: use sharper images, and check "
+            f"residual noise {calibration.sigma_px:.2f} px (typical: 0.1 px): use sharper images, and check "
             "--board and --model"
         )
         yield message("noise", text, calibration.sigma_px)
@@ -172,7 +170,7 @@ def _rejected_words(calibration: Calibration, share: float) -> str:
     """Return which corners are rejected and what to do: views that lost most of theirs are best left out."""
     lost = Counter(corner.image for corner in calibration.rejected)
     worst = [view.image for view in calibration.views if lost[view.image] > _MOSTLY * max(view.points, 1)]
-    remedy = f"leave out {names_of(worst)}" if worst else "look at them with camcal detect --draw"
+    remedy = f"leave out {names_of(worst)}" if worst else "check them with camcal detect --draw"
     return f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected: {remedy}"
 
 
@@ -180,20 +178,20 @@ def _within_views(calibration: Calibration) -> Iterator[Message]:
     errors, board = calibration.within_views, calibration.board
     if errors.rolling_px is not None and errors.rolling_px[0] > _limit("rolling_shutter"):
         text = (
-            f"rolling shutter, {errors.rolling_px[0]:.2g} px over the height of a typical image: "
+            f"rolling shutter: {errors.rolling_px[0]:.2g} px over the image height (median): "
             "hold camera and board still, or use shorter exposures"
         )
         yield message("rolling_shutter", text, errors.rolling_px[0])
     if errors.flex is not None and errors.flex[0] > _limit("board_bends") * max(board.extent):
         share = errors.flex[0] / max(board.extent)
-        text = f"the board bends from view to view by {100 * share:.2g} % of its side: use a stiffer board"
+        text = f"board deformation between views {100 * share:.2g} % of its side: use a stiffer board"
         yield message("board_bends", text, share)
 
 
 def _plausible(calibration: Calibration) -> Iterator[Message]:
     camera, board = calibration.camera, calibration.board
     if board.unit == "m" and max(board.extent) > _limit("board_size"):
-        text = f"the board is {max(board.extent):.3g} m long: give its size with a unit, such as 25mm"
+        text = f"board length {max(board.extent):.3g} m: give --board with a unit, such as 25mm"
         yield message("board_size", text, max(board.extent))
     focal = camera.value("fx"), camera.value("fy")
     excess = max(focal) / min(focal) - 1
@@ -207,7 +205,7 @@ def _plausible(calibration: Calibration) -> Iterator[Message]:
     offset = np.abs(np.array([camera.value("cx"), camera.value("cy")]) - (size - 1) / 2) / size
     if offset.max() > _limit("principal_point"):
         text = (
-            f"the principal point is {100 * offset.max():.0f} % of the image size from its middle: "
+            f"the principal point is {100 * offset.max():.0f} % of the image size from the image centre: "
             "if the image is not cropped, add views tilted by 20° to 45° about both axes"
         )
         yield message("principal_point", text, offset.max())
@@ -218,17 +216,18 @@ def _board(calibration: Calibration) -> Iterator[Message]:
     if board.square is None:
         yield message(
             "unit",
-            f"the {BOARD_TYPES[board.type].element}'s size is unknown, lengths are in squares: give it with --board",
+            f"the {BOARD_TYPES[board.type].element} size is unknown, lengths are in squares: give it with --board",
             0.0,
         )
     share = surface.deflection / max(board.extent)
     if surface.deflection > 3 * surface.deflection_std and share > _limit("bent_board"):
         millimetres = f"{1e3 * surface.deflection:.2f} mm" if board.unit == "m" else f"{surface.deflection:.3f} squares"
-        text = f"the board is bent by {millimetres}: accounted for, but use a stiffer board"
+        text = f"board deflection {millimetres}: estimated, but use a stiffer board"
         yield message("bent_board", text, share)
     for (term, focal), value in calibration.correlations.items():
         if abs(value) > _limit("correlation"):
-            text = f"{term} of the board and {focal} are correlated by {value:+.2f}: turn the board in some views"
+            pair = f"{term} of the board and {focal}"
+            text = f"{pair} strongly correlated (r = {value:+.2f}): rotate the board in some views"
             yield message("correlation", text, abs(value))
 
 

@@ -225,14 +225,14 @@ def _focal_length(calibration: Calibration) -> Iterator[tuple[float, Message]]:
         yield views.clear, message("focal_varies", text, views.clear, views.images)
     elif applies("focal_varies", unordered) and unordered.clear > change.clear:
         text = (
-            f"the focal length varies by {100 * unordered.share:.2g} % from view to view, as with autofocus: lock "
+            f"the focal length varies by {100 * unordered.share:.2g} % from view to view, possibly autofocus: lock "
             "focus and zoom, and take all images again"
         )
         yield unordered.clear, message("focal_varies", text, unordered.clear)
     elif applies("focal_varies", change):
         yield (
             change.clear,
-            message("focal_varies", f"it seems that the focal length {words}", change.clear, change.images),
+            message("focal_varies", f"the focal length probably {words}", change.clear, change.images),
         )
 
 
@@ -262,8 +262,8 @@ def _boards(found: BetweenViews) -> Iterator[Message]:
     if second == found.images[-len(second) :]:
         where, remedy = f"changes {_near(second)}", _by_themselves(found.images, second)
     else:
-        where, remedy = f"is another in {names_of(second)}", f"leave out {_these(second)}"
-    text = f"the board {where}, {what}, as where two boards are mixed: use one board, or {remedy}"
+        where, remedy = f"differs in {names_of(second)}", f"leave out {_these(second)}"
+    text = f"the board {where}, {what}, possibly two boards: use one board, or {remedy}"
     yield message("two_boards", text, clear, second)
 
 
@@ -272,7 +272,7 @@ def _blur(found: BetweenViews) -> Iterator[Message]:
     if blurred:
         images = tuple(view.image for view in blurred)
         text = (
-            f"blurred by motion: the corners of {names_of(images)} scatter in one direction, by up to "
+            f"motion blur: corners of {names_of(images)} scatter in one direction, by up to "
             f"{max(view.px for view in blurred):.2g} px: leave out {_these(images)}, or hold camera and board still"
         )
         yield message("motion_blur", text, max(view.ratio for view in blurred), images)
@@ -286,15 +286,13 @@ def _parallel(calibration: Calibration) -> Iterator[Message]:
         return
     if share > CRITERIA["parallel_views"].limit:
         text = (
-            f"nearly parallel views: in all {len(views)} the board is within {spread:.0f}° of one direction, and the "
-            f"focal length is known to {100 * share:.1f} % only: add views with the board tilted by 30° to 45° about "
+            f"nearly parallel views: board tilts within {spread:.0f}° in all {len(views)}, standard deviation of the "
+            f"focal length {100 * share:.1f} %: add views with the board tilted by 30° to 45° about "
             "both axes"
         )
         yield message("parallel_views", text, share, tuple(view.image for view in views))
     else:
-        text = (
-            f"the board was tilted by {spread:.0f}° at most: tilt it by 30° to 45°, which determines the focal length"
-        )
+        text = f"largest board tilt {spread:.0f}°: tilt it by 30° to 45° to determine the focal length"
         yield message("tilt", text, spread)
 
 
@@ -304,7 +302,7 @@ def _near(after: Sequence[str]) -> str:
 
 
 def _by_themselves(images: Sequence[str], after: Sequence[str]) -> str:
-    return f"calibrate the images before it ({len(images) - len(after)}) and from it on ({len(after)}) by themselves"
+    return f"calibrate the images before it ({len(images) - len(after)}) and from it on ({len(after)}) separately"
 
 
 def _these(images: Sequence[str]) -> str:

@@ -67,7 +67,7 @@ def write_map(path: Path, mask: Array) -> None:
         files.write_text(path, f"# bad pixels of a {mask.shape[1]} x {mask.shape[0]} frame: x y time\n{''.join(lines)}")
     else:
         known = ", ".join(sorted({".txt", ".npy"} | MASK_SUFFIXES))
-        raise InvalidInput(f"{suffix} is no suffix of a bad pixel map; use one of {known}", where=str(path))
+        raise InvalidInput(f"{suffix} is not a suffix of a bad pixel map; use one of {known}", where=str(path))
 
 
 def make_map(darks: Iterable[Array], pattern: str) -> Array:
@@ -89,7 +89,7 @@ def make_map(darks: Iterable[Array], pattern: str) -> Array:
         if frames.count >= _LEAST_FOR_NOISE:
             mask[site] |= _outliers(frames.deviation[site], _BLOCK // side)
     if (share := float(mask.mean())) > _MOST_BAD:
-        raise InsufficientData(f"{share:.0%} of the pixels stand out; are these dark frames, in steps of one count?")
+        raise InsufficientData(f"{share:.0%} of the pixels are outliers: check that these are dark frames")
     return readonly(mask, (None, None), "bad pixel map", bool)
 
 
@@ -113,10 +113,9 @@ def repair(values: Array, mask: Array, pattern: str) -> Array:
             left = np.concatenate(groups)
     if left.size:
         row, column = left[0]
-        count = (
-            f"{len(left)} bad pixels have no good one of their colour within {_FURTHEST_RING * _reach(pattern)} pixels"
-        )
-        raise InsufficientData(f"{count}, such as column {column}, row {row}; an area as large cannot be repaired")
+        near = _FURTHEST_RING * _reach(pattern)
+        count = f"{len(left)} bad pixels without valid neighbour of their colour within {near} pixels"
+        raise InsufficientData(f"{count}, such as column {column}, row {row}; the area is too large to be corrected")
     return result
 
 

@@ -83,7 +83,9 @@ def dark_average(frames: Iterable[Array], white: float) -> Array:
     level = float(np.median(dark))
     if level > _BRIGHTEST * white:
         share = f"{level:.0f} of {white:.0f} counts"
-        raise InvalidInput(f"half of the pixels have {share} or more; is this a dark frame? cover the lens")
+        raise InvalidInput(
+            f"half of the pixels have {share} or more; check that this is a dark frame with the lens covered"
+        )
     return dark
 
 
@@ -130,11 +132,11 @@ def _require_exposed(samples: Array, place: str) -> float:
     saturated = np.count_nonzero(samples >= _SATURATED) / samples.size
     if saturated > _MOST_SATURATED:
         where = f"at {place} above {_SATURATED:.0%} of saturation"
-        raise InvalidInput(f"the flat frame is saturated: {saturated:.1%} of the samples {where}; expose it for less")
+        raise InvalidInput(f"flat frame saturated: {saturated:.1%} of the samples {where}; reduce the exposure")
     mean = float(samples.mean(dtype=np.float64))
     if mean < _DARKEST:
         where = f"of saturation at {place}, {_DARKEST:.0%} are needed"
-        raise InvalidInput(f"the flat frame is almost dark: mean {mean:.2%} {where}; expose it for longer")
+        raise InvalidInput(f"flat frame too dark: mean {mean:.2%} {where}; increase the exposure")
     return mean
 
 

@@ -36,7 +36,7 @@ def found_gains(balance: Balance, light: Array, pattern: str, camera_gains: Arra
         return None
     if balance.text == CAMERA:
         if camera_gains is None:
-            raise InvalidInput("carries no white balance of the camera; use gray-world, a patch, or R,G,B")
+            raise InvalidInput("has no camera white balance; use gray-world, a patch, or R,G,B")
         return _normalised(balance, camera_gains)
     if balance.text == GRAY_WORLD:
         return _normalised(balance, 1 / mean_light(light, pattern))
@@ -75,7 +75,7 @@ def mean_light(light: Array, pattern: str) -> Array:
         of_places = [values.mean(where=usable, dtype=np.float64) for values in samples]
         means = [np.mean([m for m, letter in zip(of_places, pattern, strict=True) if letter == c]) for c in "RGB"]
     if not min(means) > 0:
-        raise InsufficientData("no unclipped light to balance white by; give three gains R,G,B")
+        raise InsufficientData("no unclipped pixels for the white balance; give three gains R,G,B")
     return np.array(means)
 
 

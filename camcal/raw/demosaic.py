@@ -200,8 +200,7 @@ def require_libraw_filter(name: str) -> str:
     known = libraw_filters()
     if name.upper() not in known:
         raise InvalidInput(
-            f"LibRaw as installed has no filter {name!r} and would silently take AHD instead; use one of "
-            + ", ".join(known)
+            f"LibRaw as installed does not support {name!r} and would use AHD instead; use one of " + ", ".join(known)
         )
     return name.upper()
 

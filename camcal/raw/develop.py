@@ -55,7 +55,7 @@ class Corrections:
             known = getattr(self, name)
             if known is not None and known.shape != frame.values.shape:
                 sizes = "{}x{}, the frame {}x{}".format(*known.shape[::-1], *frame.size)
-                raise InvalidInput(f"the {_WORDS[name]} is {sizes}: they must come from the same sensor and mode")
+                raise InvalidInput(f"the {_WORDS[name]} is {sizes}: sizes must be equal")
 
 
 NO_CORRECTIONS = Corrections()
@@ -219,7 +219,7 @@ def colour_matrix(frame: Mosaic, choice: str) -> Array | None:
     if choice != SRGB:
         return read_matrix(Path(choice))
     if frame.camera_M_xyz is None:
-        raise InvalidInput("does not say what its sensor's colours are; give a file of nine numbers instead of srgb")
+        raise InvalidInput("has no colour matrix of the sensor: give a file of nine numbers instead of srgb")
     camera_M_srgb = frame.camera_M_xyz @ XYZ_M_SRGB
     camera_M_srgb /= camera_M_srgb.sum(axis=1, keepdims=True)
     return np.asarray(np.linalg.inv(camera_M_srgb))
@@ -230,7 +230,7 @@ def read_matrix(path: Path) -> Array:
     try:
         text = read_bytes(path).decode()
     except UnicodeDecodeError as error:
-        raise FileError("is no text file; a colour matrix is nine numbers", where=str(path)) from error
+        raise FileError("not a text file; a colour matrix has nine numbers", where=str(path)) from error
     words = " ".join(line.partition("#")[0] for line in text.splitlines()).replace(",", " ").split()
     try:
         numbers = np.array(parse_numbers(words))

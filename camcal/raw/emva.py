@@ -132,7 +132,7 @@ def _fit(signal: Array, variance: Array, degrees: Array, noise: DarkSignal) -> t
     error = np.sqrt(covariance[0, 0])
     if not gain > 3 * error:
         raise InsufficientData(
-            "the noise of the flat frames does not grow with their light: they are saturated, too dark or not raw"
+            "the noise of the flat frames does not increase with the signal: saturated, too dark or not raw"
         )
     residual = (y - design @ (gain, intercept)) / std
     excess = np.square(residual).sum() / max(len(x) - 2, 1)

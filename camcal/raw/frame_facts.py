@@ -194,7 +194,7 @@ def check_phase(mosaic: Mosaic) -> GreenDiagonal | None:
     if found.main not in (None, _green_on_main(mosaic.pattern)):
         likely = " or ".join(pattern for pattern in PATTERNS if _green_on_main(pattern) == found.main)
         raise InvalidInput(
-            f"the greens are on the other diagonal: it is {likely}, not {mosaic.pattern}; --preview-patterns shows them"
+            f"green is on the other diagonal: pattern {likely}, not {mosaic.pattern}; --preview-patterns shows them"
         )
     return found
 

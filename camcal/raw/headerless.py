@@ -61,10 +61,10 @@ class Layout:
         stated = self.pixel_format.pattern
         if self.pattern is None and stated is None:
             choices = "|".join((*PATTERNS, MONO))
-            raise InvalidInput(f"{self.pixel_format.name} does not say its colour pattern; give --pattern {choices}")
+            raise InvalidInput(f"{self.pixel_format.name} has no colour pattern; give --pattern {choices}")
         if stated is not None and self.pattern not in (None, stated):
-            conflict = f"{self.pixel_format.name} says {stated}, --pattern says {self.pattern}"
-            raise InvalidInput(f"{conflict}; --format {self.pixel_format.family} takes any pattern")
+            conflict = f"pattern {stated} by {self.pixel_format.name}, {self.pattern} by --pattern"
+            raise InvalidInput(f"{conflict}; --format {self.pixel_format.family} accepts any pattern")
         return stated or str(self.pattern)
 
     @property
@@ -109,7 +109,7 @@ def _chosen_frame(path: Path, length: int, layout: Layout) -> int:
         raise FileError(f"{layout} needs {needed} bytes, found {_found(length, layout)}", where=str(path))
     if rest not in (0, padding):
         whole = f"{count} frame{'s' * (count > 1)} of {needed} bytes"
-        raise FileError(f"{layout} leaves bytes over after {whole}: found {_found(length, layout)}", where=str(path))
+        raise FileError(f"{layout} leaves surplus bytes after {whole}: found {_found(length, layout)}", where=str(path))
     if layout.frame is None and count > 1:
         message = f"holds {count} frames if it is {layout}; give --frame 0 … {count - 1}, or the format and size it has"
         raise InvalidInput(f"{message}: {_offer(length - layout.offset)}", where=str(path))
@@ -157,7 +157,7 @@ def length_of(path: Path) -> int:
     except OSError as error:
         raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
     if path.is_dir():
-        raise FileError("is a folder, a file is needed", where=str(path))
+        raise FileError("is a folder, not a file", where=str(path))
     if not length:
         raise FileError("is empty", where=str(path))
     return length

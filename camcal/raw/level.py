@@ -71,7 +71,7 @@ def before_counting(measured: Counted) -> DarkSignal:
     spread, spread_uncertainty = root(measured.spatial, measured.spatial_std)
     if measured.temporal < _SILENT:
         if measured.mean < _SILENT:
-            raise InsufficientData("all dark counts are 0: the camera cuts its noise off; raise its black level")
+            raise InsufficientData("all dark counts are 0: noise clipped; increase the black level of the camera")
         return DarkSignal(measured.mean, HIDDEN, HIDDEN, spread, spread_uncertainty, limited=True)
     std, std_uncertainty = root(max(measured.temporal - ROUNDING, ROUNDING), measured.temporal_std)
     if std > _COARSE and measured.mean > _REACH * hypot(std, spread):
@@ -224,7 +224,7 @@ def measure_level(frames: Iterable[Mosaic], exposure_s: float | None = None, whi
             sums = _Sums(frame)
         sums.add(frame, frame.white if white is None else white)
     if sums is None or len(sums.means) < 2:
-        raise InsufficientData("a single frame at one level of light; noise takes at least two")
+        raise InsufficientData("a single frame at one illumination level (minimum two)")
     return sums.level(exposure_s)
 
 

@@ -158,7 +158,7 @@ def frame_bytes(pixel_format: PixelFormat, size: tuple[int, int], stride: int | 
     """
     width, height = size
     if width < 1 or height < 1:
-        raise InvalidInput(f"a frame of {width}x{height} pixels has nothing in it; width and height are at least 1")
+        raise InvalidInput(f"a frame of {width}x{height} pixels is empty")
     row = row_bytes(pixel_format, width)
     if stride is None:
         return row * height if pixel_format.rows_start_groups else row_bytes(pixel_format, width * height)
@@ -269,4 +269,4 @@ def require_byte_order(pixel_format: PixelFormat, endian: str, align: str) -> No
         if value not in known:
             raise InvalidInput(f"{name} {value!r} is unknown; use {' or '.join(known)}")
         if value != known[0] and not pixel_format.has_byte_order:
-            raise InvalidInput(f"{pixel_format.name} fixes its own bits; {name} {value} is for unpacked 10 … 16 bits")
+            raise InvalidInput(f"{pixel_format.name} has a fixed layout; {name} {value} is for unpacked 10 … 16 bits")

@@ -47,7 +47,7 @@ def read_mosaic(
 
 def _refuse_layout(layout: GivenLayout) -> None:
     if layout != NO_LAYOUT:
-        raise InvalidInput("says its own layout: --format, --size and the like are for .raw and .bin files")
+        raise InvalidInput("has a header: --format, --size and others are for .raw and .bin files")
 
 
 def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mosaic:
@@ -68,14 +68,14 @@ def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic
 
 def missing_pattern(path: Path) -> InvalidInput:
     """Return the error for a bare mosaic whose pattern was not given."""
-    message = f"a bare mosaic does not say its colour pattern; give --pattern {'|'.join(PATTERNS)}"
+    message = f"a bare mosaic has no colour pattern; give --pattern {'|'.join(PATTERNS)}"
     return InvalidInput(message, where=str(path))
 
 
 def _read_camera(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
     frame = read_camera_raw(path, content)
     if pattern not in (None, frame.pattern):
-        raise InvalidInput(f"the file says {frame.pattern}, --pattern says {pattern}; leave --pattern out")
+        raise InvalidInput(f"pattern {frame.pattern} in the file, {pattern} by --pattern; leave --pattern out")
     return frame
 
 
@@ -98,15 +98,15 @@ def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
 
     content = read_bytes(path) if content is None else content
     if exif.is_cut_off(content):
-        raise FileError(f"is cut off: it points beyond its {len(content)} bytes", where=str(path))
+        raise FileError(f"truncated: it refers beyond its {len(content)} bytes", where=str(path))
     try:
         with rawpy.imread(BytesIO(content)) as raw:
             limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
             if raw.raw_type != rawpy.RawType.Flat:
-                raise InvalidInput("holds full colour in every pixel (linear DNG, sRAW or Foveon): there is no mosaic")
+                raise InvalidInput("has full colour in every pixel (linear DNG, sRAW or Foveon): no mosaic")
             return _frame(raw, content)
     except rawpy.LibRawError as error:
-        raise FileError(f"not a camera raw file that can be read ({_reason(error)})", where=str(path)) from error
+        raise FileError(f"not a readable camera raw file ({_reason(error)})", where=str(path)) from error
 
 
 def pattern_of(codes: Array | None, letters: bytes) -> str:

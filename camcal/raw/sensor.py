@@ -91,7 +91,7 @@ def _require_light(flats: Sequence[Level], darks: Sequence[Level]) -> None:
     brightest, dark = max(level.mean_dn.mean() for level in flats), min(level.mean_dn.mean() for level in darks)
     if brightest < dark:
         raise InsufficientData(
-            f"the flat frames are darker than the dark ones (mean {brightest:.4g} and {dark:.4g}): are they swapped?"
+            f"the flat frames are darker than the dark ones (mean {brightest:.4g} and {dark:.4g}): check --dark"
         )
     white, darkest = flats[0].white, min(level.mean_dn.min() for level in (*flats, *darks))
     if darkest >= white:
@@ -113,8 +113,8 @@ def _require_steady(flats: Sequence[Level], darks: Sequence[Level]) -> None:
     for level, share in _drifts(flats, darks):
         if share > _DRIFT[1]:
             raise InsufficientData(
-                f"frames of one level ({_described(level)}) differ by {100 * share:.0f} % in brightness: the exposures "
-                "are mixed or the light flickers"
+                f"frames of one level ({_described(level)}) differ by {100 * share:.0f} % in brightness: check for "
+                "mixed exposures or flicker"
             )
 
 

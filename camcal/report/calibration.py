@@ -104,7 +104,7 @@ def _within_views_lines(calibration: Calibration) -> list[str]:
         typical, most = (factor * value for value in errors.flex)
         lines.append(f"The board bends: by {typical:.2g} {unit} RMS in a typical view, at most {most:.2g} {unit}")
     if errors.share > 0 and not lines:
-        lines.append("Corners of a view share errors of no clear cause; the standard deviations include them")
+        lines.append("Errors within views of unknown cause: included in the standard deviations")
     return lines
 
 
@@ -129,7 +129,7 @@ def _board_lines(calibration: Calibration) -> list[str]:
     if surface.offsets is not None:
         largest = factor * float(abs(surface.offsets).max())
         lines.append(f"Per-corner board offsets estimated; largest {largest:.2g} {unit}")
-    return lines or ["board: flat and true to the drawing as far as these views can tell"]
+    return lines or ["board: planar as designed, within the uncertainty"]
 
 
 def view_record(view: View) -> dict[str, Any]:

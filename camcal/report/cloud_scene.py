@@ -132,7 +132,7 @@ def gather(stream: VertexStream, most: int) -> CloudScene:
         picked.append(kept[_finite(kept)])
         start += len(block)
     if not total:
-        raise InsufficientData("the cloud has no points to look at")
+        raise InsufficientData("the cloud has no points")
     vertices = np.concatenate(picked)
     points = np.stack([vertices[axis] for axis in POSITION], axis=1)
     near = _near(points)

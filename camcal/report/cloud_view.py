@@ -234,14 +234,14 @@ def save_recording(path: Path, scene: CloudScene, paint: Paint) -> None:
         recording.flush()
         recording.disconnect()
         if not temporary.stat().st_size:
-            raise FileError("Rerun wrote nothing", where=str(path))
+            raise FileError("Rerun wrote no file", where=str(path))
 
 
 def open_viewer(scene: CloudScene, paint: Paint) -> None:
     """Show a cloud in the Rerun viewer, which stays open. Raises InvalidInput without the Rerun SDK or a screen."""
     rerun = require_rerun()
     if sys.platform == "linux" and not any(map(os.environ.get, _SCREENS)):
-        raise InvalidInput(f"there is no screen to open Rerun on; write for it with -o NAME{SUFFIX}")
+        raise InvalidInput(f"no display for Rerun: write a file with -o NAME{SUFFIX}")
     recording = rerun.RecordingStream(_APPLICATION, recording_id=_IDENTIFIER)
     try:
         recording.spawn()

@@ -143,7 +143,7 @@ def view_of(text: str, scene: CloudScene) -> View:
     numbers = _numbers(text)
     if len(numbers) not in (2, 3) or abs(numbers[1]) > 90 or not all(length > 0 for length in numbers[2:]):
         raise InvalidInput(
-            f"view {text!r} is none of {', '.join(NAMED)}; or write AZ,EL or AZ,EL,DIST in degrees, EL from -90 to 90"
+            f"view {text!r} is not one of {', '.join(NAMED)}, nor AZ,EL or AZ,EL,DIST in degrees, EL from -90 to 90"
         )
     return around(scene, radians(numbers[0]), radians(numbers[1]), *numbers[2:])
 

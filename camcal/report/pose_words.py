@@ -78,7 +78,7 @@ def noise(poses: Poses) -> str:
     if found.scale is None:
         return f"{size}, from the residuals, {dof}"
     if 1 / _NEAR <= found.scale <= _NEAR:
-        return f"{size}, by the corner standard deviations, with which the residuals agree"
+        return f"{size}, by the corner standard deviations, consistent with the residuals"
     return f"{size}: the residuals are {found.scale:.3g} x the corner standard deviations (a-posteriori scale, {dof})"
 
 

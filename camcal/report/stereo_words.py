@@ -46,7 +46,7 @@ def lines(check: PairCheck) -> list[str]:
         shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
         said.append(f"trend: {_signed(trend.centre)} px at the centre, {shape}")
     if residual.convergence is not None and abs(residual.convergence.value) > _SURE * residual.convergence.std:
-        said.append(f"rows change with disparity: {_signed(residual.convergence)} px per px")
+        said.append(f"row difference by disparity: {_signed(residual.convergence)} px per px")
     said.append(f"disparity {spanned(*check.disparity)} px{_searched(check)}")
     if check.exposure is not None:
         said.append(light(check.exposure))
@@ -62,7 +62,7 @@ def check_row(check: PairCheck) -> list[object]:
 
 def headline(residual: Residual) -> str:
     """Return the vertical residual in a line."""
-    features = f"{len(residual.dy)} features in agreement, of {residual.seen}"
+    features = f"{len(residual.dy)} inlier features of {residual.seen}"
     if not residual.rms:
         return f"rows do not differ ({features})"
     if residual.trend.largest > LARGEST_CORRECTION:  # beyond it a plane over the image describes nothing
@@ -101,7 +101,7 @@ def verdict(check: PairCheck) -> str:
     if check.failure is not None:
         return check.failure.text
     trend = check.residual.trend
-    off = f"rows are off by {trend.rms:.2f} px"
+    off = f"row differences {trend.rms:.2f} px"
     if trend.largest > LARGEST_CORRECTION:
         return (
             f"these images are not rectified: rows differ by more than the {LARGEST_CORRECTION:g} px that are corrected"
@@ -109,7 +109,7 @@ def verdict(check: PairCheck) -> str:
     if trend.rms > WORTH_RECTIFYING:
         return f"{off}: worth a new calibration and rectification; --align-rows auto of 'stereo disparity' helps"
     if trend.rms > NEGLIGIBLE:
-        return f"{off}: --align-rows auto of 'stereo disparity' puts that right"
+        return f"{off}: --align-rows auto of 'stereo disparity' corrects it"
     return "rows agree"
 
 
@@ -142,8 +142,8 @@ def plain(check: PairCheck) -> dict[str, Any]:
 
 def _searched(check: PairCheck) -> str:
     if check.searched is None:
-        return "; too little can be matched to tell the range to search"
-    return "; the range to search is {}:{}".format(*check.searched)
+        return "; too few matches for the search range"
+    return "; search range {}:{}".format(*check.searched)
 
 
 def _signed(measured: Measured) -> str:

@@ -64,7 +64,7 @@ def lines(transform: NamedTransform, form: Form | None, *, verbose: bool = False
 def loop_lines(loops: Sequence[Loop]) -> list[str]:
     """Return how far loops are from closing and what this means for the way that was taken, in words."""
     found = [_loop_line(loop) for loop in loops]
-    rule = "the way is that of the fewest transforms; others are checked by these loops, not averaged in"
+    rule = "the path with the fewest transforms is used; loops check the others"
     return [*found, rule] if found else []
 
 

@@ -46,8 +46,8 @@ def held_by_prior_words(names: Sequence[str]) -> str:
     """Return which coefficients their priors determine rather than the data."""
     listed = ", ".join(names)
     if len(names) == 1:
-        return f"{listed} is held by its prior: the data hardly determine it"
-    return f"{listed} are held by their priors: the data hardly determine them"
+        return f"{listed} is determined by its prior, not by the data"
+    return f"{listed} are determined by their priors, not by the data"
 
 
 def projection_words(figures: Mapping[str, float], range_m: float | None = None) -> str:

@@ -164,7 +164,7 @@ class _Worker:
             return f"its worker process ended with code {code}"
         name = signal.Signals(-code).name
         if name == "SIGKILL":
-            return "its worker process was killed (SIGKILL); if memory ran out, use fewer --jobs"
+            return "worker process killed (SIGKILL): if out of memory, use fewer --jobs"
         return f"its worker process crashed ({name}); the input may be damaged"
 
 

@@ -180,7 +180,7 @@ class Run:
 
     def _require_replaceable(self, path: Path, found: os.stat_result) -> None:
         if stat.S_ISDIR(found.st_mode):
-            raise FileError("is a folder, a file is needed", where=str(path))
+            raise FileError("is a folder, not a file", where=str(path))
         self._refuse_input(path)
         if _id(found) in self.written or self.overwrite or not stat.S_ISREG(found.st_mode):
             return

@@ -131,7 +131,7 @@ def _matching(pattern: str, known: AbstractSet[str]) -> list[Path]:
     found = _without_outputs([path for path in everything if _is_medium(path, known)])
     if not found:
         found_there = f"matches no image ({_contents(everything)}){_conversion(everything)}"
-        matches = found_there if everything else "matches nothing"
+        matches = found_there if everything else "matches no file"
         raise FileError(matches, where=pattern)
     return found
 
@@ -212,9 +212,9 @@ def _in_order(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str
     lonely = _lonely(left, right)
     counts = f"{len(left)} {sides[0]} and {len(right)} {sides[1]}"
     if len(left) != len(right):
-        raise InvalidInput(f"{counts} do not pair up" + (f"; {lonely} has no partner" if lonely else ""))
+        raise InvalidInput(f"{counts} differ" + (f"; {lonely} is unpaired" if lonely else ""))
     if lonely:
-        raise InvalidInput(f"{counts} agree in some names only; {lonely} has no partner")
+        raise InvalidInput(f"{counts} have only some names in common; {lonely} is unpaired")
     return list(zip(left, right, strict=True))
 
 
@@ -256,7 +256,7 @@ def names_file(output: Path, kinds: Iterable[str]) -> bool:
 def require_one(output: Path, count: int) -> None:
     """Raise InvalidInput if more than one input would go into a file."""
     if count > 1:
-        raise InvalidInput(f"{count} inputs do not go into one file; give a folder", where=str(output))
+        raise InvalidInput(f"{count} inputs cannot be written to one file; give a folder", where=str(output))
 
 
 def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str]) -> dict[Path, Path]:

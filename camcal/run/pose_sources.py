@@ -52,7 +52,7 @@ def read_one(text: str, form: Form | None = None) -> NamedTransform:
     found = read_transforms([text], form)
     if len(found) != 1:
         names = ", ".join(dict.fromkeys(transform.name for transform in found))
-        raise InvalidInput(f"holds {len(found)} transforms; say which, as {text}#a_T_b: {names}", where=text)
+        raise InvalidInput(f"holds {len(found)} transforms; choose one, as {text}#a_T_b: {names}", where=text)
     return found[0]
 
 
@@ -123,7 +123,7 @@ def split_name(text: str) -> tuple[str, str]:
     match = _NAMED.match(text)
     name, body = (match[1], match[2]) if match else ("", text)
     if not body.strip():
-        raise InvalidInput(f"{text!r} is no pose: numbers, a file or FILE#NAME are needed")
+        raise InvalidInput(f"{text!r} is not a pose: expected numbers, a file or FILE#NAME")
     return name, body
 
 
@@ -138,7 +138,7 @@ def _of(text: str, form: Form | None) -> tuple[NamedTransform, ...]:
     if not name:
         return found
     if len(found) != 1:
-        raise InvalidInput(f"{name} is one transform, the file has {len(found)}; say which with #", where=body)
+        raise InvalidInput(f"{name} is one transform, the file has {len(found)}; choose one with #", where=body)
     target, source = frames_of(name)
     return (replace(found[0], target=target, source=source),)
 
@@ -177,7 +177,7 @@ def _addressed(found: Sequence[NamedTransform], address: str, where: str) -> Nam
         return chosen[0]
     if JOINT not in address:
         known = [item.where.partition("#")[2] or item.name for item in found]
-        raise InvalidInput(f"nothing is named {address!r}{did_you_mean(address, known)}", where=where)
+        raise InvalidInput(f"no pose named {address!r}{did_you_mean(address, known)}", where=where)
     with Located(where):
         graph = FrameGraph(found)
         target, source = frames_of(address)

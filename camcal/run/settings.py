@@ -78,8 +78,8 @@ def _problem(value: Any, *, several: bool) -> str | None:
             return "takes one value, not a list"
         return next((problem for item in value if (problem := _problem(item, several=False))), None)
     if isinstance(value, dict):
-        return "takes a plain value; settings are flat, one option a line"
-    return "has no value; leave the line out to have the default" if value is None else None
+        return "expects a plain value: one option per line"
+    return "has no value; remove the line for the default" if value is None else None
 
 
 def _typed(value: Any, *, several: bool) -> Value:

@@ -58,7 +58,7 @@ class RawCamera:
     def __post_init__(self) -> None:
         require_pattern(self.pattern)
         if not all(isfinite(share) and share > 0 for share in self.light):
-            raise InvalidInput("the light of red, green and blue is above 0")
+            raise InvalidInput("the light of red, green and blue must be positive")
         if self.pattern == MONO and (self.aberration_px != 0 or self.light != (1.0, 1.0, 1.0)):
             raise InvalidInput("a sensor without colour filters has no light or aberration of colours")
 
@@ -155,7 +155,7 @@ def lenses(camera: Camera, aberration_px: float) -> dict[str, Camera]:
     width, height = camera.image_size
     scale = aberration_px / hypot(max(x, width - 1 - x), max(y, height - 1 - y))
     if not abs(scale) < 1:
-        raise InvalidInput(f"an aberration of {aberration_px:g} px turns the image over")
+        raise InvalidInput(f"an aberration of {aberration_px:g} px folds the image")
     return {"R": _scaled(camera, 1 + scale), "G": camera, "B": _scaled(camera, 1 - scale)}
 
 

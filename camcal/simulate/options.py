@@ -51,7 +51,7 @@ class Sensor(OptionsRecord):
         positive = {"gain": self.gain_dn_per_e, "full well": self.full_well_e}
         others = (self.read_noise_e, self.dark_current_e_s, self.prnu, self.dsnu_e)
         if not all(isfinite(value) and value > 0 for value in positive.values()):
-            raise InvalidInput("the gain and the full well of a sensor are above 0")
+            raise InvalidInput("the gain and the full well of a sensor must be positive")
         if not all(isfinite(value) and value >= 0 for value in others):
             raise InvalidInput("read noise, dark current, PRNU and DSNU of a sensor are not negative")
         if not 0 <= self.black_dn < self.white_dn:

@@ -201,7 +201,7 @@ def _project(camera: Camera, camera_T_board: Pose, points: Array) -> Array:
     """Return the pixels (..., 2) of points (..., 3) of the board."""
     projection = camera.project(camera_T_board.apply(points).reshape(-1, 3))
     if not projection.valid.all():
-        raise InvalidInput("the board reaches beyond the field of the lens; move it or choose another lens")
+        raise InvalidInput("the board exceeds the field of view of the lens: move it or choose another lens")
     return projection.pixels.reshape(*points.shape[:-1], 2)
 
 

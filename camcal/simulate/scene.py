@@ -255,7 +255,9 @@ def make_camera(
     unit = _distorted(model, model.start((1, 1), 1.0), distortion)
     edge = model.project(unit, np.array([[np.sin(fov / 2), 0.0, np.cos(fov / 2)]]))
     if not 0 < fov < 2 * np.pi or not edge.valid[0] or not 0 < edge.pixels[0, 0] < WIDEST:
-        raise InvalidInput(f"{model.name} cannot hold a field of view of {np.degrees(fov):g}° with this distortion")
+        raise InvalidInput(
+            f"{model.name} is not invertible over a field of view of {np.degrees(fov):g}° with this distortion"
+        )
     parameters = _distorted(model, model.start(size, size[0] / 2 / edge.pixels[0, 0]), distortion)
     if distortion is None:
         parameters[2:4] += np.array(OFF_CENTRE) * size[0]

@@ -244,7 +244,7 @@ class _DenseSearch(Generic[State]):
         # at a minimum the difference of two equal numbers, of either sign
         promised = float(-step @ equations.gradient - 0.5 * np.sum((equations.jacobian @ step) ** 2))
         if promised < -self.stopping.unseen(equations.cost):
-            raise SingularError("the bounds leave no way down")
+            raise SingularError("no descent within the bounds")
         visible = promised > _STRAIGHT * equations.cost + _FAINT * self.stopping.rounding
         if self.method.geodesic and not self.method.full and visible:
             step = np.clip(step + self._bend(state, equations, step, damping, free), low, high)

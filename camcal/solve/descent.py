@@ -54,13 +54,13 @@ class Search(Protocol[State, Linear]):
 
 REASONS = (
     "too many iterations",
-    "the step promises no decrease",
-    "held at the edge of the domain",
-    "the cost is at its rounding error",
-    "the residuals are met exactly",
-    "no step lowers the cost",
-    "the start is outside the domain",
-    "far above the lowest minimum of the problem",
+    "converged",
+    "stopped at the boundary of the domain",
+    "converged (machine precision)",
+    "converged (zero residuals)",
+    "no step decreases the cost",
+    "initial values outside the domain",
+    "local minimum far above the lowest one",
 )
 RUNNING, SETTLED, HELD, ROUNDED, EXACT, STUCK, OUTSIDE, HOPELESS = range(len(REASONS))
 BLOCKED, CRAWL = 5, 1e-4  # so many steps out of the domain, and this small a relative decrease: held at its edge
@@ -189,7 +189,7 @@ def descend(
     """
     equations = search.linearise(state)
     if equations is None:
-        raise ValueError("the start is outside the domain of the problem")
+        raise ValueError("initial values outside the domain of the problem")
     damping, growth, blocked = stopping.damping, 1.0, 0
     for number in range(1, stopping.iterations + 1):
         try:
@@ -227,7 +227,7 @@ def gauss_newton(
     """
     equations = search.linearise(state)
     if equations is None:
-        raise ValueError("the start is outside the domain of the problem")
+        raise ValueError("initial values outside the domain of the problem")
     for number in range(stopping.iterations):
         try:
             proposal = search.propose(state, equations, 0.0)

@@ -63,5 +63,5 @@ def of_pair(left: Camera, right: Camera, right_T_left: Pose) -> StereoGeometry:
     if differences.max() > _PIXELS:
         raise InvalidInput(f"the pair is not rectified: fx, fy or cy differ by {differences.max():.3g} px")
     if x >= 0:
-        raise InvalidInput("the right camera stands left of the left one; name the cameras the other way round")
+        raise InvalidInput("the right camera is left of the left one: exchange the cameras")
     return StereoGeometry(fx, fy, cx, cy, baseline=-x, doffs=right_cx - cx)

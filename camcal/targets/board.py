@@ -174,7 +174,7 @@ def _require_counts(board: Board) -> None:
     if max(board.columns, board.rows) > LARGEST:
         raise InvalidInput(f"{size} {kind.counted} is more than the limit of {LARGEST} a side")
     if board.dots and not dotted_squares(board.columns, board.rows):
-        raise InvalidInput(f"a chessboard of {size} inner corners has no room for three dots; it takes 4 × 3 at least")
+        raise InvalidInput(f"a chessboard of {size} inner corners is too small for three dots (minimum 4 × 3)")
 
 
 def _require_own_fields(board: Board) -> None:

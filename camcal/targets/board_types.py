@@ -49,7 +49,7 @@ class BoardType:
     border: int = 0
 
 
-_TOUCHING = "the circles of a grid must be apart; give a smaller diameter"
+_TOUCHING = "circles overlap: give a smaller diameter"
 
 BOARD_TYPES: Mapping[str, BoardType] = {
     CHESSBOARD: BoardType("inner corners", 2, "chessboard of {size} inner corners", frozenset({"dots"}), "square"),
@@ -70,7 +70,7 @@ BOARD_TYPES: Mapping[str, BoardType] = {
         frozenset({"marker", "dictionary", "first_marker"}),
         "tag",
         needs="an AprilGrid needs the side of a tag and a family",
-        crowded="the tags of an AprilGrid must be apart; give a positive spacing",
+        crowded="tags overlap: give a positive spacing",
     ),
     CIRCLES: BoardType("circles", 2, "grid of {size} circles", frozenset({"diameter"}), "step", crowded=_TOUCHING),
     ASYMMETRIC_CIRCLES: BoardType(

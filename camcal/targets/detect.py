@@ -68,6 +68,6 @@ def require_findable(board: Board, *, partial: bool = False) -> None:
         family_named(board.dictionary or "").require(board.first_marker, board.columns * board.rows)
     elif board.type == CHESSBOARD and min(board.columns, board.rows) < LEAST_SIDE:
         size = f"{board.columns} x {board.rows}"
-        raise InvalidInput(f"a chessboard of {size} inner corners cannot be found; it takes 3 x 3 at least")
+        raise InvalidInput(f"a chessboard of {size} inner corners is too small to be detected (minimum 3 x 3)")
     elif partial and board.type in (CIRCLES, ASYMMETRIC_CIRCLES):
-        raise InvalidInput("parts of a grid of circles cannot be told apart; the whole grid must be in sight")
+        raise InvalidInput("a grid of circles cannot be detected in part: the whole grid must be visible")

@@ -68,7 +68,7 @@ class BoardDetection:
         if count < MIN_CORNERS:
             return cls.nothing(f"only {count} corner{'s' if count != 1 else ''}" if count else "no corner found")
         if min(found.any(axis=0).sum(), found.any(axis=1).sum()) < 2:
-            return cls.nothing(f"only {count} corners, all in one line")
+            return cls.nothing(f"only {count} corners, all collinear")
         known = None if covariance is None else covariance[found]
         return cls(ids=np.flatnonzero(found), pixels=grid[found], covariance=known)
 

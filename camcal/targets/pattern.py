@@ -134,9 +134,7 @@ def _tag_lines(tags: int, cells: int, board: Board) -> Array:
 
 def _circles(board: Board) -> Pattern:
     if board.diameter is None:
-        raise InvalidInput(
-            f"the {board.words} cannot be drawn without their diameter; add it as in {board.type}:10x8:25mm:15mm"
-        )
+        raise InvalidInput(f"the {board.words} needs a diameter to be drawn, such as {board.type}:10x8:25mm:15mm")
     reach = ink_reach(board) + QUIET * board.spacing
     x, y = (np.array([-reach, side + reach]) for side in board.extent)
     centres = board.points()[:, :2]

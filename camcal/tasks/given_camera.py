@@ -39,7 +39,7 @@ def read_camera_file(
             raise InvalidInput("--camera-matrix: for which size of images? Give --size WxH")
         return CameraFile({CAMERA: CameraEntry(camera_of(given, size))})
     if address is None:
-        raise InvalidInput("which camera? Give a camera file, or --camera-matrix FX,FY,CX,CY")
+        raise InvalidInput("no camera: give a camera file, or --camera-matrix FX,FY,CX,CY")
     path = split_address(address)[0]
     require_no_image(path)
     try:

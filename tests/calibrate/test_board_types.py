@@ -71,7 +71,7 @@ def test_the_corners_of_tags_in_one_row_lie_on_no_line():
 )
 def test_points_on_one_line_are_refused_for_all_types(form, ids):
     view = BoardDetection("a.png", (640, 480), np.array(ids), np.zeros((len(ids), 2)))
-    assert reason_unusable(view, parse_board(form)) == "all corners are on one line of the board: show more of it"
+    assert reason_unusable(view, parse_board(form)) == "all corners are collinear: show more of the board"
 
 
 def test_views_are_guessed_to_be_turned_where_their_pulls_are_opposed_and_not_where_they_are_noise():

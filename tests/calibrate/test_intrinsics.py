@@ -192,7 +192,7 @@ def test_one_image_repeated_is_refused(scene):
 def test_a_repeated_image_counts_once(scene):
     seen = list(scene.observe(0, noise_px=0.1))
     calibration = calibrate([*seen, replace(seen[3], image="copy.png")], scene.board, Options(scene.camera.model))
-    assert calibration.views[-1].reason == f"repeats {seen[3].image} (all corners within 0.02 px)"
+    assert calibration.views[-1].reason == f"duplicate of {seen[3].image} (all corners within 0.02 px)"
     assert len(calibration.used) == len(seen)
 
 
@@ -221,7 +221,7 @@ def test_views_without_enough_corners_carry_their_reason(scene):
     line = replace(seen[1], ids=seen[1].ids[:9], pixels=seen[1].pixels[:9])
     calibration = calibrate([few, line, *seen[2:]], scene.board, Options(scene.camera.model))
     assert calibration.views[0].reason == "only 4 corners, 6 are needed: show more of the board"
-    assert calibration.views[1].reason == "all corners are on one line of the board: show more of it"
+    assert calibration.views[1].reason == "all corners are collinear: show more of the board"
 
 
 def test_a_board_of_unknown_size_calibrates_in_squares(scene):

@@ -75,7 +75,7 @@ def test_the_verdict_names_both_groups(scene):
     (failure,) = [own for own in assessment.failures if own.code == "several_cameras"]
     assert "12 views (a/view0000.png, a/view0001.png, a/view0002.png and 9 more)" in failure.text
     assert "5 views (b/view0000.png" in failure.text
-    assert failure.text.endswith("calibrate each group by itself")
+    assert failure.text.endswith("calibrate each group separately")
 
 
 @pytest.mark.parametrize("focal", [600.0, 2400.0])
@@ -85,7 +85,7 @@ def test_lenses_so_different_that_nothing_fits_end_without_a_result_and_both_gro
         calibrate(views, make_scene(count=1).board, Options(MODEL, shape=FLAT))
     # at 600 px one view of the second camera suits the lens of the first as well as noise lets it
     assert re.search(r"1[23] views \(a/view0000.*[56] views \(b/view000[01]", refused.value.message)
-    assert refused.value.message.endswith("calibrate each group by itself")
+    assert refused.value.message.endswith("calibrate each group separately")
 
 
 @pytest.mark.parametrize(("ratio", "refused"), [(1.95, False), (2.05, True)])

@@ -35,7 +35,7 @@ def test_the_same_size_is_the_same_camera_and_another_shape_is_refused():
     camera = Camera(MODELS["pinhole"], (640, 480), [500.0, 500.0, 320.0, 240.0])
     assert resized(camera, (640, 480)) is camera
     assert resized(camera, (1067, 800)).image_size == (1067, 800)  # rounding of 1066.67
-    with pytest.raises(InvalidInput, match="images of 640 x 360 pixels are no resized images of 640 x 480"):
+    with pytest.raises(InvalidInput, match="images of 640 x 360 pixels are not resized images of 640 x 480"):
         resized(camera, (640, 360))
 
 

@@ -101,13 +101,13 @@ def test_the_board_file_of_another_board_is_kept(run, tmp_path):
     code, _, err = run("board", "chessboard:9x6:20mm", "-o", tmp_path / "target.svg")
     assert code == 2
     assert err == (
-        f"camcal: error: {tmp_path}/target.yaml: describes another board and is kept; choose another output\n"
+        f"camcal: error: {tmp_path}/target.yaml: describes another board and is not replaced; choose another output\n"
     )
     assert not (tmp_path / "target.svg").exists()
     (tmp_path / "notes.yaml").write_text("milk: 2\n")
     code, _, err = run("board", CHESSBOARD, "-o", tmp_path / "notes.pdf")
     assert (code, (tmp_path / "notes.yaml").read_text()) == (2, "milk: 2\n")
-    assert "is no board file and is kept" in err
+    assert "is not a board file and is not replaced; choose another output" in err
 
 
 @pytest.mark.parametrize(
@@ -115,18 +115,18 @@ def test_the_board_file_of_another_board_is_kept(run, tmp_path):
     [
         ((CHESSBOARD, "-o", "a.jpg"), "a.jpg: .jpg is not written; use .pdf, .svg, .png"),
         ((CHESSBOARD, "-o", "a"), "a: a name without a suffix is not written; use .pdf, .svg, .png"),
-        (("chessboard:9x6", "-o", "a.pdf"), "has no size to print it at; give it as in chessboard:9x6"),
+        (("chessboard:9x6", "-o", "a.pdf"), "has no size for printing; give it as in chessboard:9x6"),
         ((CHESSBOARD, "-o", "a.pdf", "--paper", "B5"), "paper 'B5' is unknown; use A4, A3"),
         ((CHESSBOARD, "-o", "a.pdf", "--portrait", "--paper", "A4"), "use --paper A3, or 19 mm in place of 25 mm"),
-        ((CHESSBOARD, "-o", "a.pdf", "--paper", "90x90"), "has no room for a ruler of 100 mm; use --no-ruler"),
+        ((CHESSBOARD, "-o", "a.pdf", "--paper", "90x90"), "is too narrow for a ruler of 100 mm: use --no-ruler"),
         (("chessboard:9x6:300mm", "-o", "a.pdf"), "use --paper 3160x2265mm, or 110.1 mm in place of 300 mm"),
         ((CHESSBOARD, "-o", "a.pdf", "--margin", "-1"), "a margin of -1 mm: use 0 to 1000"),
         ((CHESSBOARD, "-o", "a.pdf", "--dpi", "300"), "--dpi is for .png"),
-        ((CHESSBOARD, "-o", "a.png", "--dpi", "nan"), "Invalid value for '--dpi': nan is no number"),
+        ((CHESSBOARD, "-o", "a.png", "--dpi", "nan"), "Invalid value for '--dpi': nan is not a number"),
         ((CHESSBOARD, "-o", "a.png", "--dpi", "3"), "it takes 4: use 5 dpi or more"),
         ((CHESSBOARD, "-o", "a.png", "--dpi", "9999"), "at most 400 million"),
-        (("charuco:5x7:35mm:26mm:DICT_5X5_100", "-o", "a.pdf", "--kalibr", "k.yaml"), "Kalibr does not know"),
-        ((CHESSBOARD, "-o", "a.pdf", "--kalibr", "a.yaml"), "give the file for Kalibr a name of its own"),
+        (("charuco:5x7:35mm:26mm:DICT_5X5_100", "-o", "a.pdf", "--kalibr", "k.yaml"), "Kalibr does not support"),
+        ((CHESSBOARD, "-o", "a.pdf", "--kalibr", "a.yaml"), "is another output; choose another name for the Kalibr file"),
     ],
 )  # fmt: skip
 def test_a_wrong_argument_is_one_line_and_exit_two_and_nothing_is_written(

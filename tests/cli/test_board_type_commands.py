@@ -91,7 +91,7 @@ def test_a_board_of_the_size_that_is_proposed_takes_the_share_that_was_asked_for
 @pytest.mark.parametrize(
     ("board", "message"),
     [
-        ("circles:8x6:25mm", "grid of 8x6 circles cannot be drawn without their diameter"),
+        ("circles:8x6:25mm", "grid of 8x6 circles needs a diameter to be drawn"),
         ("aprilgrid:30x20:60mm:0.3", "tag36h11 ends at 586"),
         ("aprilgrid:4x3:60mm", "is not the spacing as a share of the tag"),
         ("asymmetric:4x11:20mm:15mm", "did you mean asymmetric_circles:4x11"),
@@ -108,4 +108,4 @@ def test_colours_are_refused_where_no_squares_meet(run, tmp_path, scenes):
     arguments = ("--board", BOARDS["circles"], "-o", tmp_path / "camera.yaml", "--channels", "--jobs", "1")
     code, _, error = run("calibrate", scenes / "circles" / "images", *arguments)
     assert code == 2
-    assert "colours are measured at the corners of checker patterns, which no grid of 8x6 circles has" in error
+    assert "colours need a board with checkerboard corners, not a grid of 8x6 circles" in error

@@ -54,5 +54,5 @@ def test_all_that_were_searched_are_listed_if_asked_for(run, video, tmp_path):
     arguments = ("calibrate", video, "-b", "chessboard:8x5:30mm", "-o", tmp_path / "camera.yaml", "--jobs", 1)
     code, out, _ = run(*arguments, "--model", "pinhole", "--flat-board", "--max-frames", 9, "--verbose")
     assert code == 0
-    assert out.startswith("9 of 12 frames that were searched are taken\n")
+    assert out.startswith("9 of 12 searched frames used\n")
     assert out.count(str(video.with_suffix(""))) >= FRAMES

@@ -84,7 +84,7 @@ def test_a_folder_is_developed_as_one_json_document_and_its_outputs_are_not_read
 
 def test_one_unreadable_frame_is_reported_and_the_rest_is_written(run, tmp_path):
     write(tmp_path / "raw" / "good.png", mosaic_of_one_colour())
-    (tmp_path / "raw" / "bad.png").write_bytes(b"not an image")
+    (tmp_path / "raw" / "bad.png").write_bytes(b"unknown image format")
     code, out, err = run("demosaic", tmp_path / "raw", "--pattern", "RGGB", "-o", tmp_path / "out")
     assert code == 6
     assert "failed: " in out
@@ -96,7 +96,7 @@ def test_one_unreadable_frame_is_reported_and_the_rest_is_written(run, tmp_path)
 
 def test_a_failed_frame_stands_in_the_one_json_document(run, tmp_path):
     write(tmp_path / "raw" / "good.png", mosaic_of_one_colour())
-    (tmp_path / "raw" / "bad.png").write_bytes(b"not an image")
+    (tmp_path / "raw" / "bad.png").write_bytes(b"unknown image format")
     code, out, _ = run("demosaic", tmp_path / "raw", "--pattern", "RGGB", "-o", tmp_path / "out", "--json")
     document = json.loads(out)
     assert code == 6
@@ -282,7 +282,7 @@ def test_a_map_of_bad_pixels_is_made_of_dark_frames(run, tmp_path):
         "demosaic", tmp_path / "darks", "--make-bad-pixel-map", "--pattern", "RGGB", "-o", tmp_path / "bad.txt"
     )
     assert code == 0
-    assert "2 of 5120 pixels stand out in 3 dark frames" in out
+    assert "2 of 5120 bad pixels in 3 dark frames" in out
     lines = [line.split()[:2] for line in (tmp_path / "bad.txt").read_text().splitlines() if not line.startswith("#")]
     assert sorted(lines) == [["20", "10"], ["41", "33"]]
 

@@ -158,11 +158,11 @@ def test_the_choice_of_frames_is_listed(run, video, tmp_path):
     code, out, err = run(*arguments, "--max-frames", 2)
     assert (code, err) == (0, "")
     lines = out.splitlines()
-    assert lines[0] == "2 of 8 frames that were searched are taken"
+    assert lines[0] == "2 of 8 searched frames used"
     assert lines[1].split() == ["frame", "corners", "blur,", "px", "motion,", "px", "order", "reason"]
     assert [line.split()[-2:] for line in lines[2:4]] == [["adds", "most"]] * 2
-    assert lines[4] == "  (--verbose lists all that were searched)"
-    assert "video.avi: 2 of 8 frames are taken; 8 were searched, 7 show the board" in out
+    assert lines[4] == "  (--verbose lists all searched frames)"
+    assert "video.avi: 2 of 8 frames used; 8 searched, 7 with the board" in out
     verbose = run(*arguments, "--max-frames", 2, "--verbose")[1]
     assert "no chessboard found" in verbose
     assert verbose.count(str(video.with_suffix(""))) >= 8

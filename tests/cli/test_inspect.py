@@ -95,13 +95,13 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "fixed",
         "field of view horizontal 65.2°, vertical 51.3°",  # of the pinhole: 2 atan(320 / 500), 2 atan(240 / 500)
         "valid up to 36.5° from the axis, up to 401 px from the principal point, inside a polygon of 3 corners",
-        "k2 is held by its prior: the data hardly determine it",
+        "k2 is determined by its prior, not by the data",
         "fit rms 0.214 px, images used 34",
         "noise 0.11 px (3400 degrees of freedom)",
         "Projection uncertainty (1 sigma, at 1.5 m): worst 0.21 px",
         "Projection uncertainty (1 sigma, at infinity): RMS 0.04 px, worst 0.2 px; where corners were seen: RMS",
         "sensor pixel pitch 3.45 um",
-        "a lens of its own for red",
+        "separate lens models for red",
         "DO NOT TRUST: the lower left corner was never seen",
         "right: pinhole, 640x480",
         "right_T_left: 0.12 m apart, turned by 0.000°",
@@ -215,7 +215,7 @@ def test_a_lens_without_rays_at_the_edges_of_the_image_has_no_field_of_view_ther
     entry = CameraEntry(Camera(model_named("pinhole"), (640, 480), np.array([500.0, 500.0, 320.0, 240.0])))
     assert list(camera_lines(entry, (1.0, np.nan, np.nan))) == ["field of view horizontal 1.0°"]
     (line,) = camera_lines(entry, (np.nan, np.nan, np.nan))
-    assert line == "field of view not known: the lens is not valid at the edges of the image"
+    assert line == "field of view unknown: the lens model is not valid at the edges of the image"
 
 
 def test_the_image_circle_is_shown_and_ends_the_field_of_view(camcal, tmp_path):

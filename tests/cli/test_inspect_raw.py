@@ -146,5 +146,5 @@ def test_a_file_that_is_cut_off_gets_one_line(run, dng, tmp_path):
     short.write_bytes(dng.read_bytes()[:-100])
     code, out, err = run("inspect", short)
     assert (code, out) == (3, "")
-    assert "short.dng: is cut off" in err
+    assert "short.dng: truncated" in err
     assert len(err.splitlines()) == 1

@@ -57,7 +57,7 @@ def test_a_lens_is_worked_out_in_words(run):
         "in focus up to                      0.5401       m",
         "principal distance                  8.13         mm",
         "sensor                              7.066 x 5.299  mm     pixels times pitch",
-        "at a distance\n  figure                 0.5 m   0.6 m\n  width that is seen, m    0.4345  0.5214",
+        "at a distance\n  figure                 0.5 m   0.6 m\n  width of the field, m    0.4345  0.5214",
         "for motion blur give --speed",
         "for stereo depth give --baseline",
     ):
@@ -198,7 +198,7 @@ def test_the_working_distance_of_a_camera_file_is_solved_through_its_rays(run, f
     assert document["distances"][0]["width_m"] == pytest.approx(1.0)
     code, out, _ = run("optics", "--f", 8, "--focus", 1, "--solve", "sensor", "--width", 0.5)
     assert code == 0
-    assert 'sensor width 4.032 mm for a width of 0.5 m; the smallest format as wide is 1/3.2"' in out
+    assert 'sensor width 4.032 mm for a width of 0.5 m; smallest format of this width 1/3.2"' in out
 
 
 def test_a_board_is_planned(run, figures):
@@ -319,15 +319,15 @@ def test_the_sample_settings_are_sound(run):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("-v",), "too little to compute anything: give a CAMERA file; --focal and --sensor"),
-        (("--N", 4), "too little to compute anything"),
+        (("-v",), "too few inputs: give a CAMERA file; --focal and --sensor"),
+        (("--N", 4), "too few inputs"),
         (("--f", 8, "--sensor", "1/2.8x"), "sensor format '1/2.8x' is unknown"),
         (("--f", 0), "--focal must be more than 0 and finite, found 0"),
         (("--f", "nan"), "--focal must be more than 0 and finite, found nan"),
         (("--f", "-8"), "--focal must be more than 0 and finite, found -8"),  # mm, as given
-        (("--f", "1e300", "--focus", "1e308", "--N", "1e-300"), "--focal is beyond all reason, found 1e+300"),
+        (("--f", "1e300", "--focus", "1e308", "--N", "1e-300"), "--focal is implausible, found 1e+300"),
         ((*LENS, "--coc", f"{'9' * 400}px"), "write a diameter with its unit"),
-        (("--f", 8, "--size", f"{'9' * 20}x3", "--pitch", 3), "--size: an image side of 1e+20 pixels is beyond"),
+        (("--f", 8, "--size", f"{'9' * 20}x3", "--pitch", 3), "--size: an image side of 1e+20 pixels is implausible"),
         ((WEBCAM, "--board", "chessboard:9x6:25mm", "--noise", "1e300"), "--noise and --least-square must be"),
         ((WEBCAM, "--board", "chessboard:9x6:25mm", "--least-square", 0), "--noise and --least-square must be"),
         (("--f", 8, "--sensor", "0x5"), "sensor format '0x5' is unknown"),
@@ -335,12 +335,12 @@ def test_the_sample_settings_are_sound(run):
         (("--f", 8, "--focus", 0.005), "a lens of 8 mm makes no image of what is 5 mm away"),
         (("--f", 8, "--size", "640"), "not a size"),
         (("--f", 8, "--distance", "1,-2"), "--distance must be more than 0 m"),
-        (("--f", 8, "--solve", "f", "--width", 1), "--solve f finds what --focal says"),
+        (("--f", 8, "--solve", "f", "--width", 1), "--solve f solves for --focal"),
         (("--f", 8, "--solve", "wd", "--width", 1), "--solve wd needs --sensor (or --pitch-um and --size) too"),
         (("--f", 8, "--solve", "lens", "--width", 1), "is not one of f, wd, sensor"),
         (("--f", 8, "--width", 1), "--solve f, wd or sensor and --width METRES"),
-        ((WEBCAM, "--solve", "f", "--width", 1), "--solve f finds what --focal says or the camera file"),
-        ((FISHEYE, "--solve", "wd", "--width", 1), "the lens sees 180° or more"),
+        ((WEBCAM, "--solve", "f", "--width", 1), "--solve f solves for --focal or the camera file"),
+        ((FISHEYE, "--solve", "wd", "--width", 1), "--solve wd: field of view of 180° or more, no width fills the image"),
         ((WEBCAM, "--size", "640x480"), "the camera file is for 1280x720 images"),
         (("--f", 8, "--sensor", "1/2", "--board", "chessboard:9x6:25mm"), "--board needs a CAMERA file, or --focal"),
         ((WEBCAM, "--board", "chessboard:9x6"), "add the side of a square"),

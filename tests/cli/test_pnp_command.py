@@ -126,7 +126,7 @@ def test_every_solution_is_listed_when_asked_for(folder, capsys):
     np.savetxt(folder / "tag.csv", table, "%.17g", ",", header="X,Y,Z,u,v", comments="")
     assert run("camera.yaml", "--points", "tag.csv", "--noise", "0.3", "--all-solutions", "--outliers", "none") == 0
     out = capsys.readouterr().out
-    assert "ambiguous: another pose fits nearly as well" in " ".join(out.split())
+    assert "ambiguous: another pose has nearly the same residuals, probability" in " ".join(out.split())
     assert "other poses" in out
 
 
@@ -201,7 +201,7 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
     ("arguments", "code", "message"),
     [
         (["camera.yaml", "--points", "few.csv"], 4, "few.csv: a pose needs 4 different points or more, found 3"),
-        (["camera.yaml", "--points", "line.csv"], 4, "line.csv: all 4 points lie on one line"),
+        (["camera.yaml", "--points", "line.csv"], 4, "line.csv: all 4 points are collinear"),
         (["camera.yaml", "--points", "none.csv"], 3, "none.csv: no such file"),
         (["camera.yaml", "--points", "empty.csv"], 3, "empty.csv: is empty"),
         (["camera.yaml", "--points", "wrong.csv"], 2, "wrong.csv:2: u: 'left' is not a number"),
@@ -209,7 +209,7 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
         (
             ["camera.yaml", "--points", "twice.csv"],
             2,
-            "twice.csv:3: image 'twice.csv': the point (0, 0, 0) stands twice",
+            "twice.csv:3: image 'twice.csv': the point (0, 0, 0) occurs twice",
         ),
         (["camera.yaml", "--points", "points.csv", "--noise", "-1"], 2, "a noise of -1 px is not positive"),
         (
@@ -231,18 +231,18 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
         ),
         (["camera.yaml", "--points", "points.csv", "--draw", "points.csv"], 2, "is an input and is not overwritten"),
         (["camera.yaml", "--points", "points.csv", "-o", "points.csv"], 2, "is an input and is not overwritten"),
-        (["camera.yaml", "--points", "points.csv", "--prior-sigma", "1,1"], 2, "says how well --prior is known"),
+        (["camera.yaml", "--points", "points.csv", "--prior-sigma", "1,1"], 2, "--prior-sigma needs --prior"),
         (["camera.yaml", "--points", "points.csv", "--prior", "p.txt", "--prior-sigma", "1"], 2, "METRES,DEGREES"),
         (["camera.yaml", "--points", "points.csv", "--prior", "none.txt", "--noise", "1"], 3, "none.txt: no such file"),
         (["camera.yaml", "points.csv", "--tags", "none.yaml"], 2, "points.csv: holds corners of a board"),
         (["camera.yaml", "a.png", "--tags", "none.yaml"], 3, "none.yaml: no such file"),
-        (["camera.yaml"], 2, "nothing to work on: give --points"),
-        (["-v"], 2, "which camera? Give a camera file, --camera-matrix FX,FY,CX,CY, or --rig"),
+        (["camera.yaml"], 2, "no input: give --points FILE"),
+        (["-v"], 2, "no camera: give a camera file, --camera-matrix FX,FY,CX,CY, or --rig"),
         (["camera.yaml", "detections.csv"], 2, "detections.csv: names no board: give --board"),
         (
             ["--rig", "rig.yaml", "photos", "--board", "chessboard:9x6"],
             2,
-            "photos: is of which camera? give CAMERA=IMAGES",
+            "photos: no camera given: give CAMERA=IMAGES",
         ),
         (
             ["--rig", "rig.yaml", "lef=photos", "--board", "chessboard:9x6"],
@@ -250,7 +250,7 @@ def test_tags_in_images_are_objects_of_their_own(folder, capsys):
             "no camera 'lef' in the rig. Did you mean",
         ),
         (["--rig", "rig.yaml", "--points", "points.csv"], 2, "points of a rig need a column camera: left, right"),
-        (["--rig", "rig.yaml#left", "--points", "points.csv"], 2, "a rig looks with all its cameras"),
+        (["--rig", "rig.yaml#left", "--points", "points.csv"], 2, "--rig uses all cameras; leave the camera name out"),
         (["rig.yaml", "--points", "points.csv"], 2, "rig.yaml: holds 2 cameras"),
     ],
 )
@@ -297,7 +297,7 @@ def test_coordinates_that_no_camera_sees_are_refused_at_their_line(folder, capsy
 @pytest.mark.parametrize("value", ["1e300", "1e-300"])
 def test_sizes_that_cannot_be_computed_with_are_refused(folder, capsys, option, value):
     assert run("camera.yaml", "--points", "points.csv", option, value) == 2
-    assert "beyond reason" in capsys.readouterr().err
+    assert "implausible" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("column", "value"), [("sigma", "1e200"), ("sigma", "1e-200"), ("weight", "1e300")])
@@ -311,4 +311,4 @@ def test_columns_beyond_reason_are_refused_at_their_line(folder, capsys, column,
 def test_a_prior_beyond_reason_is_refused(folder, capsys):
     arguments = "camera.yaml", "--points", "points.csv", "--noise", 0.2, "--prior", "p.yaml"
     assert run(*arguments, "--prior-sigma", "1e300,5") == 2
-    assert "beyond reason" in capsys.readouterr().err
+    assert "implausible" in capsys.readouterr().err

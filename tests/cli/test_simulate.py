@@ -162,7 +162,7 @@ def test_a_person_reads_what_to_do_next(run, folder):
         ([BOARD, "--blur", "-1"], "blur"),
         ([BOARD, "--depth", "12"], "12 bits"),
         ([BOARD, "--camera", "left"], "none is given"),
-        (["chessboard:7x5", "--bow-mm", "1", "0"], "size of a square"),
+        (["chessboard:7x5", "--bow-mm", "1", "0"], "a bend in mm needs a board with a square size"),
         (["charuco:9x7:30mm:22mm:DICT_4X4_10"], "DICT_"),
     ],
 )

@@ -161,15 +161,15 @@ def test_options_come_from_a_settings_file_too(run, folder, tmp_path):
     settings.write_text("stereo: true\nsize: 96x72\nobjects: 3\nviews: 5\n")
     code, _, err = run("simulate", "-o", folder, "--config", settings)
     assert code == 2
-    assert "--views has no meaning with --stereo" in err
+    assert "--views cannot be used with --stereo" in err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--stereo", BOARD], "BOARD has no meaning with --stereo"),
-        (["--stereo", "--views", "21"], "--views has no meaning with --stereo"),
-        (["--stereo", "--raw", "RGGB"], "--raw has no meaning with --stereo"),
+        (["--stereo", BOARD], "BOARD cannot be used with --stereo"),
+        (["--stereo", "--views", "21"], "--views cannot be used with --stereo"),
+        (["--stereo", "--raw", "RGGB"], "--raw cannot be used with --stereo"),
         ([BOARD, "--pairs", "2"], "--pairs needs --stereo"),
         ([BOARD, "--gray"], "--gray needs --stereo"),
         ([], "a board is needed"),
@@ -178,7 +178,7 @@ def test_options_come_from_a_settings_file_too(run, folder, tmp_path):
         (["--stereo", "--disparities", "64"], "as 6:64"),
         (["--stereo", "--disparities", "64:6"], "below the greatest"),
         (["--stereo", "--disparities", "6:64", "--distance", "1:3"], "leave one out"),
-        (["--stereo", "--distance", "3:1"], "nearest comes first"),
+        (["--stereo", "--distance", "3:1"], "write NEAR:FAR, both positive"),
         (["--stereo", "--fov", "180"], "field of view"),
         (["--stereo", "--noise", "nan"], "finite"),
         (["--stereo", "--baseline", "0"], "positive"),

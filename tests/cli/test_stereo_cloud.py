@@ -59,7 +59,7 @@ def xyz(path):
 def test_a_disparity_map_and_four_numbers_give_a_cloud(run, tmp_path, disparity):
     code, out, _ = run("stereo", "cloud", disparity, *NUMBERS, "-o", tmp_path / "cloud.xyz")
     assert code == 0
-    assert "disparity = count / 1, 4 points of 6 pixels (4 with a match, 0 of these alone)" in out
+    assert "disparity = count / 1, 4 points of 6 pixels (4 with a match, 0 outliers)" in out
     expected = [[0, 0, 5], [0.02, 0, 2], [-0.01, 0.01, 1], [0.1, 0.1, 10]]
     np.testing.assert_allclose(xyz(tmp_path / "cloud.xyz"), expected, rtol=1e-6)  # float32
 
@@ -460,7 +460,7 @@ def test_a_folder_without_maps_is_a_file_error(run, tmp_path):
     (tmp_path / "empty").mkdir()
     code, _, err = run("stereo", "cloud", tmp_path / "empty", *NUMBERS, "-o", tmp_path / "clouds")
     assert code == 3
-    assert "holds no disparity map" in err
+    assert "contains no disparity map (" in err
 
 
 def test_an_organised_cloud_is_the_image_with_its_holes(run, tmp_path, measured):

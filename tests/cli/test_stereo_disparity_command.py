@@ -177,7 +177,7 @@ def test_a_run_that_cannot_finish_does_not_begin(match, tmp_path):
     before = contents(output.parent)
     code, _, err = match("-o", output)
     assert code == 3
-    assert "x.pfm.vis.png: is a folder, a file is needed" in err
+    assert "x.pfm.vis.png: is a folder, not a file" in err
     assert contents(output.parent) == before
 
 
@@ -278,7 +278,7 @@ def test_nor_does_a_file_beside_the_map(match, pair):
 def test_maps_of_several_pairs_do_not_go_into_one_file(run, sequence, tmp_path):
     code, _, err = run("stereo", "disparity", *sequence, "-o", tmp_path / "x.pfm")
     assert code == 2
-    assert "3 inputs do not go into one file" in err
+    assert "3 inputs cannot be written to one file" in err
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ def test_maps_of_several_pairs_do_not_go_into_one_file(run, sequence, tmp_path):
         (("--range", "a:b"), "is not auto, or whole numbers as 0:128"),
         (("--range", "1:2:3"), "is not auto, or whole numbers as 0:128"),
         (("--range", "20:10"), "the range 20 to 10 is empty"),
-        (("--range", "0:99999"), "wider than any image"),
+        (("--range", "0:99999"), "exceeds any image"),
         (("--quality", "good"), "is not one of fast, balanced, best"),
         (("--fill", "some"), "is not one of none, background, all"),
         (("--align-rows", "yes"), "--align-rows"),

@@ -87,9 +87,9 @@ def test_a_gate_fails_with_its_name_and_what_was_found(run, found, truth, gate, 
         ("bd2=3", "unknown figure 'bd2'. Did you mean 'bad2'?"),
         ("bad2", "a gate is written FIGURE=LIMIT"),
         ("bad2=nan", "a gate is written FIGURE=LIMIT"),
-        ("bad2:nooc=3", "no bad2 in nooc; it stands in nocc, nocc-valid, all, all-valid"),
-        ("avg:all=3", "no avg in all; it stands in nocc-valid, all-valid"),
-        ("z_avg_m=1", "it is not known here (no geometry, no sigma)"),
+        ("bad2:nooc=3", "no bad2 in nooc; available in nocc, nocc-valid, all, all-valid"),
+        ("avg:all=3", "no avg in all; available in nocc-valid, all-valid"),
+        ("z_avg_m=1", "unknown here (no geometry, no sigma)"),
     ],
 )
 def test_a_gate_that_names_no_figure_is_refused(run, found, truth, gate, message):
@@ -238,8 +238,8 @@ def test_folders_whose_names_agree_in_part_are_refused(run, tmp_path):
         write(tmp_path / "truth" / f"{truth}.pfm", np.full(SIZE, 8.0))
     code, _, err = run("stereo", "eval", tmp_path / "found", tmp_path / "truth")
     assert code == 2
-    assert "agree in some names only" in err
-    assert "a.pfm has no partner" in err
+    assert "have only some names in common" in err
+    assert "a.pfm is unpaired" in err
 
 
 def test_a_map_without_a_disparity_is_named_and_not_averaged_into_what_it_has_not(run, tmp_path):
@@ -281,8 +281,8 @@ def test_folders_of_different_counts_are_refused_with_both(run, tmp_path):
         write(tmp_path / "truth" / f"{number}.pfm", np.full(SIZE, 8.0))
     code, _, err = run("stereo", "eval", tmp_path / "found", tmp_path / "truth")
     assert code == 2
-    assert f"1 maps in {tmp_path / 'found'} and 2 files in {tmp_path / 'truth'} do not pair up" in err
-    assert f"{tmp_path / 'truth' / '0.pfm'} has no partner" in err
+    assert f"1 maps in {tmp_path / 'found'} and 2 files in {tmp_path / 'truth'} differ" in err
+    assert f"{tmp_path / 'truth' / '0.pfm'} is unpaired" in err
 
 
 def test_a_truth_of_twice_the_size_is_refused_with_the_way_out(run, tmp_path, found):

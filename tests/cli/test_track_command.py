@@ -179,20 +179,20 @@ def test_a_causal_track_starts_when_it_is_settled(run, files):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        ((), 2, "when were the frames taken? Give --fps, or --timestamps"),
+        ((), 2, "unknown times of the frames: set --fps, or --timestamps with a file, name or exif"),
         (("--fps", -1), 2, "--fps must be more than 0"),
         (("--fps", 30, "--gate", 1.5), 2, "a gate is a probability"),
         (("--fps", 30, "--max-gap", 0), 2, "a gap is longer than 0 s"),
         (("--fps", 30, "--process-noise", "0.1"), 2, "auto, or two numbers"),
         (("--fps", 30, "--process-noise", "0,1"), 2, "must be more than 0"),
-        (("--fps", 30, "--causal", "--lag", 3), 2, "give one of them"),
-        (("--fps", 30, "--object", "a", "--id", 3), 2, "give one of them"),
+        (("--fps", 30, "--causal", "--lag", 3), 2, "exclude each other"),
+        (("--fps", 30, "--object", "a", "--id", 3), 2, "exclude each other"),
         (("--fps", 30, "--pose", "world_T_camera"), 2, "it is camera_T_object or object_T_camera here"),
-        (("--fps", 30, "--board", "chessboard:6x4:30mm"), 2, "leave --board and --tags out"),
+        (("--fps", 30, "--board", "chessboard:6x4:30mm"), 2, "a pose file excludes --board and --tags"),
         (("--fps", 30, "-o", "t.obj"), 2, ".obj"),
-        (("--fps", 30, "--format", "tf"), 2, "give it with -o"),
+        (("--fps", 30, "--format", "tf"), 2, "--format needs an output (-o)"),
         (("--fps", 30, "--plot", "t.gif"), 2, "use .png"),
-        (("--fps", 30, "--max-gap", 0.001), 4, "follow one another"),
+        (("--fps", 30, "--max-gap", 0.001), 4, "are successive"),
         (("--timestamps", "missing.txt"), 3, "missing.txt"),
     ],
 )
@@ -220,7 +220,7 @@ def test_too_few_poses_are_too_little_data(run, files, tmp_path):
     code, _, err = run("track", tmp_path / "few.json", "--fps", 30)
     assert code == 4
     assert "found in 2 of" in err
-    assert "following takes 3 or more" in err
+    assert "(minimum 3)" in err
 
 
 def test_times_are_asked_for_before_images_are_looked_at(run, tmp_path):
@@ -232,7 +232,10 @@ def test_times_are_asked_for_before_images_are_looked_at(run, tmp_path):
     (tmp_path / "frames").mkdir()
     cv2.imwrite(str(tmp_path / "frames" / "a.png"), np.zeros((48, 64), np.uint8))
     code, _, err = run("track", camera, tmp_path / "frames", "--board", "chessboard:6x4:30mm")
-    assert (code, "when were the frames taken" in err) == (2, True)
+    assert (code, "unknown times of the frames: set --fps, or --timestamps with a file, name or exif" in err) == (
+        2,
+        True,
+    )
     code, _, err = run("track", camera, tmp_path / "frames", "--board", "chessboard:6x4:30mm", "--fps", 30, "--jobs", 1)
     assert code == 4
 
@@ -282,7 +285,7 @@ def test_several_objects_are_not_taken_for_one_trajectory(run, files, tmp_path, 
 
 
 def test_what_a_pose_file_cannot_follow_is_said(run, files):
-    for option, value, words in (("--object", "tag_9", "no name"), ("--noise", "0.2", "'camcal pnp'")):
+    for option, value, words in (("--object", "tag_9", "unnamed"), ("--noise", "0.2", "'camcal pnp'")):
         code, _, err = run("track", files / "one.json", *GIVEN, option, value)
         assert code == 2
         assert words in err

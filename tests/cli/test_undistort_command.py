@@ -58,7 +58,7 @@ def test_the_document_has_a_fixed_shape(run, folder):
     first = {"source": "photos/1.png", "frame": None, "output": "out/1.png", "orientation": 1}
     assert document["images"][0] == first
     assert [item["source"] for item in document["failed"]] == ["photos/3.png"]
-    assert "not an image" in document["failed"][0]["message"]
+    assert "unknown image format" in document["failed"][0]["message"]
 
 
 def test_every_option_reaches_the_images(run, folder):
@@ -94,7 +94,7 @@ def test_points_are_undistorted_and_distorted_back(run, folder):
     (folder / "points.csv").write_text("u,v\n10,20\n,3\n")
     code, out, _ = run("undistort", "lens.yaml", "--points", "points.csv", "-o", "moved.csv", "--keep-k")
     assert code == 0
-    assert out.splitlines()[0] == "2 points, 1 without a place (empty cells)"
+    assert out.splitlines()[0] == "2 points, 1 outside the lens model (empty cells)"
     code, out, _ = run(
         "undistort", "lens.yaml", "--points", "moved.csv", "--distort", "-o", "back.csv", "--keep-k", "--json"
     )

@@ -198,7 +198,7 @@ def test_json_says_what_was_made(run, tmp_path, cloud):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["cloud.ply"], "say where to write: -o"),
+        (["cloud.ply"], "no output: set -o with a suffix of "),
         (["cloud.ply", "-o", "cloud.jpg"], ".jpg is not written; use .html, .png, .gif, .mp4, .rrd"),
         (["cloud.ply", "-o", "cloud"], "a name without a suffix is not written"),
         (["cloud.ply", "left.png", "-o", "c.html"], "a cloud has its own"),
@@ -207,7 +207,7 @@ def test_json_says_what_was_made(run, tmp_path, cloud):
         (["cloud.ply", "-o", "c.html", "--size", "640x480"], "--size is for a picture or a video, not for a page"),
         (["cloud.ply", "-o", "c.png", "--turn", "90"], "--turn is for a video, not for a picture"),
         (["cloud.ply", "-o", "c.gif", "--turn", "0"], "more than 0 and at most 360 degrees"),
-        (["cloud.ply", "-o", "c.png", "--view", "behind"], "view 'behind' is none of"),
+        (["cloud.ply", "-o", "c.png", "--view", "behind"], "view 'behind' is not one of"),
         (["cloud.ply", "-o", "c.png", "--colour", "warm"], "colour 'warm' is unknown"),
         (["cloud.ply", "-o", "c.png", "--size", "wide"], "'wide' is not a size"),
         (["cloud.ply", "-o", "c.png", "--point-size", "0"], "0.1 to 10 times"),
@@ -246,7 +246,7 @@ def test_a_cloud_without_points_is_too_little(run, tmp_path):
     pointclouds.write(tmp_path / "empty.ply", VertexStream(0, empty.dtype, [empty]))
     code, _, err = run("view", tmp_path / "empty.ply", "-o", tmp_path / "c.html")
     assert code == 4
-    assert "no points to look at" in err
+    assert "the cloud has no points" in err
 
 
 def test_a_map_without_a_match_is_too_little(run, tmp_path):
@@ -285,4 +285,4 @@ def test_rerun_needs_a_screen(run, cloud, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     code, _, err = run("view", cloud, "--rerun")
-    assert (code, "no screen" in err) == (2, True)
+    assert (code, "no display for Rerun: write a file with -o NAME" in err) == (2, True)

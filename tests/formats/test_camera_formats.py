@@ -299,13 +299,13 @@ BAD = {
     f"{BOTH}{LENS.replace('500.5', '-500.5', 1)}": "fx -500.5 and fy 501.5 must be > 0",
     f"{BOTH}{LENS.replace('500.5', 'true', 1)}": "True is not a finite number",
     f"{BOTH}{LENS.replace('500.5, 0,', '500.5, 0.1,', 1)}": "camcal's lens models have no skew",
-    f"{BOTH}K: [500, 0, 0, 0, 500, 0, 320, 240, 1]\nD: [0, 0, 0, 0, 0]\n": "looks transposed",
+    f"{BOTH}K: [500, 0, 0, 0, 500, 0, 320, 240, 1]\nD: [0, 0, 0, 0, 0]\n": "possibly transposed: cx, cy in the last row",
     f"{BOTH}camera_matrix: {K}distortion_coefficients: [1.0, 2.0, 3.0]\n": "3 coefficients; OpenCV's lenses have 4, 5",
     f"{BOTH}camera_matrix: {K}": "",
     f"{BOTH}{LENS}xi: 1.2\n": "omnidir",
-    f"image_width: 64.5\nimage_height: 480\n{LENS}": "64.5 is no number of pixels",
+    f"image_width: 64.5\nimage_height: 480\n{LENS}": "64.5 is not a number of pixels",
     f"{BOTH}{LENS}camera_matrix: {K}": "duplicate key",
-    f"a: &a [1, 1]\n{BOTH}{LENS}": "anchor &a is not accepted",
+    f"a: &a [1, 1]\n{BOTH}{LENS}": "anchor &a not supported",
     f"{LENS}": "has no image size",
     ROS.replace("plumb_bob", "thin_prism"): "distortion_model: 'thin_prism' is not one of plumb_bob",
     ROS.replace("plumb_bob", "equidistant"): "5 numbers; equidistant has 4",
@@ -316,12 +316,12 @@ BAD = {
     KALIBR + "  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]]\n": "its last row is",
     KALIBR + "  T_cam_imu: [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n": "not a rotation",
     "<opencv_storage><a>1</a></opencv_storage>": "has no camera matrix",
-    "<opencv_storage><a>1</a><a>2</a></opencv_storage>": "<a> stands twice",
+    "<opencv_storage><a>1</a><a>2</a></opencv_storage>": "<a> occurs twice",
     "<opencv_storage><a>1</a>": "is not XML, or cut off",
     '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]><opencv_storage>&a;</opencv_storage>': "document type",
     "<opencv_storage>" + "<a>" * 100 + "</a>" * 100 + "</opencv_storage>": "more than 32 levels",
     "<opencv_storage><a>" + " 1" * (5 << 20) + "</a></opencv_storage>": "more than 8388608 characters in <a>",
-    '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "is not YAML, or cut off",
+    '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "invalid or truncated YAML",
 }
 
 
@@ -394,7 +394,7 @@ def test_more_cameras_than_a_format_holds_are_refused(tmp_path):
     with pytest.raises(InvalidInput, match="OpenCV FileStorage holds 2 cameras, not a, b, c: write them one by one"):
         written(tmp_path, three, "opencv", ".xml")
     apart = replace(pair("opencv4"), transforms={})
-    with pytest.raises(InvalidInput, match="no transform joins"):
+    with pytest.raises(InvalidInput, match="needs a transform between"):
         written(tmp_path, apart, "kalibr", ".yaml")
     mixed = CameraFile({"a": CameraEntry(camera("opencv5")), "b": CameraEntry(camera("opencv5", size=(640, 480)))})
     with pytest.raises(InvalidInput, match="no two sizes of images"):

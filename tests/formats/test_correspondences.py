@@ -101,14 +101,14 @@ def test_points_of_one_camera_may_name_it(tmp_path):
         ("X,Y,Z,u,v\n0,0,0,1,2\n0,0,nan,1,2\n", ":3: Z: nan is not finite"),
         ("X,Y,Z,u,v\n0,0,zero,1,2\n", ":2: Z: 'zero' is not a number"),
         ("X,Y,Z,u,v\n0,0,0,100,700\n", ":2: (100, 700) is far outside the camera's image of 640 x 480"),
-        ("X,Y,Z,u,v\n0,0,0,1,2\n# a remark\n0,0,0,5,6\n", ":4: image 'points.csv': the point (0, 0, 0) stands twice"),
-        ("id,X,Y,Z,u,v\n7,0,0,0,1,2\n7,1,0,0,5,6\n", ":3: image 'points.csv': id 7 stands twice"),
+        ("X,Y,Z,u,v\n0,0,0,1,2\n# a remark\n0,0,0,5,6\n", ":4: image 'points.csv': the point (0, 0, 0) occurs twice"),
+        ("id,X,Y,Z,u,v\n7,0,0,0,1,2\n7,1,0,0,5,6\n", ":3: image 'points.csv': id 7 occurs twice"),
         ("id,X,Y,Z,u,v\n1.5,0,0,0,1,2\n", ":2: id: '1.5' is not a whole number"),
         ("X,Y,Z,u,v,suu\n0,0,0,1,2,3\n", ": column 'suv' is missing; suu,suv,svv go together"),
         ("X,Y,Z,u,v,sigma\n0,0,0,1,2,0\n", ":2: sigma 0 px is not positive"),
         ("X,Y,Z,u,v,weight\n0,0,0,1,2,-1\n", ":2: weight -1 is negative"),
-        ("X,Y,Z,u,v,sigma,weight\n0,0,0,1,2,1,1\n", ": columns sigma and weight say the same"),
-        ("X,Y,Z,u,v,suu,suv,svv\n0,0,0,1,2,1,2,1\n", ":2: suu, suv, svv are no covariance"),
+        ("X,Y,Z,u,v,sigma,weight\n0,0,0,1,2,1,1\n", ": columns sigma and weight are redundant"),
+        ("X,Y,Z,u,v,suu,suv,svv\n0,0,0,1,2,1,2,1\n", ":2: suu, suv, svv are not positive definite"),
     ],
 )
 def test_a_row_that_breaks_a_rule_is_named_by_file_and_line(tmp_path, text, message):
@@ -136,9 +136,9 @@ def test_a_missing_file_is_named(tmp_path):
             "p.yaml:2: points[0].sigm: unknown key. Did",
         ),
         ("p.yaml", "points:\n  - {X: 0, Y: 0, Z: 0, u: 1, v: yon}\n", "p.yaml:2: v: 'yon' is not a number"),
-        ("p.yaml", "points: 3\n", "p.yaml:1: points: a list is needed"),
-        ("p.json", '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": true}]}', "p.json: points[0].v: is neither"),
-        ("p.json", '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": NaN}]}', "p.json: NaN is no number of JSON"),
+        ("p.yaml", "points: 3\n", "p.yaml:1: points: expected a list"),
+        ("p.json", '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": true}]}', "p.json: points[0].v: is not a number"),
+        ("p.json", '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": NaN}]}', "p.json: NaN is not a JSON number"),
         (
             "p.json",
             '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 9e9, "v": 1}]}',
@@ -151,7 +151,7 @@ def test_a_missing_file_is_named(tmp_path):
                 '{"points": [{"X": 0, "Y": 0, "Z": 0, "u": 1, "v": 1, "sigma": 1}, '
                 '{"X": 1, "Y": 0, "Z": 0, "u": 1, "v": 1}]}'
             ),
-            "p.json: points[1]: 'sigma' stands at some points only",
+            "p.json: points[1]: 'sigma' is given for some points only",
         ),
     ],
 )

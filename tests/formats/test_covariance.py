@@ -70,7 +70,7 @@ def test_a_file_beside_that_holds_other_numbers_is_refused(tmp_path):
     names, _, block = large(tmp_path)
     path = tmp_path / block["covariance_file"]
     np.savez_compressed(path, covariance=random_covariance(3, 120))
-    with pytest.raises(InvalidInput, match="does not hold the covariance"):
+    with pytest.raises(InvalidInput, match="does not match covariance_order and its hash"):
         covariance.read(block, names, tmp_path)
 
 

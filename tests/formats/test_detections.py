@@ -131,7 +131,7 @@ def test_the_board_given_wins_over_the_one_named_but_must_have_its_grid(tmp_path
     assert read_text(tmp_path, GOOD).board == BOARD
     assert read_text(tmp_path, GOOD, board=without_size).board == without_size
     assert fault(tmp_path, GOOD, board=other) == (
-        "d.csv:1: the points are those of another board (chessboard of 4x3 inner corners) than the one given "
+        "d.csv:1: the points are those of another board (chessboard of 4x3 inner corners) than given "
         "(chessboard of 5x4 inner corners)"
     )
 
@@ -160,7 +160,7 @@ def test_a_board_that_numbers_its_points_otherwise_is_refused(tmp_path):
     alike = parse_board("charuco:7x5:30mm:22mm:DICT_4X4_50")  # 6 x 4 points, row by row
     assert detections.read(tmp_path / "d.csv", alike).board == alike
     for form in ("aprilgrid:6x4:0.3", "asymmetric_circles:6x4"):
-        with pytest.raises(InvalidInput, match=r"those of another board \(grid of 6x4 circles\) than the one given"):
+        with pytest.raises(InvalidInput, match=r"those of another board \(grid of 6x4 circles\) than given"):
             detections.read(tmp_path / "d.csv", parse_board(form))
 
 
@@ -188,15 +188,15 @@ ROW_FAULTS = {
     "a.png,640,480,-1,1,1\n": "id -1 is not in 0 … 11",
     "a.png,640,480,12,1,1\n": "id 12 is not in 0 … 11",
     "a.png,640,0,0,1,1\n": "height 0 is not in 1 … 1000000",
-    "a.png,640,480,0,600,900\n": "image 'a.png': (600, 900) is far outside the image of 640 x 480; are u and v",
-    '"a.png,640,480,0,1,1\n': "not a CSV row, a quote is wrong: unexpected end of data",
-    '"a"b.png,640,480,0,1,1\n': "not a CSV row, a quote is wrong",
+    "a.png,640,480,0,600,900\n": "image 'a.png': (600, 900) is far outside the image of 640 x 480; check the order of u and v",
+    '"a.png,640,480,0,1,1\n': "invalid CSV row: unexpected end of data",
+    '"a"b.png,640,480,0,1,1\n': "invalid CSV row",
     "# none a.png,640,480\n": "# none needs IMAGE,WIDTH,HEIGHT,REASON[,CAMERA[,ORIENTATION]]",
     "# none a.png,640,x,no board\n": "height: 'x' is not a whole number",
     "# image_circle 640,480,319.5,239.5\n": "# image_circle needs WIDTH,HEIGHT,U,V,RADIUS[,CAMERA]",
     "# image_circle 640,480,319.5,nan,200\n": "v: nan is not finite",
     "# image_circle 640,480,319.5,239.5,0\n": "radius 0 px is not positive",
-    "a.png,640,480,3,9,9\na.png,640,480,4,9,9\na.png,640,480,3,8,8\n": "image 'a.png': id 3 stands twice",
+    "a.png,640,480,3,9,9\na.png,640,480,4,9,9\na.png,640,480,3,8,8\n": "image 'a.png': id 3 occurs twice",
     "a.png,640,480,3,9,9\na.png,640,480,4,9,9\na.png,640,481,5,8,8\n": (
         "image 'a.png': size 640 x 481 here, 640 x 480 at line 3"
     ),
@@ -219,11 +219,11 @@ def test_a_wrong_row_is_told_with_its_line(tmp_path, rows):
     [
         ("suu,suv", "1,0", "d.csv: column 'suu' without the others of suu,suv,svv"),
         ("suu,suv,svv", "1,0,", "d.csv:2: only a part of suu,suv,svv"),
-        ("suu,suv,svv", "1,2,1", "d.csv:2: suu, suv, svv are no covariance (not positive)"),
-        ("suu,suv,svv", "-1,0,-1", "d.csv:2: suu, suv, svv are no covariance (not positive)"),
+        ("suu,suv,svv", "1,2,1", "d.csv:2: suu, suv, svv are not positive definite"),
+        ("suu,suv,svv", "-1,0,-1", "d.csv:2: suu, suv, svv are not positive definite"),
         ("orientation", "9", "d.csv:2: orientation 9 is not in 1 … 8"),
         ("sigma", "1", "d.csv:1: unknown column 'sigma'; possible here: camera, orientation, suu, suv, svv"),
-        ("u", "1", "d.csv:1: column 'u' stands twice"),
+        ("u", "1", "d.csv:1: column 'u' occurs twice"),
     ],
 )
 def test_a_wrong_optional_column_is_told(tmp_path, columns, row, expected):

@@ -139,8 +139,8 @@ def test_disparities_too_large_for_kitti_are_written_coarser_and_it_is_said(tmp_
 @pytest.mark.parametrize(
     ("values", "scale", "message"),
     [
-        ([[-0.5]], None, "cannot hold -0.50 px"),
-        ([[70000.0]], None, "cannot hold 70000"),
+        ([[-0.5]], None, "cannot store -0.50 px"),
+        ([[70000.0]], None, "cannot store 70000"),
         ([[300.0]], 256.0, "300.00 px"),
     ],
 )

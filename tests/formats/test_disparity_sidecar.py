@@ -74,7 +74,7 @@ def test_the_rotation_cannot_be_changed(tmp_path):
         ({"geometri": {}}, "geometri: unknown key. Did you mean 'geometry'?"),
         ({"geometry": {"fx": 1, "fy": 1, "cx": 0, "baseline": 1}}, "geometry: missing key 'cy'"),
         ({"geometry": {"fx": "1", "fy": 1, "cx": 0, "cy": 0, "baseline": 1}}, "geometry.fx: '1'"),
-        ({"image": 3}, "image: 3 is not a text"),
+        ({"image": 3}, "image: 3 is not text"),
         ({"searched": [0]}, "searched: 1 items; 2 are needed"),
         ({"inputs": {"left": {"path": "left.png"}}}, "inputs.left: missing key 'sha256'"),
         ({"camera_R_rectified": [[1, 0, 0]]}, "camera_R_rectified: 1 items"),

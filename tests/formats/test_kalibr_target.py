@@ -92,9 +92,9 @@ def test_the_first_tag_is_written_as_the_code_offset(tmp_path):
 @pytest.mark.parametrize(
     ("form", "message"),
     [
-        ("charuco:9x7:30mm:22mm:DICT_5X5_100", "Kalibr does not know the ChArUco board of 9x7 squares"),
-        ("aprilgrid:6x4:88mm:0.3:tag25h9", "Kalibr does not know the AprilGrid"),
-        ("chessboard:9x6:25mm:dots", "Kalibr does not know the chessboard of 9x6 inner corners and three dots"),
+        ("charuco:9x7:30mm:22mm:DICT_5X5_100", "Kalibr does not support the ChArUco board of 9x7 squares"),
+        ("aprilgrid:6x4:88mm:0.3:tag25h9", "Kalibr does not support the AprilGrid"),
+        ("chessboard:9x6:25mm:dots", "Kalibr does not support the chessboard of 9x6 inner corners and three dots"),
         ("chessboard:9x6", "needs the size of the board"),
     ],
 )
@@ -114,8 +114,8 @@ def test_a_target_that_is_written_is_read_as_the_same_board(tmp_path, form):
 @pytest.mark.parametrize(
     ("form", "message"),
     [
-        ("charuco:9x7:30mm:22mm:DICT_5X5_100", "Kalibr does not know the ChArUco board of 9x7 squares"),
-        ("chessboard:9x6:25mm:dots", "Kalibr does not know the chessboard of 9x6 inner corners and three dots"),
+        ("charuco:9x7:30mm:22mm:DICT_5X5_100", "Kalibr does not support the ChArUco board of 9x7 squares"),
+        ("chessboard:9x6:25mm:dots", "Kalibr does not support the chessboard of 9x6 inner corners and three dots"),
         ("aprilgrid:6x6:88mm:0.3:tag25h9", "it knows AprilGrids of tag36h11"),
         ("aprilgrid:6x6:0.3", "needs the size of the board"),
     ],

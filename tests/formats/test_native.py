@@ -263,7 +263,7 @@ def test_a_partial_uncertainty_is_not_used_and_said(saved):
 def test_one_of_several_cameras_must_be_named(saved):
     path = saved(RIG)
     assert cameras.read_camera(path, "right").value("fx") == 458.5
-    with pytest.raises(InvalidInput, match=r"holds 2 cameras \(left, right\); say which, such as .*left.yaml#left"):
+    with pytest.raises(InvalidInput, match=r"holds 2 cameras \(left, right\); choose one, such as .*left.yaml#left"):
         cameras.read_camera(path)
     with pytest.raises(InvalidInput, match=r"no camera 'rihgt'\. Did you mean 'right'"):
         cameras.read_camera(path, "rihgt")
@@ -302,9 +302,9 @@ FAULTS = {
     ("version: 1", "version: 2"): ("4: version: version 2 is newer than this camcal (reads 1); upgrade camcal"),
     ("camcal-calibration", "mrcal"): "3: format: 'mrcal'; a camera file has camcal-calibration",
     ("format: camcal-calibration\n", ""): ("3: not a camera file: 'format: camcal-calibration' is missing"),
-    ("  left:", "  left_T_x:"): "6: cameras.left_T_x: 'left_T_x' is no name",
+    ("  left:", "  left_T_x:"): "6: cameras.left_T_x: 'left_T_x' is not a valid name",
     (MODEL, MODEL + "    configuration: {knots: [30, 18]}\n"): (
-        "9: cameras.left.configuration: model 'opencv5' takes no configuration; leave it out"
+        "9: cameras.left.configuration: model 'opencv5' has no configuration; leave it out"
     ),
     (MODEL, MODEL + "    fixed: [k11]\n"): "9: cameras.left.fixed[0]: unknown parameter 'k11'. Did you mean 'k1'?",
     (MODEL, MODEL + "    held_by_prior: [k3, k4]\n"): (
@@ -312,9 +312,9 @@ FAULTS = {
     ),
     (MODEL, MODEL + "    held_by_prior: [fx]\n"): "9: cameras.left.held_by_prior[0]: unknown coefficient 'fx'",
     (MODEL, MODEL + "    held_by_prior: k3\n"): "9: cameras.left.held_by_prior: 'k3' is not a list",
-    (MODEL, MODEL + "    held_by_prior: [k3, k3]\n"): "9: cameras.left.held_by_prior[1]: 'k3' stands twice",
+    (MODEL, MODEL + "    held_by_prior: [k3, k3]\n"): "9: cameras.left.held_by_prior[1]: 'k3' occurs twice",
     (MODEL, MODEL + "    fixed: [k3]\n    held_by_prior: [k3]\n"): (
-        "10: cameras.left.held_by_prior[0]: 'k3' is fixed and has no prior; leave it out"
+        "10: cameras.left.held_by_prior[0]: 'k3' is fixed and cannot have a prior; leave it out"
     ),
 }
 
@@ -353,14 +353,14 @@ def uncertain(lines: str) -> str:
         ("covariance_order: [fx, fy]\ncovariance: [[1.0, 0.5], [0.2, 1.0]]", "not symmetric (correlations differ by"),
         ("covariance_order: [fx, fy]\ncovariance: [[1.0, 2.0], [2.0, 1.0]]", "not positive semidefinite"),
         ("covariance_order: [fx, fy]\ncovariance: [[-1.0, 0.0], [0.0, 1.0]]", "the variance in row 1 is negative"),
-        ("covariance_order: [fx, fx]\ncovariance: [[1.0, 1.0], [1.0, 1.0]]", "'fx' stands twice"),
+        ("covariance_order: [fx, fx]\ncovariance: [[1.0, 1.0], [1.0, 1.0]]", "'fx' occurs twice"),
         (
             "covariance_order: [fx, k9]\ncovariance: [[1.0, 0.0], [0.0, 1.0]]",
             "no parameter 'k9'; possible here: fx, fy, cx",
         ),
         ("covariance_order: [fx]", "covariance_order goes with covariance, or with covariance_file"),
         ("covariance: [[1.0]]", "covariance_order goes with covariance, or with covariance_file"),
-        ("std: {fx: 2.0}\ncovariance_order: [fx]\ncovariance: [[1.0]]", "std.fx is 2, the covariance says 1"),
+        ("std: {fx: 2.0}\ncovariance_order: [fx]\ncovariance: [[1.0]]", "std.fx is 2, 1 by the covariance"),
         ("std: {fx: -2.0}", "cameras.left.uncertainty.std.fx: -2.0 is outside [0, inf]"),
         ("projection: [{range_m: 0.0, max_px: 0.1}]", "uncertainty.projection[0].range_m: 0.0 must be > 0"),
     ],
@@ -371,16 +371,19 @@ def test_a_covariance_that_is_none_is_refused(saved, block, expected):
 
 
 def test_a_fixed_parameter_has_no_uncertainty(saved):
-    assert "'k3' is fixed and has no uncertainty" in faults(saved(uncertain("std: {k3: 0.1}") + "    fixed: [k3]\n"))[0]
+    assert (
+        "'k3' is fixed and cannot have an uncertainty"
+        in faults(saved(uncertain("std: {k3: 0.1}") + "    fixed: [k3]\n"))[0]
+    )
 
 
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
         ("right_T_left:", "rigth_T_left:", "no camera or frame 'rigth'. Did you mean 'right'?"),
-        ("right_T_left:", "right_to_left:", "'right_to_left' is no transform; write a_T_b"),
+        ("right_T_left:", "right_to_left:", "'right_to_left' is not a transform name such as a_T_b"),
         ("right_T_left:", "left_T_left:", "there is already a path between 'left' and 'left'"),
-        ("right_T_left:", "right_T_2left:", "'2left' is no name"),
+        ("right_T_left:", "right_T_2left:", "'2left' is not a valid name"),
         ("[[1.0, 0.0, 0.0], [0.0", "[[1.0, 0.0003, 0.0], [0.0", "nearest rotation differs by 0.0086°; write R"),
         ("[[1.0, 0.0, 0.0], [0.0", "[[-1.0, 0.0, 0.0], [0.0", "det = -1, a reflection"),
         ("[[1.0, 0.0, 0.0], [0.0", "[[2.0, 0.0, 0.0], [0.0", "not a rotation: orthonormality error 3.0e+00"),
@@ -497,7 +500,7 @@ def test_what_looks_wrong_is_warned_of_with_its_line(saved, old, new, expected):
 
 
 def test_a_file_that_is_cut_off_is_no_camera(saved):
-    with pytest.raises(FileError, match="cut off"):
+    with pytest.raises(FileError, match="truncated"):
         native.read(saved(GOOD[:-5]))
 
 

@@ -79,9 +79,9 @@ def test_two_pairs_need_a_name_and_one_does_not(tmp_path):
         ("cam1=[999.421 0 326.96; 0 999.421 252.932; 0 0 1]", "cam1=999.421", "calib.txt:2: cam1 is not written as"),
         ("cam0=[999.421 0", "cam0=[999.421 0.1", "calib.txt:1: is not the camera matrix"),
         ("cam0=[999.421 0", "cam0=[0 0", "calib.txt:1: is not the camera matrix"),
-        ("width=741", "width=74.1", "calib.txt:5: width 74.1 is no number of pixels"),
+        ("width=741", "width=74.1", "calib.txt:5: width 74.1 is not a number of pixels"),
         ("height=497\n", "", "has no height"),
-        ("ndisp=70", "doffs=32.778", "calib.txt:7: doffs stands here a second time"),
+        ("ndisp=70", "doffs=32.778", "calib.txt:7: doffs duplicate key"),
     ],
 )
 def test_what_is_wrong_in_a_middlebury_file_is_named_with_its_line(tmp_path, old, new, message):

@@ -34,11 +34,11 @@ def test_points_alone_have_neither_normals_nor_covariances(tmp_path):
     [
         ("a,b\n1,2\n", "x, y, z once among them"),
         ("x,y,z,X\n1,2,3,4\n", "x, y, z once among them"),
-        ("x,y,z,id,id\n1,2,3,4,5\n", "'id' stands twice"),
+        ("x,y,z,id,id\n1,2,3,4,5\n", "'id' occurs twice"),
         ("x,y,z,nx\n1,2,3,0\n", "'ny' is missing"),
         ("x,y,z\n1,2,c\n", r"points.csv:2: z: 'c' is not a number"),
         ("x,y,z\n1,2,3\n1,inf,3\n", r"points.csv:3: y: inf is not finite"),
-        (f"x,y,z,{','.join(point_table.COVARIANCE)}\n1,2,3,1,0,0,-4,0,1\n", r"points.csv:2: syy: -4 is no variance"),
+        (f"x,y,z,{','.join(point_table.COVARIANCE)}\n1,2,3,1,0,0,-4,0,1\n", r"points.csv:2: syy: -4 is not a variance"),
         ("x,y,z\n1,2\n", "points.csv:2: 2 cells under 3 columns"),
     ],
 )

@@ -74,10 +74,10 @@ def test_a_rotation_alone_has_no_translation(name, numbers):
         ("quat:wzyx", "quat:wxyz or quat:xyzw"),
         ("euler:ZYX", "their axes and their unit"),
         ("euler:deg", "their axes and their unit"),
-        ("euler:ZZX:deg", "no order of Euler angles"),
+        ("euler:ZZX:deg", "is not an order of Euler angles: three of x, y, z without repetition in a row, such as zyx"),
         ("euler:Zyx:deg", "ZYX for intrinsic angles, xyz for extrinsic"),
-        ("rvec:grad", "nothing stands behind rvec"),
-        ("tum:deg", "nothing stands behind tum"),
+        ("rvec:grad", "nothing allowed after rvec"),
+        ("tum:deg", "nothing allowed after tum"),
         ("matrices", "is unknown; use one of matrix"),
     ],
 )
@@ -102,9 +102,9 @@ def test_counts_that_leave_a_doubt_are_refused_naming_the_forms(count, message):
 @pytest.mark.parametrize(
     ("name", "numbers", "message"),
     [
-        ("quat:wxyz", [0, 0, 0, 1, 1, 0, 0], "length 1 but 1.41421"),
-        ("quat:wxyz", [0, 0, 0, 0, 0, 0, 0], "length 1 but 0"),
-        ("dual-quat", [0] * 8, "length 1 but 0"),
+        ("quat:wxyz", [0, 0, 0, 1, 1, 0, 0], "is not 1 but 1.41421"),
+        ("quat:wxyz", [0, 0, 0, 0, 0, 0, 0], "is not 1 but 0"),
+        ("dual-quat", [0] * 8, "is not 1 but 0"),
         ("dual-quat", [1, 0, 0, 0, 0.5, 0, 0, 0], "at right angles, is off by 0.5"),
         ("matrix", [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1], "0 0 0 1"),
         ("kitti", [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 0], "a reflection"),
@@ -125,7 +125,7 @@ def test_numbers_are_read_with_any_brackets_and_commas(text):
 @pytest.mark.parametrize("text", ["pose.txt", "1 2 x", "1_0 2", "1 2 0x3", "", " "])
 def test_what_is_no_row_of_numbers_is_known(text):
     assert not is_row(text)
-    with pytest.raises(InvalidInput, match="something else"):
+    with pytest.raises(InvalidInput, match="not a list of numbers"):
         numbers_in(text)
 
 

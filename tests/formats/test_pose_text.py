@@ -39,7 +39,7 @@ def test_a_line_of_the_tum_format_is_read(tmp_path):
     [
         ("1 2 3", InvalidInput, "3 numbers"),
         ("# nothing\n", InvalidInput, "0 numbers"),
-        ("left: 1", FileError, "something else than the numbers"),
+        ("left: 1", FileError, "not a list of numbers"),
         ("1 0 0 0  0 2 0 0  0 0 1 0", InvalidInput, "not a rotation: orthonormality error 3"),
         ("1 0 0 0  0 1 0 0  0 0 -1 0", InvalidInput, "a reflection"),
         ("1 0 0 0  0 1 0 0  0 0 1 0  1 2 3 1", InvalidInput, "0 0 0 1"),

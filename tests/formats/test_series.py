@@ -33,7 +33,7 @@ def test_columns_are_taken_by_name_and_empty_cells_are_missing(tmp_path, missing
         (TEXT.replace("2,3,4", "2,three,4"), (), "a.csv:4: x: 'three' is not a number"),
         (TEXT.replace("2,3,4", "2,inf,4"), (), "a.csv:4: x: inf is not finite"),
         ("0,1\n1,2\n", (), "no column names"),
-        ("t,x,x\n0,1,2\n", (), "'x' stands twice"),
+        ("t,x,x\n0,1,2\n", (), "'x' occurs twice"),
         (TEXT, ("time", "x", "x"), "one twice"),
         (TEXT.replace(",", ";"), (), "separated by commas, not semicolons"),
         (TEXT.replace(",", "\t"), (), "separated by commas, not tabs"),
@@ -80,6 +80,8 @@ def test_smoothed_states_are_written_with_what_they_have_in_common(tmp_path):
     columns = json.loads((tmp_path / "a.json").read_text())["columns"]
     assert ",".join(columns) == head
     assert columns["nis_x"][:2] == [None, None]
-    with pytest.raises(InvalidInput, match="holds smoothed states"):
+    with pytest.raises(
+        InvalidInput, match="contains smoothed states, not measurements; choose what to smooth with --columns"
+    ):
         tables.read(tmp_path / "a.csv")
     np.testing.assert_allclose(tables.read(tmp_path / "a.csv", ("t", "x")).values[:, 0], smoothed.states[:, 0, 0])

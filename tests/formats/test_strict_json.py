@@ -25,7 +25,7 @@ def test_a_document_holds_plain_data(tmp_path):
     ("text", "message"),
     [
         ('{"a": 1, "b": {"c": 1, "c": 2}}', "duplicate key 'c'"),
-        ('{"a": NaN}', "NaN is no number of JSON"),
+        ('{"a": NaN}', "NaN is not a JSON number"),
         ('{"a": -Infinity}', "-Infinity is no number of JSON"),
     ],
 )

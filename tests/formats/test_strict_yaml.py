@@ -51,15 +51,15 @@ def test_a_key_that_stands_twice_is_named_with_both_lines():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("size: &a [640, 480]\nlens: {fx: 1.0}\n", "a.yaml:1: size: anchor &a is not accepted"),
-        ("size: [640, 480]\nlens: *a\n", "a.yaml:2: lens: alias *a is not accepted"),
+        ("size: &a [640, 480]\nlens: {fx: 1.0}\n", "a.yaml:1: size: anchor &a not supported"),
+        ("size: [640, 480]\nlens: *a\n", "a.yaml:2: lens: alias *a not supported"),
         ("size: !!python/tuple [640, 480]\nlens: {fx: 1.0}\n", "a.yaml:1: size: tag tag:yaml.org,2002:python/tuple"),
         ("size: [640, 480]\nlens: {fx: 1.0}\nname: !!str 5\n", "a.yaml:3: name: tag"),
         ("size: [640, 0x1E0]\nlens: {fx: 1.0}\n", "a.yaml:1: size[1]: '0x1E0' is a number in YAML 1.1 only"),
         ("size: [640, 0480]\nlens: {fx: 012}\n", "a.yaml:2: lens.fx: '012' is a number in YAML 1.1 only"),
         ("size: [640, 480]\nlens: {fx: 1:30}\n", "a.yaml:2: lens.fx: '1:30' is a number in YAML 1.1 only"),
         ("size: [640, 480]\nlens: {fx: 1_000.5}\n", "a.yaml:2: lens.fx: '1_000.5' is a number in YAML 1.1 only"),
-        (GOOD + "fixed: yes\n", "a.yaml:3: fixed: 'yes' is a truth value in YAML 1.1 only"),
+        (GOOD + "fixed: yes\n", "a.yaml:3: fixed: 'yes' is a boolean in YAML 1.1 only"),
         (GOOD + "name: 2026-11-21\n", "a.yaml:3: name: '2026-11-21' is a date in YAML 1.1; quote it"),
     ],
 )
@@ -94,7 +94,7 @@ def test_all_faults_are_listed_in_the_order_of_the_file():
     assert fails("size: [640, 0, 3]\nlense: {fx: 1.0}\nname: 5\nunit: meters\nfixed: 'no'\n") == [
         "a.yaml:1: size: 3 items; 2 are needed",
         "a.yaml:2: lense: unknown key. Did you mean 'lens'?",
-        "a.yaml:3: name: 5 is not a text; put it in quotes if it is meant as one",
+        "a.yaml:3: name: 5 is not text; put it in quotes",
         "a.yaml:4: unit: unknown unit 'meters'. Did you mean 'metres'?",
         "a.yaml:5: fixed: 'no' is not true or false",
     ]
@@ -121,12 +121,12 @@ def test_many_faults_are_cut_off():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("cameras: [1, 2", "a.yaml:2: is not YAML, or cut off"),
-        ("a: b: c\n", "a.yaml:1: is not YAML"),
-        ("just text\n", "a.yaml: holds no YAML mapping"),
-        ("# only a remark\n", "a.yaml: holds no YAML mapping"),
-        ("- 1\n- 2\n", "a.yaml: holds no YAML mapping"),
-        ("a: \x01\n", "a.yaml: is not YAML"),
+        ("cameras: [1, 2", "a.yaml:2: invalid or truncated YAML"),
+        ("a: b: c\n", "a.yaml:1: invalid or truncated YAML"),
+        ("just text\n", "a.yaml: not a YAML mapping"),
+        ("# only a remark\n", "a.yaml: not a YAML mapping"),
+        ("- 1\n- 2\n", "a.yaml: not a YAML mapping"),
+        ("a: \x01\n", "a.yaml: invalid YAML"),
         ("%YAML:1.0\n---\na: 1\n", "a.yaml: starts with %YAML:, which only OpenCV reads"),
     ],
 )
@@ -168,11 +168,11 @@ def test_an_alias_bomb_is_refused_before_it_grows():
 
 
 def test_a_second_document_is_refused():
-    assert fails("a: 1\n---\nb: 2\n", None) == ["a.yaml:2: a second document starts here; one is expected"]
+    assert fails("a: 1\n---\nb: 2\n", None) == ["a.yaml:2: more than one YAML document"]
 
 
 def test_a_key_that_is_no_name_is_refused():
-    assert fails("? [1, 2]\n: 3\n", None) == ["a.yaml:1: a key must be a plain name"]
+    assert fails("? [1, 2]\n: 3\n", None) == ["a.yaml:1: keys must be plain text"]
 
 
 def test_the_error_says_where_the_first_fault_is():

@@ -126,12 +126,12 @@ SQUARE = "[[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]"
         ("size_mm: 5\n", 1, "missing key 'family'"),
         ("family: tag36h11\nsise_mm: 5.0\n", 2, "Did you mean 'size_mm'"),
         ("family: tag36h21\nsize_mm: 5.0\n", 1, "did you mean tag36h11"),
-        ("family: tag36h11\nsize_mm: 5.0\nsize_cm: 1.0\n", 1, "give one of them"),
+        ("family: tag36h11\nsize_mm: 5.0\nsize_cm: 1.0\n", 1, "exclude each other"),
         ("family: tag36h11\nsize_mm: -5.0\n", 2, "must be > 0"),
         ("family: tag16h5\nsize_mm: 5.0\nids: [0, 30]\n", 3, "ids are 0 to 29"),
         ("family: tag16h5\nsize_mm: 5.0\nids: [0, 0]\n", 3, "listed twice"),
         ("family: tag16h5\n", 1, "tags need a size"),
-        ("family: tag16h5\nids: [1]\nsizes: [{id: 2, size_m: 1.0}]\n", 1, "give that size"),
+        ("family: tag16h5\nids: [1]\nsizes: [{id: 2, size_m: 1.0}]\n", 1, "ids need the size of the tags"),
         ("family: tag16h5\nsizes:\n  - {id: 1}\n", 3, "missing key 'size_mm'"),
         ("family: tag16h5\nsizes:\n  - {id: 1, size_mm: 5.0}\n  - {id: 1, size_mm: 6.0}\n", 4, "given already"),
         ("family: tag16h5\nsize_mm: 5.0\ntag_frame: ros\n", 3, "unknown tag frame"),
@@ -143,17 +143,17 @@ SQUARE = "[[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]"
         (
             f"family: tag16h5\nbundles:\n  a:\n    - {{id: 1, corners_m: {SQUARE}, size_m: 1.0}}\n",
             4,
-            "the corners say it already",
+            "redundant with the corners; give one of them",
         ),
         (
             "family: tag16h5\nbundles:\n  a:\n    - {id: 1, corners_m: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]}\n",
             4,
-            "do not go once around",
+            "the corners are not a convex quadrangle in order: clockwise from top-left",
         ),
         (
             "family: tag16h5\nbundles:\n  a:\n    - {id: 1, corners_m: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}\n",
             4,
-            "do not go once around",
+            "the corners are not a convex quadrangle in order: clockwise from top-left",
         ),
         (
             "family: tag16h5\nbundles:\n  a:\n    - {id: 1, corners_m: [[0, 0, 0], [0, 0, 0], [1, 1, 0], [1, 1, 0]]}\n",
@@ -165,7 +165,7 @@ SQUARE = "[[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]"
             4,
             "not in one plane",
         ),
-        (NO_ROTATION, 5, "no rotation"),
+        (NO_ROTATION, 5, "not a rotation"),
     ],
 )
 def test_a_fault_of_a_tag_file_has_its_line(load, text, line, message):

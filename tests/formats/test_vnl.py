@@ -96,7 +96,7 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
         ),
         (GOOD.replace("10.25", "left"), "corners.vnl:3: x: 'left' is not a number"),
         (GOOD.replace("10.25", "nan"), "corners.vnl:3: x: nan is not finite"),
-        (GOOD + "a.jpg - - -\n", "corners.vnl:10: rows of image 'a.jpg' stand in two places"),
+        (GOOD + "a.jpg - - -\n", "corners.vnl:10: rows of image 'a.jpg' are not contiguous"),
     ],
 )
 def test_a_wrong_file_is_told_with_its_line(tmp_path, content, expected):
@@ -104,13 +104,13 @@ def test_a_wrong_file_is_told_with_its_line(tmp_path, content, expected):
 
 
 def test_board_and_size_must_come_from_elsewhere(tmp_path):
-    assert "does not say which board it is of; give --board" in fault(tmp_path, GOOD, board=None)
-    assert "does not say how large the images are" in fault(tmp_path, GOOD, image_size=None)
+    assert "a .vnl file has no board; give --board" in fault(tmp_path, GOOD, board=None)
+    assert "a .vnl file has no image size; give it" in fault(tmp_path, GOOD, image_size=None)
 
 
 def test_a_name_with_white_space_or_a_missing_board_cannot_be_written(tmp_path):
     view = BoardDetection("a b.jpg", SIZE, np.array([0]), np.array([[1.0, 1.0]]))
-    with pytest.raises(InvalidInput, match="cannot hold this name"):
+    with pytest.raises(InvalidInput, match="cannot store this name"):
         detections.write(tmp_path / "corners.vnl", Detections(BOARD, (view,)))
     with pytest.raises(InvalidInput, match="give --board"):
         detections.write(tmp_path / "corners.vnl", Detections(None, ()))

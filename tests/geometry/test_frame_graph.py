@@ -50,7 +50,7 @@ def test_frames_that_are_not_joined_are_named_with_what_they_are_joined_to():
 
 def test_names_that_look_alike_on_both_sides_are_asked_about():
     graph = FrameGraph([between("base", "arm"), NamedTransform("arm1", "tag", Pose.identity())])
-    with pytest.raises(InvalidInput, match=r"Are 'arm' and 'arm1' one frame\?"):
+    with pytest.raises(InvalidInput, match=r"Are 'arm' and 'arm1' the same frame\?"):
         graph.path("base", "tag")
 
 

@@ -81,5 +81,5 @@ def test_a_pixel_has_all_colours_or_none():
 
 
 def test_a_colour_that_images_do_not_have_is_refused(view):
-    with pytest.raises(InvalidInput, match="channel 'infrared' is none of an image; they are blue, green, red"):
+    with pytest.raises(InvalidInput, match="channel 'infrared' is not an image channel; use one of blue, green, red"):
         align_channels(build_maps(LENS, view), {"infrared": LENS}, view)

@@ -36,7 +36,9 @@ def test_a_video_that_is_cut_off_gives_its_frames_and_says_so(video):
     assert 0 < len(seen) < 18
 
 
-@pytest.mark.parametrize(("content", "words"), [(b"", "is empty"), (b"Dear diary", "not a video"), (None, "no such")])
+@pytest.mark.parametrize(
+    ("content", "words"), [(b"", "is empty"), (b"Dear diary", "not a readable video, or truncated"), (None, "no such")]
+)
 def test_what_is_no_video_is_refused(tmp_path, content, words):
     path = tmp_path / "video.mp4"
     if content is not None:

@@ -148,7 +148,7 @@ def test_a_pinhole_that_is_to_hold_half_the_world_is_refused_with_what_can(optio
         ({"fov_deg": -3.0}, "is positive"),
         ({"fov_deg": float("nan")}, "is positive"),
         ({"alpha": 1.5}, "'--alpha': 1.5 is more than 1"),
-        ({"alpha": float("nan")}, "'--alpha': nan is no number"),
+        ({"alpha": float("nan")}, "'--alpha': nan is not a number"),
         ({"alpha": 0.5, "keep_k": True}, "--alpha and --keep-k exclude each other"),
         ({"alpha": 0.5, "fov_deg": 90.0}, "exclude each other"),
         ({"projection": "cylinder", "alpha": 0.5}, "are for a pinhole"),

@@ -153,17 +153,14 @@ def test_corners_without_an_image_are_wrong():
 def test_views_that_do_not_fit_are_named():
     message = refusal(wrong_in(50, 0, 50))
     assert "100 of 500 corners (20 %, limit 10 %)" in message
-    assert message.endswith(
-        ": 2 of 10 views do not fit the others (ids in another order, another board or another camera): "
-        "leave out 0.png, 2.png"
-    )
+    assert message.endswith(": 2 of 10 views rejected (other order of ids, board or camera): leave out 0.png, 2.png")
 
 
 @pytest.mark.parametrize(("count", "rest"), [(5, ""), (6, " and 1 more"), (8, " and 3 more")])
 def test_at_most_five_views_are_named(count, rest):
     distances = np.zeros((20, POINTS))
     distances[4 : 4 + count] = 20.0
-    with pytest.raises(InsufficientData, match=f": {count} of 20 views do not fit") as refused:
+    with pytest.raises(InsufficientData, match=f": {count} of 20 views rejected") as refused:
         require_fit(found(distances), [f"{index:02}.png" for index in range(20)], MOST, "opencv5")
     assert refused.value.message.endswith(f"leave out 04.png, 05.png, 06.png, 07.png, 08.png{rest}")
 
@@ -183,8 +180,8 @@ def test_the_board_is_in_doubt_when_most_views_are_wrong():
     message = refusal(wrong_in(*[50] * 6))
     assert "leave out" not in message
     assert message.endswith(
-        "the board is not the one that --board describes, several cameras are mixed, or the lens model (opencv5) is "
-        "wrong: check columns, rows and type of the board, and calibrate each camera by itself"
+        "--board describes another board, several cameras are mixed, or the lens model (opencv5) "
+        "does not fit: check columns, rows and type of the board, and calibrate each camera separately"
     )
 
 
@@ -205,7 +202,7 @@ def test_views_with_shuffled_ids_are_named_by_the_calibration(seen):
     views = [
         replace(view, ids=rng.permutation(view.ids)) if index in shuffled else view for index, view in enumerate(seen)
     ]
-    with pytest.raises(InsufficientData, match="2 of 12 views do not fit the others") as refused:
+    with pytest.raises(InsufficientData, match="2 of 12 views rejected") as refused:
         calibrated(views)
     assert refused.value.message.endswith(f"leave out {seen[2].image}, {seen[9].image}")
     fitting = calibrated([view for index, view in enumerate(views) if index not in shuffled])
@@ -213,7 +210,7 @@ def test_views_with_shuffled_ids_are_named_by_the_calibration(seen):
 
 
 def test_corners_numbered_for_another_board_are_refused(seen):
-    with pytest.raises(InsufficientData, match=r"the board is not the one that --board describes.*check columns, rows"):
+    with pytest.raises(InsufficientData, match=r"--board describes another board.*check columns, rows"):
         calibrated(seen, BOARD.transposed())
 
 
@@ -224,7 +221,9 @@ def rough_by(value, distances):
 @pytest.mark.parametrize(("value", "words"), [(0.28, "the lens model"), (0.32, "the board"), (np.nan, "the board")])
 def test_the_lens_model_is_in_doubt_where_corners_are_in_the_order_of_the_board(value, words):
     far_off = np.full((VIEWS, POINTS), 20.0)
-    with pytest.raises(InsufficientData, match=f"{words}.* is (wrong, or images are blurred|not the one)"):
+    with pytest.raises(
+        InsufficientData, match=f"{words}.*(does not fit, or images are blurred|describes another board)"
+    ):
         require_fit(rough_by(value, far_off), IMAGES, MOST, "opencv5")
 
 
@@ -232,8 +231,8 @@ def test_detections_are_in_doubt_where_most_corners_fit():
     message = refusal(wrong_in(*[10] * VIEWS))
     assert "100 of 500 corners (20 %, limit 10 %)" in message
     assert message.endswith(
-        "most corners fit, so board and lens model do; corners of many views are wrong: look at them with camcal "
-        "detect --draw, use sharper images, or let them be rejected with --max-rejected"
+        "board and lens model fit most corners, but many views have wrong corners: check them with camcal "
+        "detect --draw, use sharper images, or set --max-rejected"
     )
 
 
@@ -261,7 +260,7 @@ def test_a_wide_lens_that_is_called_a_pinhole_is_refused_for_its_model():
     rng = np.random.default_rng(1)
     views_of_it = observe(wide, BOARD, views(wide, BOARD, 12, rng=rng), rng=rng, noise_px=0.1)[0].views
     with pytest.raises(
-        InsufficientData, match=r"lens model \(pinhole\) is wrong.*try another --model \(kannala_brandt4"
+        InsufficientData, match=r"lens model \(pinhole\) does not fit.*try another --model \(kannala_brandt4"
     ):
         calibrated(views_of_it)
 

@@ -118,7 +118,11 @@ def test_views_of_fewer_than_sixteen_corners_tell_no_roughness():
 
 @pytest.mark.parametrize(
     ("value", "words"),
-    [(0.28, "so the lens model"), (0.32, "the board is not the one"), (np.nan, "the board is not the one")],
+    [
+        (0.28, "so the lens model"),
+        (0.32, "--board describes another board, several cameras are mixed, or the lens model"),
+        (np.nan, "--board describes another board, several cameras are mixed, or the lens model"),
+    ],
 )
 def test_corners_in_the_order_of_the_board_leave_the_board_out_of_doubt(value, words):
     present = np.ones((4, 20), bool)

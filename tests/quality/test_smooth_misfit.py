@@ -24,13 +24,13 @@ CAMERAS = {
 @pytest.mark.parametrize(
     ("smoothness", "words"),
     [
-        (1.75, "errors are random, as in blurred images: use sharper images"),
-        (1.85, r"errors are smooth over it, so the lens model \(opencv5\) is wrong: try another --model"),
+        (1.75, "and residuals are random, as in blurred images: use sharper images, and check the corners"),
+        (1.85, r"and residuals vary smoothly, so the lens model \(opencv5\) does not fit: try another --model"),
     ],
 )
 def test_smooth_errors_are_the_lens_models_and_random_ones_those_of_images(smoothness, words):
     distances, sides, present = np.full((4, 50), 20.0), np.full(4, 100.0), np.ones((4, 50), bool)
-    with pytest.raises(InsufficientData, match=f"corners are in the order of the board and {words}"):
+    with pytest.raises(InsufficientData, match=f"corner ids are consistent {words}"):
         require_fit(Misfit(distances, sides, present, 0.02, smoothness), IMAGES, 0.1, "opencv5")
 
 
@@ -41,10 +41,13 @@ def seen_by(name, noise_px):
 
 
 def test_blurred_images_are_refused_for_their_blur():
-    with pytest.raises(InsufficientData, match="errors are random, as in blurred images: use sharper images"):
+    with pytest.raises(
+        InsufficientData,
+        match="and residuals are random, as in blurred images: use sharper images, and check the corners",
+    ):
         calibrate(seen_by("pinhole", 3.0), BOARD, Options(model_named("pinhole"), shape=FLAT))
 
 
 def test_a_fisheye_is_refused_for_its_model():
-    with pytest.raises(InsufficientData, match=r"errors are smooth over it, so the lens model \(opencv4\) is wrong"):
+    with pytest.raises(InsufficientData, match=r"residuals vary smoothly, so the lens model \(opencv4\) does not fit"):
         calibrate(seen_by("kannala_brandt4", 0.1), BOARD, Options(model_named("opencv4"), shape=FLAT))

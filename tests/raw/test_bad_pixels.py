@@ -200,7 +200,7 @@ def test_a_frame_of_one_cell_has_nothing_to_stand_out_from():
 def test_frames_that_are_not_dark_make_no_map():
     rng = np.random.default_rng(6)
     picture = np.where(rng.random((240, 320)) < 0.3, 3000, rng.normal(64, 1, (240, 320))).astype(np.uint16)
-    with pytest.raises(InsufficientData, match=r"30% of the pixels stand out; are these dark frames"):
+    with pytest.raises(InsufficientData, match=r"30% of the pixels are outliers: check that these are dark frames"):
         make_map([picture], "RGGB")
 
 
@@ -276,7 +276,7 @@ def test_an_area_without_good_pixels_nearby_is_refused(pattern, side, reach):
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[10 : 10 + side, 30 : 30 + side] = True
     with pytest.raises(
-        InsufficientData, match=rf"no good one of their colour within {reach} pixels, such as column \d+"
+        InsufficientData, match=rf"without valid neighbour of their colour within {reach} pixels, such as column \d+"
     ):
         repair(np.zeros((HEIGHT, WIDTH), np.uint16), mask, pattern)
 

@@ -158,12 +158,12 @@ def test_full_colour_is_no_mosaic(tmp_path):
 def test_a_file_that_is_cut_off_is_a_file_error_and_nothing_else_is_printed(tmp_path, capfd, share):
     content = dng_bytes(frame())
     path = written(tmp_path / "short.dng", content[: int(share * len(content))])
-    with pytest.raises(FileError, match=r"short\.dng: is cut off: .*\d+ bytes"):
+    with pytest.raises(FileError, match=r"short\.dng: truncated: .*\d+ bytes"):
         read_camera_raw(path)
     assert capfd.readouterr() == ("", "")  # LibRaw complains on its own when it meets the end
 
 
 @pytest.mark.parametrize("content", [b"not an image at all", b"II*", b"\x89PNG\r\n\x1a\n" + bytes(99)])
 def test_a_file_of_another_kind_is_a_file_error(tmp_path, content):
-    with pytest.raises(FileError, match="not a camera raw file"):
+    with pytest.raises(FileError, match="not a readable camera raw file"):
         read_camera_raw(written(tmp_path / "other.dng", content))

@@ -158,7 +158,7 @@ def test_gains_that_differ_between_phases_are_warned_of():
 
 def test_saturated_flats_are_refused():
     bench = Bench(light=(1.0, 1.0, 1.0))
-    with pytest.raises(InsufficientData, match="does not grow"):  # full pixels: below white, without photon noise
+    with pytest.raises(InsufficientData, match="does not increase"):  # full pixels: below white, without photon noise
         characterise([bench.level(Shot(1.0, 3.0))], bench.darks())
     white = Bench(Sensor(1.0, 4.0, 12000.0, 100.0, 12), light=(1.0, 1.0, 1.0))
     with pytest.raises(InsufficientData, match="no flat frame between darkness and saturation"):

@@ -61,5 +61,5 @@ def test_counts_that_are_all_the_same_give_the_upper_limit():
 
 
 def test_counts_that_are_all_zero_are_refused():
-    with pytest.raises(InsufficientData, match="cuts its noise off"):
+    with pytest.raises(InsufficientData, match="noise clipped; increase the black level of the camera"):
         before_counting(Counted(0.0, 0.0, 0.0, 0.0, 0.0))

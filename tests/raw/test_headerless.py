@@ -84,7 +84,7 @@ def test_a_file_that_is_too_short_is_refused_with_what_would_fit(tmp_path):
 
 def test_bytes_left_over_are_refused(tmp_path):
     path = written(tmp_path, recording() + b"x")
-    with pytest.raises(FileError, match="leaves bytes over after 3 frames of 90 bytes: found 271"):
+    with pytest.raises(FileError, match="leaves surplus bytes after 3 frames of 90 bytes: found 271"):
         read_headerless(path, layout(frame=0))
     with pytest.raises(FileError, match="needs 90 bytes, found 0 after an offset of 1000"):
         read_headerless(path, layout(offset=1000))
@@ -114,14 +114,14 @@ def test_samples_of_more_bits_than_the_format_says_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("Bayer12p", {}, "does not say its colour pattern; give --pattern RGGB|"),
-        ("BayerRG12p", {"pattern": "GRBG"}, "says RGGB, --pattern says GRBG; --format Bayer12p takes any"),
+        ("Bayer12p", {}, "has no colour pattern; give --pattern RGGB|"),
+        ("BayerRG12p", {"pattern": "GRBG"}, "by --pattern; --format Bayer12p accepts any"),
         ("Bayer12p", {"pattern": "RGBG"}, "pattern 'RGBG' is unknown"),
         ("BayerRG12p", {"offset": -1}, "offset -1 is negative"),
         ("BayerRG12p", {"frame": -1}, "frame -1 is negative"),
         ("BayerRG12p", {"stride": 14}, "stride of 14 bytes is too short: 10 pixels of BayerRG12p take 15"),
         ("BayerRG12p", {"size": (10, 0)}, "10x0 pixels"),
-        ("BayerRG12p", {"align": "msb"}, "fixes its own bits"),
+        ("BayerRG12p", {"align": "msb"}, "has a fixed layout; "),
     ],
 )
 def test_a_layout_that_contradicts_itself_is_refused(name, options, message):

@@ -95,7 +95,7 @@ def test_a_truncated_numpy_file_is_a_file_error(tmp_path):
 def test_pickled_objects_are_never_loaded(tmp_path):
     path = tmp_path / "frame.npy"
     np.save(path, np.array([{"a": 1}], dtype=object))
-    with pytest.raises(FileError, match="not a NumPy array"):
+    with pytest.raises(FileError, match="not a readable NumPy array file"):
         read_mosaic(path, "RGGB")
 
 

@@ -153,9 +153,9 @@ def frame(pattern, scene, named=None):
 @pytest.mark.parametrize(
     ("pattern", "named", "message"),
     [
-        ("GRBG", "RGGB", r"it is GRBG or GBRG, not RGGB; --preview-patterns"),
-        ("GBRG", "BGGR", r"it is GRBG or GBRG, not BGGR"),
-        ("BGGR", "GRBG", r"it is RGGB or BGGR, not GRBG"),
+        ("GRBG", "RGGB", r"pattern GRBG or GBRG, not RGGB; --preview-patterns"),
+        ("GBRG", "BGGR", r"pattern GRBG or GBRG, not BGGR"),
+        ("BGGR", "GRBG", r"pattern RGGB or BGGR, not GRBG"),
     ],
 )
 def test_a_wrong_diagonal_is_refused_with_the_two_patterns_it_can_be(pattern, named, message):

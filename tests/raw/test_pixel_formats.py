@@ -239,8 +239,8 @@ def test_an_unknown_name_is_refused_with_what_there_is(name, expected):
         ("Mono8", (2, 2), {}, "Mono8 2x2 needs 4 bytes, found 3"),
         ("Mono8", (2, 1), {"stride": 1}, "stride of 1 bytes is too short: 2 pixels of Mono8 take 2"),
         ("Mono8", (0, 1), {}, "0x1 pixels"),
-        ("Mono12p", (2, 1), {"endian": "big"}, "Mono12p fixes its own bits; endian big"),
-        ("Mono8", (2, 1), {"align": "msb"}, "Mono8 fixes its own bits; align msb"),
+        ("Mono12p", (2, 1), {"endian": "big"}, "Mono12p has a fixed layout; endian big"),
+        ("Mono8", (2, 1), {"align": "msb"}, "Mono8 has a fixed layout; align msb"),
         ("Mono16", (1, 1), {"endian": "middle"}, "endian 'middle' is unknown; use little or big"),
     ],
 )

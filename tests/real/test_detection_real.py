@@ -88,7 +88,7 @@ def test_the_charuco_board_that_images_show_is_proposed(real_data, folder, asked
     with pytest.raises(InsufficientData) as raised:
         detect_images(DetectOptions(images, parse_board(f"charuco:{asked}"), jobs=1))
     words, _, form = str(raised.value).partition("; use --board ")
-    assert words.endswith(f" images that were tried show {differs}")
+    assert words.endswith(f" tested images show {differs}")
     dictionary = "DICT_4X4_50" if "DICT_6X6" in asked else "DICT_4X4_1000"
     assert form == f"charuco:8x8:25.4mm:19mm:{dictionary}{pattern}"
     assert detect_images(DetectOptions(images, parse_board(form), jobs=1)).used == len(images)

@@ -1,6 +1,6 @@
 """A hand-held video of a board, with the published lens; no truth is known but that the hand moves smoothly.
 
-The board looks the same after half a turn, and the pictures follow one another at a rate that nobody wrote down.
+The board looks the same after half a turn, and the pictures are successive at a rate that nobody wrote down.
 """
 
 import json

@@ -101,7 +101,7 @@ def test_ids_are_written_where_there_is_room():
 
 
 def test_an_image_without_the_board_has_the_reason_in_large_letters():
-    reason = "only 3 x 2 of 6 x 5 corners in sight, which is not enough for it"
+    reason = "only 3 x 2 of 6 x 5 corners visible, which is not enough for it"
     nothing = BoardDetection("a.png", (1000, 800), reason=reason)
     picture = corner_overlay(gray(), nothing)
     red = of_colour(picture[:800], (70, 70, 255))

@@ -52,7 +52,7 @@ def test_points_that_are_left_out_are_counted():
 def test_the_noise_says_where_it_is_known_from():
     assert pose_words.noise(poses()) == "noise 0.25 px, from the residuals, 102 degrees of freedom"
     assert pose_words.noise(poses(dof=None)) == "noise 0.25 px, as given"
-    near = "noise 0.25 px, by the corner standard deviations, with which the residuals agree"
+    near = "noise 0.25 px, by the corner standard deviations, consistent with the residuals"
     assert [pose_words.noise(poses(scale=scale)) for scale in (0.7, 1.4)] == [near, near]
     far = "noise 0.25 px: the residuals are 6.6 x the corner standard deviations (a-posteriori scale, 102 degrees"
     assert pose_words.noise(poses(scale=6.6)) == f"{far} of freedom)"

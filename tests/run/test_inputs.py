@@ -112,7 +112,7 @@ def test_images_camcal_wrote_are_read_when_named_or_alone(folder):
         ("photos/img_01.png", "photos/img_01.png: no such file. Did you mean 'photos/img_001.png'?"),
         ("photoz/img_001.png", "photoz/img_001.png: no such file. Did you mean 'photos'?"),
         ("qqq", "qqq: no such file"),
-        ("photos/*.webp", "photos/*.webp: matches nothing"),
+        ("photos/*.webp", "photos/*.webp: matches no file"),
         ("photos/*.txt", "photos/*.txt: matches no image (1 .txt)"),
         ("texts", "texts: holds no image (2 .txt, 1 folder, 1 without suffix); --recursive reads the folders below it"),
         ("void", "void: holds no image (it is empty)"),

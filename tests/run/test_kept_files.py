@@ -136,7 +136,7 @@ def test_a_file_is_no_folder_and_a_folder_no_file(source, tmp_path):
         work(Options(source, source / "a.png"))
     with pytest.raises(InvalidInput, match="takes a folder, this is a file"):
         work(Options(source, source.with_suffix("")), b"") if source.with_suffix("").touch() is None else None
-    with pytest.raises(FileError, match=r"folder\.png: is a folder, a file is needed"):
+    with pytest.raises(FileError, match=r"folder\.png: is a folder, not a file"):
         work(Options(source, tmp_path, names=("folder.png",)))
 
 

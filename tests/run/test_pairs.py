@@ -82,13 +82,13 @@ def test_words_that_contain_a_side_are_left_alone(files):
 
 def test_another_number_of_images_is_refused_naming_one_without_a_partner(files):
     folder = files("l/1.png", "l/2.png", "l/3.png", "r/1.png", "r/3.png")
-    with pytest.raises(InvalidInput, match=r"3 left and 2 right images do not pair up; .*l.2\.png has no partner"):
+    with pytest.raises(InvalidInput, match=r"3 left and 2 right images differ; .*l.2\.png is unpaired"):
         find_pairs([folder / "l"], [folder / "r"])
 
 
 def test_names_that_agree_in_part_are_refused(files):
     folder = files("l/1.png", "l/2.png", "r/2.png", "r/3.png")
-    with pytest.raises(InvalidInput, match=r"agree in some names only; .*l.1\.png has no partner"):
+    with pytest.raises(InvalidInput, match=r"agree in some names only; .*l.1\.png is unpaired"):
         find_pairs([folder / "l"], [folder / "r"])
 
 

@@ -60,7 +60,7 @@ def test_an_address_that_is_not_there_may_follow_from_others(frames):
         ("{frames}#base_T_lidar", "no frame 'lidar'"),
         ("{frames}#image.png", "nothing is named 'image.png'"),
         ("a_T_b={frames}", "a_T_b is one transform, the file has 2"),
-        ("1 2 3", "several forms"),
+        ("1 2 3", "numbers are ambiguous; choose a form: "),
         ("1 2 3 nan", "finite"),
     ],
 )

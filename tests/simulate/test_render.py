@@ -200,7 +200,9 @@ def test_light_falls_off_as_asked():
 
 def test_a_board_beyond_the_field_of_the_lens_is_refused():
     behind = Pose.from_vector(np.zeros(3), [-0.06, -0.045, -0.14])
-    with pytest.raises(InvalidInput, match="field of the lens"):
+    with pytest.raises(
+        InvalidInput, match="the board exceeds the field of view of the lens: move it or choose another lens"
+    ):
         render(SMALL, CHESSBOARD, behind, rng=rng())
 
 

@@ -115,13 +115,13 @@ def test_every_search_says_why_it_ended():
     ends = minimise_each(Decays(y, limit=1.5), starts, np.arange(4), exact=1e-20)
     reasons = [REASONS[index] for index in ends.reason]
     assert reasons[:3] == [
-        "the step promises no decrease",
-        "the residuals are met exactly",
-        "the start is outside the domain",
+        "converged",
+        "converged (zero residuals)",
+        "initial values outside the domain",
     ]
     assert ends.converged.tolist() == [True, True, False, True]
     held = minimise_each(Decays(exact, limit=0.5), starts[3:], np.zeros(1, int))
-    assert REASONS[held.reason[0]] == "held at the edge of the domain"
+    assert REASONS[held.reason[0]] == "stopped at the boundary of the domain"
     assert held.states[0, 1] == pytest.approx(0.5, abs=0.05)  # where the crawl is called off
     short = minimise_each(Decays(noisy), starts[:1] + 3, np.zeros(1, int), Stopping(iterations=1))
     assert REASONS[short.reason[0]] == "too many iterations"
@@ -215,7 +215,7 @@ def test_searches_far_above_another_of_their_problem_end_early_and_no_others():
     early = minimise_each(wells, starts, which, worth=np.full(4, 10.0))
     assert full.converged.all()
     np.testing.assert_array_equal(early.converged, [True, False, True, True])
-    assert REASONS[early.reason[1]] == "far above the lowest minimum of the problem"
+    assert REASONS[early.reason[1]] == "local minimum far above the lowest one"
     np.testing.assert_array_equal(early.states[[0, 2, 3]], full.states[[0, 2, 3]])
     assert early.cost[1] > 10 * early.cost[0]
 

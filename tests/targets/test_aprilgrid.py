@@ -124,7 +124,7 @@ def test_corners_of_a_board_cut_along_its_tags_are_no_crossings(plain):
 
 def test_a_board_with_other_ids_says_what_is_in_sight(plain):
     other = replace(BOARD, first_marker=100)
-    assert find_aprilgrid(plain[0], other).reason == "tags 0, 1, 2, 3, 4, 5 in sight; this board has 100 to 111"
+    assert find_aprilgrid(plain[0], other).reason == "tags 0, 1, 2, 3, 4, 5 visible; this board has 100 to 111"
 
 
 @pytest.mark.parametrize("size", [(3, 4), (5, 3), (3, 3)])

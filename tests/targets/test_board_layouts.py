@@ -145,9 +145,15 @@ def test_a_board_is_called_by_what_one_counts_on_it(form, words):
         ({"type": "chessboard", "columns": 9, "rows": 6, "diameter": 0.1}, "type chessboard has no diameter"),
         ({"type": "circles", "columns": 9, "rows": 6, "dots": True}, "type circles has no dots"),
         ({"type": "circles", "columns": 9, "rows": 1}, "at least 2 × 2 circles, found 9 × 1"),
-        ({"type": "circles", "columns": 9, "rows": 6, "square": 0.02, "diameter": 0.02}, "must be apart"),
+        (
+            {"type": "circles", "columns": 9, "rows": 6, "square": 0.02, "diameter": 0.02},
+            "circles overlap: give a smaller diameter",
+        ),
         ({"type": "aprilgrid", "columns": 6, "rows": 0, "marker": 0.5, "dictionary": "tag36h11"}, "1 × 1 tags"),
-        ({"type": "aprilgrid", "columns": 6, "rows": 6, "marker": 1.0, "dictionary": "tag36h11"}, "must be apart"),
+        (
+            {"type": "aprilgrid", "columns": 6, "rows": 6, "marker": 1.0, "dictionary": "tag36h11"},
+            "circles overlap: give a smaller diameter",
+        ),
         ({"type": "aprilgrid", "columns": 6, "rows": 6, "dictionary": "tag36h11"}, "needs the side of a tag"),
         ({"type": "circles", "columns": 9, "rows": 6, "square": float("nan")}, "must be positive"),
         ({"type": "asymmetric_circles", "columns": 4, "rows": 1001}, "limit of 1000 a side"),

@@ -86,7 +86,7 @@ def test_the_tag_lies_between_the_corners_of_an_aprilgrid():
 
 
 def test_circles_have_no_crossing_edges():
-    with pytest.raises(InvalidInput, match="no edges cross"):
+    with pytest.raises(InvalidInput, match="has no checkerboard corners"):
         BoardEdges.of(Board("circles", 5, 4, 0.02, diameter=0.01))
 
 

@@ -78,7 +78,7 @@ def test_a_hand_across_the_board_leaves_the_corners_on_both_sides():
 def test_the_other_pattern_is_not_taken_for_the_board(drawn, wanted):
     detection = find_charuco(view(drawn)[0], wanted)
     assert not detection.found
-    assert detection.reason.endswith("markers, but not where this board has them")
+    assert detection.reason.endswith("markers in other positions than on this board")
 
 
 def test_a_board_of_unknown_pattern_is_found_in_both():

@@ -63,7 +63,7 @@ def test_the_middle_of_a_board_is_refused():
     image, _ = cut(ODD, left=0.25, right=0.25, top=0.2, bottom=0.2)
     detection = find_chessboard(image, ODD, partial=True)
     assert not detection.found
-    assert detection.reason.endswith("which part of the board is not to be seen")
+    assert detection.reason.endswith("which part of the board is ambiguous")
 
 
 def test_a_part_without_a_side_of_the_board_is_numbered_by_its_dots():
@@ -86,7 +86,7 @@ def test_dots_number_a_whole_board_however_it_is_turned(roll_deg):
 
 def test_a_board_without_the_dots_it_should_have_is_not_numbered():
     image, _ = view(parse_board("chessboard:9x7:20mm"))
-    assert find_chessboard(image, DOTTED).reason == "the three dots that tell its corners apart are not to be seen"
+    assert find_chessboard(image, DOTTED).reason == "the three dots that define its orientation are not visible"
 
 
 def test_a_part_of_a_board_that_looks_the_same_turned_is_numbered_as_the_whole():

@@ -151,7 +151,7 @@ def test_a_board_at_75_degrees_is_found():
 
 def test_another_grid_is_named():
     gray, _ = view(PLAIN)
-    assert find_circles(gray, parse_board("circles:8x5:25mm")).reason == "a grid of 7 x 5 circles in sight, not 8 x 5"
+    assert find_circles(gray, parse_board("circles:8x5:25mm")).reason == "a grid of 7 x 5 circles visible, not 8 x 5"
     assert not find_circles(gray, parse_board("circles:6x5:25mm")).found
 
 
@@ -163,31 +163,31 @@ def test_another_grid_is_named():
             "circles:7x5:25mm:15mm",
             "circles:8x5:20mm",
             "circles:7x5:20mm",
-            "a grid of 7 x 5 circles in sight, not 8 x 5",
+            "a grid of 7 x 5 circles visible, not 8 x 5",
         ),
         (
             "asymmetric_circles:3x7:20mm:16mm",
             "asymmetric_circles:4x11:20mm",
             "asymmetric_circles:3x7:20mm",
-            "an asymmetric grid of 3 x 7 circles in sight, not 4 x 11",
+            "an asymmetric grid of 3 x 7 circles visible, not 4 x 11",
         ),
         (
             "asymmetric_circles:3x6:20mm:16mm",
             "asymmetric_circles:4x11",
             "asymmetric_circles:3x6",
-            "an asymmetric grid of 3 x 6 circles in sight, not 4 x 11",
+            "an asymmetric grid of 3 x 6 circles visible, not 4 x 11",
         ),
         (
             "asymmetric_circles:3x7:20mm:16mm",
             "circles:7x5:25mm:15mm",
             "asymmetric_circles:3x7",
-            "an asymmetric grid of 3 x 7 circles in sight, not 7 x 5",
+            "an asymmetric grid of 3 x 7 circles visible, not 7 x 5",
         ),
         (
             "circles:7x5:25mm:15mm",
             "asymmetric_circles:4x11:20mm",
             "circles:5x7",
-            "a grid of 5 x 7 circles in sight, not 4 x 11",
+            "a grid of 5 x 7 circles visible, not 4 x 11",
         ),
     ],
 )
@@ -212,7 +212,7 @@ def test_a_grid_with_holes_is_not_proposed():
         covered[v - 9 : v + 10, u - 9 : u + 10] = 200
     detection = find_circles(covered, parse_board("circles:8x6"))
     assert detection.other is None
-    assert detection.reason.startswith("a part of a grid in sight (")
+    assert detection.reason.startswith("part of a grid visible (")
 
 
 def test_the_dark_squares_of_a_small_chessboard_are_no_grid_of_circles():

@@ -88,7 +88,7 @@ def test_a_chessboard_given_transposed_is_the_same_object_numbered_along_the_col
     [
         ((5, 4), "a checker pattern of 6 x 5 corners, not 5 x 4"),
         ((6, 4), "a checker pattern of 6 x 5 corners, not 6 x 4"),
-        ((7, 6), "only 6 x 5 of 7 x 6 corners in sight"),
+        ((7, 6), "only 6 x 5 of 7 x 6 corners visible"),
     ],
 )
 def test_a_board_of_another_size_is_not_taken_for_the_stated_one(stated, reason):
@@ -100,7 +100,7 @@ def test_a_board_of_another_size_is_not_taken_for_the_stated_one(stated, reason)
 
 def test_a_board_that_leaves_the_image_says_so_and_its_rim_is_no_row_of_corners():
     cut = np.ascontiguousarray(view(ODD)[:, : int(places(ODD)[-1, 0]) - 8])
-    assert detect(cut, ODD).reason == "board partly outside the image (5 x 5 corners in sight)"
+    assert detect(cut, ODD).reason == "board partly outside the image (5 x 5 corners visible)"
 
 
 def test_a_side_of_which_most_is_in_the_image_is_enough():
@@ -169,7 +169,7 @@ def test_markers_may_begin_at_another_id():
 def test_the_other_pattern_yields_nothing(drawn, looked_for):
     detection = detect(view(drawn), looked_for)
     assert not detection.found
-    assert detection.reason.endswith("markers, but not where this board has them")
+    assert detection.reason.endswith("markers in other positions than on this board")
 
 
 def test_a_board_of_unknown_pattern_is_found_in_both():

@@ -69,7 +69,7 @@ def test_a_part_of_a_board_whose_points_can_be_told_apart_is_enough(form):
 
 
 def test_parts_of_a_grid_of_circles_are_refused_where_they_are_asked_for():
-    with pytest.raises(InvalidInput, match="the whole grid must be in sight"):
+    with pytest.raises(InvalidInput, match="the whole grid must be visible"):
         detect(np.zeros((100, 100), np.uint8), parse_board("circles:8x6:25mm"), partial=True)
 
 
@@ -78,7 +78,7 @@ def test_parts_of_a_grid_of_circles_are_refused_where_they_are_asked_for():
     [
         ("aprilgrid:30x20:60mm:0.3", "the board needs markers 0 to 599, tag36h11 ends at 586"),
         ("aprilgrid:3x3:60mm:0.3:tag36h9", "marker family 'tag36h9' is unknown; did you mean tag36h1"),
-        ("chessboard:9x2:25mm", "it takes 3 x 3 at least"),
+        ("chessboard:9x2:25mm", "inner corners is too small to be detected (minimum 3 x 3)"),
     ],
 )
 def test_a_board_that_cannot_be_found_is_refused(form, message):

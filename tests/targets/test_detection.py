@@ -43,7 +43,7 @@ def test_too_few_points_for_a_pose_are_none(missing, reason):
 
 def test_points_in_one_row_are_none():
     detection = BoardDetection.of(grid(2, 5, missing=[(1, column) for column in range(5)]))
-    assert (detection.found, detection.reason) == (False, "only 5 corners, all in one line")
+    assert (detection.found, detection.reason) == (False, "only 5 corners, all collinear")
 
 
 def test_covariances_of_another_number_of_points_are_refused():

@@ -137,8 +137,8 @@ def test_lines_of_text_and_numbers_do_not_overlap(room):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("chessboard:9x6", "has no size to print it at; give it as in chessboard:9x6"),
-        ("charuco:5x7:0.75:DICT_4X4_50", "has no size to print it at; give it as in charuco:9x7:30mm:22mm"),
+        ("chessboard:9x6", "has no size for printing; give it as in chessboard:9x6"),
+        ("charuco:5x7:0.75:DICT_4X4_50", "has no size for printing; give it as in charuco:9x7:30mm:22mm"),
         ("circles:8x6:25mm", "diameter"),
         ("charuco:30x30:20mm:14mm:DICT_4X4_50", "ends at 49"),
     ],

@@ -52,7 +52,7 @@ def test_unknown_sizes_and_symmetries_are_told_in_the_words_of_the_board(form, t
             "circles:10x8",
             "no grid of 10x8 circles in any of 2 images (2 times: nothing seen); check the number of circles",
         ),
-        ("asymmetric_circles:4x11", "(those in one row, then the rows), or look at the images"),
+        ("asymmetric_circles:4x11", "(those in one row, then the rows), and the images"),
         ("chessboard:8x6:dots", "no chessboard of 8x6 inner corners and three dots in any of 2 images"),
     ],
 )
@@ -110,7 +110,7 @@ def test_another_grid_of_circles_is_proposed_as_a_board(asked, shown, message):
 def test_another_charuco_board_is_proposed_with_what_differs(asked, shown, differences, form):
     board = replace(parse_board(f"charuco:{shown}"), first_marker=form or 0)
     text = str(OtherBoard(board, 2, 3).error([NOTHING] * 4, parse_board(f"charuco:{asked}")))
-    assert f"in 4 of 4 images: 2 of 3 images that were tried show {differences}" in text
+    assert f"in 4 of 4 images: 2 of 3 tested images show {differences}" in text
     end = f"with a board file: charuco:{shown}, first_marker_id: {form}" if form else f"charuco:{shown}"
     assert text.endswith(f"; use --board {end}")
 

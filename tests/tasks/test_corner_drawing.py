@@ -83,7 +83,7 @@ def test_the_picture_of_one_image_may_go_to_a_file(folder, tmp_path):
     report = drawn(tmp_path, folder / "board.png", draw=tmp_path / "one.jpg")
     assert report.pictures == (tmp_path / "one.jpg",)
     assert (tmp_path / "one.jpg").is_file()
-    with pytest.raises(InvalidInput, match="2 inputs do not go into one file; give a folder"):
+    with pytest.raises(InvalidInput, match="2 inputs cannot be written to one file; give a folder"):
         drawn(tmp_path, folder, draw=tmp_path / "both.jpg")
 
 

@@ -116,7 +116,7 @@ def test_images_without_a_time_in_their_exif_are_named(tmp_path):
     ("text", "words"),
     [
         ("0.1\n0.2\n", "2 times for 3 frames"),
-        ("0.1\nsoon\n0.3\n", "times.txt:2: 'soon' is no time"),
+        ("0.1\nsoon\n0.3\n", "times.txt:2: 'soon' is not a time"),
         ("0.1\n0.1\n0.3\n", "0011.png: 0.1 s is the time of the frame before"),
         ("0.3\n0.1\n0.4\n", "0011.png: 0.1 s is a time before the frame before"),
         ("0.1\nnan\n0.3\n", "0011.png: nan s is a time before"),
@@ -136,10 +136,10 @@ def test_a_file_that_does_not_fit_is_refused_with_its_place(tmp_path, text, word
     [
         (lambda: Timing(fps=0.0), "--fps must be more than 0"),
         (lambda: Timing(unit="min"), "'--time-unit': 'min' is not one of s, ms, us, ns"),
-        (lambda: Timing(fps=30.0, source="exif"), "say the same twice"),
-        (lambda: times(Timing()), "when were the frames taken"),
+        (lambda: Timing(fps=30.0, source="exif"), "are redundant, except with frame numbers in names"),
+        (lambda: times(Timing()), "unknown times of the frames: set --fps, or --timestamps with a file, name or exif"),
         (lambda: times(Timing(source="name:img")), "put the number in brackets"),
-        (lambda: times(Timing(source="name:(")), "no regular expression"),
+        (lambda: times(Timing(source="name:(")), "invalid regular expression"),
         (lambda: times(Timing(source="name:shot(\\d+)")), "has no time in its name"),
     ],
 )

@@ -82,7 +82,7 @@ def test_a_camera_given_twice_or_not_at_all_is_refused(folder):
     for record in (PnpOptions, UndistortOptions):
         with pytest.raises(InvalidInput, match=twice):
             record("camera.yaml", inputs=("a.png",), given=GIVEN)
-        with pytest.raises(InvalidInput, match="which camera"):
+        with pytest.raises(InvalidInput, match="no camera given"):
             record(None)
     with pytest.raises(InvalidInput, match=twice):
         TrackingOptions(("camera.yaml", "a.png"), GIVEN)

@@ -117,7 +117,7 @@ def test_every_way_that_is_told_is_the_true_one():
 def test_the_way_is_unclear_where_a_lens_looks_the_same_upside_down():
     all_seen = seen((0.0, 0.0), 0.0)
     result = same_size(mixture(all_seen, stored(all_seen[9], TURNED, CLOCKWISE)), SIZE, BOARD, mixed=True)
-    assert "turned either way it fits the others alike: median 0.0" in result.views[9].reason
+    assert "ambiguous rotation: median 0.0" in result.views[9].reason
     (warning,) = result.warnings
     assert warning.text == "not used: 1 image of 480x640, turned by 90 degrees (the majority: 640x480): view0009.png"
 
@@ -128,7 +128,7 @@ def test_a_turned_image_that_does_not_fit_says_by_how_much():
     other = stored(all_seen[9], TURNED, CLOCKWISE)
     other = replace(other, pixels=other.pixels + rng.normal(0, 5, other.pixels.shape))
     reason = same_size(mixture(all_seen, other), SIZE, BOARD, mixed=True).views[9].reason
-    words, _, figures = reason.partition("it does not fit the others: median ")
+    words, _, figures = reason.partition("rejected in both rotations: median")
     assert words.startswith("image 480x640 differs from the majority 640x480: turned by 90 degrees; ")
     median, _, limit = figures.removesuffix(" px)").partition(" px (limit ")
     assert 3 < float(median) < 8  # of distances with 5 px a coordinate: 5.9
@@ -139,7 +139,7 @@ def test_too_few_other_views_cannot_tell_the_way():
     all_seen = seen()
     mixed = [all_seen[0], all_seen[1], stored(all_seen[2], TURNED, CLOCKWISE)]
     reason = same_size(mixed, SIZE, BOARD, mixed=True).views[2].reason
-    assert "cannot be told without a calibration of the others: " in reason
+    assert "unknown without a calibration of the other images: " in reason
 
 
 def test_a_table_of_mixed_sizes_is_read_in_one_size_if_asked_for(tmp_path):

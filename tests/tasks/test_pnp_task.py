@@ -173,13 +173,19 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "nothing to work on"),
-        ({"points": "p.csv", "inputs": ("a.png",)}, "leave --board, --tags and the images out"),
-        ({"points": "p.csv", "detection": DetectionOptions(scale=True)}, "goes by the size of images"),
-        ({"inputs": ("a.png",), "detection": DetectionOptions(board="b", tags="t")}, "not for both"),
+        ({}, "no input: give --points FILE"),
+        ({"points": "p.csv", "inputs": ("a.png",)}, "--points excludes --board, --tags and images"),
+        (
+            {"points": "p.csv", "detection": DetectionOptions(scale=True)},
+            "--scale-intrinsics needs images, not a file of points",
+        ),
+        (
+            {"inputs": ("a.png",), "detection": DetectionOptions(board="b", tags="t")},
+            "--board and --tags exclude each other",
+        ),
         ({"inputs": ("a.csv",), "detection": DetectionOptions(tags="tag36h11:5cm")}, "tags are found in images"),
         ({"inputs": ("a.csv",), "outliers": "lots"}, "'--outliers': 'lots'"),
-        ({"inputs": ("a.csv", "b.png")}, "read alone"),
+        ({"inputs": ("a.csv", "b.png")}, "a detections file cannot be combined with other inputs"),
         ({"inputs": ("a.png",)}, "what is to be found in the images\\? Give --board"),
         ({"inputs": ("a.png",), "output": "poses.txt"}, "is not written; use .yaml"),
         ({"inputs": ("a.csv",), "output": "a.csv"}, "is an input and is not overwritten"),
@@ -262,7 +268,7 @@ def test_resized_images_are_refused_with_the_way_out_and_taken_with_it(camera_fi
 
 def test_cropped_images_need_another_camera(camera_file, tmp_path, seen):
     cropped = Detections(BOARD, tuple(replace(view, size=(1280, 720)) for view in seen.views))
-    with pytest.raises(InvalidInput, match="are no resized images of 1280 x 960"):
+    with pytest.raises(InvalidInput, match="are not resized images of 1280 x 960"):
         pnp(from_detections(camera_file, tmp_path, cropped, detection=DetectionOptions(scale=True)))
 
 
@@ -352,9 +358,7 @@ def test_a_given_sigma_is_taken_at_its_word(camera_file, tmp_path, seen):
     path.write_text(path.read_text().replace("sigma", "weight"))
     weighted = pnp(PnpOptions(camera_file, points=path, **QUICK))
     assert weighted.poses.noise.degrees_of_freedom == 102
-    with pytest.raises(
-        InvalidInput, match="--noise-scale is a factor on standard deviations, and the pixels have none"
-    ):
+    with pytest.raises(InvalidInput, match="--noise-scale needs pixels with standard deviations; set --noise PX"):
         pnp(PnpOptions(camera_file, points=path, **QUICK, noise_scale="auto"))
 
 
@@ -372,7 +376,7 @@ def test_a_pose_from_fewer_than_half_of_the_points_is_flagged(camera_file, tmp_p
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, known), outliers="few", noise_scale=0.5))
     for pose_key, record in report.poses.estimates.items():
         assert record.n_inliers < 27
-        assert record.status == f"weak: {record.n_inliers} of 54 points agree, fewer than half"
+        assert record.status == f"weak: {record.n_inliers} of 54 inliers, fewer than half"
         assert pose_words.row(report.poses, pose_key, record)[-1] == record.status
 
 

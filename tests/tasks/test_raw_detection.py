@@ -157,7 +157,7 @@ def test_a_frame_without_light_has_gains_of_one():
 
 def test_a_wrong_phase_is_refused_with_the_likely_ones(tmp_path):
     path = write(tmp_path / "mosaic.png", frame("RGGB", (0.5, 1.0, 0.6)))
-    with pytest.raises(InvalidInput, match="it is RGGB or BGGR, not GRBG") as caught:
+    with pytest.raises(InvalidInput, match="pattern RGGB or BGGR, not GRBG") as caught:
         read_detection_image(path, ImageReadOptions(pattern="GRBG"))
     assert caught.value.where == str(path)
 

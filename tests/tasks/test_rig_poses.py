@@ -87,5 +87,5 @@ def test_two_images_of_a_camera_at_one_instant_are_refused(tmp_path):
 def test_a_board_with_a_size_and_one_without_do_not_go_together(tmp_path):
     inputs = tables(tmp_path, ["1.png"], ["1.png"])
     detections.write(tmp_path / "right.csv", Detections(replace(BOARD, square=None), (view("1.png"),)))
-    with pytest.raises(InvalidInput, match="one camera's board has a size and another's has none"):
+    with pytest.raises(InvalidInput, match="boards with and without a size; use the same --board for all cameras"):
         instants(inputs)

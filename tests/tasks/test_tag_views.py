@@ -74,7 +74,7 @@ def test_all_tags_of_a_bundle_are_one_view(folder):
 
 def test_tags_without_an_object_are_named_in_the_reason(folder):
     found = views_of([folder / "a1.png"], load_tags("tag36h11:50mm:7"))
-    assert list(found.nothing.values()) == ["ids 1, 2 of tag36h11 are seen, but none that has an object"]
+    assert list(found.nothing.values()) == ["ids 1, 2 of tag36h11 detected, none of a known object"]
 
 
 def test_an_image_of_another_size_than_the_camera_is_left_out_with_the_reason(folder):

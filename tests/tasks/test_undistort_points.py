@@ -85,7 +85,7 @@ def test_a_folder_takes_a_table_of_the_same_name(folder):
         ("1,2\n3,4\n", "the first row names the columns"),
         ("# only a remark\n", "the first row names the columns"),
         ("u,v,u\n1,2,3\n", "u and v once"),
-        ("u,v,a,a\n1,2,3,4\n", "'a' stands twice"),
+        ("u,v,a,a\n1,2,3,4\n", "'a' occurs twice"),
         ("u,v\n1,2\n3,four\n", r"points\.csv:3: v: 'four' is not a number"),
         ("u,v\n1\n", r"points\.csv:2: 1 cells under 2 columns"),
     ],

@@ -182,7 +182,7 @@ def test_resized_images_are_undistorted_by_the_rescaled_camera(folder):
 
 def test_cropped_images_are_not_rescaled(folder):
     save(folder / "crop.png", picture(size=(100, 80)))
-    with pytest.raises(InvalidInput, match="100x80 are no resized images of 120x80"):
+    with pytest.raises(InvalidInput, match="100x80 are not resized images of 120x80"):
         run(folder, "crop.png", rescale=True)
 
 

@@ -160,9 +160,7 @@ def test_of_a_long_video_the_sharpest_frame_of_every_stretch_is_searched(shot):
 
 def test_the_line_about_a_video_counts_its_frames(report):
     [line] = [line for line in report.lines if line.startswith("video.avi")]
-    assert re.match(
-        r"video\.avi: 4 of 14 frames are taken; 14 were searched, 1\d show the board, \d like these, ", line
-    )
+    assert re.match(r"video\.avi: 4 of 14 frames used; 14 searched, 1\d with the board, \d like these, ", line)
 
 
 def test_images_and_frames_stand_side_by_side(shot, tmp_path):
@@ -196,7 +194,7 @@ def test_a_video_that_is_cut_off_gives_its_frames_and_is_one_of_those_that_faile
 
 def test_a_video_that_is_none_is_an_error(tmp_path):
     (tmp_path / "video.mp4").write_bytes(b"no video")
-    with pytest.raises(FileError, match="not a video"):
+    with pytest.raises(FileError, match="not a readable video, or truncated"):
         found(tmp_path / "video.mp4")
 
 

@@ -88,7 +88,7 @@ def test_a_pipe_is_read_no_further_than_the_limit(tmp_path):
 def test_a_chunk_that_ends_beyond_its_png_file_takes_no_memory(tmp_path):
     path = tmp_path / "a.png"
     path.write_bytes(png(64, 64, data=zlib.compress(bytes(64 * 65)), length=0xFFFFFFF0))
-    with pytest.raises(FileError, match=r"PNG file: a chunk of 4294967280 bytes ends beyond the file"):
+    with pytest.raises(FileError, match=r"PNG file: a chunk of 4294967280 bytes exceeds the file"):
         load(path)
 
 

@@ -169,7 +169,7 @@ def parse(text: str) -> Expression:
     functions.
     """
     if len(text) > _LONGEST:
-        raise InvalidInput(f"a formula of {len(text)} characters; {_LONGEST} are taken")
+        raise InvalidInput(f"a formula of {len(text)} characters (limit {_LONGEST})")
     source = text.strip()
     try:
         tree = ast.parse(source, mode="eval").body
@@ -204,7 +204,7 @@ def _parts(node: ast.expr, text: str) -> Sequence[ast.expr]:
     if isinstance(node, ast.Call):
         return _arguments(node, text)
     refused = node.op if isinstance(node, (ast.BinOp, ast.UnaryOp)) else node
-    hint = _HINTS.get(type(refused), "only numbers, names, + - * / **, brackets and functions are taken")
+    hint = _HINTS.get(type(refused), "only numbers, names, + - * / **, brackets and functions are supported")
     raise InvalidInput(f"{_place(text, node.col_offset)}: {hint}")
 
 

@@ -184,7 +184,7 @@ def _directions(points: Array) -> Array:
     """Return the directions (rows) of the points' spread, the widest first; raises InsufficientData for one point."""
     spread = points - points.mean(axis=0)
     if not np.any(spread):
-        raise InsufficientData("all points are one point")
+        raise InsufficientData("all points coincide")
     return np.asarray(np.linalg.svd(spread, full_matrices=True)[2])
 
 

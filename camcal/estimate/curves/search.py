@@ -181,7 +181,7 @@ def _problem(curve: Curve, data: Data, start: Mapping[str, float], options: Sear
             raise InvalidInput(f"the start {name}={value:g} is outside its bounds {least:g} … {greatest:g}")
     free = np.flatnonzero([name not in options.fixed for name in curve.parameters])
     if not len(free):
-        raise InvalidInput("every parameter is fixed; there is nothing to fit")
+        raise InvalidInput("all parameters are fixed")
     return CurveProblem(curve, data, values, free, low, high)
 
 
@@ -199,7 +199,7 @@ def _require_defined(problem: CurveProblem) -> None:
     count = int(np.count_nonzero(~defined))
     what = "too large to compute with" if np.isfinite(numbers[row]).all() else "not a number"
     raise InvalidInput(
-        f"at the start {start} the model is {what} for {count} of {len(defined)} rows, first for {where}; "
+        f"at the initial values {start} the model is {what} for {count} of {len(defined)} rows, first for {where}; "
         "choose another --start"
     )
 

@@ -238,8 +238,8 @@ class Group:
                 lost = f" ({outside} more outside the lens's domain)" if outside else ""
                 found[index] = f"a pose needs {needed} different points or more, found {different[index]}{lost}"
             elif narrowness[index] < _COLLINEAR:
-                line = f"all {different[index]} points lie on one line, about which the object may turn"
-                found[index] = f"{line}; add a point beside it"
+                line = f"all {different[index]} points are collinear: the rotation about their line is not determined"
+                found[index] = f"{line}; add a point off the line"
             elif not started:
                 found[index] = f"no camera sees {_CORNERS} of the points or more, the best {most[index]}"
         return found

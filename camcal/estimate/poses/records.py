@@ -112,7 +112,7 @@ class PoseOptions:
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InvalidInput(f"a {what} of {value:g}{unit} is not positive")
             if value is not None and not 1 / LARGEST_PX <= value <= LARGEST_PX:
-                raise InvalidInput(f"a {what} of {value:g}{unit} is beyond reason; 0.1 to 1{unit} is usual")
+                raise InvalidInput(f"a {what} of {value:g}{unit} is implausible; 0.1 to 1{unit} is usual")
         if self.noise_px is not None and self.noise_scale is not None:
             raise InvalidInput("a noise in px takes the place of what is known of single pixels: give no scale with it")
         if self.outliers not in ("none", "few", "many"):
@@ -227,21 +227,21 @@ class PoseEstimate:
         if not self.converged:
             return f"not converged: {self.reason}"
         if self.p_wrong > AMBIGUOUS:
-            return f"ambiguous: another pose fits nearly as well, probability {self.p_wrong:.2g}"
+            return f"ambiguous: another pose has nearly the same residuals, probability {self.p_wrong:.2g}"
         weakness = self._weakness()
         return f"weak: {weakness}" if weakness else "ok"
 
     def _weakness(self) -> str | None:
         if self.chance > WEAK_CHANCE:
-            return f"{self.used} of {len(self.inliers)} points agree; chance makes {self.chance:.1g} such poses"
+            return f"{self.used} of {len(self.inliers)} inliers; expected by chance: {self.chance:.1g} such poses"
         if self.misfit > WEAK_MISFIT:
-            return f"the residuals are {self.misfit:.2g} times what the noise of {self.sigma_px:.2g} px explains"
+            return f"residuals are {self.misfit:.2g} x the noise of {self.sigma_px:.2g} px"
         place, turn = (np.sqrt(np.linalg.eigvalsh(self.covariance[part, part])[-1]) for part in _PARTS)
         distance = np.linalg.norm(self.transform.translation)
         if turn > WEAK_TURN:
-            return f"the direction is known to ±{np.degrees(turn):.2g}° only (1 σ)"
+            return f"standard deviation of the rotation {np.degrees(turn):.2g}° only (1 σ)"
         if place > WEAK_PLACE * distance:
-            return f"the place is known to ±{100 * place / distance:.2g} % of the distance only (1 σ)"
+            return f"standard deviation of the translation {100 * place / distance:.2g} % of the distance only (1 σ)"
         return None
 
     def inverse(self) -> "PoseEstimate":

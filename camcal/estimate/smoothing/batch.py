@@ -21,7 +21,7 @@ from camcal.solve.steps import banded, blocks_of
 _LOST = 1e-14  # a pivot this much smaller than its diagonal is rounding
 _SMALL_STATE = 3  # up to this size all covariances come from one banded triangle, above it from a loop
 _UNOBSERVED = "not all states are determined by the measurements"
-_HIDDEN = "q and sigma are so unlike in size that rounding hides what was measured; are their units right?"
+_HIDDEN = "q and sigma differ too much in magnitude (rounding errors): check their units"
 
 OUTLIER_CONFIDENCE = 0.999
 _GOOD = 0.8214  # share of good measurements within Huber's bound; for one number the usual 1.345 σ
@@ -109,7 +109,7 @@ def _measured_precision(system: LinearSystem) -> tuple[Array, float]:
     try:
         precision, log_determinant = _inverted(np.where(both, system.noise, np.eye(present.shape[1])))
     except np.linalg.LinAlgError as error:
-        raise InvalidInput("a measurement's covariance is not positive definite; is a sigma 0?") from error
+        raise InvalidInput("a measurement's covariance is not positive definite: check for sigma = 0") from error
     return np.where(both, precision, 0.0), log_determinant
 
 
@@ -207,7 +207,7 @@ def robust_weights(system: LinearSystem, start: Array | None = None, settled: fl
         weights = loss.weight(squared_residuals(system, solve_batch(system.weighted(weights)).means))
         if np.abs(weights - before).max() < settled:
             return weights
-    raise NotConverged(f"the weights of measurements did not settle in {_ITERATIONS} iterations; try without --robust")
+    raise NotConverged(f"robust weights not converged after {_ITERATIONS} iterations: try without --robust")
 
 
 def squared_residuals(system: LinearSystem, means: Array) -> Array:
@@ -254,9 +254,9 @@ def _residuals(system: LinearSystem, means: Array) -> tuple[Array, Array, Array]
 
 
 def require_size(values: Array, what: str) -> None:
-    """Raise InvalidInput if a number among `values`, NaN aside, is too large to compute with."""
+    """Raise InvalidInput if a number among `values`, NaN aside, exceeds the numerical range."""
     if np.any(np.abs(values) > LARGEST):
-        raise InvalidInput(f"{what} of more than {LARGEST:g} cannot be computed with; are the units right?")
+        raise InvalidInput(f"{what} of more than {LARGEST:g} exceeds the numerical range: check the units")
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ def smooth_system(system: LinearSystem, method: str = "rts", robust: bool = Fals
     try:
         return _smooth_system(system, method, robust)
     except np.linalg.LinAlgError as error:
-        raise InvalidInput("q and sigma are too unlike in size to compute with; are their units right?") from error
+        raise InvalidInput("q and sigma are too different in magnitude: check their units") from error
 
 
 def _smooth_system(system: LinearSystem, method: str, robust: bool) -> SmoothedSystem:

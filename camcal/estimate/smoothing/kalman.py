@@ -125,7 +125,7 @@ def _whitener(S: Array) -> Array:
             return np.asarray(S**-0.5)
         return np.linalg.inv(np.linalg.cholesky(S))
     except np.linalg.LinAlgError as error:
-        raise InvalidInput("a measurement's covariance is not positive definite; is a sigma 0?") from error
+        raise InvalidInput("a measurement's covariance is not positive definite: check for sigma = 0") from error
 
 
 @dataclass(frozen=True)

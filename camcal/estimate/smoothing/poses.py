@@ -280,7 +280,7 @@ def _settled(problem: PoseProblem, guess: PoseGuess, means_of: Callable[[LinearS
         guess = guess.moved(means)
         if np.abs(means[:, 3:6]).max() < _SETTLED:
             return guess
-    raise NotConverged(f"rotations did not settle in {_ITERATIONS} iterations; are there gross outliers? try --robust")
+    raise NotConverged(f"rotations not converged after {_ITERATIONS} iterations: check for outliers, or use --robust")
 
 
 def _likeliest(system: LinearSystem) -> Array:

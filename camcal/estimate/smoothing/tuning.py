@@ -26,7 +26,7 @@ _ROUNDS = 2
 _NEARLY_SETTLED = 5e-3  # of a weight: enough to compare noises
 
 
-_TOO_FEW = "too few {}, or none with noise, to tell how much they have; give --sigma and --q"
+_TOO_FEW = "too few {}, or none with noise, to estimate it; set --sigma and --q"
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def most_likely(likelihood: Callable[[Array], float], guess: Array, tolerance: f
             options={"xatol": tolerance, "fatol": tolerance, "initial_simplex": simplex, "maxfev": 400},
         )
     if not found.success:
-        raise NotConverged("noise could not be found from the measurements; give --q and --sigma")
+        raise NotConverged("noise cannot be estimated from the measurements: set --q and --sigma")
     return np.asarray(np.exp(found.x))
 
 

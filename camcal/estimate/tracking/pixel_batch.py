@@ -256,7 +256,7 @@ def _factor(terms: _Terms, damping: Array) -> TridiagonalFactor:
             return factorise_tridiagonal(blocks, terms.beside)
         except LinAlgError:
             continue
-    raise InsufficientData("rounding hides what the frames say of the motion; are units and time stamps right?")
+    raise InsufficientData("ill-conditioned motion (rounding errors): check units and time stamps")
 
 
 def _pulled(chains: Chains, pulls: Array, step: Array, terms: _Terms) -> Array:

@@ -80,7 +80,7 @@ def track_pixels(
     candidates = _candidates(PoseMeasurements.of(stamps, poses))
     found_in = candidates.there[:, 0]
     if not found_in.any():
-        raise InsufficientData("found in no frame")
+        raise InsufficientData("no detection in any frame")
     views = [view if there else None for view, there in zip(views, found_in, strict=True)]
     given = sigma is not None
     frames = PixelFrames.of(camera, views, 1.0)

@@ -154,15 +154,13 @@ def require_found(poses: Sequence[FramePose | None]) -> None:
     """Raise InsufficientData where too few frames show the object for any track."""
     found = sum(pose is not None for pose in poses)
     if found < LEAST:
-        raise InsufficientData(f"found in {found} of {len(poses)} frames; following takes {LEAST} or more")
+        raise InsufficientData(f"found in {found} of {len(poses)} frames (minimum {LEAST})")
 
 
 def no_track(poses: Sequence[FramePose | None]) -> InsufficientData:
     """Return the error of detections of which no few make a piece."""
     found = sum(pose is not None for pose in poses)
-    return InsufficientData(
-        f"no {LEAST} of {found} detections follow one another; are the time stamps right, --max-gap too short?"
-    )
+    return InsufficientData(f"no {LEAST} of {found} detections are successive: check time stamps and --max-gap")
 
 
 def at_poses(posed: Array, values: Array) -> Array:
@@ -236,7 +234,7 @@ def _assembled(
     states = known.states(present, fill=options.fill)
     posed = known.settled & (options.fill | (states == MEASURED))
     if not posed.any():
-        raise InsufficientData(f"no start is settled within {options.lag} frames of look-ahead; allow more, or all")
+        raise InsufficientData(f"no initial pose found within {options.lag} frames of look-ahead; allow more, or all")
     rotations, translations, velocities, covariances = (at_poses(posed, values) for values in known.belief)
     used, pieces = states == MEASURED, known.segments
     return Track(

@@ -88,7 +88,7 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
     names = list(file.cameras)
     if name is None and len(names) > 1:
         one = f"{where}#{names[0]}"
-        raise InvalidInput(f"holds {len(names)} cameras ({', '.join(names)}); say which, such as {one}", where=where)
+        raise InvalidInput(f"holds {len(names)} cameras ({', '.join(names)}); choose one, such as {one}", where=where)
     if name is not None and name not in names:
         raise InvalidInput(f"no camera {name!r}{did_you_mean(name, names)}", where=where)
     return file.cameras[name or names[0]]
@@ -118,7 +118,7 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFo
     if possible and source.name != OWN:
         return FORMATS[OWN]
     if not possible and path.suffix:
-        raise InvalidInput(f"{path.suffix} is no camera file; known are {' '.join(SUFFIXES)}", where=str(path))
+        raise InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(SUFFIXES)}", where=str(path))
     names = ", ".join(form.name for form in possible or FORMATS.values())
     raise InvalidInput(f"{path.suffix or 'a folder'} is written in several formats: give --to {names}", where=str(path))
 

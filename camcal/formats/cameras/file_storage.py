@@ -87,7 +87,7 @@ class _Builder:
         if not self.open:
             self.result = value if isinstance(value, dict) else {}
         elif not self.open[-1].add(tag, value):
-            raise FileError(f"<{tag[:40]}> stands twice", where=self.where)
+            raise FileError(f"<{tag[:40]}> occurs twice", where=self.where)
 
     def close(self) -> None:
         """Do nothing; the parser calls it."""

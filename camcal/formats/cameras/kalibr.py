@@ -119,7 +119,7 @@ def _entry(values: Values, given: Given) -> CameraEntry:
     coefficients = values.numbers("distortion_coeffs", count) if count else np.zeros(0)
     sides = values.numbers("resolution", 2).tolist() if "resolution" in values else None
     if sides is not None and (min(sides) < 1 or any(side != int(side) for side in sides)):
-        raise values.wrong("resolution", "is no width and height in pixels")
+        raise values.wrong("resolution", "is not a width and height in pixels")
     size = given.size(None if sides is None else (int(sides[0]), int(sides[1])), values.document.where)
     kept = {key: values.data[key] for key in _KEPT if key in values}
     return CameraEntry(camera_of(model, size, (fx, fy, cx, cy), coefficients), extra={VENDOR_KEY: kept} if kept else {})
@@ -139,7 +139,7 @@ def write(path: Path, file: CameraFile) -> None:
         if index:
             pose = pose_between(file, name, names[index - 1])
             if pose is None:
-                what = f"a camchain needs where {name} stands beside {names[index - 1]}, and no transform joins them"
+                what = f"a camchain needs a transform between {name} and {names[index - 1]}"
                 raise InvalidInput(f"{what}; write the cameras one by one, FILE#NAME", where=str(path))
             block["T_cn_cnm1"] = pose.matrix().tolist()
         if (of_imu := pose_between(file, name, IMU)) is not None:

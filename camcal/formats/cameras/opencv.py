@@ -151,7 +151,7 @@ def _size(values: Values) -> tuple[int, int] | None:
     if (key := _first(values, _SIZE)) is not None and isinstance(values.data[key], list):
         sides = values.numbers(key, 2).tolist()
         if min(sides) < 1 or any(side != int(side) for side in sides):
-            raise values.wrong(key, "is no width and height in pixels")
+            raise values.wrong(key, "is not a width and height in pixels")
         return int(sides[0]), int(sides[1])
     return None
 

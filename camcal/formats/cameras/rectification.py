@@ -85,7 +85,7 @@ def _along_rows(baseline: Array) -> Array:
     """Return the rotation (3, 3) to axes of which x, or y where the cameras stand above each other, is the baseline."""
     length = np.linalg.norm(baseline)
     if np.hypot(baseline[0], baseline[1]) <= _BESIDE * length:
-        raise InvalidInput("the two cameras stand in one place or behind each other; they are no pair to rectify")
+        raise InvalidInput("the two cameras are at one place or behind each other: not a rectifiable pair")
     if abs(baseline[0]) >= abs(baseline[1]):
         x = baseline / length * np.copysign(1, baseline[0])
         y = np.cross(_Z, x)

@@ -69,7 +69,7 @@ class Values:
         """Return a number of pixels."""
         value = self.number(key)
         if not 1 <= value <= LARGEST_SIDE or value != int(value):
-            raise self.wrong(key, f"{value:g} is no number of pixels")
+            raise self.wrong(key, f"{value:g} is not a number of pixels")
         return int(value)
 
     def numbers(self, key: str, *counts: int) -> Array:
@@ -112,7 +112,7 @@ class Values:
         sizes = [sizes] if isinstance(sizes, int) else sizes
         whole = isinstance(sizes, list) and sizes and all(type(side) is int and side >= 0 for side in sizes)
         if not isinstance(data, list) or not whole or len(sizes) > 2:
-            raise self.wrong(key, "is no matrix: rows, cols and data are needed")
+            raise self.wrong(key, "is not a matrix with rows, cols and data")
         if str(value.get("dt", "d")) not in _CHANNELS:
             raise self.wrong(key, f"dt {value['dt']!r} is not the type of a matrix of numbers (d, f, i)")
         rows, columns = sizes if len(sizes) == 2 else (1, sizes[0])
@@ -135,7 +135,7 @@ class Values:
         matrix = self.matrix(key, 3, 3)
         fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
         if matrix[2, 0] and matrix[2, 1] and not (cx or cy):
-            raise self.wrong(key, "looks transposed: cx, cy stand in the last row")
+            raise self.wrong(key, "possibly transposed: cx, cy in the last row")
         if not np.array_equal(matrix, [(fx, 0, cx), (0, fy, cy), (0, 0, 1)]):
             raise self.wrong(key, "is not fx 0 cx, 0 fy cy, 0 0 1; camcal's lens models have no skew")
         if not (fx > 0 and fy > 0):

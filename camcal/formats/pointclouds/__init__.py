@@ -66,7 +66,8 @@ def require_suffix(path: Path, *, ascii_text: bool = False) -> None:
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
         raise InvalidInput(
-            f"{path.suffix or 'no suffix'} is no point cloud; known are {' '.join(SUFFIXES)}", where=str(path)
+            f"{path.suffix or 'no suffix'} is not a point cloud format; use one of {' '.join(SUFFIXES)}",
+            where=str(path),
         )
     if ascii_text and form.write_text is None:
         texts = " ".join(suffix for suffix, known in _FORMATS.items() if known.write_text)

@@ -50,7 +50,7 @@ def write(file: BinaryIO, stream: VertexStream) -> None:
     """
     kind = _type_of(stream)
     if stream.count * kind.itemsize > _LIMIT:
-        raise InvalidInput(f"{stream.count} points are more than the 4 GiB of a GLB file hold; write .ply")
+        raise InvalidInput(f"{stream.count} points exceed the 4 GiB of a GLB file; write .ply")
     longest = np.full((2, 3), np.finfo(np.float32).min)
     room = (len(_description(stream, kind, stream.count, longest)) + 3) // 4 * 4
     start = HEADER.size + CHUNK.size + room + CHUNK.size
@@ -170,7 +170,7 @@ def read(content: bytes) -> PointCloudFile:
         notes = {str(key): str(value) for key, value in extras.get("notes", {}).items()}
         words = {"unit": str(extras.get("unit", METRES)), "frame": str(extras.get("frame", ""))}
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise FileError("the description in the GLB file is not one of points") from error
+        raise FileError("the GLB file contains no points") from error
     return cloud_of(columns, **words, notes=notes)
 
 
@@ -191,7 +191,7 @@ def _chunks(content: bytes) -> tuple[Any, bytes]:
     try:
         return json.loads(chunks[JSON_CHUNK]), chunks.get(BINARY_CHUNK, b"")
     except (KeyError, ValueError, RecursionError) as error:
-        raise FileError("the GLB file has no readable description") from error
+        raise FileError("the GLB file has no readable JSON") from error
 
 
 def _columns(document: Any, binary: bytes) -> dict[str, Array]:

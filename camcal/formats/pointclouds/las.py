@@ -127,7 +127,7 @@ def read(content: bytes) -> PointCloudFile:
             words = _words(reader.header)
             columns = _columns(reader)
     except (laspy.LaspyException, *_DAMAGE) as error:
-        raise FileError(f"not a LAS file that can be read ({error})") from error
+        raise FileError(f"not a readable LAS file ({error})") from error
     return cloud_of(_filled(columns, words["fields"]), frame=words["frame"], notes=words["notes"])
 
 
@@ -162,7 +162,7 @@ def _require_chunks(content: bytes, start: int) -> None:
             (table,) = _PLACE.unpack_from(content, len(content) - _PLACE.size)
         _, chunks = _CHUNKS.unpack_from(content, table)
     except struct.error as error:
-        raise FileError("not a LAS file that can be read (it has no table of chunks)") from error
+        raise FileError("not a readable LAS file (it has no table of chunks)") from error
     if table < start or chunks > len(content):
         raise FileError(f"{chunks} chunks of points do not fit into {len(content)} bytes")
 

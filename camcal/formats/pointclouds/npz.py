@@ -71,7 +71,7 @@ def _arrays(content: bytes) -> Mapping[str, Any]:
     try:
         return arrays_of(content)
     except ValueError as error:
-        raise FileError("not an NPZ file that can be read (np.savez writes one)") from error
+        raise FileError("not a readable NPZ file (np.savez writes one)") from error
 
 
 def _columns(name: str, array: Array, shape: tuple[int, ...]) -> dict[str, Array]:

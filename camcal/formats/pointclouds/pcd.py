@@ -128,7 +128,7 @@ def _parsed(lines: list[str]) -> _Header:
     words = {line.split()[0]: line.split()[1:] for line in lines if line and not line.startswith("#")}
     data = (words["DATA"] or [""])[0]
     if data not in _READERS:
-        raise FileError(f"PCD data of the kind {data or 'nothing'}; known are {', '.join(_READERS)}")
+        raise FileError(f"PCD data of the kind {data or 'nothing'}; use one of {', '.join(_READERS)}")
     try:
         width, height = parse_integer(words["WIDTH"][0]), parse_integer(words["HEIGHT"][0])
         kind = _fields(words)
@@ -138,7 +138,7 @@ def _parsed(lines: list[str]) -> _Header:
         ) from error
     points = words.get("POINTS", [str(width * height)])
     if width < 0 or height < 0 or points != [str(width * height)]:
-        raise FileError(f"the PCD header says {width} × {height}, and {' '.join(points)} points")
+        raise FileError(f"the PCD header has {width} × {height}, and {' '.join(points)} points")
     return _Header(kind, width, height, data, [line.lstrip("# ") for line in lines if line.startswith("#")])
 
 

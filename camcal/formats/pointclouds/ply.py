@@ -87,7 +87,7 @@ def read(content: bytes) -> PointCloudFile:
     header = _parsed(found[0].decode("utf-8", "replace").splitlines())
     names = [element.name for element in header.elements]
     if "vertex" not in names:
-        raise FileError("a PLY file without vertices")
+        raise FileError("PLY file without vertices")
     before, vertex = header.elements[: names.index("vertex")], header.elements[names.index("vertex")]
     body = memoryview(content)[found.end() :]
     table = _text(body, before, vertex) if header.order == "=" else _binary(body, header.order, before, vertex)
@@ -124,7 +124,7 @@ def _binary(body: memoryview, order: str, before: list[_Element], vertex: _Eleme
     kind = _type_of(vertex, order)
     needed = start + vertex.count * kind.itemsize
     if len(body) < needed:
-        raise FileError(f"{vertex.count} vertices end {needed} bytes after the header, the file after {len(body)}")
+        raise FileError(f"{vertex.count} vertices end {needed} bytes after the header, the file has {len(body)}")
     return np.ndarray(vertex.count, kind, body, start)
 
 

@@ -216,7 +216,7 @@ def numbers_in(lines: Sequence[str], columns: int | None = None) -> Array:
     try:
         found: Array = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise FileError(f"the rows of vertices are no table of numbers: {error}") from error
+        raise FileError(f"vertex rows are not numeric: {error}") from error
     if columns not in {None, found.shape[1]}:
         raise FileError(f"a vertex has {columns} numbers by the header, a row has {found.shape[1]}")
     return found

@@ -55,7 +55,7 @@ def _columns(numbers: Array, names: list[str] | None) -> dict[str, Array]:
     if names is not None and len(names) != count:
         raise FileError(f"the file names {len(names)} columns, its rows have {count}")
     if count < len(POSITION):
-        raise FileError(f"a row has {count} numbers, a point takes three")
+        raise FileError(f"a row has {count} numbers (minimum 3)")
     return dict(zip(names or _guessed(numbers), numbers.T, strict=False))
 
 

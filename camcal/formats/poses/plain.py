@@ -113,7 +113,7 @@ def check_frames(value: Any, path: str) -> Iterator[Fault]:
     """Check the name of a transform between an object and a camera or rig."""
     parts = value.split("_T_") if isinstance(value, str) else []
     if len(parts) != 2 or "object" not in parts or not all(map(NAME.match, parts)):
-        yield Fault(path, f"{value!r} is no name such as camera_T_object or object_T_camera")
+        yield Fault(path, f"{value!r} is not camera_T_object or object_T_camera")
 
 
 def _pose_block(frames: str) -> Check:
@@ -173,7 +173,7 @@ def _check_poses(blocks: Any, path: str, frames: str) -> Iterator[Fault]:
         faults = list(whole(block, place)) or list(_check_block(block, place, frames))
         yield from faults
         if not faults and (pose_key := _sight(block)) in seen:
-            yield Fault(place, f"{pose_key} stands twice")
+            yield Fault(place, f"{pose_key} occurs twice")
         elif not faults:
             seen.add(pose_key)
 

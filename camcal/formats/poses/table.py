@@ -90,7 +90,7 @@ def read(path: Path) -> Poses:
     for row, record in enumerate(_records(table)):
         pose_key = PoseKey(table.columns["image"][row], table.columns["object"][row])
         if pose_key in estimates:
-            raise InvalidInput(f"{pose_key} stands twice", where=f"{where}:{table.lines[row]}")
+            raise InvalidInput(f"{pose_key} occurs twice", where=f"{where}:{table.lines[row]}")
         estimates[pose_key] = record
     return Poses(frames, unit, noise, estimates, dict(_missing(where, content)))
 
@@ -162,7 +162,7 @@ def _records(table: Table) -> Iterator[PoseRecord]:
 
 def _transforms(table: Table, numbers: Array) -> list[Pose]:
     off = np.abs(np.linalg.norm(numbers[:, 3:7], axis=1) - 1)
-    table.refuse(off > UNIT_LENGTH, lambda _row: "the quaternion does not have length 1")
+    table.refuse(off > UNIT_LENGTH, lambda _row: "quaternion norm is not 1")
     return [Pose(so3.from_quaternion(row[3:7]), row[:3]) for row in numbers]
 
 

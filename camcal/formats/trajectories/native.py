@@ -80,7 +80,7 @@ def write_yaml(path: Path, poses: Trajectory) -> None:
     """Write all that is known of the poses as YAML; raises InvalidInput if there are more than YAML is read with."""
     values = 16 + 44 * (poses.covariances is not None) + 8 * (poses.velocities is not None)
     if len(poses) * values > MAX_VALUES:
-        raise InvalidInput(f"{len(poses)} poses are too many for YAML; write .json, .csv or .tum", where=str(path))
+        raise InvalidInput(f"{len(poses)} poses exceed YAML; write .json, .csv or .tum", where=str(path))
     a, b = poses.frames.split("_T_")
     comment = f"camcal trajectory, s, m and rad. {poses.frames} takes points in {b} to points in {a}."
     files.write_text(path, emit.document(document(poses), comment))

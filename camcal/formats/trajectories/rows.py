@@ -48,7 +48,7 @@ def trajectory(
     if bad.any():
         row = int(np.argmax(bad))
         raise InvalidInput(
-            f"the quaternion has length {lengths[row]:.6g}, not 1; is its order right?", where=f"{path}:{lines[row]}"
+            f"the quaternion has length {lengths[row]:.6g}, not 1: check its order", where=f"{path}:{lines[row]}"
         )
     return Trajectory(named(frames, path), stamps, so3.from_quaternion(quaternions), positions)
 

@@ -98,7 +98,7 @@ def _has(path: Path, names: Sequence[str], wanted: Sequence[str]) -> bool:
     missing = [name for name in wanted if name not in names]
     if missing and len(missing) < len(wanted):
         raise InvalidInput(
-            f"missing column {missing[0]!r}; {wanted[0]} to {wanted[-1]} stand together", where=str(path)
+            f"missing column {missing[0]!r}; {wanted[0]} to {wanted[-1]} are needed together", where=str(path)
         )
     return not missing
 
@@ -177,6 +177,6 @@ def _of_matrices(path: str, lines: list[int], table: Array, frames: str | None) 
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = (error > _ROUNDED) | (np.linalg.det(rotations) < 0)
     if bad.any():
-        raise InvalidInput("the left 3 × 3 numbers are no rotation", where=f"{path}:{lines[int(np.argmax(bad))]}")
+        raise InvalidInput("the left 3 × 3 numbers are not a rotation", where=f"{path}:{lines[int(np.argmax(bad))]}")
     stamps = np.arange(len(matrices), dtype=float)
     return Trajectory(named(frames, path), stamps, so3.nearest(rotations), matrices[:, :, 3])

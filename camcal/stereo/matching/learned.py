@@ -63,7 +63,7 @@ def read_graph(path: Path) -> Graph:
     try:
         return _graph(content)
     except (IndexError, ValueError) as error:
-        raise FileError("not an ONNX model, or a truncated one", where=str(path)) from error
+        raise FileError("not an ONNX model, or truncated", where=str(path)) from error
 
 
 def _graph(content: memoryview) -> Graph:

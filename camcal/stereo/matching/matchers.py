@@ -128,7 +128,7 @@ def three_way(left: Array, right: Array, first: int, count: int, smallest: int =
     """
     count = -(-count // _SIXTEENTHS) * _SIXTEENTHS
     if count > _MOST:
-        raise InvalidInput(f"{count} disparities are more than the {_MOST} that OpenCV's matcher can tell apart")
+        raise InvalidInput(f"{count} disparities exceed the {_MOST} of the matcher of OpenCV")
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,

@@ -47,7 +47,7 @@ def gray_pair(left: Array, right: Array, *, expose: bool = True) -> GrayPair:
     deep_left, deep_right = _gray(left), _gray(right)
     if deep_left.shape != deep_right.shape:
         sizes = ["{1} × {0}".format(*image.shape) for image in (deep_left, deep_right)]
-        raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}; a pair has one size")
+        raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}: sizes must be equal")
     deep_left, deep_right = _whole_numbers(deep_left, deep_right)
     first, second = _eight_bits(deep_left, deep_right)
     second = _exposed_alike(first, second) if expose else second
@@ -189,9 +189,9 @@ def _range(search: tuple[int, int]) -> tuple[int, int]:
     """Return the first disparity and their number."""
     first, last = search
     if first > last:
-        raise InvalidInput(f"the range {first} to {last} is empty; write the smallest disparity first")
+        raise InvalidInput(f"the range {first} to {last} is empty: write MIN:MAX")
     if max(abs(first), abs(last)) > _WIDEST:
-        raise InvalidInput(f"a range of {first} to {last} px is wider than any image")
+        raise InvalidInput(f"a range of {first} to {last} px exceeds any image")
     return first, max(last - first + 1, _FEWEST)
 
 

@@ -159,7 +159,7 @@ def residual_of(matches: Matches) -> Residual:
     needed = max(_FEWEST, round(_FEWEST_SHARE * len(dy)))
     if kept.sum() < needed:
         raise InsufficientData(
-            f"{len(dy)} features are alike in both images and {kept.sum()} agree on their rows, need {needed}; "
+            f"{len(dy)} matched features, {kept.sum()} of them with consistent rows (minimum {needed}; "
             f"{_why_so_few(matches)}"
         )
     disparity = matches.left[:, 0] - matches.right[:, 0]
@@ -214,8 +214,8 @@ def _why_so_few(matches: Matches) -> str:
     if min(width, height) < _SMALL:
         return f"images of {width}x{height} pixels are too small"
     if matches.contrast < _FLAT:
-        return f"an image is without texture, its gray levels scatter by {matches.contrast:.1f} of 255"
-    return "do the images show the same scene?"
+        return f"image without texture: standard deviation of the gray levels {matches.contrast:.1f} of 255"
+    return "check that both images show the same scene"
 
 
 def _normalised(pixels: Array, size: tuple[int, int]) -> Array:

@@ -89,7 +89,9 @@ def check_pair(left: Array, right: Array) -> PairCheck:
     turn = turn_of(matches)
     if turn:
         side = "clockwise" if turn > 0 else "counter-clockwise"
-        raise InvalidInput(f"the right image is turned {abs(degrees(turn)):.0f}° {side} against the left; turn it back")
+        raise InvalidInput(
+            f"the right image is rotated by {abs(degrees(turn)):.0f}° {side} relative to the left: rotate it back"
+        )
     residual = residual_of(matches)
     coarse = coarse_map(left, right)
     periodic = coarse.periodic and residual.trend.largest <= LARGEST_CORRECTION  # rows far off match by chance

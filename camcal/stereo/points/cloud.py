@@ -192,9 +192,7 @@ def thinned(stream: VertexStream, voxel: float | None = None, max_points: int | 
     if voxel is None and max_points is None:
         return stream
     if stream.grid is not None:
-        raise InvalidInput(
-            "an organised cloud has a place for every pixel; voxels and a number of points are not for it"
-        )
+        raise InvalidInput("an organised cloud has a point for every pixel: leave out voxels and the number of points")
     vertices = np.concatenate([np.empty(0, stream.type), *stream.blocks])
     if voxel is not None:
         vertices = one_per_voxel(vertices, voxel)
@@ -240,7 +238,7 @@ def _keys(vertices: Array, size: float) -> Array:
         extent = float(place.max(initial=-np.inf)) - float(first) + 1 if len(place) else 1.0
         cubes *= extent
         if not cubes < _LARGEST_KEY:
-            raise InvalidInput(f"voxels of {size:g} are too many for the extent of the cloud; give a larger side")
+            raise InvalidInput(f"voxels of {size:g} are too many for the extent of the cloud: use a larger side")
         key *= int(extent)
         key += (place - first).astype(np.int64)
     return key

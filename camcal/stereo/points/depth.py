@@ -89,7 +89,7 @@ class StereoImage:
         (sigma_z / z)² = (sigma_d / (d + doffs))² + (sigma_fb / fb)². Raises InvalidInput if sigma is not known at all.
         """
         if self.sigma is None:
-            raise InvalidInput("the standard deviation of the disparity is not known; give --sigma-disparity")
+            raise InvalidInput("unknown standard deviation of the disparity: set --sigma-disparity")
         sigma = self.sigma[rows] if isinstance(self.sigma, np.ndarray) else self.sigma
         with np.errstate(over="ignore"):
             share = np.asarray(sigma, np.float32) / self.shifted(rows)

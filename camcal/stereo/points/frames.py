@@ -105,9 +105,9 @@ def frame_named(
     if unit not in UNITS:
         raise InvalidInput(f"unit {unit!r} is unknown; use one of {', '.join(UNITS)}")
     if name == ENU and world_T_camera is None:
-        raise InvalidInput("the frame enu needs --pose: where the camera is in the world")
+        raise InvalidInput("--frame enu needs the pose of the camera in the world: set --pose")
     if name == CAMERA and camera_R_rectified is None:
-        raise InvalidInput("the frame camera needs to know how the pair was rectified: no sidecar of the map says so")
+        raise InvalidInput("--frame camera needs the rectification of the pair, which no sidecar of the map has")
     turns = _TURNS if camera_R_rectified is None else {**_TURNS, CAMERA: camera_R_rectified}
     named_T_left = Pose(turns.get(name, np.eye(3)), np.zeros(3))
     if world_T_camera is None:

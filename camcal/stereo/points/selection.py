@@ -78,7 +78,7 @@ def select(image: StereoImage, selection: Selection, frame: Frame, each: Each = 
     """
     require_size(selection.mask, image.shape, "mask")
     if selection.min_confidence is not None and image.confidence is None:
-        raise InvalidInput("the confidence of the pixels is not known; no sidecar of the map names it")
+        raise InvalidInput("unknown confidence of the pixels: no sidecar of the map names it")
     in_metres = Frame(frame.frame_T_left)  # whatever the unit of the cloud is
     places = BackProjection(image.geometry, image.shape, in_metres) if selection.crop is not None else None
     kept = np.empty(image.shape, bool)

@@ -103,9 +103,7 @@ def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None
         return BoardDetection.nothing(_reason(gray, board, lattice))
     if best.wrong > best.right:
         layout = f"{board.columns} x {board.rows}"
-        return BoardDetection.nothing(
-            f"most tags are not where a board of {layout} tags has them; is it of another size?"
-        )
+        return BoardDetection.nothing(f"tag positions do not match a board of {layout} tags: check its size")
     return _measured(samples or MaskedImage(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
@@ -206,7 +204,7 @@ def _measured(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side
             break
     good = clear(corners) & (corners.noise < LOUD * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast))
     if good.sum() < MIN_CORNERS:
-        return BoardDetection.nothing(f"only {int(good.sum())} corners of tags are clear")
+        return BoardDetection.nothing(f"only {int(good.sum())} usable tag corners")
     ids = lattice.ids[known][good]
     order = np.argsort(ids)
     return BoardDetection(
@@ -222,7 +220,7 @@ def _reason(gray: Array, board: Board, lattice: TagLattice) -> str:
         for corners, what in ((outlines.corners, "tags"), (outlines.corners[:, ::-1], "mirror images of tags")):
             ids = read_tags(gray, corners, codes)
             if len(ids):
-                seen = f"{what} {', '.join(map(str, ids[:SHOWN]))} in sight"
+                seen = f"{what} {', '.join(map(str, ids[:SHOWN]))} visible"
                 ours = np.isin(ids, own).any()
                 return f"{seen}, not as on this board" if ours else f"{seen}; this board has {own[0]} to {own[-1]}"
     return f"no tag of {board.dictionary} with a black border of {TAG_BORDER} cells found"

@@ -284,8 +284,8 @@ def _reason(part: _Part) -> BoardDetection:
     """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
     if mirrored > count:
-        return BoardDetection.nothing("the image is mirrored: its markers can be read only from behind")
-    return BoardDetection.nothing(f"{count} markers, but not where this board has them")
+        return BoardDetection.nothing("the image is mirrored: flip it")
+    return BoardDetection.nothing(f"{count} markers in other positions than on this board")
 
 
 def clearance(board: Board) -> float:

@@ -60,7 +60,7 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
     if not whole and (not partial or min(checker.grid.shape[:2]) < LEAST_PART):
         return _part_or_another(gray, checker, board)
     if whole and not partial and checker.found.mean() < MIN_SHARE:
-        return BoardDetection.nothing(f"only {int(checker.found.sum())} of {board.count} corners are clear")
+        return BoardDetection.nothing(f"only {int(checker.found.sum())} of {board.count} usable corners")
     places = fitting(checker, board)
     if not whole:
         places = ending(gray, checker, places, board)
@@ -70,9 +70,9 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
     if grid is not None:
         return BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
     if whole and board.dots:
-        return BoardDetection.nothing("the three dots that tell its corners apart are not to be seen")
+        return BoardDetection.nothing("the three dots that define its orientation are not visible")
     seen = _part_or_another(gray, checker, board)
-    return BoardDetection.nothing(f"{seen.reason}, which part of the board is not to be seen", seen.other)
+    return BoardDetection.nothing(f"{seen.reason}, which part of the board is ambiguous", seen.other)
 
 
 def _part_or_another(gray: Array, checker: Checker, board: Board) -> BoardDetection:
@@ -84,8 +84,8 @@ def _part_or_another(gray: Array, checker: Checker, board: Board) -> BoardDetect
     if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
         return BoardDetection.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
     if _leaves(gray, checker.grid):
-        return BoardDetection.nothing(f"board partly outside the image ({seen} corners in sight)")
-    return BoardDetection.nothing(f"only {seen} of {wanted} corners in sight", other)
+        return BoardDetection.nothing(f"board partly outside the image ({seen} corners visible)")
+    return BoardDetection.nothing(f"only {seen} of {wanted} corners visible", other)
 
 
 def _leaves(gray: Array, pattern: Array) -> bool:

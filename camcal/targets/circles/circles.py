@@ -79,7 +79,7 @@ def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> 
     fits = fit_discs(gray, start)
     good = _good(fits)
     if good.sum() < MIN_SHARE * board.count:
-        return BoardDetection.nothing(f"only {int(good.sum())} of {board.count} circles are clear")
+        return BoardDetection.nothing(f"only {int(good.sum())} of {board.count} usable circles")
     points = board.points()[good, :2] / board.spacing
     radius = None if board.diameter is None else board.diameter / board.spacing / 2
     pixels = projected_centres(fits.ellipses.take(good), points, radius, (width, height))
@@ -230,18 +230,18 @@ class OtherGrid:
         """Return why the grid in an image (H, W) uint8 is not the board, and which board it is."""
         other, wanted = board_of(self.drawn, self.like), f"{board.columns} x {board.rows}"
         if self.like.type == ASYMMETRIC_CIRCLES and _checkered(gray, self.count):
-            return BoardDetection.nothing(f"a checker pattern in sight, no {board.words}")
+            return BoardDetection.nothing(f"a checker pattern visible, no {board.words}")
         size = gray.shape[1], gray.shape[0]
         beyond = self._next(size)
         if self._leaves(beyond, size):
             return BoardDetection.nothing(
-                f"board partly outside the image ({self.count} circles in sight, not {wanted})"
+                f"board partly outside the image ({self.count} circles visible, not {wanted})"
             )
         if other is None or self.count < _FILLED * other.count or not self.whole or self._goes_on(beyond):
-            return BoardDetection.nothing(f"a part of a grid in sight ({self.count} circles), not {wanted}")
+            return BoardDetection.nothing(f"part of a grid visible ({self.count} circles), not {wanted}")
         kind = "an asymmetric grid" if other.type == ASYMMETRIC_CIRCLES else "a grid"
         seen = f"{other.columns} x {other.rows}"
-        return BoardDetection.nothing(f"{kind} of {seen} circles in sight, not {wanted}", other)
+        return BoardDetection.nothing(f"{kind} of {seen} circles visible, not {wanted}", other)
 
     def _next(self, size: tuple[int, int]) -> tuple[Array, ...]:
         """Return where the next circles beyond each side would be (K, 2) px, nothing where that is unknown."""

@@ -135,7 +135,7 @@ class BoardEdges:
         if board.type == APRILGRID:
             return _of_tags(board)
         if not board.has_saddle_corners:
-            raise InvalidInput(f"no edges cross at the points of a {board.words}")
+            raise InvalidInput(f"a {board.words} has no checkerboard corners")
         sign = first_sign(board) if first is None else first
         depth = bright_depths((board.rows, board.columns), sign, margin(board))
         for row, column in dotted_squares(board.columns, board.rows) if board.dots else ():

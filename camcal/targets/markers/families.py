@@ -156,7 +156,7 @@ def family_named(name: str) -> Family:
     full = known.get(f"tag{name}".lower() if _SHORT.fullmatch(name) else name.lower())
     if full is None:
         near = nearest(name.lower(), known, likeness=0.3)
-        advice = f"did you mean {known[near]}?" if near else f"known are {', '.join(FAMILIES)}"
+        advice = f"did you mean {known[near]}?" if near else f"one of {', '.join(FAMILIES)}"
         raise InvalidInput(f"marker family {name!r} is unknown; {advice}")
     turned = full in APRILTAGS
     dictionary = f"DICT_APRILTAG_{full.removeprefix('tag')}" if turned else full

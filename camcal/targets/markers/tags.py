@@ -51,7 +51,7 @@ class TagObjects:
         if self.size is None and not self.sizes and not self.bundles:
             raise InvalidInput("tags need a size, such as 53mm, or corners in a bundle")
         if self.ids is not None and self.size is None:
-            raise InvalidInput("ids say which tags of one size count; give that size")
+            raise InvalidInput("ids need the size of the tags")
         for size in (*([] if self.size is None else [self.size]), *self.sizes.values()):
             require_size(size)
         _require_ids(self, family)
@@ -107,7 +107,7 @@ def require_quadrangle(corners: Array) -> None:
     normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
     length = float(np.linalg.norm(normal))
     if length == 0 or (turns @ normal).min() < _FLATTEST * length:
-        raise InvalidInput("the corners do not go once around a quadrangle; name them in turn, clockwise from top-left")
+        raise InvalidInput("the corners are not a convex quadrangle in order: clockwise from top-left")
     if abs((corners[1] - corners[0]) @ normal) / length > _BENT * lengths.max():
         raise InvalidInput("the corners are not in one plane")
 
@@ -126,7 +126,7 @@ def _require_ids(tags: TagObjects, family: Family) -> None:
     for name, tag in _placed(tags):
         require_id(tag, family)
         if tag in owners:
-            raise InvalidInput(f"id {tag} is on {owners[tag]} and on {name}; a tag is on one object once")
+            raise InvalidInput(f"id {tag} is on {owners[tag]} and on {name}; each tag belongs to one object")
         owners[tag] = name
     for tag in tags.ids or ():
         require_id(tag, family)

@@ -115,7 +115,7 @@ def ink_of(board: Board) -> Ink:
     Raises InvalidInput for a board whose lengths are not known, or whose markers the dictionary does not have.
     """
     if board.square is None:
-        raise InvalidInput(f"the {board.words} has no size to print it at; give it as in {FORMS[board.type]}")
+        raise InvalidInput(f"the {board.words} has no size for printing; give it as in {FORMS[board.type]}")
     pattern, reach = pattern_of(board), ink_reach(board)
     width, height = (round((side + 2 * reach) * MM, 6) for side in board.extent)
     x, y, black = (pattern.x + reach) * MM, (pattern.y + reach) * MM, pattern.ink == BLACK
@@ -308,7 +308,7 @@ def _too_large(ink: Ink, footer: Footer, sheet: Sheet) -> str:
     paper = sheet.paper or SERIES[-1]
     printable = [_room(footer, way, sheet.margin) for way in ways(paper, sheet.landscape)]
     if all(width < footer.ruler_width for width, _ in printable):
-        return f"{paper.described()} has no room for a ruler of {RULER_MM} mm; use --no-ruler or wider paper"
+        return f"{paper.described()} is too narrow for a ruler of {RULER_MM} mm: use --no-ruler or wider paper"
     width, height = ink.bordered
     share, room = max((min(room[0] / width, room[1] / height), room) for room in printable)
     needed, given = (f"{size[0]:g} x {size[1]:g} mm" for size in (ink.bordered, room))
@@ -316,7 +316,7 @@ def _too_large(ink: Ink, footer: Footer, sheet: Sheet) -> str:
     advice = [f"--paper {name}" for name in _enough(ink, footer, sheet)]
     advice += [f"{spacing:g} mm in place of {ink.spacing:g} mm"] if spacing > 0 else []
     return (
-        f"the board takes {needed} with its white border, {paper.name} has {given} between margins of "
+        f"the board needs {needed} with its white border, {paper.name} has {given} within margins of "
         f"{sheet.margin:g} mm and above the footer: use {', or '.join(advice) or 'a smaller margin'}"
     )
 

@@ -95,9 +95,9 @@ def _is_there(path: Path, board: Board) -> bool:
         with files.unwatched():
             found = boards.read(path)
     except CamcalError as error:
-        raise InvalidInput("is no board file and is kept; choose another output", where=str(path)) from error
+        raise InvalidInput("is not a board file and is not replaced; choose another output", where=str(path)) from error
     if emit.rounded(boards.block(_as_printed(found))) != emit.rounded(boards.block(board)):
-        raise InvalidInput("describes another board and is kept; choose another output", where=str(path))
+        raise InvalidInput("describes another board and is not replaced; choose another output", where=str(path))
     return True
 
 
@@ -108,7 +108,7 @@ def _target(options: SheetOptions, board: Board) -> str:
         return ""
     text = kalibr_target.text_of(board)
     if path.resolve() in (options.output.resolve(), options.board_file.resolve()):
-        raise InvalidInput("is written already; give the file for Kalibr a name of its own", where=str(path))
+        raise InvalidInput("is another output; choose another name for the Kalibr file", where=str(path))
     return text
 
 

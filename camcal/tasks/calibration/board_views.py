@@ -70,10 +70,10 @@ def board_views(
     known = boards.load_board(board) if isinstance(board, str) else board
     tables = [text for text in inputs if is_table(text)]
     if tables and len(inputs) > 1:
-        raise InvalidInput("a detections file is read alone, without images or other files", where=tables[0])
+        raise InvalidInput("a detections file cannot be combined with other inputs", where=tables[0])
     if tables and reading != AS_IMAGES:
         option = given_words(reading)[0]
-        raise InvalidInput(f"{option} is about images, and a detections file holds corners already", where=tables[0])
+        raise InvalidInput(f"{option} applies to images, not to a detections file", where=tables[0])
     if tables:
         path = Path(tables[0])
         found = detections.read(path, known, image_size or (lambda name: _size_beside(path, name)))
@@ -117,4 +117,4 @@ def _size_beside(table: Path, image: str) -> tuple[int, int]:
         if path.is_file():
             height, width = read_detection_image(path).gray.shape
             return width, height
-    raise InvalidInput(f"has no image size and {image} is not there: pass --image-size WxH", where=str(table))
+    raise InvalidInput(f"has no image size and {image} was not found: set --image-size WxH", where=str(table))

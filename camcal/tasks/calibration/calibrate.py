@@ -187,9 +187,9 @@ def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
     if options.refine is None:
         return seen.board.has_saddle_corners and not seen.table
     if options.refine and not seen.board.has_saddle_corners:
-        raise InvalidInput(f"--refine measures corners along their edges, which no {seen.board.words} has")
+        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {seen.board.words}")
     if options.refine and seen.table:
-        raise InvalidInput("--refine measures corners in images once more: name the images, not a detections file")
+        raise InvalidInput("--refine needs images, not a detections file")
     return options.refine
 
 

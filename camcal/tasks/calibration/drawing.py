@@ -104,5 +104,5 @@ def require_success(outcomes: Sequence[Outcome[Path, Drawn]]) -> None:
     """Raise the first error if there is nothing but errors."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     if errors and len(errors) == len(outcomes):
-        more = f" ({len(errors)} images failed, none is written)" if len(errors) > 1 else ""
+        more = f" ({len(errors)} images failed, none written)" if len(errors) > 1 else ""
         raise type(errors[0])(f"{errors[0].message}{more}", where=errors[0].where)

@@ -89,7 +89,7 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     """Yield what is known of one camera beside its parameters, a line each."""
     names = "horizontal", "vertical", "diagonal"
     known = [f"{name} {angle:.1f}°" for name, angle in zip(names, field_deg, strict=True) if math.isfinite(angle)]
-    yield "field of view " + (", ".join(known) or "not known: the lens is not valid at the edges of the image")
+    yield "field of view " + (", ".join(known) or "unknown: the lens model is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
     yield from circle_lines(entry.image_circle)
@@ -105,7 +105,7 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     if entry.sensor:
         yield "sensor " + _figures(entry.sensor)
     if entry.channels:
-        yield f"a lens of its own for {', '.join(entry.channels)}"
+        yield f"separate lens models for {', '.join(entry.channels)}"
 
 
 def _valid_words(entry: CameraEntry) -> Iterator[str]:
@@ -154,7 +154,7 @@ def _images(file: CameraFile) -> list[Any]:
 def _transform_words(transform: Transform) -> str:
     distance = float(np.linalg.norm(transform.pose.translation))
     angle = math.degrees(float(np.linalg.norm(transform.pose.vector())))
-    return f"{distance:.6g} m apart, turned by {angle:.3f}°"
+    return f"{distance:.6g} m apart, rotated by {angle:.3f}°"
 
 
 def _board_lines(surface: Surface) -> Iterator[str]:
@@ -171,7 +171,7 @@ def _board_lines(surface: Surface) -> Iterator[str]:
         whole = "" if ratio else " of the longer side"
         yield f"board, scale of {name}: {shown} ± {sigma} %{whole}"
     if surface.offsets is not None:
-        yield f"board points moved by up to {factor * np.abs(surface.offsets).max():.3g} {unit}"
+        yield f"board points displaced by up to {factor * np.abs(surface.offsets).max():.3g} {unit}"
 
 
 def image_rows(file: CameraFile) -> list[list[str]]:

@@ -147,7 +147,7 @@ def _calibrated(views: Sequence[BoardDetection], board: Board) -> tuple[Calibrat
         try:
             found.append(intrinsics.calibrate(views, board, intrinsics.Options(model_named(name), shape=shape)))
         except CamcalError as error:
-            failure = f"the way it was turned cannot be told without a calibration of the others: {error.message}"
+            failure = f"direction of rotation unknown without a calibration of the other images: {error.message}"
     return min(found, key=lambda calibration: calibration.sigma_px, default=None), failure
 
 
@@ -168,7 +168,7 @@ def _way(view: BoardDetection, usual: Size, lens: Calibration) -> PixelMap | str
     best, other = sorted(medians)
     limit = _LIMIT * lens.sigma_px
     if not best <= limit:
-        return f"turned either way it does not fit the others: median {best:.2f} px (limit {limit:.2f} px)"
+        return f"rejected in both rotations: median {best:.2f} px (limit {limit:.2f} px)"
     if other < _CLEARER * best:
-        return f"turned either way it fits the others alike: median {best:.2f} and {other:.2f} px"
+        return f"ambiguous rotation: median {best:.2f} and {other:.2f} px"
     return maps[medians.index(best)]

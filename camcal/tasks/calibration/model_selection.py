@@ -58,7 +58,7 @@ def select(
         if failure is not None:
             return replace(selection, warnings=(_failed(own.name, first.name, failure.message),))
         return _without_fold(selection, views, board, options, circle)
-    raise failure or NotConverged("no lens model was found")
+    raise failure or NotConverged("no lens model converged")
 
 
 def _compared(views: Sequence[BoardDetection], board: Board, options: intrinsics.Options) -> tuple[CandidateModel, ...]:

@@ -144,10 +144,7 @@ class CalibrateOptions(OptionsRecord):
     model: Annotated[
         str | None,
         Option(
-            lambda: (
-                f"Lens model: {lens_models()}. "
-                "Default: opencv5, unless another one predicts views clearly better; it is said."
-            ),
+            lambda: f"Lens model: {lens_models()}. Default: opencv5, unless another one predicts views clearly better.",
             metavar="MODEL",
             group=LENS,
         ),

@@ -169,7 +169,7 @@ def _rescaled(source: SourceCamera, media: Media) -> SourceCamera:
         return source
     if not same_shape(size, usual):
         found, wanted = ("{}x{}".format(*each) for each in (size, usual))
-        raise InvalidInput(f"images of {found} are no resized images of {wanted}: they need a camera of their own")
+        raise InvalidInput(f"images of {found} are not resized images of {wanted}: they need a camera of their own")
     scale = size[0] / usual[0], size[1] / usual[1]
 
     def resized(camera: Camera) -> Camera:
@@ -296,7 +296,7 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
     Raises InvalidInput for a table without u and v, or with something else than numbers in them; FileError.
     """
     if options.points is None:
-        raise InvalidInput("no points are given; name a table with --points")
+        raise InvalidInput("no points: give a table with --points")
     source = read_source(options, lambda: options.view.size, progress)
     output = _points_output(options.output, options.points)
     camera_file = None if options.distort or files.is_stream(output) else output.with_suffix(".camera.yaml")
@@ -331,7 +331,7 @@ def _read_points(path: Path) -> Table:
     if any(names.count(name) != 1 for name in _PIXEL):
         raise InvalidInput(f"the first row names the columns, u and v once among them; found {names}", where=str(path))
     if len(set(names)) < len(names):
-        raise InvalidInput(f"column {max(names, key=names.count)!r} stands twice", where=str(path))
+        raise InvalidInput(f"column {max(names, key=names.count)!r} occurs twice", where=str(path))
     return Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
 
 

@@ -88,7 +88,7 @@ class UndistortOptions(OptionsRecord):
         super().__post_init__()
         alone = self.given.without_file([self.camera] if self.camera else [])
         if self.camera is None and not alone:
-            raise InvalidInput("which camera? Give a camera file, or --camera-matrix FX,FY,CX,CY")
+            raise InvalidInput("no camera: give a camera file, or --camera-matrix FX,FY,CX,CY")
         if self.points is not None and self.images:
             raise InvalidInput(f"--points takes no images, found {self.images[0]}")
         if self.points is None and self.distort:

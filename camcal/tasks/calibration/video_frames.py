@@ -106,7 +106,7 @@ def require_names(videos: Sequence[Path]) -> None:
     for path in videos:
         other = named.setdefault(video.frame_name(path, 0), path)
         if other != path:
-            raise InvalidInput(f"its frames would have the names of those of {other.name}; rename one", where=str(path))
+            raise InvalidInput(f"frame names would equal those of {other.name}; rename one", where=str(path))
 
 
 def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
@@ -186,7 +186,9 @@ def _reason(choice: FrameChoice, view: BoardDetection, names: Sequence[str]) -> 
         CHOSEN: "adds most",
         SURPLUS: "adds less",
         BLURRED: f"blurred by {view.blur_px:.1f} px",
-        MOVING: f"moves {view.motion_px:.0f} px a frame" if np.isfinite(view.motion_px) else "moves too fast to follow",
+        MOVING: f"moves {view.motion_px:.0f} px a frame"
+        if np.isfinite(view.motion_px)
+        else "moves too fast to be tracked",
     }[choice.why]
 
 
@@ -199,8 +201,8 @@ def summary(surveyed: Video, records: Sequence[FrameRecord]) -> str:
     others = "".join(f", {whys[why]} {text}" for why, text in words.items() if whys[why])
     taken, found = sum(record.taken for record in own), sum(record.view.found for record in own)
     return (
-        f"{surveyed.path.name}: {taken} of {surveyed.count} frames are taken; {len(own)} were searched, "
-        f"{found} show the board{others}"
+        f"{surveyed.path.name}: {taken} of {surveyed.count} frames used; {len(own)} searched, "
+        f"{found} with the board{others}"
     )
 
 

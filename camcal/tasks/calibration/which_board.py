@@ -94,13 +94,13 @@ def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool 
     if found and (common is None or counts[common] <= found):
         return None
     if common is None:
-        advice = f"check {_TO_CHECK[board.type]}, or look at the images"
+        advice = f"check {_TO_CHECK[board.type]}, and the images"
         return InsufficientData(f"no {board.words} in any of {len(views)} images{_reasons(views)}; {advice}")
     squares = (common.columns + 1, common.rows + 1) == (board.columns, board.rows)
     checker = board.type == CHESSBOARD
     why = "sizes count inner corners, not squares: " if checker and squares else ""
     part = not (parts or squares or not checker or _larger(common, board))
-    hidden = ", or --partial if the rest is out of sight" if part else ""
+    hidden = ", or --partial if the rest is not visible" if part else ""
     article = "an" if common.type == ASYMMETRIC_CIRCLES else "a"
     what = f"a checker pattern of {common.columns}x{common.rows}" if checker else f"{article} {common.words}"
     return InsufficientData(
@@ -122,7 +122,7 @@ class OtherBoard:
         missing = sum(not view.found for view in views)
         lacking = f"no {asked.words}" + (f" in {missing} of {len(views)} images" if missing else "")
         return InsufficientData(
-            f"{lacking}: {self.shown} of {self.tried} images that were tried show "
+            f"{lacking}: {self.shown} of {self.tried} tested images show "
             f"{', '.join(_differences(self.board, asked))}; use --board {_stated(self.board)}"
         )
 
@@ -334,7 +334,7 @@ def detect_file(
 def require_colours(board: Board, reading: ImageReadOptions) -> None:
     """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
     if reading.colours and not board.checker:
-        raise InvalidInput(f"colours are measured at the corners of checker patterns, which no {board.words} has")
+        raise InvalidInput(f"colours need a board with checkerboard corners, not a {board.words}")
 
 
 def search(

@@ -49,7 +49,7 @@ class Measured:
 
     def _numbers(self, name: str) -> Array:
         values = self.table.numbers(name)
-        self.table.refuse(np.abs(values) > LARGEST, lambda row: f"{name}: {values[row]:g} is too large to compute with")
+        self.table.refuse(np.abs(values) > LARGEST, lambda row: f"{name}: {values[row]:g} exceeds the numerical range")
         return values
 
     def deviations(self) -> Array | None:
@@ -67,7 +67,7 @@ class Measured:
             return self.y
         left = [name for name in self.table.columns if name != self.sigma and name not in self.x]
         if not left:
-            raise InvalidInput(f"{self.table.path} has no column left to be predicted; say which with --y")
+            raise InvalidInput(f"{self.table.path} has no column left to predict; choose one with --y")
         return "y" if "y" in left else left[-1]
 
     def target(self) -> Array:
@@ -86,7 +86,7 @@ class Measured:
         """Raise InvalidInput if a formula has a constant by whose name there is a column too."""
         for name in formula.constants & self.table.columns.keys():
             raise InvalidInput(
-                f"{name!r} is a column and the constant {CONSTANTS[name]:.6g}; give the column another name",
+                f"{name!r} is both a column and the constant {CONSTANTS[name]:.6g}; give the column another name",
                 where=self.table.path,
             )
 
@@ -200,7 +200,7 @@ def model_of(text: str, measured: Measured, start: Mapping[str, float]) -> Model
     formula = parse(text)
     if formula.text.isidentifier() and formula.text not in {*measured.table.columns, *start}:
         known = ", ".join(["poly:N", *FAMILIES])
-        raise InvalidInput(f"no curve is named {text!r}{did_you_mean(text, list(FAMILIES))}; known are {known}")
+        raise InvalidInput(f"unknown curve {text!r}{did_you_mean(text, list(FAMILIES))}; known are {known}")
     return _of_formula(formula, measured, start)
 
 
@@ -208,14 +208,14 @@ def _of_formula(formula: Expression, measured: Measured, start: Mapping[str, flo
     for name in measured.x:
         measured.column(name, "--x")
     if measured.x and "x" not in formula.names:
-        raise InvalidInput("--x names what x stands for, but there is no x in the model; columns go by their names")
+        raise InvalidInput("--x given, but the model has no x; columns are used by their names")
     measured.refuse_shadowed(formula)
     columns = measured.named(formula.names)
     both = next((name for name in start if name in columns or name in CONSTANTS), None)
     if both is not None:
         raise InvalidInput(f"--start {both}: it is a column or a constant; give the parameter another name")
     if measured.target_name() in columns:
-        raise InvalidInput(f"the model uses {measured.target_name()!r}, which it is to predict; see --y")
+        raise InvalidInput(f"the model contains its target {measured.target_name()!r}; see --y")
     listed = f"columns are {', '.join(measured.table.columns)}, parameters those with a --start"
     formula.require_known([*columns, *start], f"{listed} ({', '.join(start) or 'none'})")
     parameters = [name for name in start if name in formula.names]
@@ -292,7 +292,7 @@ def _parts(text: str | None) -> list[str]:
 
 def _once(found: Mapping[str, object], name: str, option: str) -> None:
     if name in found:
-        raise InvalidInput(f"{option}: {name!r} stands twice")
+        raise InvalidInput(f"{option}: {name!r} occurs twice")
 
 
 def _number(text: str, option: str, part: str) -> float:

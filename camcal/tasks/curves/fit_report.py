@@ -145,19 +145,16 @@ def require_settled(report: FitReport) -> None:
         )
     if found.combinations:
         raise InsufficientData(
-            f"the data do not tell apart: {'; '.join(map(combination_text, found.combinations))}; "
-            "hold one of each with --fix, or measure where they differ"
+            f"parameters not separable by the data: {'; '.join(map(combination_text, found.combinations))}; "
+            "--fix one of each, or add data"
         )
     if not found.converged:
         raise NotConverged(
-            f"the search ended without a minimum after {found.iterations} iterations: {found.reason}; "
-            "try another --start or --restarts 5"
+            f"not converged after {found.iterations} iterations: {found.reason}; try another --start or --restarts 5"
         )
     if found.at_bounds:
         held = ", ".join(f"{name}={found.parameters[name].value:g}" for name in found.at_bounds)
-        raise NotConverged(
-            f"held at a bound: {held}; the data ask for more; widen --bounds, or --fix it if the bound is certain"
-        )
+        raise NotConverged(f"at a bound: {held}; widen --bounds, or --fix it")
 
 
 def combination_text(parts: Mapping[str, float]) -> str:

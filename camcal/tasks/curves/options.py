@@ -95,7 +95,7 @@ class FitOptions(OptionsRecord):
         super().__post_init__()
         if self.loss != "none" and (self.profile or self.compare):
             option = "--profile" if self.profile else "--compare"
-            raise InvalidInput(f"{option} needs a likelihood, which a robust loss is not; leave --loss {self.loss} out")
+            raise InvalidInput(f"{option} needs a likelihood, not a robust loss; leave --loss {self.loss} out")
 
     def outputs(self) -> list[Path]:
         """Return the files that are written."""

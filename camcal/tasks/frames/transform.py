@@ -63,7 +63,7 @@ def evaluate(options: ExpressionOptions, progress: Progress = SILENT) -> Transfo
     transforms: dict[str, NamedTransform] = {}
     for item in _named(read_transforms(options.sources, form_of(options.form))):
         if item.name in transforms:
-            raise InvalidInput(f"{item.name} stands in {transforms[item.name].where} too", where=item.where)
+            raise InvalidInput(f"{item.name} is also in {transforms[item.name].where}", where=item.where)
         transforms[item.name] = item
     product = evaluate_product(options.expression, transforms)
     used = {name: item for name, item in transforms.items() if name in product.derived.by}
@@ -80,7 +80,7 @@ def compose(options: PosesOptions, progress: Progress = SILENT) -> TransformResu
     """
     transforms = read_transforms(options.sources, form_of(options.form))
     if len(transforms) < 2:
-        raise InvalidInput(f"{len(transforms)} transform is no product; give two or more, each in quotes if in numbers")
+        raise InvalidInput(f"{len(transforms)} transform only: a product needs two or more")
     for left, right in pairwise(transforms):
         if left.source and right.target and left.source != right.target:
             raise InvalidInput(f"{left.name} * {right.name}: {left.source!r} does not meet {right.target!r}")
@@ -130,9 +130,7 @@ def _named(transforms: Sequence[NamedTransform]) -> Sequence[NamedTransform]:
     """Return transforms all of which have names; raises InvalidInput for one that has none."""
     for item in transforms:
         if not item.name:
-            raise InvalidInput(
-                f"its frames are not known; write a_T_b={item.where}, with the names of yours", where=item.where
-            )
+            raise InvalidInput(f"unknown frames: write a_T_b={item.where} with the frame names", where=item.where)
     return transforms
 
 
@@ -149,13 +147,13 @@ def _exact(used: Mapping[Any, NamedTransform], progress: Progress) -> tuple[str,
 
 def _require_closed(loop: Loop, options: ChainOptions) -> None:
     offset_mm, angle_deg = 1000 * loop.offset, float(np.degrees(loop.angle))
-    far = f"{' * '.join(loop.names)} is {offset_mm:.3g} mm and {angle_deg:.3g}° from closing"
+    far = f"{' * '.join(loop.names)} is {offset_mm:.3g} mm and {angle_deg:.3g}° from identity"
     if loop.chi_square is not None:
         if loop.chi_square > _CONSISTENT:
-            raise InvalidInput(f"{far}, χ² = {loop.chi_square:.3g} with 6 degrees of freedom; one of them is wrong")
+            raise InvalidInput(f"{far}, χ² = {loop.chi_square:.3g} with 6 degrees of freedom: check the transforms")
     elif offset_mm > options.loop_mm or angle_deg > options.loop_deg:
         limit = f"{options.loop_mm:g} mm and {options.loop_deg:g}°"
-        raise InvalidInput(f"{far}, more than {limit}; one of them is wrong, or allow it with --loop-mm, --loop-deg")
+        raise InvalidInput(f"{far}, more than {limit}: check the transforms, or increase --loop-mm, --loop-deg")
 
 
 def write(output: Output, transforms: Sequence[NamedTransform]) -> None:
@@ -167,12 +165,12 @@ def write(output: Output, transforms: Sequence[NamedTransform]) -> None:
     if path is None:
         return
     if not transforms:
-        raise InsufficientData("there are no transforms to write", where=str(path))
+        raise InsufficientData("no transforms to write", where=str(path))
     if files.is_stream(path) or path.suffix.lower() in frames.SUFFIXES:
         frames.write(path, [_with_frames(transform) for transform in transforms], output.numbers)
         return
     if len(transforms) != 1:
-        raise InvalidInput(f"{len(transforms)} transforms do not go into a text; use .yaml", where=str(path))
+        raise InvalidInput(f"{len(transforms)} transforms cannot be written as text; use .yaml", where=str(path))
     files.write_text(path, pose_text.text_of(transforms[0], output.numbers or Form("matrix")))
 
 

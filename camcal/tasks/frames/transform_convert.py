@@ -54,7 +54,7 @@ def _changes_of(axes: Sequence[str]) -> dict[str, AxesChange]:
     changes = [AxesChange.parse(text) for text in axes]
     by_frame = {item.frame: item for item in changes}
     if len(by_frame) < len(changes):
-        raise InvalidInput("--axes: a frame is changed twice")
+        raise InvalidInput("--axes: frame given twice")
     return by_frame
 
 
@@ -87,7 +87,7 @@ def convert(options: ConvertOptions, progress: Progress = SILENT) -> Converted:
     transforms = read_transforms(options.sources, form_of(options.form), allow_none=True)
     centres = _principal_points_of(options.sources, progress)
     if not transforms and not centres:
-        raise InsufficientData("there are no transforms and no cameras", where=" ".join(options.sources))
+        raise InsufficientData("no transforms and no cameras", where=" ".join(options.sources))
     if options.inverse:
         transforms = tuple(item.inverse() for item in transforms)
     changes = _changes_of(options.axes)
@@ -197,11 +197,11 @@ def convert_trajectory(options: ConvertOptions, progress: Progress = SILENT) -> 
     """
     output, form = options.output.path, options.output.form
     if len(options.sources) != 1 or output is None:
-        raise InvalidInput("--trajectory takes one file, and --output for where it goes")
+        raise InvalidInput("--trajectory needs one file and --output")
     if form is not None and form not in _KINDS:
         raise InvalidInput(f"--as {form}: a trajectory is written as {', '.join(_KINDS)}, or as its suffix says")
     if options.form is not None:
-        raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
+        raise InvalidInput("--form applies to numbers, not to trajectory files")
     name, body = split_name(options.sources[0])
     kind = trajectories.kind_of(output, None if form is None else _KINDS[form])
     trajectory = trajectories.read(Path(body), name or None)

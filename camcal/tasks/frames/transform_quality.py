@@ -71,7 +71,7 @@ def _estimates(options: AverageOptions) -> tuple[NamedTransform, ...]:
     if not options.trajectory:
         return read_transforms(options.sources, form_of(options.form))
     if options.form is not None:
-        raise InvalidInput("--form is of numbers; a trajectory file says its own by its suffix")
+        raise InvalidInput("--form applies to numbers, not to trajectory files")
     return read_trajectories(options.sources)
 
 
@@ -98,7 +98,7 @@ def _require_one_name(estimates: Sequence[NamedTransform]) -> None:
     for item in estimates:
         if item.name != estimates[0].name:
             raise InvalidInput(
-                f"{item.called} and {estimates[0].called} are other transforms; a mean is of one", where=item.where
+                f"{item.called} and {estimates[0].called} are different transforms: a mean is of one", where=item.where
             )
 
 

@@ -82,7 +82,7 @@ def _require_something(report: OpticsReport) -> None:
     exposed = report.exposure is not None and report.exposure.exposure_value is not None
     if not (exposed or sampled) and all(one is None for one in parts):
         raise InvalidInput(
-            "too little to compute anything: give a CAMERA file; --focal and --sensor for the field of view, "
+            "too few inputs: give a CAMERA file; --focal and --sensor for the field of view, "
             "--focus and --f-number too for the depth of field; --formats lists sensors"
         )
 

@@ -31,8 +31,8 @@ _FIELD: _Shown = {
     "diagonal": ("diagonal_deg", "field of view, diagonal", _DEGREES, "deg"),
 }
 _ANGLE: _Shown = {
-    "centre": ("centre_deg", "angle of a pixel in the middle", _DEGREES, "deg"),
-    "corner": ("corner_deg", "angle of a pixel in the corner", _DEGREES, "deg"),
+    "centre": ("centre_deg", "angle of a pixel at the centre", _DEGREES, "deg"),
+    "corner": ("corner_deg", "angle of a pixel at the corner", _DEGREES, "deg"),
 }
 _FOCUS: _Shown = {
     "principal_distance": ("principal_distance_mm", "principal distance", 1e3, "mm"),
@@ -50,7 +50,7 @@ _DIFFRACTION: _Shown = {
 }
 _EXPOSURE: _Shown = {
     "effective_f_number": ("effective_f_number", "effective f-number", 1.0, ""),
-    "close_focus_stops": ("close_focus_stops", "light lost by close focus", 1.0, "stops"),
+    "close_focus_stops": ("close_focus_stops", "light loss by close focus", 1.0, "stops"),
     "exposure_value": ("exposure_value", "exposure value, ISO 100", 1.0, "EV"),
 }
 _CIRCLE: _Shown = {
@@ -59,15 +59,15 @@ _CIRCLE: _Shown = {
 }
 _AT: _Shown = {
     "distance": ("distance_m", "distance", 1.0, "m"),
-    "width": ("width_m", "width that is seen", 1.0, "m"),
-    "height": ("height_m", "height that is seen", 1.0, "m"),
-    "pixel": ("pixel_mm", "a pixel in the middle", 1e3, "mm"),
-    "corner_pixel": ("corner_pixel_mm", "a pixel in the corner", 1e3, "mm"),
+    "width": ("width_m", "width of the field", 1.0, "m"),
+    "height": ("height_m", "height of the field", 1.0, "m"),
+    "pixel": ("pixel_mm", "a pixel at the centre", 1e3, "mm"),
+    "corner_pixel": ("corner_pixel_mm", "a pixel at the corner", 1e3, "mm"),
     "line_pairs": ("line_pairs_per_mm", "line pairs", 1e-3, "1/mm"),
     "blur_px": ("blur_px", "blur by defocus", 1.0, "px"),
     "motion_px": ("motion_px", "blur by motion", 1.0, "px"),
     "longest_exposure": ("longest_exposure_ms", "exposure for 1 px of motion", 1e3, "ms"),
-    "exposure_stops": ("exposure_stops", "light that it would cost", 1.0, "stops"),
+    "exposure_stops": ("exposure_stops", "light lost by it", 1.0, "stops"),
     "disparity_px": ("disparity_px", "disparity", 1.0, "px"),
     "depth_error": ("depth_error_mm", "depth, ±", 1e3, "mm"),
 }
@@ -78,7 +78,7 @@ _BOARD_AT: _Shown = {
     "share": ("share", "share of the image", 1.0, ""),
     "square_for_share": ("square_for_share_mm", "{element} for the wanted share", 1e3, "mm"),
     "noise_px": ("noise_px", "noise of a corner", 1.0, "px"),
-    "p_wrong": ("p_wrong", "share of wrong poses", 1.0, ""),
+    "p_wrong": ("p_wrong", "probability of a wrong pose", 1.0, ""),
 }
 _SOLVED = {
     "f": ("focal length", 1e3, "mm"),
@@ -258,7 +258,7 @@ def board_title(plan: BoardPlan) -> str:
 def closing_lines(report: OpticsReport) -> Iterator[str]:
     """Yield what was solved, what to know, what what is missing for more."""
     if (solved := _solved(report.setup)) is not None:
-        wide = f"; the smallest format as wide is {solved['format']}" if solved["format"] else ""
+        wide = f"; smallest format of this width {solved['format']}" if solved["format"] else ""
         length = f"{solved['value']:.4g} {solved['unit']}"
         yield f"{solved['what']} {length} for a width of {report.setup.options.width:g} m{wide}"
     yield from (f"for {figure} give {options}" for figure, options in report.missing.items())

@@ -153,11 +153,11 @@ def _solved(setup: Setup) -> Setup:
     wanted, width = setup.options.solve, setup.options.width or 0.0
     option, known = _SOLVED[str(wanted)]
     if getattr(setup, known) is not None or (setup.measured and wanted != "wd"):
-        raise InvalidInput(f"--solve {wanted} finds what {option} says{' or the camera file' * setup.measured}")
+        raise InvalidInput(f"--solve {wanted} solves for {option}{' or the camera file' * setup.measured}")
     if setup.measured and setup.camera is not None:
         across = field_size(setup.camera, 1.0, setup.lit)[0]
         if not isfinite(across):
-            raise InvalidInput("--solve wd: the lens sees 180° or more, and no width fills its image")
+            raise InvalidInput("--solve wd: field of view of 180° or more, no width fills the image")
         return _at_focus(setup, width / across)
     missing = [words for name, words in _SOLVE_FROM.items() if name != known and getattr(setup, name) is None]
     if missing:

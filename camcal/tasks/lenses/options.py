@@ -202,7 +202,7 @@ class OpticsOptions(OptionsRecord):
         if not all(map(is_possible, self.distances)):
             raise InvalidInput(f"--distance must be more than 0 m and at most {_MOST:g} m")
         if self.size is not None and max(self.size) > _MOST_PIXELS:
-            raise InvalidInput(f"--size: an image side of {max(self.size):g} pixels is beyond all reason")
+            raise InvalidInput(f"--size: an image side of {max(self.size):g} pixels is implausible")
         if (self.solve is None) != (self.width is None):
             raise InvalidInput("--solve f, wd or sensor and --width METRES, what is to fill the image, go together")
 
@@ -219,7 +219,7 @@ _POSITIVE = {
 def _require_positive(each: Declared, value: float) -> None:
     """Raise InvalidInput for a number that is not above 0, or not possible; a focus may be at infinity."""
     if not (is_possible(value) or (each.path == ("focus",) and value == inf)):
-        reason = "is beyond all reason" if 0 < value < inf else "must be more than 0 and finite"
+        reason = "is implausible" if 0 < value < inf else "must be more than 0 and finite"
         raise InvalidInput(f"{each.name} {reason}, found {each.written(value)}")
 
 

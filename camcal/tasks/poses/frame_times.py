@@ -68,14 +68,14 @@ def _told(frames: Sequence[str], videos: Sequence[Path], timing: Timing, progres
 def _nothing_tells(videos: Sequence[Path]) -> InvalidInput:
     if videos:
         return InvalidInput("No timestamps in the video; set --fps", where=str(videos[0]))
-    return InvalidInput("when were the frames taken? Give --fps, or --timestamps with a file, name or exif")
+    return InvalidInput("unknown times of the frames: set --fps, or --timestamps with a file, name or exif")
 
 
 def _of_video(source: Path, own: Array, frames: Sequence[str]) -> Array:
     known = {video.frame_name(source, number): stamp for number, stamp in enumerate(own)}
     unknown = [frame for frame in frames if frame not in known]
     if unknown:
-        raise InvalidInput("is no frame of the video; give --fps or --timestamps for all", where=unknown[0])
+        raise InvalidInput("not a frame of the video; set --fps or --timestamps for all", where=unknown[0])
     return np.array([known[frame] for frame in frames])
 
 
@@ -99,7 +99,7 @@ def _of_names(frames: Sequence[str], timing: Timing) -> Array:
     try:
         pattern = re.compile(given or _NUMBER)
     except re.error as error:
-        raise InvalidInput(f"--timestamps {timing.source}: no regular expression: {error}") from error
+        raise InvalidInput(f"--timestamps {timing.source}: invalid regular expression: {error}") from error
     if pattern.groups < 1:
         raise InvalidInput(f"--timestamps {timing.source}: put the number in brackets, such as name:frame_(\\d+)")
     scale = UNITS[timing.unit] if timing.fps is None else 1 / timing.fps
@@ -116,12 +116,12 @@ def _number_in(frame: str, pattern: re.Pattern[str]) -> float:
 def _of_exif(path: Path) -> float:
     said = exif.time_taken(load(path).exif)
     if said is None:
-        raise InvalidInput("EXIF does not say when it was taken; give --fps or --timestamps", where=str(path))
+        raise InvalidInput("no time in EXIF; set --fps or --timestamps", where=str(path))
     taken, fraction = said
     try:
         whole = datetime.strptime(taken, _EXIF_FORM).replace(tzinfo=UTC)
     except ValueError:
-        raise InvalidInput(f"EXIF has {taken!r}, which is no time", where=str(path)) from None
+        raise InvalidInput(f"EXIF has {taken!r}, which is not a time", where=str(path)) from None
     return whole.timestamp() + float(f"0.{fraction.strip() or 0}")
 
 
@@ -129,7 +129,7 @@ def _of_file(path: Path, frames: Sequence[str], scale: float) -> Array:
     """Return the times of a file: a number a line, for each frame one; or with names, `time name` or a CSV."""
     lines = [(number, line) for number, line in tables.numbered_lines(path) if not line.startswith("#")]
     if not lines:
-        raise FileError("holds no times", where=str(path))
+        raise FileError("contains no times", where=str(path))
     if "," in lines[0][1] and not lines[0][1][0].isdigit():
         table = tables.Table.from_csv(str(path), lines, ["t"], ["image"])
         stamps, names = table.numbers("t"), list(table.columns.get("image", []))
@@ -152,4 +152,4 @@ def _time(where: str, text: str) -> float:
     try:
         return parse_number(text)
     except ValueError:
-        raise InvalidInput(f"{text!r} is no time", where=where) from None
+        raise InvalidInput(f"{text!r} is not a time", where=where) from None

@@ -168,11 +168,11 @@ class PriorOptions(OptionsRecord):
         if self.sigma is None:
             return
         if self.path is None:
-            raise InvalidInput("--prior-sigma says how well --prior is known; give that too")
+            raise InvalidInput("--prior-sigma needs --prior")
         if not min(self.sigma) > 0:
-            raise InvalidInput(f"--prior-sigma must be more than 0, found {self.sigma[0]:g} m, {self.sigma[1]:g} rad")
+            raise InvalidInput(f"--prior-sigma must be positive, found {self.sigma[0]:g} m, {self.sigma[1]:g} rad")
         if not _REASON[0] <= min(self.sigma) <= max(self.sigma) <= _REASON[1]:
-            raise InvalidInput(f"--prior-sigma {self.sigma[0]:g} m, {self.sigma[1]:g} rad is beyond reason")
+            raise InvalidInput(f"--prior-sigma {self.sigma[0]:g} m, {self.sigma[1]:g} rad is implausible")
 
 
 @dataclass(frozen=True)
@@ -292,9 +292,9 @@ class PnpOptions(OptionsRecord):
         super().__post_init__()
         alone = self.given.without_file([self.camera] if self.camera else [])
         if self.rig is not None and alone:
-            raise InvalidInput("--rig and --camera-matrix both say which camera; leave one of them out")
+            raise InvalidInput("--rig and --camera-matrix exclude each other")
         if self.camera is None and self.rig is None and not alone:
-            raise InvalidInput("which camera? Give a camera file, --camera-matrix FX,FY,CX,CY, or --rig")
+            raise InvalidInput("no camera: give a camera file, --camera-matrix FX,FY,CX,CY, or --rig")
 
     @property
     def camera_file(self) -> str | None:

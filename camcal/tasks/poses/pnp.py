@@ -105,19 +105,17 @@ def _check(options: PnpOptions) -> None:
     if path is not None:
         require_no_image(path)
     if options.points is None and not options.seen:
-        raise InvalidInput("nothing to work on: give --points FILE, or images with --board BOARD or --tags TAGS")
+        raise InvalidInput("no input: give --points FILE, or images with --board BOARD or --tags TAGS")
     if options.points is not None and (options.seen or detection.board or detection.tags):
-        raise InvalidInput("--points has its own points; leave --board, --tags and the images out")
+        raise InvalidInput("--points excludes --board, --tags and images")
     if options.points is not None and detection.scale:
-        raise InvalidInput("--scale-intrinsics goes by the size of images, which a file of points does not have")
+        raise InvalidInput("--scale-intrinsics needs images, not a file of points")
     if options.rig and name:
-        raise InvalidInput("a rig looks with all its cameras; leave the name of one out")
+        raise InvalidInput("--rig uses all cameras; leave the camera name out")
     if detection.board and detection.tags:
-        raise InvalidInput("a run looks for --board or for --tags, not for both")
+        raise InvalidInput("--board and --tags exclude each other")
     if options.noise_px is not None and options.noise_scale is not None:
-        raise InvalidInput(
-            "--noise takes the place of the pixels' standard deviations, which --noise-scale multiplies; give one"
-        )
+        raise InvalidInput("--noise and --noise-scale exclude each other")
 
 
 def _first_size_of(options: PnpOptions) -> tuple[int, int] | None:
@@ -185,9 +183,7 @@ def _with_noise(
     relative = seen.has_covariances and seen.spread == "relative"
     if options.noise_px is None:
         if options.noise_scale is not None and (relative or not seen.has_covariances):
-            raise InvalidInput(
-                "--noise-scale is a factor on standard deviations, and the pixels have none; give --noise PX"
-            )
+            raise InvalidInput("--noise-scale needs pixels with standard deviations; set --noise PX")
         given = 1.0 if options.noise_scale is None and seen.spread == "stated" else scale
         if seen.spread == "detected":
             seen = replace(seen, observations=observer.with_model_errors(seen.observations))

@@ -142,7 +142,7 @@ def seen_by_rig(
     seen = {name: each for name, (_, each) in found.items()}
     units = {each.unit for each in seen.values()}
     if len(units) > 1:
-        raise InvalidInput("one camera's board has a size and another's has none; give the same --board to all")
+        raise InvalidInput("boards with and without a size; use the same --board for all cameras")
     single = all(len({pose_key.image for pose_key in _sights(each)}) == 1 for each in seen.values())
     observations = [_by_instant(name, each, given[name], single) for name, each in seen.items()]
     together = joined([observation for each in observations for observation in each])
@@ -188,7 +188,7 @@ def _by_camera(inputs: tuple[str, ...], names: Sequence[str]) -> dict[str, tuple
     for text in inputs:
         name, mark, path = text.partition("=")
         if not (mark and path):
-            raise InvalidInput(f"is of which camera? {SYNTAX}", where=text)
+            raise InvalidInput(f"no camera given: {SYNTAX}", where=text)
         if name not in names:
             raise InvalidInput(f"no camera {name!r} in the rig{did_you_mean(name, names)}", where=text)
         found[name] = (*found.get(name, ()), path)

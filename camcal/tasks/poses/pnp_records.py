@@ -63,7 +63,7 @@ def record_of(
 def _status(estimate: PoseEstimate, matched: bool) -> str:
     few = not matched and 2 * estimate.used < len(estimate.inliers)
     if few and estimate.status == "ok":
-        return f"weak: {estimate.used} of {len(estimate.inliers)} points agree, fewer than half"
+        return f"weak: {estimate.used} of {len(estimate.inliers)} inliers, fewer than half"
     return estimate.status
 
 

@@ -147,7 +147,7 @@ def _board(detection: DetectionOptions, file: CameraFile, tables: bool) -> Board
     if tables:
         return None
     if file.board_shape is None:
-        raise InvalidInput("what is to be found in the images? Give --board, such as chessboard:9x6:25mm, or --tags")
+        raise InvalidInput("no board or tags given: set --board, such as chessboard:9x6:25mm, or --tags")
     return file.board_shape.board
 
 
@@ -174,7 +174,7 @@ def _of_one_camera(views: Sequence[BoardDetection], name: str | None) -> list[Bo
     if len(names) < 2:
         return list(views)
     if name not in names:
-        raise InvalidInput(f"the detections are of the cameras {', '.join(names)}; say which with --camera")
+        raise InvalidInput(f"the detections are of the cameras {', '.join(names)}; choose one with --camera")
     return [view for view in views if view.camera == name]
 
 

@@ -74,7 +74,7 @@ def lines(found: Smoothing) -> Iterator[str]:
     yield f"process noise q {_noise(found.q, found, squared=True)}{_estimated(found.options.q is None)}"
     if found.sigma:
         yield f"measurement noise sigma {_noise(found.sigma, found)}{_estimated(found.options.sigma is None)}"
-    yield f"measured minus smoothed, root mean square: {_noise(found.residual, found)}"
+    yield f"residual RMS: {_noise(found.residual, found)}"
 
 
 def consistency_lines(found: Smoothing) -> Iterator[str]:
@@ -90,7 +90,7 @@ def consistency_lines(found: Smoothing) -> Iterator[str]:
         f"innovations {report.autocorrelation:+.2f} (±{report.autocorrelation_limit:.2f} by chance)"
     )
     if found.options.q is None:
-        yield "  (q is the one that makes this so, as far as it can; a second recording is the better judge)"
+        yield "  (q was estimated from the same data; validate with a second recording)"
 
 
 def outlier_line(found: Smoothing, everything: bool) -> str:
@@ -98,9 +98,9 @@ def outlier_line(found: Smoothing, everything: bool) -> str:
     named = [f"{outlier.t:.3f} s{f' ({outlier.column})' if outlier.column else ''}" for outlier in found.outliers]
     shown = named if everything else named[:_LISTED]
     rest = f" and {len(named) - len(shown)} more" if len(shown) < len(named) else ""
-    what = "they lost weight" if found.options.robust != "none" else "--robust huber lets them lose weight"
+    what = "weights reduced" if found.options.robust != "none" else "--robust huber reduces their weights"
     chance = (1 - OUTLIER_CONFIDENCE) * found.measured
-    return f"{len(named)} outliers ({chance:.2g} would be chance; {what}): {', '.join(shown)}{rest}"
+    return f"{len(named)} outliers ({chance:.2g} expected by chance; {what}): {', '.join(shown)}{rest}"
 
 
 def evaluation_rows(
@@ -108,7 +108,7 @@ def evaluation_rows(
 ) -> tuple[str, Sequence[str], Rows]:
     """Return title, columns and rows of the table of errors against a reference, mm and degrees."""
     motions = f"motions over {options.delta:g} {options.unit}"
-    title = f"{after.poses} poses beside the reference, aligned by {options.alignment}; {motions}"
+    title = f"{after.poses} poses compared with the reference, alignment {options.alignment}; {motions}"
     rows: Rows = []
     for name, pick, scale in (
         ("absolute, mm", "translation", 1e3),

@@ -165,7 +165,7 @@ def _why_not(
         return None
     if len(seen.markers.ids):
         ids = ", ".join(map(str, seen.markers.ids[:_LISTED])) + (" …" if len(seen.markers.ids) > _LISTED else "")
-        return f"ids {ids} of {tags.family} are seen, but none that has an object"
+        return f"ids {ids} of {tags.family} detected, none of a known object"
     return seen.markers.warnings[0].text if seen.markers.warnings else f"no tag of {tags.family} found"
 
 

@@ -76,7 +76,7 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
     _check(options)
     seen = _of_file(options) if options.of_poses else _of_images(options, progress)
     if seen.poses.unit != "m":
-        raise InvalidInput(f"lengths are in {seen.poses.unit}, not in metres; give the board's squares a size")
+        raise InvalidInput(f"lengths are in {seen.poses.unit}, not in metres; give the board size")
     direction = _direction(options, seen.poses)
     stamps = frame_times(seen.images, seen.videos, options.timing, progress)
     straight = seen.poses if seen.poses.of_object else seen.poses.inverse()
@@ -139,18 +139,18 @@ def _check(options: TrackingOptions) -> None:
         if options.kind is not None or options.output.suffix.lower() not in SUFFIXES:
             trajectories.kind_of(options.output, options.kind)
     elif options.kind is not None:
-        raise InvalidInput("--format is about the output; give it with -o")
+        raise InvalidInput("--format needs an output (-o)")
 
 
 def _of_file(options: TrackingOptions) -> _FramePoses:
     path = Path(options.frames[0])
     require_no_image(path)
     if len(options.frames) != 1:
-        raise InvalidInput("one pose file is followed at a time; name frames together with a camera file")
+        raise InvalidInput("one pose file only; frames need a camera file")
     if options.detection.board or options.detection.tags:
-        raise InvalidInput("a pose file has its poses already; leave --board and --tags out")
+        raise InvalidInput("a pose file excludes --board and --tags")
     if options.noise_px is not None:
-        raise InvalidInput("a pose file has the noise its poses were found with; give --noise to 'camcal pnp'")
+        raise InvalidInput("a pose file excludes --noise; set it in 'camcal pnp'")
     require_there(path)
     read = poses.read(path)
     images = {pose_key.image for pose_key in (*read.estimates, *read.missing)}
@@ -160,9 +160,7 @@ def _of_file(options: TrackingOptions) -> _FramePoses:
 def _of_images(options: TrackingOptions, progress: Progress) -> _FramePoses:
     media = find_media(options.frames, options.detection.recursive)
     if len(media.videos) > 1 or (media.videos and media.images):
-        raise InvalidInput(
-            f"{len(media.videos)} videos and {len(media.images)} images; follow one video, or images alone"
-        )
+        raise InvalidInput(f"{len(media.videos)} videos and {len(media.images)} images; give one video, or images")
     require_times(media.videos, options.timing)
     found = pnp(
         PnpOptions(
@@ -226,9 +224,9 @@ def _chosen(seen: Poses, wanted: str | None) -> list[str]:
     if wanted is None:
         return names
     if names == [""]:
-        raise InvalidInput(f"--object {wanted}: there is one object here and it has no name; leave the option out")
+        raise InvalidInput(f"--object {wanted}: there is one unnamed object; leave the option out")
     if wanted not in names:
-        raise InvalidInput(f"--object {wanted}: it was not seen{did_you_mean(wanted, names)}")
+        raise InvalidInput(f"--object {wanted}: not detected{did_you_mean(wanted, names)}")
     return [wanted]
 
 

@@ -55,7 +55,7 @@ class Timing(OptionsRecord):
         if self.fps is not None and not (math.isfinite(self.fps) and self.fps > 0):
             raise InvalidInput(f"--fps must be more than 0, found {self.fps:g}")
         if self.fps is not None and self.source is not None and not self.by_name:
-            raise InvalidInput("--fps and --timestamps say the same twice; only numbers of frames in names need both")
+            raise InvalidInput("--fps and --timestamps are redundant, except with frame numbers in names")
 
     @property
     def by_name(self) -> bool:
@@ -164,9 +164,9 @@ class TrackingOptions(OptionsRecord):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.causal and self.lag:
-            raise InvalidInput("--causal looks no frame ahead and --lag some: give one of them")
+            raise InvalidInput("--causal and --lag exclude each other")
         if self.object is not None and self.tag_id is not None:
-            raise InvalidInput("--object and --id both choose an object: give one of them")
+            raise InvalidInput("--object and --id exclude each other")
         self.given.without_file(self.inputs)
 
     @property

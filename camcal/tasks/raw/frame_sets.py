@@ -110,7 +110,7 @@ def _as_set(part: Sequence[FrameSet]) -> FrameSet:
     if len(part) < 2:
         told = "" if first.exposure_s is None else f" at {1e3 * first.exposure_s:g} ms"
         raise InsufficientData(
-            f"a single frame of its light{told}; every level takes at least two frames of the same exposure",
+            f"single frame{told}: every level needs at least two frames of the same exposure",
             where=first.where,
         )
     return replace(first, paths=tuple(item.paths[0] for item in part))

@@ -103,7 +103,7 @@ def frame_lines(inspection: RawInspection) -> Iterator[str]:
         gains = frame.camera_gains / frame.camera_gains.min()
         yield "white balance of the camera " + ", ".join(f"{c} {g:.4g}" for c, g in zip("RGB", gains, strict=True))
     if frame.orientation != _UPRIGHT:
-        yield f"to be turned for looking at it: EXIF orientation {frame.orientation}"
+        yield f"EXIF orientation {frame.orientation}"
 
 
 def _capture_words(capture: Capture) -> str:

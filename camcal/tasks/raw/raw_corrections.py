@@ -40,7 +40,7 @@ def _laid_out(black: tuple[float, ...], frame: Mosaic) -> Array:
     if len(black) == 1:
         return np.full(frame.black.shape, black[0])
     if frame.black.shape != (2, 2):
-        raise InvalidInput("four black levels are for Bayer sensors; give one")
+        raise InvalidInput("four black levels need a Bayer sensor; give one")
     if frame.pattern == MONO:
         return np.reshape(black, (2, 2))
     levels = dict(zip(_FOUR, black, strict=True))

@@ -101,7 +101,7 @@ def _at_one_speed(
     speeds = sorted({one.iso for one in (*flats, *darks) if one.iso is not None})
     listed = ", ".join(f"{speed:g}" for speed in speeds)
     if wanted is None and len(speeds) > 1:
-        raise InvalidInput(f"frames of ISO {listed}, and the gain differs between them: choose one with --iso")
+        raise InvalidInput(f"frames of ISO {listed}: choose one with --iso")
     iso = wanted if wanted is not None else next(iter(speeds), None)
     kept = [[one for one in sets if one.iso in (None, iso)] for sets in (flats, darks)]
     for sets, kind in zip(kept, ("flat", "dark"), strict=True):
@@ -114,7 +114,7 @@ def _require_apart(flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None
     """Raise InvalidInput if a frame is a flat and a dark one."""
     of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
     if both := of_light & of_darkness:
-        raise InvalidInput("is given as a flat and as a dark frame", where=str(min(both)))
+        raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
 
 
 def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:

@@ -316,11 +316,11 @@ class SimulateOptions(OptionsRecord):
             if each.of(self) == each.default or (of_pairs and self.stereo) or each.path[0] in _OF_PAIRS_TOO:
                 continue
             if self.stereo:
-                raise InvalidInput(f"{each.name} has no meaning with --stereo; leave it out")
+                raise InvalidInput(f"{each.name} cannot be used with --stereo")
             if of_pairs:
                 raise InvalidInput(f"{each.name} needs --stereo")
         if self.raw.pattern is not None and any(getattr(self, name) is not None for name in _OF_A_SENSOR):
-            raise InvalidInput("with --raw the sensor says it all: leave out --noise, --gamma and --depth")
+            raise InvalidInput("--raw excludes --noise, --gamma and --depth")
 
     @property
     def exposure(self) -> "Exposure":

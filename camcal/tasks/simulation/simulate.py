@@ -102,7 +102,7 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
 def _require_mild(shape: Shape, board: Board) -> None:
     """Raise InvalidInput for a bend that is no length, or so strong that the board would hide parts of itself."""
     if board.square is None and shape != Shape(stretch=shape.stretch):
-        raise InvalidInput("a bend in mm needs the size of a square, and the board does not say it")
+        raise InvalidInput("a bend in mm needs a board with a square size")
     deflection, limit = shape.deflection(board), STRONGEST_BEND * max(board.extent)
     if deflection > limit:
         raise InvalidInput(f"the board is bent by {1e3 * deflection:.4g} mm; use at most {1e3 * limit:.4g} mm")
@@ -117,7 +117,7 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
             model, options.size or DEFAULT_SIZE, DEFAULT_FOV if options.fov is None else options.fov, options.distortion
         )
     if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
-        raise InvalidInput("a camera file says it all: leave out --model, --size, --fov and --distortion")
+        raise InvalidInput("a camera file excludes --model, --size, --fov and --distortion")
     path, name = split_address(options.camera)
     known = cameras.select(cameras.read(path, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
@@ -337,7 +337,7 @@ def how_made(options: RawOptions) -> dict[str, Any]:
 def require_own(folder: Path, truth: str) -> None:
     """Raise InvalidInput unless a folder is empty, new, or holds an earlier simulation; truth: its camera file."""
     if folder.exists() and not folder.is_dir():
-        raise InvalidInput("is a file; images go into a folder", where=str(folder))
+        raise InvalidInput("is a file; expected a folder", where=str(folder))
     other = folder.is_dir() and any(path.name != OUTPUT_INDEX for path in folder.iterdir())
     if other and not _is_ours(folder / truth):
         raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))

@@ -64,7 +64,9 @@ def pair_options(options: SimulateOptions) -> PairOptions:
     given = options.pairs
     size, fov = options.size or PairOptions.size, DEFAULT_FOV if options.fov is None else options.fov
     if not 0 < fov < pi:
-        raise InvalidInput(f"no pinhole has a field of view of {degrees(fov):g}°; use more than 0 and less than 180")
+        raise InvalidInput(
+            f"a pinhole cannot have a field of view of {degrees(fov):g}°; use more than 0 and less than 180"
+        )
     others = {
         "baseline": given.baseline,
         "doffs": given.doffs,
@@ -87,11 +89,11 @@ def pair_options(options: SimulateOptions) -> PairOptions:
 def _disparities(given: PairsOptions, width: int, focal: float) -> tuple[float, float]:
     """Return the least and the greatest disparity (px), as given, by the distances, or by default."""
     if given.disparities is not None and given.distance is not None:
-        raise InvalidInput("disparities and distances say the same; leave one out")
+        raise InvalidInput("disparities and distances are redundant; leave one out")
     if given.distance is not None:
         near, far = given.distance
         if not 0 < near < far:
-            raise InvalidInput(f"distances of {near:g} to {far:g} m: the nearest comes first and is above 0")
+            raise InvalidInput(f"distances of {near:g} to {far:g} m: write NEAR:FAR, both positive")
         reach = focal * (PairOptions.baseline if given.baseline is None else given.baseline)
         doffs = given.doffs or PairOptions.doffs
         return reach / far - doffs, reach / near - doffs

@@ -90,7 +90,7 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
     cameras = [text for text in files if split_address(text)[0].suffix.lower() in rectified_pair.SUFFIXES]
     images = [Path(text) for text in files if text not in cameras]
     if len(cameras) > 1 or len(images) > 1:
-        raise InvalidInput(f"one image and one camera file are taken, found {' and '.join(files)}")
+        raise InvalidInput(f"expected one image and one camera file, found {' and '.join(files)}")
     return (images[0] if images else None), (cameras[0] if cameras else None)
 
 
@@ -99,7 +99,7 @@ def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progr
     pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
     if pair.geometry is None:
         raise InvalidInput(
-            "the geometry is not known: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
+            "unknown geometry: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
         )
     return pair
 

@@ -61,7 +61,7 @@ class GeometryOptions(OptionsRecord):
             )
         twice = [f"--{name}" for name in INTRINSICS if self.given.camera_matrix and getattr(self, name) is not None]
         if twice:
-            raise InvalidInput(f"--camera-matrix and {', '.join(twice)} say the same twice; leave one of them out")
+            raise InvalidInput(f"--camera-matrix and {', '.join(twice)} are redundant; leave one out")
 
     def numbers(self) -> dict[str, float]:
         """Return the numbers that are given, by name."""

@@ -266,7 +266,7 @@ def _verdict(gate: Gate, evaluation: Evaluation) -> DisparityVerdict:
                   if gate.name in evaluation.figures.get(column, {})), None)  # fmt: skip
     if value is None:
         there = [column for column, figures in evaluation.figures.items() if gate.name in figures]
-        advice = f"it stands in {', '.join(there)}" if there else "it is not known here (no geometry, no sigma)"
+        advice = f"available in {', '.join(there)}" if there else "unknown here (no geometry, no sigma)"
         raise InvalidInput(f"no {gate.name} in {gate.column or 'any column'}; {advice}", where=f"--gate {gate.text}")
     passed = value >= gate.limit if gate.name in AT_LEAST else value <= gate.limit
     return DisparityVerdict(gate.text, value, passed)
@@ -311,7 +311,7 @@ def _figures(evaluation: Evaluation) -> dict[str, Any]:
 def truth_pairs(given: TruthPair) -> list[TruthPair]:
     """Return the pairs that files or folders stand for; the files of folders belong together as `paired` says.
 
-    Raises InvalidInput if files and folders are mixed or the files of folders do not pair up, FileError for what is
+    Raises InvalidInput if files and folders are mixed or the files of folders differ, FileError for what is
     not there or empty.
     """
     for path in given.files.values():
@@ -321,7 +321,7 @@ def truth_pairs(given: TruthPair) -> list[TruthPair]:
         return [given]
     if not all(folders.values()):
         file = next(path for name, path in given.files.items() if not folders[name])
-        raise InvalidInput("is no folder, while others are; give files only or folders only", where=str(file))
+        raise InvalidInput("is not a folder: give only files or only folders", where=str(file))
     maps = maps_in(given.disparity)
     partners = {name: _partners(maps, given.disparity, folder) for name, folder in given.files.items()}
     return [TruthPair(**{name: found[path] for name, found in partners.items()}) for path in maps]

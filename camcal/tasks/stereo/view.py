@@ -60,7 +60,7 @@ def kind_of(options: ViewOptions) -> str:
     if options.output is None:
         if options.rerun:
             return WINDOW
-        raise InvalidInput(f"say where to write: -o with a name that ends in {', '.join(KINDS)}")
+        raise InvalidInput(f"no output: set -o with a suffix of {', '.join(KINDS)}")
     kind = KINDS.get(options.output.suffix.lower())
     if kind is None or (options.rerun and kind != RECORDING):
         fitting = cloud_view.SUFFIX if options.rerun else ", ".join(KINDS)
@@ -247,9 +247,7 @@ def cloud_in(path: Path, frame: str | None = None) -> VertexStream:
     """
     words = None if frame is None else _AXES.get(frame, frame)
     if words is not None and not states_axes(words):
-        raise InvalidInput(
-            f"frame {frame!r} does not say where the axes point; use {', '.join(_AXES)}, or words such as {_EXAMPLE!r}"
-        )
+        raise InvalidInput(f"unknown axes of frame {frame!r}; use {', '.join(_AXES)}, or words such as {_EXAMPLE!r}")
     found = pointclouds.read(path)
     frame = words or found.frame or _usual_frame(path)
     if "origin" in found.notes:
@@ -273,7 +271,7 @@ def states_axes(frame: str) -> bool:
 def _usual_frame(path: Path) -> str:
     """Return the frame of files that say nothing of it: laser scans stand upright, others are taken for a camera's."""
     axes = _UPRIGHT if path.suffix.lower() in pointclouds.LASER_SUFFIXES else _CAMERA
-    return f"not said, taken for {axes}"
+    return f"not stated, {axes} assumed"
 
 
 def cloud_of(path: Path, found: DisparityMap, image: Path | None, progress: Progress) -> VertexStream | None:

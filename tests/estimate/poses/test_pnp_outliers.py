@@ -142,7 +142,7 @@ def test_points_and_pixels_that_do_not_belong_together_are_refused_or_weak():
             assert outcome.value.status.split(":")[0] in ("weak", "ambiguous")
         else:
             assert isinstance(outcome.error, InsufficientData)
-            assert "do points and pixels belong together" in str(outcome.error)
+            assert "check that points and pixels correspond" in str(outcome.error)
 
 
 @pytest.mark.parametrize("outliers", ["few", "many"])

@@ -110,7 +110,7 @@ def test_what_is_no_view_of_the_rig_is_refused():
     views = seen(some_pose(rng, 1.0), CUBE, rng, 0.2)
     with pytest.raises(InvalidInput, match="camera 'top' is not in the rig of left, right"):
         estimate_rig_poses(RIG, [[Correspondences("a", CUBE, views[0].pixels, camera="top")]])
-    with pytest.raises(InvalidInput, match="'left' stands twice"):
+    with pytest.raises(InvalidInput, match="'left' occurs twice"):
         estimate_rig_poses(RIG, [[views[0], views[0]]])
     few = [view.take(np.arange(1)) for view in views]
     error = estimate_rig_poses(RIG, [few])[0].error

@@ -75,7 +75,7 @@ def test_what_later_measurements_say_never_makes_a_state_less_certain():
 
 
 def test_a_measurement_without_noise_of_what_is_known_exactly_is_refused():
-    with pytest.raises(InvalidInput, match="sigma 0"):
+    with pytest.raises(InvalidInput, match="covariance is not positive definite: check for sigma = 0"):
         update(Gaussian(np.zeros(2), np.zeros((2, 2))), np.zeros(1), H, np.zeros((1, 1)))
 
 

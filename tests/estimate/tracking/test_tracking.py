@@ -233,7 +233,7 @@ def test_the_inverse_maps_the_other_way_with_its_velocity_and_covariance():
 def test_two_detections_are_too_few():
     truth, rng = drift()
     seen = glances(truth, rng)
-    with pytest.raises(InsufficientData, match="found in 2 of 90 frames; following takes 3 or more"):
+    with pytest.raises(InsufficientData, match="found in 2 of 90 frames; (minimum 3)"):
         follow(truth, [*seen[:2], *[None] * 88])
 
 
@@ -241,7 +241,7 @@ def test_three_detections_far_apart_are_no_track():
     truth, rng = drift()
     seen = glances(truth, rng)
     kept = [each if index in (0, 45, 89) else None for index, each in enumerate(seen)]
-    with pytest.raises(InsufficientData, match="no 3 of 3 detections follow one another"):
+    with pytest.raises(InsufficientData, match="no 3 of 3 detections are successive"):
         follow(truth, kept)
 
 
@@ -249,7 +249,7 @@ def test_a_track_too_short_to_settle_without_look_ahead_is_none():
     truth, rng = drift()
     seen = glances(truth, rng)
     seen[4:] = [None] * (len(seen) - 4)
-    with pytest.raises(InsufficientData, match="no start is settled within 0 frames"):
+    with pytest.raises(InsufficientData, match="no initial pose found within 0 frames"):
         follow(truth, seen, lag=0)
 
 

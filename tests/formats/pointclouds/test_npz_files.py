@@ -45,7 +45,7 @@ def test_points_alone_are_a_cloud_in_metres():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"PK but no archive", "not an NPZ file"),
+        (b"PK but no archive", "not a readable NPZ file"),
         (npz_of(xyz=POINTS), "no array points; its arrays are xyz"),
         (npz_of(points=POINTS[:, :2]), r"points has float64 of shape \(2, 2\), expected numbers of shape \(2, 3\)"),
         (npz_of(points=POINTS[0]), r"points have the shape \(3,\), expected"),
@@ -54,7 +54,7 @@ def test_points_alone_are_a_cloud_in_metres():
             r"sigma has float64 of shape \(3,\), expected numbers of shape \(2,\)",
         ),
         (npz_of(points=POINTS.astype(str)), "points has <U"),
-        (npz_of(points=np.array([[None] * 3])), "not an NPZ file"),
+        (npz_of(points=np.array([[None] * 3])), "not a readable NPZ file"),
     ],
 )
 def test_a_file_that_is_none_says_what_was_expected_and_found(content, message):
@@ -65,5 +65,5 @@ def test_a_file_that_is_none_says_what_was_expected_and_found(content, message):
 def test_an_array_alone_is_no_npz_file():
     content = BytesIO()
     np.save(content, POINTS)
-    with pytest.raises(FileError, match="not an NPZ file"):
+    with pytest.raises(FileError, match="not a readable NPZ file"):
         npz.read(content.getvalue())

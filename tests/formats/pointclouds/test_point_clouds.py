@@ -117,9 +117,9 @@ def test_millimetres_of_what_is_far_away_need_no_origin(tmp_path, vertices, stre
 
 @pytest.mark.parametrize("name", ["cloud.obj", "cloud"])
 def test_another_suffix_is_refused_with_those_that_exist(tmp_path, vertices, stream, name):
-    with pytest.raises(InvalidInput, match=r"known are \.ply \.pcd \.xyz \.npz \.glb \.las \.laz"):
+    with pytest.raises(InvalidInput, match=r"use one of \.ply \.pcd \.xyz \.npz \.glb \.las \.laz"):
         pointclouds.write(tmp_path / name, stream(vertices(3)))
-    with pytest.raises(InvalidInput, match="is no point cloud"):
+    with pytest.raises(InvalidInput, match="is not a point cloud format; use one of "):
         pointclouds.read(tmp_path / name)
 
 

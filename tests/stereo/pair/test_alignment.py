@@ -18,7 +18,7 @@ SIZE = (300, 240)
 
 @cache
 def pair_off_by(rows):
-    """Return a pair (H, W) uint8 whose rows are off by so much."""
+    """Return a pair (H, W) uint8 whose row differences so much."""
     return textured_pair(waves(5, 30, SIZE), rows)
 
 
@@ -28,7 +28,7 @@ def residual_off_by(rows):
 
 
 def matches_of(rows, *, count=600, wrong=0.0, scatter=0.2, per_disparity=0.0, seed=1):
-    """Return matches of a pair whose rows are off by an affine map, some of them wrong."""
+    """Return matches of a pair whose row differences an affine map, some of them wrong."""
     rng = np.random.default_rng(seed)
     right = rng.uniform((0, 0), np.subtract(SIZE, 1), (count, 2))
     disparity = rng.uniform(2, 40, count)
@@ -159,7 +159,7 @@ def test_aligning_moves_rows_by_what_the_correction_says(slope, level):
 def test_images_that_share_nothing_are_too_little():
     left, _ = pair_off_by(0.0)
     other, _ = textured_pair(waves(5, 30, SIZE), seed=2)
-    with pytest.raises(InsufficientData, match="do the images show the same scene"):
+    with pytest.raises(InsufficientData, match="check that both images show the same scene"):
         vertical_residual(left, other)
 
 
@@ -168,7 +168,7 @@ def test_images_that_share_nothing_are_too_little():
     [
         ((1, 1), "images of 1x1 pixels are too small"),
         ((3, 40), "images of 40x3 pixels are too small"),
-        ((240, 320), "an image is without texture, its gray levels scatter by 0.0 of 255"),
+        ((240, 320), "image without texture: standard deviation of the gray levels 0.0 of 255"),
     ],
 )
 def test_images_without_features_are_too_little_and_it_is_said_why(shape, reason):

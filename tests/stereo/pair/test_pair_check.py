@@ -44,7 +44,7 @@ def test_one_image_twice_is_found(pair, change):
     ],
 )
 def test_a_turned_image_is_refused_in_words(pair, code, words):
-    with pytest.raises(InvalidInput, match=f"the right image is turned {words}"):
+    with pytest.raises(InvalidInput, match=f"the right image is rotated by {words}"):
         check_pair(pair[0], cv2.rotate(pair[1], code))
 
 

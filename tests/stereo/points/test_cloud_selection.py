@@ -50,7 +50,7 @@ def test_points_are_only_where_the_mask_is():
 def test_less_sure_pixels_are_left_out():
     classes = np.array([[Confidence.FILLED, Confidence.SINGLE, Confidence.NEAR, Confidence.AGREED]], np.uint8)
     assert kept(ROW, confidence=classes, min_confidence=Confidence.NEAR) == [[False, False, True, True]]
-    with pytest.raises(InvalidInput, match="confidence of the pixels is not known"):
+    with pytest.raises(InvalidInput, match="unknown confidence of the pixels: no sidecar of the map names it"):
         kept(ROW, min_confidence=1)
 
 
@@ -58,7 +58,7 @@ def test_depths_that_are_not_known_well_enough_are_left_out():
     sigma = np.array([[8.5, 4.1, np.nan, 0.1]], np.float32)  # 10.1, 9.8, unknown and 0.5 % of the disparity
     assert kept(ROW, sigma=sigma, max_sigma=0.1) == [[False, True, False, True]]
     assert kept(ROW, sigma=2.5, max_sigma=0.1) == [[True, True, True, False]]
-    with pytest.raises(InvalidInput, match="standard deviation of the disparity is not known"):
+    with pytest.raises(InvalidInput, match="unknown standard deviation of the disparity: set --sigma-disparity"):
         kept(ROW, max_sigma=0.1)
 
 

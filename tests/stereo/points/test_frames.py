@@ -41,7 +41,7 @@ def test_east_north_up_is_the_world_of_a_pose_of_the_optical_frame():
     ("name", "unit", "message"),
     [
         ("enu", "m", "--pose"),
-        ("camera", "m", "how the pair was rectified"),
+        ("camera", "m", "--frame camera needs the rectification of the pair, which no sidecar of the map has"),
         ("ned", "m", "use one of optical, camera, ros, opengl, enu"),
         ("ros", "km", "use one of m, mm"),
     ],

@@ -71,7 +71,7 @@ def test_a_side_that_is_none_is_refused(size):
 
 
 def test_cubes_too_many_to_be_counted_are_refused():
-    with pytest.raises(InvalidInput, match="give a larger side"):
+    with pytest.raises(InvalidInput, match="are too many for the extent of the cloud: use a larger side"):
         one_per_voxel(random_vertices(50), 1e-8)
 
 
