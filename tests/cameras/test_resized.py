@@ -42,5 +42,5 @@ def test_the_same_size_is_the_same_camera_and_another_shape_is_refused():
 def test_sides_may_be_rounded_to_whole_pixels_and_no_further():
     camera = Camera(MODELS["pinhole"], (1600, 1200), [1500.0, 1500.0, 800.0, 600.0])
     assert resized(camera, (801, 600)).image_size == (801, 600)
-    with pytest.raises(InvalidInput, match="802 x 600 pixels are no resized images"):
+    with pytest.raises(InvalidInput, match="802 x 600 pixels are not resized images"):
         resized(camera, (802, 600))

@@ -126,7 +126,7 @@ def test_the_board_file_of_another_board_is_kept(run, tmp_path):
         ((CHESSBOARD, "-o", "a.png", "--dpi", "3"), "it takes 4: use 5 dpi or more"),
         ((CHESSBOARD, "-o", "a.png", "--dpi", "9999"), "at most 400 million"),
         (("charuco:5x7:35mm:26mm:DICT_5X5_100", "-o", "a.pdf", "--kalibr", "k.yaml"), "Kalibr does not support"),
-        ((CHESSBOARD, "-o", "a.pdf", "--kalibr", "a.yaml"), "is another output; choose another name for the Kalibr file"),
+        ((CHESSBOARD, "-o", "a.pdf", "--kalibr", "a.yaml"), "is another output; choose another name"),
     ],
 )  # fmt: skip
 def test_a_wrong_argument_is_one_line_and_exit_two_and_nothing_is_written(

@@ -128,8 +128,8 @@ def test_coefficients_that_the_data_do_not_determine_are_named_everywhere(run, t
     assert native.read(output).cameras["camera"].held_by_prior == tuple(held)
     _, shown, _ = run("calibrate", table, "-o", output, "--model", "opencv8")
     assert f"{', '.join(held)} " in shown
-    assert "is determined by its prior, not by the data" in shown
-    assert "is determined by its prior, not by the data" in run("inspect", output)[1]
+    assert "not by the data" in shown
+    assert "not by the data" in run("inspect", output)[1]
 
 
 def test_fix_and_guess_reach_the_solver(run, table, tmp_path):

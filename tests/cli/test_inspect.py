@@ -104,7 +104,7 @@ def test_a_person_reads_everything_that_is_known(camcal, rig):
         "separate lens models for red",
         "DO NOT TRUST: the lower left corner was never seen",
         "right: pinhole, 640x480",
-        "right_T_left: 0.12 m apart, turned by 0.000°",
+        "right_T_left: 0.12 m apart, rotated by 0.000°",
         "board chessboard of 9x6 inner corners, bent by 0.310 ± 0.015 mm peak to peak",
         "board P2(x): 0.200 ± 0.010 mm",
         "board, scale of bow: 0.039 ± 0.010 % of the longer side",
@@ -197,7 +197,7 @@ def test_every_broken_rule_has_its_line(camcal, tmp_path):
         (None, 3, "no such file"),
         (b"", 3, "is empty"),
         (b"\x89PNG\r\n\x1a\n", 3, "not a text file"),
-        (b"a: [1,", 3, "cut off"),
+        (b"a: [1,", 3, "truncated"),
         (b"type: chessboard\ninner_corners: [9, 6]\n", 2, "not a camera file"),
     ],
 )

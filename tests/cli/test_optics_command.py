@@ -340,7 +340,7 @@ def test_the_sample_settings_are_sound(run):
         (("--f", 8, "--solve", "lens", "--width", 1), "is not one of f, wd, sensor"),
         (("--f", 8, "--width", 1), "--solve f, wd or sensor and --width METRES"),
         ((WEBCAM, "--solve", "f", "--width", 1), "--solve f solves for --focal or the camera file"),
-        ((FISHEYE, "--solve", "wd", "--width", 1), "--solve wd: field of view of 180° or more, no width fills the image"),
+        ((FISHEYE, "--solve", "wd", "--width", 1), "field of view of 180° or more, no width fills the image"),
         ((WEBCAM, "--size", "640x480"), "the camera file is for 1280x720 images"),
         (("--f", 8, "--sensor", "1/2", "--board", "chessboard:9x6:25mm"), "--board needs a CAMERA file, or --focal"),
         ((WEBCAM, "--board", "chessboard:9x6"), "add the side of a square"),

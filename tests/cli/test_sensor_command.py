@@ -71,7 +71,7 @@ def test_a_sensor_file_is_written_and_its_block_fits_a_camera_file(run, scene, t
     code, out, err = call(run, scene, output, "--sensor-format", "1/2.8")
     assert (code, err) == (0, "")
     assert "8 illumination levels, 2 dark levels, 160x120" in out
-    assert "the counts end at the full well" in out
+    assert "saturation at the full well" in out
     data = documents.load(output, lambda _data, _path: ()).data
     assert list(mapping({}, SENSOR)(data["sensor"], "sensor")) == []
     assert data["sensor"]["gain_e_per_dn"] == pytest.approx(2.0, rel=0.03)  # 4 800 samples a phase: 0.5 %

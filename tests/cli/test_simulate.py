@@ -182,4 +182,4 @@ def test_a_camera_file_and_a_model_contradict_each_other(run, folder):
     run("simulate", BOARD, "-o", folder, *SMALL)
     code, _, err = run("simulate", BOARD, folder / "truth.yaml", "--fov", "60", "-o", folder / "again")
     assert code == 2
-    assert "leave out" in err
+    assert "a camera file excludes" in err

@@ -192,7 +192,7 @@ def test_of_one_image_twice_nothing_is_said_that_is_nothing(run, images, tmp_pat
     (tmp_path / "copy.png").write_bytes((images / "left.png").read_bytes())
     _, out, _ = run("stereo", "check", images / "left.png", tmp_path / "copy.png")
     assert [line.strip() for line in out.splitlines()][2:4] == [
-        "disparity 0 px; the range to search is -3:3",
+        "disparity 0 px; search range -3:3",
         "exposures agree",
     ]
     assert "rows do not differ" in out

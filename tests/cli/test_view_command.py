@@ -163,7 +163,7 @@ def test_the_frame_of_a_cloud_may_be_said(run, tmp_path, cloud, frame):
 def test_a_frame_that_is_taken_for_granted_is_said(run, tmp_path, cloud):
     (tmp_path / "bare.xyz").write_text("0 0 1\n0 0.1 1\n")
     code, out, _ = run("view", tmp_path / "bare.xyz", "-o", tmp_path / "c.html", "--json")
-    assert (code, json.loads(out)["frame"]) == (0, "not said, taken for x right, y down, z forward")
+    assert (code, json.loads(out)["frame"]) == (0, "not stated, x right, y down, z forward assumed")
 
 
 def test_coordinates_of_a_map_keep_their_origin(run, tmp_path):

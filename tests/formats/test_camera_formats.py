@@ -299,7 +299,7 @@ BAD = {
     f"{BOTH}{LENS.replace('500.5', '-500.5', 1)}": "fx -500.5 and fy 501.5 must be > 0",
     f"{BOTH}{LENS.replace('500.5', 'true', 1)}": "True is not a finite number",
     f"{BOTH}{LENS.replace('500.5, 0,', '500.5, 0.1,', 1)}": "camcal's lens models have no skew",
-    f"{BOTH}K: [500, 0, 0, 0, 500, 0, 320, 240, 1]\nD: [0, 0, 0, 0, 0]\n": "possibly transposed: cx, cy in the last row",
+    f"{BOTH}K: [500, 0, 0, 0, 500, 0, 320, 240, 1]\nD: [0, 0, 0, 0, 0]\n": "possibly transposed: cx, cy in the last",
     f"{BOTH}camera_matrix: {K}distortion_coefficients: [1.0, 2.0, 3.0]\n": "3 coefficients; OpenCV's lenses have 4, 5",
     f"{BOTH}camera_matrix: {K}": "",
     f"{BOTH}{LENS}xi: 1.2\n": "omnidir",

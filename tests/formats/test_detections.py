@@ -188,7 +188,7 @@ ROW_FAULTS = {
     "a.png,640,480,-1,1,1\n": "id -1 is not in 0 … 11",
     "a.png,640,480,12,1,1\n": "id 12 is not in 0 … 11",
     "a.png,640,0,0,1,1\n": "height 0 is not in 1 … 1000000",
-    "a.png,640,480,0,600,900\n": "image 'a.png': (600, 900) is far outside the image of 640 x 480; check the order of u and v",
+    "a.png,640,480,0,600,900\n": "image 'a.png': (600, 900) is far outside the image of 640 x 480; check",
     '"a.png,640,480,0,1,1\n': "invalid CSV row: unexpected end of data",
     '"a"b.png,640,480,0,1,1\n': "invalid CSV row",
     "# none a.png,640,480\n": "# none needs IMAGE,WIDTH,HEIGHT,REASON[,CAMERA[,ORIENTATION]]",

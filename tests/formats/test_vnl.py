@@ -110,7 +110,7 @@ def test_board_and_size_must_come_from_elsewhere(tmp_path):
 
 def test_a_name_with_white_space_or_a_missing_board_cannot_be_written(tmp_path):
     view = BoardDetection("a b.jpg", SIZE, np.array([0]), np.array([[1.0, 1.0]]))
-    with pytest.raises(InvalidInput, match="cannot store this name"):
+    with pytest.raises(InvalidInput, match="cannot hold this name"):
         detections.write(tmp_path / "corners.vnl", Detections(BOARD, (view,)))
     with pytest.raises(InvalidInput, match="give --board"):
         detections.write(tmp_path / "corners.vnl", Detections(None, ()))

@@ -88,7 +88,7 @@ def test_another_number_of_images_is_refused_naming_one_without_a_partner(files)
 
 def test_names_that_agree_in_part_are_refused(files):
     folder = files("l/1.png", "l/2.png", "r/2.png", "r/3.png")
-    with pytest.raises(InvalidInput, match=r"agree in some names only; .*l.1\.png is unpaired"):
+    with pytest.raises(InvalidInput, match=r"have only some names in common; .*l.1\.png is unpaired"):
         find_pairs([folder / "l"], [folder / "r"])
 
 

@@ -119,7 +119,7 @@ def test_three_dots_lie_within_the_board_the_first_on_white(columns, rows):
 
 
 def test_a_board_without_room_for_dots_is_refused():
-    with pytest.raises(InvalidInput, match="a chessboard of 3 × 3 inner corners has no room for three dots"):
+    with pytest.raises(InvalidInput, match="a chessboard of 3 × 3 inner corners is too small for three dots"):
         parse_board("chessboard:3x3:25mm:dots")
 
 

@@ -132,7 +132,7 @@ def test_the_dots_of_a_chessboard_are_found_by_opencv(form):
 
 
 def test_circles_of_unknown_diameter_cannot_be_drawn():
-    with pytest.raises(InvalidInput, match="grid of 10x8 circles cannot be drawn without their diameter"):
+    with pytest.raises(InvalidInput, match="grid of 10x8 circles needs a diameter to be drawn"):
         pattern_of(parse_board("circles:10x8:25mm"))
 
 

@@ -276,7 +276,7 @@ def test_sixteen_bits_and_colour_are_searched_too(tmp_path):
 
 def test_nothing_is_searched_for_a_board_or_an_output_that_cannot_be(tmp_path):
     image = write(tmp_path / "a.png", BOARD)
-    with pytest.raises(InvalidInput, match="inner corners is too small to be detected (minimum 3 x 3)"):
+    with pytest.raises(InvalidInput, match="inner corners is too small to be detected"):
         found(image, Board("chessboard", 9, 2))
     with pytest.raises(InvalidInput, match=r"did you mean DICT_4X4_50\?"):
         found(image, replace(CHARUCO, dictionary="DICT_4X4_5"))
@@ -289,7 +289,7 @@ def test_nothing_is_searched_for_a_board_or_an_output_that_cannot_be(tmp_path):
 
 def test_images_that_cannot_be_read_at_all_are_an_error(tmp_path):
     (tmp_path / "a.png").write_bytes(b"no image")
-    with pytest.raises(FileError, match="unknown image format (begins with"):
+    with pytest.raises(FileError, match="unknown image format"):
         found(tmp_path)
     (tmp_path / "b.png").write_bytes(b"no image")
     with pytest.raises(FileError, match="none of 2 images can be read; "):

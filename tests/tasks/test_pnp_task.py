@@ -139,7 +139,7 @@ def test_without_any_pose_the_reason_is_raised_and_nothing_written(camera_file, 
         pnp(from_detections(camera_file, tmp_path, empty, output=output))
     line = np.outer(np.arange(5), [0.1, 0, 0])
     pixels = CAMERA.project(line + np.array([0, 0, 2])).pixels
-    with pytest.raises(InsufficientData, match="all 5 points lie on one line"):
+    with pytest.raises(InsufficientData, match="all 5 points are collinear"):
         pnp(from_points(camera_file, tmp_path, line, pixels, output=output))
     assert not output.exists()
 
@@ -166,7 +166,7 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
     both = Detections(BOARD, (left, right))
     report = pnp(from_detections(camera_file, tmp_path, both, name="left"))
     assert list(report.poses.estimates) == [(left.image, "")]
-    with pytest.raises(InvalidInput, match="of the cameras left, right; say which"):
+    with pytest.raises(InvalidInput, match="of the cameras left, right; choose one"):
         pnp(from_detections(camera_file, tmp_path, both))
 
 
@@ -367,7 +367,7 @@ def test_noise_is_pixels_also_where_corners_have_covariances(camera_file, tmp_pa
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, known), outliers="few", noise_px=0.15))
     assert [record.n_inliers for record in report.poses.estimates.values()] == [54, 54]
     assert report.poses.noise == PixelNoise(0.15)
-    with pytest.raises(InvalidInput, match="give one"):
+    with pytest.raises(InvalidInput, match="exclude each other"):
         pnp(from_detections(camera_file, tmp_path, seen, noise_px=0.1, noise_scale=2.0))
 
 

@@ -201,7 +201,7 @@ def test_a_video_that_is_none_is_an_error(tmp_path):
 def test_videos_whose_frames_would_have_one_name_are_refused(shot, tmp_path):
     for suffix in (".avi", ".mkv"):
         shutil.copy(shot.path, tmp_path / f"a{suffix}")
-    with pytest.raises(InvalidInput, match=r"a\.mkv: its frames would have the names of those of a\.avi; rename one"):
+    with pytest.raises(InvalidInput, match=r"a\.mkv: frame names would equal those of a\.avi; rename one"):
         found(tmp_path)
 
 

@@ -389,7 +389,7 @@ def test_another_frame_or_unit_of_the_object_changes_the_pose_by_just_that(vecto
     [
         (TAG[:3], "a pose needs 4 different points or more, found 3"),
         (np.vstack([TAG[:3], TAG[:2]]), "found 3"),
-        (np.outer(np.arange(5), [0.01, 0.02, 0.0]), "all 5 points lie on one line"),
+        (np.outer(np.arange(5), [0.01, 0.02, 0.0]), "all 5 points are collinear"),
     ],
     ids=["three", "repeated", "collinear"],
 )
