@@ -152,7 +152,7 @@ def test_a_board_is_called_by_what_one_counts_on_it(form, words):
         ({"type": "aprilgrid", "columns": 6, "rows": 0, "marker": 0.5, "dictionary": "tag36h11"}, "1 × 1 tags"),
         (
             {"type": "aprilgrid", "columns": 6, "rows": 6, "marker": 1.0, "dictionary": "tag36h11"},
-            "circles overlap: give a smaller diameter",
+            "tags overlap: give a positive spacing",
         ),
         ({"type": "aprilgrid", "columns": 6, "rows": 6, "dictionary": "tag36h11"}, "needs the side of a tag"),
         ({"type": "circles", "columns": 9, "rows": 6, "square": float("nan")}, "must be positive"),

@@ -186,7 +186,7 @@ def test_detections_of_several_cameras_need_the_name_of_one(camera_file, tmp_pat
         ({"inputs": ("a.csv",), "detection": DetectionOptions(tags="tag36h11:5cm")}, "tags are found in images"),
         ({"inputs": ("a.csv",), "outliers": "lots"}, "'--outliers': 'lots'"),
         ({"inputs": ("a.csv", "b.png")}, "a detections file cannot be combined with other inputs"),
-        ({"inputs": ("a.png",)}, "what is to be found in the images\\? Give --board"),
+        ({"inputs": ("a.png",)}, "no board or tags given: set --board"),
         ({"inputs": ("a.png",), "output": "poses.txt"}, "is not written; use .yaml"),
         ({"inputs": ("a.csv",), "output": "a.csv"}, "is an input and is not overwritten"),
     ],
@@ -487,7 +487,7 @@ def test_the_picture_of_one_image_may_go_to_a_file(camera_file, tmp_path, seen):
     report = pnp(from_detections(camera_file, tmp_path, Detections(BOARD, seen.views[:1]), draw=one))
     assert report.pictures == (one,)
     assert one.is_file()
-    with pytest.raises(InvalidInput, match="2 inputs do not go into one file; give a folder"):
+    with pytest.raises(InvalidInput, match="2 inputs cannot be written to one file; give a folder"):
         pnp(from_detections(camera_file, tmp_path, Detections(BOARD, seen.views[:2]), draw=one))
 
 
