@@ -128,13 +128,14 @@ class Run:
         for each, value in values.items():
             for path in inputs_of(each, value):
                 files.note_read(path)
-                files.require_content(path)
         outputs = [(each, path) for each, value in values.items() for path in outputs_of(each, value)]
         _refuse_one_place(outputs)
         named = not self._has_options
         self._has_options = True
         for each, path in outputs:
             self._add_output(each, path, named)
+        for path in (path for each, value in values.items() for path in inputs_of(each, value)):
+            files.require_content(path)
 
     def _add_output(self, each: Declared, path: Path, named: bool) -> None:
         self._refuse_input(path)
