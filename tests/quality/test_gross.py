@@ -218,7 +218,7 @@ def rough_by(value, distances):
     return replace(found(distances), roughness=value)
 
 
-@pytest.mark.parametrize(("value", "words"), [(0.28, "the lens model"), (0.32, "the board"), (np.nan, "the board")])
+@pytest.mark.parametrize(("value", "words"), [(0.28, "the lens model"), (0.32, "--board"), (np.nan, "--board")])
 def test_the_lens_model_is_in_doubt_where_corners_are_in_the_order_of_the_board(value, words):
     far_off = np.full((VIEWS, POINTS), 20.0)
     with pytest.raises(

@@ -123,7 +123,7 @@ def test_an_angle_may_have_a_distance():
 
 @pytest.mark.parametrize("text", ["", "back", "1", "1,2,3,4", "1,x", "0,91", "0,0,0", "nan,0"])
 def test_a_view_that_is_none_is_refused(text):
-    with pytest.raises(InvalidInput, match="is none of camera, front, top, side"):
+    with pytest.raises(InvalidInput, match="is not one of camera, front, top, side"):
         view_of(text, scene_of(two_squares()[0]))
 
 

@@ -31,7 +31,7 @@ def test_a_folder_whose_name_has_a_dot_is_still_a_folder(tmp_path):
 @pytest.mark.parametrize(
     ("inputs", "output", "message"),
     [
-        (FRAMES, "out.png", "2 inputs do not go into one file"),
+        (FRAMES, "out.png", "2 inputs cannot be written to one file"),
         (FRAMES[:1], "out.exr", "use .tiff, .png"),
         (FRAMES[:1], ".PNG", "a suffix without a name; write NAME.PNG"),
         (FRAMES, "new/.tiff", "a suffix without a name"),

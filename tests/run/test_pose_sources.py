@@ -56,9 +56,9 @@ def test_an_address_that_is_not_there_may_follow_from_others(frames):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{frames}", "holds 2 transforms; say which"),
+        ("{frames}", "holds 2 transforms; choose one"),
         ("{frames}#base_T_lidar", "no frame 'lidar'"),
-        ("{frames}#image.png", "nothing is named 'image.png'"),
+        ("{frames}#image.png", "no pose named 'image.png'"),
         ("a_T_b={frames}", "a_T_b is one transform, the file has 2"),
         ("1 2 3", "numbers are ambiguous; choose a form: "),
         ("1 2 3 nan", "finite"),

@@ -50,8 +50,8 @@ def test_one_value_stands_for_a_list_of_one(settings):
         ("jobs: 2\njobs: 3\n", 2, "duplicate key 'jobs' (first at line 1)"),
         ("jobs: [1, 2]\n", 1, "jobs: takes one value, not a list"),
         ("jobs:\n", 1, "jobs: has no value"),
-        ("fix: [k3, {a: 1}]\n", 1, "fix: takes a plain value"),
-        ("model: {name: opencv5}\n", 1, "model: takes a plain value"),
+        ("fix: [k3, {a: 1}]\n", 1, "fix: expects a plain value"),
+        ("model: {name: opencv5}\n", 1, "model: expects a plain value"),
         ("model: &m opencv5\nfix: *m\n", 1, "model: anchor &m"),
         ("model: !!str opencv5\n", 1, "model: tag"),
     ],
@@ -63,7 +63,7 @@ def test_a_faulty_line_is_named_with_its_file_and_key(settings, text, line, word
 
 
 def test_a_file_that_is_not_yaml_is_a_file_error(settings):
-    with pytest.raises(FileError, match=r"settings\.yaml:2: is not YAML"):
+    with pytest.raises(FileError, match=r"settings\.yaml:2: invalid or truncated YAML"):
         settings("{")
 
 

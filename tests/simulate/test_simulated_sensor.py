@@ -142,5 +142,5 @@ def test_a_ladder_ends_where_the_weakest_colour_is_full_in_the_corners():
 def test_colours_of_a_sensor_without_filters_are_refused():
     with pytest.raises(InvalidInput, match="without colour filters"):
         RawCamera("MONO", aberration_px=1.0)
-    with pytest.raises(InvalidInput, match="above 0"):
+    with pytest.raises(InvalidInput, match="must be positive"):
         RawCamera("RGGB", light=(0.0, 1.0, 1.0))
