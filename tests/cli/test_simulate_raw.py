@@ -103,7 +103,7 @@ def test_a_person_reads_what_to_do_next(run, folder):
         (["--raw", "RGGB", "--gamma", "2.2"], "--raw excludes --noise, --gamma and --depth"),
         (["--raw", "RGGB", "--bits", "20"], "20 bits"),
         (["--raw", "RGGB", "--light", "1,1"], "is not three numbers"),
-        (["--raw", "RGGB", "--light", "1,-1,1"], "above 0"),
+        (["--raw", "RGGB", "--light", "1,-1,1"], "must be positive"),
         (["--raw", "MONO", "--aberration", "1"], "without colour filters"),
         (["--raw", "RGGB", "--aberration", "nan"], "px folds the image"),
         (["--raw", "RGGB", "--flats", "1000"], "1000 levels"),

@@ -159,7 +159,7 @@ def test_one_unreadable_image_is_listed_and_the_rest_is_written(folder):
 def test_when_no_image_can_be_drawn_the_first_reason_is_raised_and_nothing_is_written(folder):
     for number in (1, 2, 3):
         (folder / "photos" / f"{number}.png").write_text("Dear diary")
-    with pytest.raises(FileError, match=r"1\.png: not an image.*3 images failed, none written"):
+    with pytest.raises(FileError, match=r"1\.png: unknown image format.*3 images failed, none written"):
         run(folder)
     assert not (folder / "out").exists()
 

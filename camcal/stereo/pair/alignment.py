@@ -159,7 +159,7 @@ def residual_of(matches: Matches) -> Residual:
     needed = max(_FEWEST, round(_FEWEST_SHARE * len(dy)))
     if kept.sum() < needed:
         raise InsufficientData(
-            f"{len(dy)} matched features, {kept.sum()} of them with consistent rows (minimum {needed}; "
+            f"{len(dy)} matched features, {kept.sum()} of them with consistent rows (minimum {needed}); "
             f"{_why_so_few(matches)}"
         )
     disparity = matches.left[:, 0] - matches.right[:, 0]
