@@ -173,7 +173,7 @@ def test_images_that_share_nothing_are_too_little():
 )
 def test_images_without_features_are_too_little_and_it_is_said_why(shape, reason):
     flat = np.full(shape, 100, np.uint8)
-    with pytest.raises(InsufficientData, match=f"0 matched features .*; {reason}"):
+    with pytest.raises(InsufficientData, match=f"0 matched features.*; {reason}"):
         vertical_residual(flat, flat)
 
 
