@@ -3,7 +3,7 @@
 Every set is a number of photographs of a chessboard (1280 x 960, blur 0.7 px, noise 2 DN, uneven light) through a lens
 with 12 % distortion. A row: RMS error of the corners per axis, 1/1000 px, and NEES / 2 where covariances are claimed;
 RMS distance over the whole image by which the calibrated lens misplaces rays (a rotation taken out), 1/1000 px. Medians
-over the sets. "second look": measured again along the edges that the first calibration expects.
+over the sets. "refined": corners refined with the calibrated lens.
 
     python benchmarks/calibration_error.py [--sets 6] [--views 19] [--gamma 1.0]
 """
@@ -42,7 +42,7 @@ SIZE, BOARD = (1280, 960), Board("chessboard", 9, 6, 0.04)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([960.0, 964, 645, 472, -0.12, 0.06, 5e-4, -3e-4, 0.01]))
 HOW = Options(LENS.model, shape=ShapeOptions(smooth=False, offsets=False))
 ROWS = (
-    "camcal, first look", "camcal, second look", "SB, camcal's solver", "SB accurate, camcal's solver",
+    "camcal, initial", "camcal, refined", "SB, camcal's solver", "SB accurate, camcal's solver",
     "cornerSubPix, camcal's solver", "SB accurate, calibrateCamera", "cornerSubPix, calibrateCamera",
 )  # fmt: skip
 
@@ -77,8 +77,8 @@ def one_set(seed: int, count: int, gamma: float) -> dict[str, tuple[float, float
         first = [seen(name, image) for name, image in zip(names, images, strict=True)]
         calibration = calibrate(first, BOARD, HOW)
         second = refine_corners(calibration, first, (), AS_IMAGES, 1, SILENT).views
-    result["camcal, first look"] = judged(first, truth)
-    result["camcal, second look"] = judged(second, truth)
+    result["camcal, initial"] = judged(first, truth)
+    result["camcal, refined"] = judged(second, truth)
     peers = {"SB": [], "SB accurate": [], "cornerSubPix": []}
     for name, image, corners in zip(names, images, truth, strict=True):
         for way, pixels in opencv_corners(image, corners).items():

@@ -1,7 +1,7 @@
-"""What a result says about its own quality: warnings (usable, but weak) and failures (why a gate or verdict failed).
+"""Messages about the quality of a result: warnings (usable, but weak) and failures (why a gate or verdict failed).
 
-Both are the same record. `CODES` is the list of all codes but those of a calibration's verdict, which stand with their
-limits in `quality/criteria.py`; docs/messages.md is made from both.
+Both have the same record. `CODES` lists all codes except those of the calibration verdict, which are in
+`quality/criteria.py` with their limits; docs/messages.md is generated from both.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,8 +17,8 @@ Value = float | int | str | tuple[str, ...]
 class Message:
     """A warning or a failure.
 
-    code: from `CODES`, stable. text: what, how much and what to do, in one line. values: the figures of the text by
-    names that carry the unit. where: file, key path, image or object; None where it is about the whole result.
+    code: from `CODES`, stable. text: what, how much and what to do, in one line. values: the numbers of the text; their
+    names include the unit. where: file, key path, image or object; None if the message is about the whole result.
     """
 
     code: str
@@ -47,7 +47,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "unknown_board_size": "the board has no metric size; lengths are in squares or spacings",
         "symmetric_board": "the board is symmetric, so that the numbering of its corners is ambiguous",
         "orientation_ignored": "EXIF orientation is not applied",
-        "mixed_image_sizes": "images of another size than most, used or not",
+        "mixed_image_sizes": "images of different sizes",
         "demosaiced_colours": "lateral chromatic aberration from demosaiced images",
         "repeated_tag_id": "a tag id was detected more than once in an image",
         "tag_not_refined": "subpixel refinement of a tag failed",
@@ -63,12 +63,12 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "too_few_views": "fewer than three different views with the board",
         "no_tilted_views": "the board was not tilted",
         "undetermined_focal_length": "the standard deviation of the focal length is too large",
-        "lens_model_failed": "the lens model that predicts best led to no calibration",
-        "refinement_failed": "refining the corners with the calibrated lens led to no calibration",
+        "lens_model_failed": "calibration with the best predicting lens model failed",
+        "refinement_failed": "calibration with corners refined by the calibrated lens failed",
         "projection_uncertainty": "the projection uncertainty exceeds --max-uncertainty",
     },
     "Camera files": {
-        "untrustworthy": "the file says that its calibration is not trustworthy",
+        "untrustworthy": "the calibration in the file is marked as not trustworthy",
         "distortion_not_invertible": "distortion is not invertible in a part of the image",
         "incomplete_uncertainty": "the uncertainty block lacks parameters and is not used",
         "unlikely_principal_point": "the principal point is far from the image centre",

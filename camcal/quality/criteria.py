@@ -43,7 +43,7 @@ _ALL = (
         True,
         1.05,
         "distance to the outermost corner",
-        "the distortion stops being invertible nearer to the outermost corner than this",
+        "the distortion is invertible to less than this distance",
         _SETS,
     ),
     Criterion(
@@ -51,8 +51,7 @@ _ALL = (
         True,
         0.3,
         "noise",
-        "the mean residual of a ring about the principal point points outwards or inwards by more than this, beyond "
-        "chance (1e-6)",
+        "the mean radial residual of a ring about the principal point exceeds this, with a significance of 1e-6",
         _SETS,
         minimum_px=0.02,
     ),
@@ -62,8 +61,8 @@ _ALL = (
         True,
         0.007,
         "focal length",
-        "the same with fewer than 10 views, times the factor by which Student's distribution widens the interval of "
-        "95 %",
+        "the same with fewer than 10 views, times the ratio of the 95 % intervals of Student's and the normal "
+        "distribution",
         "912 subsets of 3 to 7 views of 24 real sets: of 592 trusted ones 2.2 % are off by more than 1 %",
     ),
     Criterion(
@@ -71,8 +70,8 @@ _ALL = (
         True,
         1.4,
         "ratio",
-        "errors of corners with one lens over those with two, each for a group of views of its own, less a standard "
-        "error",
+        "the ratio of reprojection errors with one lens to those with a lens for each of two groups of views, minus a "
+        "standard error",
         "24 real sets of one camera (at most 1.31), 23 mixtures of similar cameras (19 above 1.5), and simulations",
         minimum_px=0.02,
     ),
@@ -81,7 +80,7 @@ _ALL = (
         True,
         1.2,
         "ratio",
-        "the same with groups that the file names suggest, which are not chosen to make it large",
+        "the same with groups by file names",
         "the same sets, split by the order of their views (at most 1.07)",
         minimum_px=0.02,
     ),
@@ -90,8 +89,8 @@ _ALL = (
         True,
         3.6,
         "standard deviations",
-        "the focal length changes from one view on, or drifts: how far beyond chance; the floor is the change in the "
-        "corner of the image",
+        "significance of a step or drift of the focal length between views; the change at the image corner has a "
+        "minimum as well",
         _SETS,
         minimum_px=0.5,
     ),
@@ -108,7 +107,7 @@ _ALL = (
         False,
         0.99,
         "distance to the image corner",
-        "the distortion stops being invertible before this, beyond all corners: masked there",
+        "the distortion is invertible to less than this distance, but beyond all corners; pixels there are masked",
         _SETS,
     ),
     Criterion("few_views", False, 10, "views", "fewer views than this", _RULE),
@@ -117,24 +116,31 @@ _ALL = (
         "extrapolated", False, 0.8, "distance to the image corner", "no corner lies further out than this", _RULE
     ),
     Criterion("coverage", False, 0.6, "image", "the share of a 10 x 8 grid with a corner in it", _RULE),
-    Criterion("noise", False, 0.5, "px", "the noise of a coordinate, where 0.1 px is usual", _RULE),
+    Criterion("noise", False, 0.5, "px", "the noise of a corner coordinate (0.1 px is usual)", _RULE),
     Criterion("rejected", False, 0.02, "corners", "the share of rejected corners", _RULE),
     Criterion(
         "rolling_shutter",
         False,
         0.5,
         "px",
-        "rows of a typical image are apart by more than this",
+        "the displacement between rows of a typical image by a rolling shutter",
         _SETS,
     ),
-    Criterion("board_bends", False, 2e-4, "board's longer side", "RMS height by which the board bends", _SETS),
+    Criterion(
+        "board_bends",
+        False,
+        2e-4,
+        "board's longer side",
+        "the RMS height of the change of the board's shape between views",
+        _SETS,
+    ),
     Criterion(
         "focal_varies",
         False,
         3.0,
         "standard deviations",
-        "the focal length of single views differs, or varies from view to view, or a change of it is less clear than "
-        "that of focal_change",
+        "significance of a different focal length of single views, or of a variation, step or drift below the limit of "
+        "focal_change",
         _SETS,
         minimum_px=2.5,
     ),
@@ -143,8 +149,7 @@ _ALL = (
         False,
         3.7,
         "standard deviations",
-        "the board changes from one view on: how far beyond chance; the floor is the RMS distance of its corners where "
-        "they, not its proportions, show it",
+        "significance of a change of the board between views; a change of single corners has a minimum RMS as well",
         _SETS,
         minimum_px=0.08,
     ),
@@ -153,26 +158,24 @@ _ALL = (
         False,
         4.0,
         "ratio of variances",
-        "corners of a view scatter in one direction by more than this against across, and against a typical view; the "
-        "floor is their standard deviation",
+        "the residual variance of a view in one direction over that across, and over that of a typical view; the "
+        "standard deviation has a minimum as well",
         _SETS,
         minimum_px=0.1,
     ),
-    Criterion("board_size", False, 3.0, "m", "the longer side of the board: was it given in mm?", _RULE),
-    Criterion(
-        "focal_ratio", False, 0.05, "ratio", "fx and fy differ by more than this: pixels that are not square?", _RULE
-    ),
+    Criterion("board_size", False, 3.0, "m", "the longer side of the board (given in mm?)", _RULE),
+    Criterion("focal_ratio", False, 0.05, "ratio", "the relative difference of fx and fy (pixels not square?)", _RULE),
     Criterion(
         "principal_point",
         False,
         0.15,
         "image size",
-        "the principal point is further from the middle of the image than this: a cropped image?",
+        "the distance of the principal point from the image centre (cropped image?)",
         _RULE,
     ),
-    Criterion("unit", False, 0, "", "the size of the board is not known", _RULE),
-    Criterion("bent_board", False, 0.002, "board's longer side", "the deflection of the board, if it is clear", _RULE),
-    Criterion("correlation", False, 0.9, "", "a scale of the board and a focal length are correlated", _RULE),
+    Criterion("unit", False, 0, "", "the metric size of the board is not known", _RULE),
+    Criterion("bent_board", False, 0.002, "board's longer side", "the deflection of the board, if significant", _RULE),
+    Criterion("correlation", False, 0.9, "", "the correlation of a scale of the board and a focal length", _RULE),
 )
 CRITERIA = {criterion.code: criterion for criterion in _ALL}
 
