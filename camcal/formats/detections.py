@@ -233,7 +233,7 @@ def _covariance(table: Table) -> Array | None:
     if not given:
         return None
     if len(given) < len(COVARIANCE):
-        raise InvalidInput(f"column {given[0]!r} without all of {','.join(COVARIANCE)}", where=table.path)
+        raise InvalidInput(f"column {given[0]!r} without the others of {','.join(COVARIANCE)}", where=table.path)
     empty = np.array([[not text.strip() for text in table.columns[name]] for name in COVARIANCE])
     table.refuse(
         np.asarray(empty.any(axis=0) & ~empty.all(axis=0)), lambda _row: f"only a part of {','.join(COVARIANCE)}"

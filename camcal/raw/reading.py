@@ -98,7 +98,7 @@ def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
 
     content = read_bytes(path) if content is None else content
     if exif.is_cut_off(content):
-        raise FileError(f"truncated: it refers beyond its {len(content)} bytes", where=str(path))
+        raise FileError(f"truncated: refers to data beyond its {len(content)} bytes", where=str(path))
     try:
         with rawpy.imread(BytesIO(content)) as raw:
             limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)

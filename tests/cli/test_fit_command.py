@@ -280,7 +280,7 @@ def test_fewer_data_than_parameters_exit_with_4(run, tmp_path):
     path = write(tmp_path / "few.csv", x=np.arange(2.0), y=np.arange(2.0))
     code, found = document(run, path, "-m", "expquad")
     assert code == 4
-    assert found["error"]["message"].startswith("2 data for 3 parameters")
+    assert found["error"]["message"].startswith("too few data (2 for 3 parameters)")
 
 
 @pytest.mark.parametrize(

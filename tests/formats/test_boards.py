@@ -179,7 +179,10 @@ def test_an_aprilgrid_has_a_family_and_a_first_tag(tmp_path):
             "diameter_mm without the length of a pitch: add pitch_mm, or",
         ),
         ("type: circles\ncircles: [9, 7]\npitch_mm: 3\ndiameter_mm: 3\n", "give a smaller diameter"),
-        ("type: circles\ncircles: [9, 7]\npitch_mm: 3\ndiameter_mm: 2\ndiameter_ratio: 0.5\n", "exclude each other"),
+        (
+            "type: circles\ncircles: [9, 7]\npitch_mm: 3\ndiameter_mm: 2\ndiameter_ratio: 0.5\n",
+            "diameter_ratio: give one of them",
+        ),
     ],
 )
 def test_a_board_that_cannot_be_is_refused_with_its_line(tmp_path, content, expected):

@@ -317,7 +317,7 @@ BAD = {
     KALIBR + "  T_cam_imu: [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n": "not a rotation",
     "<opencv_storage><a>1</a></opencv_storage>": "has no camera matrix",
     "<opencv_storage><a>1</a><a>2</a></opencv_storage>": "<a> occurs twice",
-    "<opencv_storage><a>1</a>": "is not XML, or cut off",
+    "<opencv_storage><a>1</a>": "invalid or truncated XML",
     '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]><opencv_storage>&a;</opencv_storage>': "document type",
     "<opencv_storage>" + "<a>" * 100 + "</a>" * 100 + "</opencv_storage>": "more than 32 levels",
     "<opencv_storage><a>" + " 1" * (5 << 20) + "</a></opencv_storage>": "more than 8388608 characters in <a>",

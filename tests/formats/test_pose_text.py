@@ -43,7 +43,7 @@ def test_a_line_of_the_tum_format_is_read(tmp_path):
         ("1 0 0 0  0 2 0 0  0 0 1 0", InvalidInput, "not a rotation: orthonormality error 3"),
         ("1 0 0 0  0 1 0 0  0 0 -1 0", InvalidInput, "a reflection"),
         ("1 0 0 0  0 1 0 0  0 0 1 0  1 2 3 1", InvalidInput, "0 0 0 1"),
-        ("0 1 2 3  0 0 0 0", InvalidInput, "length 1"),
+        ("0 1 2 3  0 0 0 0", InvalidInput, "quaternion norm is not 1 but 0"),
         ("1 0 0 nan  0 1 0 0  0 0 1 0", InvalidInput, "finite"),
     ],
 )

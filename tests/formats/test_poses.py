@@ -183,7 +183,7 @@ def test_other_kinds_of_file_are_refused(found, tmp_path):
         (".yaml", "unit: m\n", "unit: mm\n", "unit: unknown unit 'mm'"),
         (".yaml", "camera_T_object\nunit", "camera_to_object\nunit", "is not camera_T_object or object_T_camera"),
         (".csv", "frames=camera_T_object", "frames=extrinsics", "is not camera_T_object or object_T_camera"),
-        (".yaml", "[tx, ty, tz, rx, ry, rz]", "[rx, ry, rz, tx, ty, tz]", "is invalid"),
+        (".yaml", "[tx, ty, tz, rx, ry, rz]", "[rx, ry, rz, tx, ty, tz]", "is not supported; use ['tx'"),
         (".json", '"image": "c.png",\n   "object": "tag_3"', '"image": "a, b.png"', "poses[1]: a, b.png occurs twice"),
         (".csv", "c.png,tag_3", '"a, b.png",', ":4: a, b.png occurs twice"),
         (".yaml", "version: 1", "version: 2", "is newer than this camcal"),

@@ -26,7 +26,7 @@ def test_a_document_holds_plain_data(tmp_path):
     [
         ('{"a": 1, "b": {"c": 1, "c": 2}}', "duplicate key 'c'"),
         ('{"a": NaN}', "NaN is not a JSON number"),
-        ('{"a": -Infinity}', "-Infinity is no number of JSON"),
+        ('{"a": -Infinity}', "-Infinity is not a JSON number"),
     ],
 )
 def test_what_readers_take_differently_is_refused(tmp_path, text, message):
@@ -38,8 +38,8 @@ def test_what_readers_take_differently_is_refused(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"a": 1', "a.json:1: is not JSON, or cut off"),
-        ('{\n"a": }', "a.json:2: is not JSON, or cut off"),
+        ('{"a": 1', "a.json:1: invalid or truncated JSON"),
+        ('{\n"a": }', "a.json:2: invalid or truncated JSON"),
         ("[1, 2]", "a.json: holds no JSON mapping"),
         ("", "a.json: is empty"),
         ("[" * 100_000, "a.json: is nested too deeply"),

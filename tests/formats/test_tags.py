@@ -126,7 +126,7 @@ SQUARE = "[[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]"
         ("size_mm: 5\n", 1, "missing key 'family'"),
         ("family: tag36h11\nsise_mm: 5.0\n", 2, "Did you mean 'size_mm'"),
         ("family: tag36h21\nsize_mm: 5.0\n", 1, "did you mean tag36h11"),
-        ("family: tag36h11\nsize_mm: 5.0\nsize_cm: 1.0\n", 1, "exclude each other"),
+        ("family: tag36h11\nsize_mm: 5.0\nsize_cm: 1.0\n", 1, "size_mm and size_cm: give one of them"),
         ("family: tag36h11\nsize_mm: -5.0\n", 2, "must be > 0"),
         ("family: tag16h5\nsize_mm: 5.0\nids: [0, 30]\n", 3, "ids are 0 to 29"),
         ("family: tag16h5\nsize_mm: 5.0\nids: [0, 0]\n", 3, "listed twice"),

@@ -110,7 +110,7 @@ def test_a_quaternion_is_real_part_last_in_tum_and_normalised(tmp_path):
         ("a.tum", TUM + "1 1 2 3 0 0 0 1.1\n", 2, "length 1.1, not 1"),
         ("a.tum", TUM + "0 1 2 3 0 0 0 1\n", 2, "not later than the one before"),
         ("a.tum", "# frames: camera\n" + TUM, None, "is not a transform name such as a_T_b"),
-        ("a.txt", "1 0 0 0 0 1 0 0 0 0 2 0\n", 1, "no rotation"),
+        ("a.txt", "1 0 0 0 0 1 0 0 0 0 2 0\n", 1, "not a rotation"),
         ("a.csv", "t,tx,ty,tz,qw,qx,qy,qz\n0,1,2,3,1,0,0,0\n1,2,3\n", 3, "3 numbers; 8 are needed"),
         ("a.csv", "t,tx,ty,tz,qw,qx,qy,qw\n0,1,2,3,1,0,0,0\n", 1, "missing column 'qz'"),
         ("a.csv", "t,tx,ty,tz,qw,qx,qy,qz,vx\n0,1,2,3,1,0,0,0,1\n", None, "missing column 'vy'"),

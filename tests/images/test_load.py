@@ -112,7 +112,7 @@ def test_a_file_that_is_cut_off_is_refused(tmp_path, suffix, scratch, share):
     [
         ("a.png", b"", "is empty"),
         ("a.png", b"Dear diary, today", "unknown image format .begins with b'Dear dia'"),
-        ("a.jpg", b"\xff\xd8\xff\xe0nonsense\xff\xd9", "cut off"),
+        ("a.jpg", b"\xff\xd8\xff\xe0nonsense\xff\xd9", "damaged or truncated JPEG file: no frame header"),
         ("a.npy", b"\x93NUMPY", "not a readable NumPy array file"),
     ],
 )

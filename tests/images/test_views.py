@@ -135,14 +135,16 @@ def test_a_panorama_shows_what_the_lens_sees_across():
     ids=["crop", "all", "between"],
 )
 def test_a_pinhole_that_is_to_hold_half_the_world_is_refused_with_what_can(options):
-    with pytest.raises(InvalidInput, match=r"\d+° are more than a pinhole.*cylinder, equirectangular or stereographic"):
+    with pytest.raises(
+        InvalidInput, match=r"\d+° exceeds the field of view of a pinhole.*cylinder, equirectangular or stereographic"
+    ):
         make_view(ALL_AROUND, options)
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"fov_deg": 180.0}, "180° are more than a pinhole"),
+        ({"fov_deg": 180.0}, "180° exceeds the field of view of a pinhole"),
         ({"fov_deg": 361.0, "projection": "cylinder"}, "a cylinder view holds up to 360°"),
         ({"fov_deg": 360.0, "projection": "stereographic"}, "up to 350°"),
         ({"fov_deg": -3.0}, "is positive"),
@@ -169,5 +171,5 @@ def test_a_part_of_a_fisheye_fits_a_pinhole():
 
 def test_the_search_for_a_crop_ends_where_the_axis_is_at_the_corner_of_the_image():
     lens = Camera(model_named("kannala_brandt4"), (400, 300), np.array([150, 150, 2, 2, 0.01, -0.01, 0.002, -0.001]))
-    with pytest.raises(InvalidInput, match="more than a pinhole can hold"):
+    with pytest.raises(InvalidInput, match="exceeds the field of view of a pinhole"):
         make_view(lens, ViewOptions())

@@ -78,7 +78,7 @@ def test_a_few_hot_pixels_do_not_make_a_flat_saturated():
     ("change", "message"),
     [
         (lambda flat: flat * 1.7, r"saturated: 100\.0% .* row 0, column 1 of the RGGB cell above 95%"),
-        (lambda flat: flat * 0.05, r"almost dark: mean 1\.00% .* row 0, column 0 of the RGGB cell"),
+        (lambda flat: flat * 0.05, r"too dark: mean 1\.00% .* row 0, column 0 of the RGGB cell"),
         (lambda flat: np.where(flat > 0.6, np.nan, flat), "not finite"),
         (lambda flat: flat[0], "shape"),
     ],

@@ -40,7 +40,7 @@ def test_the_names_are_those_that_work_and_no_others():
 
 def test_a_filter_that_libraw_would_replace_in_silence_is_refused():
     missing = next(name for name in ("AMAZE", "LMMSE", "AFD") if name not in libraw_filters())
-    with pytest.raises(InvalidInput, match=rf"'{missing}' and would silently take AHD.*LINEAR, VNG"):
+    with pytest.raises(InvalidInput, match=rf"'{missing}' and would use AHD instead.*LINEAR, VNG"):
         demosaic_with_libraw(noise((40, 40)), "RGGB", missing)
 
 

@@ -31,7 +31,7 @@ def test_a_rectified_pair_gives_baseline_and_the_offset_of_its_principal_points(
         (camera(), beside((-0.1, 0, 0.01)), "not rectified"),
         (camera(cy=241.0), beside(), "differ by 1 px"),
         (camera(fx=500.5), beside(), "differ by 0.5 px"),
-        (camera(), beside((0.1, 0, 0)), "other way round"),
+        (camera(), beside((0.1, 0, 0)), "exchange the cameras"),
     ],
 )
 def test_a_pair_that_is_not_rectified_is_refused_with_the_amount(right, right_T_left, message):

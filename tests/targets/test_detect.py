@@ -197,7 +197,7 @@ def test_a_mirrored_charuco_image_says_so():
     [
         (replace(CHARUCO, dictionary="DICT_4x4_5"), "'DICT_4x4_5' is unknown; did you mean DICT_4X4_50?"),
         (replace(CHARUCO, first_marker=45), "the board needs markers 45 to 56, DICT_4X4_50 ends at 49"),
-        (Board("chessboard", 6, 2), "6 x 2 inner corners cannot be found"),
+        (Board("chessboard", 6, 2), "6 x 2 inner corners is too small"),
     ],
 )
 def test_a_board_that_cannot_be_found_is_refused(board, message):

@@ -78,7 +78,7 @@ def test_parts_of_a_grid_of_circles_are_refused_where_they_are_asked_for():
     [
         ("aprilgrid:30x20:60mm:0.3", "the board needs markers 0 to 599, tag36h11 ends at 586"),
         ("aprilgrid:3x3:60mm:0.3:tag36h9", "marker family 'tag36h9' is unknown; did you mean tag36h1"),
-        ("chessboard:9x2:25mm", "inner corners is too small to be detected (minimum 3 x 3)"),
+        ("chessboard:9x2:25mm", "inner corners is too small to be detected .minimum 3 x 3"),
     ],
 )
 def test_a_board_that_cannot_be_found_is_refused(form, message):

@@ -92,7 +92,7 @@ def require_enough(data: Data, curve: Curve, free: int) -> None:
     """Raise InsufficientData if there are fewer data than parameters, InvalidInput for a sigma that is not positive."""
     count = len(data) * curve.components
     if count < free:
-        raise InsufficientData(f"{count} data for {free} parameters: add data or --fix some")
+        raise InsufficientData(f"too few data ({count} for {free} parameters): add data or --fix some")
     if data.sigma is not None and not np.all(data.sigma > 0):
         raise InvalidInput(f"sigma must be positive, found {float(np.min(data.sigma)):g}")
 

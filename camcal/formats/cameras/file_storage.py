@@ -53,7 +53,7 @@ def _parse_xml(text: str, where: str) -> dict[str, Any]:
         parser.close()
     except ET.ParseError as error:
         line = error.position[0]
-        raise FileError(f"is not XML, or cut off: {str(error).partition(':')[0]}", where=f"{where}:{line}") from error
+        raise FileError(f"invalid or truncated XML: {str(error).partition(':')[0]}", where=f"{where}:{line}") from error
     return builder.result
 
 

@@ -113,7 +113,7 @@ def _parsed(lines: list[str]) -> _Header:
             case []:
                 continue
             case _:
-                raise FileError(f"line {number} of the PLY header is not understood: {line[:80]}")
+                raise FileError(f"line {number} of the PLY header is invalid: {line[:80]}")
     if not order:
         raise FileError("the PLY header has no line format")
     return _Header(order, elements, comments)
@@ -124,7 +124,7 @@ def _binary(body: memoryview, order: str, before: list[_Element], vertex: _Eleme
     kind = _type_of(vertex, order)
     needed = start + vertex.count * kind.itemsize
     if len(body) < needed:
-        raise FileError(f"{vertex.count} vertices end {needed} bytes after the header, the file has {len(body)}")
+        raise FileError(f"{vertex.count} vertices end {needed} bytes after the header, the file has {len(body)} there")
     return np.ndarray(vertex.count, kind, body, start)
 
 

@@ -216,7 +216,8 @@ def numbers_in(lines: Sequence[str], columns: int | None = None) -> Array:
     try:
         found: Array = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise FileError(f"vertex rows are not numeric: {error}") from error
+        cause = str(error).partition(";")[0].rstrip(".")  # without NumPy's advice to programmers
+        raise FileError(f"vertex rows are not a table of numbers: {cause}") from error
     if columns not in {None, found.shape[1]}:
         raise FileError(f"a vertex has {columns} numbers by the header, a row has {found.shape[1]}")
     return found

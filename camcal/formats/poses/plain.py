@@ -137,11 +137,11 @@ def _pose_block(frames: str) -> Check:
 
 
 def _only(wanted: Any) -> Check:
-    """Return a check for the one value that is understood."""
+    """Return a check for the one value that is supported."""
 
     def check(value: Any, path: str) -> Iterator[Fault]:
         if value != wanted:
-            yield Fault(path, f"{value!r} is not understood; {wanted!r} is needed")
+            yield Fault(path, f"{value!r} is not supported; use {wanted!r}")
 
     return check
 

@@ -203,8 +203,14 @@ def test_as_many_data_as_parameters_are_met_but_have_no_errors():
 @pytest.mark.parametrize(
     ("data", "start", "options", "error", "words"),
     [
-        (Data({"x": X[:1]}, X[:1]), {"m": 0.0, "q": 0.0}, SearchOptions(), InsufficientData, "1 data cannot give 2"),
-        (Data({"x": X}, X, 0 * X), {"m": 0.0, "q": 0.0}, SearchOptions(), InvalidInput, "sigma must be more than 0"),
+        (
+            Data({"x": X[:1]}, X[:1]),
+            {"m": 0.0, "q": 0.0},
+            SearchOptions(),
+            InsufficientData,
+            "too few data .1 for 2 param",
+        ),
+        (Data({"x": X}, X, 0 * X), {"m": 0.0, "q": 0.0}, SearchOptions(), InvalidInput, "sigma must be positive"),
         (Data({"x": X}, X), {"m": 9.0, "q": 0.0}, SearchOptions(bounds={"m": (0, 1)}), InvalidInput, "outside its"),
     ],
 )

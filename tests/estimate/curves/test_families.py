@@ -141,7 +141,7 @@ def test_starts_are_finite_for_any_data(name):
 
 def test_points_that_are_one_point_are_refused():
     one = np.ones(5)
-    with pytest.raises(InsufficientData, match="one point"):
+    with pytest.raises(InsufficientData, match="all points coincide"):
         FAMILIES["plane"].build({"x": one, "y": one, "z": one})
 
 

@@ -111,7 +111,7 @@ def test_lzf_of_any_bytes_gives_the_size_promised_or_an_error(packed, size):
     ("content", "message"),
     [
         (b"ply\n", "not a PCD file"),
-        (pcd_of(POINT, "base64"), "data of the kind base64; known are"),
+        (pcd_of(POINT, "base64"), "data of the kind base64; use one of binary"),
         (pcd_of(POINT, SIZE="4 4"), "fit together"),
         (pcd_of(POINT, TYPE="F F O"), "fit together"),
         (pcd_of(POINT, COUNT="1 1 0"), "fit together"),

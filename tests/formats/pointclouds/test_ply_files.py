@@ -136,8 +136,11 @@ def test_comments_of_other_programs_are_left_out():
         (ply_of(SQUARE, *XYZ, "property list uchar int near"), "list near is not read"),
         (ply_of(SQUARE, "element vertex 4", *XYZ[1:]), "4 vertices end on line 4, there are 3 lines"),
         (ply_of(b"1 2\n" * 3, *XYZ), "3 numbers by the header, a row has 2"),
-        (ply_of(b"1 2 here\n" * 3, *XYZ), "no table of numbers"),
-        (ply_of(bytes(35), *XYZ, form="binary_little_endian"), "3 vertices end 36 bytes after .* after 35"),
+        (ply_of(b"1 2 here\n" * 3, *XYZ), "not a table of numbers: .* column 3$"),
+        (
+            ply_of(bytes(35), *XYZ, form="binary_little_endian"),
+            "3 vertices end 36 bytes after the header, the file has 35",
+        ),
     ],
 )
 def test_a_file_that_is_none_says_what_was_expected_and_found(content, message):

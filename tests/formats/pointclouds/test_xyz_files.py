@@ -43,9 +43,9 @@ def test_columns_are_told_by_their_number_and_their_look(row, names):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"1 2\n", "a row has 2 numbers, a point takes three"),
-        (b"1 2 3\n1 2\n", "no table of numbers"),
-        (b"x y z\n1 2 3\n", "no table of numbers"),
+        (b"1 2\n", "a row has 2 numbers .minimum 3"),
+        (b"1 2 3\n1 2\n", "not a table of numbers: .* changed from 3 to 2 at row 2$"),
+        (b"x y z\n1 2 3\n", "not a table of numbers"),
         (b"# columns: x y z sigma\n1 2 3\n", "names 4 columns, its rows have 3"),
         (b"# columns: a b c\n1 2 3\n", "no x, y and z"),
     ],

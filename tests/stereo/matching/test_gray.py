@@ -81,5 +81,5 @@ def test_noise_is_measured(sigma):
 
 
 def test_images_of_different_sizes_are_refused():
-    with pytest.raises(InvalidInput, match="the left image has 8 × 6 pixels, the right one 9 × 6; a pair has one size"):
+    with pytest.raises(InvalidInput, match="the left image has 8 × 6 pixels, the right one 9 × 6: sizes must be equal"):
         gray_pair(np.zeros((6, 8), np.uint8), np.zeros((6, 9, 3), np.uint8))
