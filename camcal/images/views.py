@@ -154,8 +154,8 @@ def require_possible(projection: str, size: tuple[int, int] | None, fov_deg: flo
 
 def _refuse_pinhole(widest: float) -> None:
     raise InvalidInput(
-        f"{np.degrees(widest):.0f}° exceeds the field of view of a pinhole (less than 180°): use --projection cylinder, "
-        "equirectangular or stereographic, or --fov for a part of it"
+        f"{np.degrees(widest):.0f}° exceeds the field of view of a pinhole (less than 180°): use --projection "
+        "cylinder, equirectangular or stereographic, or --fov for a part of it"
     )
 
 
