@@ -28,7 +28,7 @@ STANDARD = "-"  # as a path: standard input or output
 LARGEST = 4 << 30  # bytes of a file that is read as a whole
 
 _LARGEST_PIPE = 256 << 20
-_PATIENCE_S = 10.0  # until something comes out of a named pipe
+_PIPE_TIMEOUT_S = 10.0  # until something comes out of a named pipe
 _CHUNK = 1 << 20
 _HEAD = 4096  # bytes by which the kind of a text is known
 _KINDS = {".json": "JSON", ".yaml": "YAML", ".xml": "XML", ".csv": "CSV"}
@@ -61,7 +61,7 @@ LEDGER: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
 
 @contextmanager
 def unwatched() -> Iterator[None]:
-    """Leave out of the ledger what the block reads and writes, as of outputs that are only looked at."""
+    """Leave out of the ledger what the block reads and writes, as of outputs that are only examined."""
     token = LEDGER.set(None)
     try:
         yield
@@ -166,7 +166,7 @@ def _reserved(path: Path) -> tuple[int, str]:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove what runs that were killed left in a folder, once in a process: temporary files that nobody has locked."""
+    """Remove what runs that were killed left in a folder, once in a process: temporary files that are not locked."""
     for path in folder.glob(f"{_TEMPORARY}*") if fcntl else ():
         with suppress(OSError):  # another run writes it, or the file system has no locks, or it is gone
             handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -234,7 +234,7 @@ def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
     """Return the bytes of a file, or of a pipe up to its end.
 
     Raises FileError if it is missing, a folder or a device, empty or larger than `limit`, and for a named pipe that
-    nobody writes to.
+    no process writes to.
     """
     with opened(path) as stream:
         size = os.fstat(stream.fileno()).st_size
@@ -298,7 +298,7 @@ def _standard_input() -> Iterator[BinaryIO]:
 
 
 def suffix_of(path: Path) -> str:
-    """Return the suffix of a path in small letters; of standard input the one that its content looks like.
+    """Return the suffix of a path in small letters; of standard input the one that its content resembles.
 
     That is .json for what begins with a bracket, .yaml for keys with a colon, otherwise .csv.
     """
@@ -330,9 +330,9 @@ def _require_readable(stream: BinaryIO, path: Path) -> None:
     if stat.S_ISDIR(mode):
         raise FileError("is a folder, not a file", where=str(path))
     if _is_pipe(stream):
-        patience = _PATIENCE_S if _is_named(path) else None
+        patience = _PIPE_TIMEOUT_S if _is_named(path) else None
         if not select.select([stream], [], [], patience)[0]:
-            raise FileError(f"is a named pipe without data for {_PATIENCE_S:g} s", where=str(path))
+            raise FileError(f"is a named pipe without data for {_PIPE_TIMEOUT_S:g} s", where=str(path))
         os.set_blocking(stream.fileno(), True)
     elif not stat.S_ISREG(mode):
         raise FileError("is a device, not a file", where=str(path))

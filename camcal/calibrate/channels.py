@@ -31,7 +31,7 @@ _CORNERS_A_PARAMETER = 5
 _LOSS = Cauchy(3.0)
 _ROUGH_ROUNDS, _ROUNDS = 2, 8
 _SIGNIFICANCE = 1e-3  # as of the tiers of a board's shape
-_LATTICE = (33, 25)  # places where the aberration is looked at, the corners of the image among them
+_LATTICE = (33, 25)  # places where the aberration is examined, the corners of the image among them
 
 
 @dataclass(frozen=True, eq=False)

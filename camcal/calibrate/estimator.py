@@ -3,7 +3,7 @@
 Every pass takes from the residuals the noise, of all corners, of a view's and of single ones; from one linearisation
 the variances of the effects within views; solves for everything that is linear in it; and takes from the solution the
 scales of the board's shape. All of them follow the data continuously: nothing is kept or dropped by a test, and what
-counts for little now is looked at again in the next pass.
+counts for little now is examined again in the next pass.
 """
 
 from collections.abc import Mapping
@@ -53,14 +53,14 @@ _SETTLED, _CALM = 1e-2, 0.3
 _SLOWEST = 0.95  # rate at which changes are taken to fall at least
 # Of the change by the pass before, and of a standard deviation: in turn, single points and all else hardly get on.
 _SLOW, _CREEP = 0.5, 0.05
-_HARDLY = 1.0  # degrees of freedom that single points take together: solved for in turn, they are as good
+_NEGLIGIBLE_DOF = 1.0  # degrees of freedom that single points take together: solved for in turn, they are as good
 # Noise, weights and lens answer to each other, and full steps may overshoot: less of the way to new scales is gone from
 # then on where a pass takes back what the one before did.
 _LESS, _LEAST_SHARE, _BACK = 0.7, 0.3, 0.5
 # A step is as long as the cost along it is lowest: how near to that is near enough, how much shorter a trial may be,
 # how many there are, and of the cost what cannot be seen in it.
 _NEAR, _SHORTEST, _TRIALS, _UNSEEN = 0.75, 0.2, 12, 1e-11
-_FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is believed
+_FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is accepted
 _POSING, _GROSS = Stopping(relative_decrease=1e-6, iterations=20), 3.0  # of lost views; σ where an error is gross
 _LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for
 
@@ -174,7 +174,7 @@ class _Passes:
             factors, left, moved = self._pass(first=self.fresh and number == 1)
             settled = _to_come(moved, before) < _SETTLED and not (self.fresh and number < _LEAST)
             slow = number > _LEAST and moved > max(_SLOW * before, _CREEP)
-            if apart and self.on_points > _HARDLY and (slow or (settled and not brief)):
+            if apart and self.on_points > _NEGLIGIBLE_DOF and (slow or (settled and not brief)):
                 self.problem, apart, settled = replace(self.problem, offsets=True), False, False
         return Estimate(
             self.problem,

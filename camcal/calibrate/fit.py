@@ -278,7 +278,7 @@ def _oriented(
 
 
 def _first(problem: BoardProblem, state: State, shape: ShapeOptions) -> Estimate:
-    """Return a first estimate of the board's shape, good enough to tell its ends apart; its points start anew."""
+    """Return a first estimate of the board's shape, good enough to distinguish its ends; its points start again."""
     state = replace(state, offsets=0 * state.offsets)
     return estimate(problem, state, shape.additional, brief=True)
 

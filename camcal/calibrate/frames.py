@@ -150,7 +150,7 @@ def _gains(known: Array, informations: Array) -> Array:
 def _apart(one: Array, others: Array, board: Board) -> Array:
     """Return how far the points (C, 2) of a view are from those of others (V, C, 2), RMS px; inf with few in common.
 
-    A board that looks the same turned may be numbered either way; the nearer way counts.
+    A board that is symmetric under rotation may be numbered either way; the nearer way counts.
     """
     nearest = np.full(len(others), np.inf)
     for turn in board.symmetries():
@@ -171,9 +171,9 @@ def _table(views: Sequence[BoardDetection], board: Board) -> Array:
 
 
 def lens_information(views: Sequence[BoardDetection], board: Board, errors: Array) -> Array:
-    """Return what every view tells about the lens alone, (V, K, K), beside a first guess whose information is 1.
+    """Return what every view tells about the lens alone, (V, K, K), beside an initial value whose information is 1.
 
-    errors: (V,) px, standard deviations of the points of each view. Zero where there is no first guess of a lens.
+    errors: (V,) px, standard deviations of the points of each view. Zero where there is no initial value of a lens.
     """
     model = model_named(WIDE_MODEL)  # an estimate is all that is needed
     observations = Observations.of([replace(view, covariance=None) for view in views])  # `errors` stand for it

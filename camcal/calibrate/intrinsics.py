@@ -74,7 +74,7 @@ class Calibration:
     held_by_prior: lens parameters that the data hardly determine: their prior does.
     noise_covariance: (K, K) of the lens parameters if noise were all that is wrong with the corners; the camera's own
     covariance counts the errors within views as well. within_views: what these errors are. two_cameras: the groups
-    that the views may fall into, each with a lens of its own, None where nothing speaks for any. between_views: what
+    that the views may fall into, each with a lens of its own, None where nothing supports any. between_views: what
     differs between views and ought to be the same.
     """
 

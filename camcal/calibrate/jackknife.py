@@ -27,7 +27,7 @@ from camcal.geometry import rotation as so3
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
 _ALIKE = 10.0  # views that count for estimates of equal scatter
-_LARGEST = 0.99  # leverage of a view: what it alone determines cannot be told from the others
+_LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distinguished from the others
 # Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
 # view determines something all but alone.
 _SAFETY = 3.0

@@ -2,7 +2,7 @@
 
 Medians alone say which corners cannot be measurements of this board through this lens. Beyond that a corner's weight
 falls smoothly where its residual is beyond four standard deviations, 1 / (1 + (d² / 16)³); a view's where its corners
-are 16 times as noisy as those of a typical view. Both are taken anew in every pass.
+are 16 times as noisy as those of a typical view. Both are taken again in every pass.
 
 The covariance of a corner says what noise and blur leave open. Paper that is not flat, print that is not exact and a
 lens model that is not quite right add errors that no image tells of; they are taken to be the same for all corners.
@@ -120,7 +120,7 @@ def view_noise(
         views = (_VIEW_DOF + squares / variance) / (_VIEW_DOF + dof)
     sigma = noise.sigma ** (1 - share) * variance ** (share / 2)
     views = noise.views ** (1 - share) * views**share
-    # what counts for little says nothing of its noise: all its corners do, by their median
+    # what counts for little has no information on its noise: all its corners do, by their median
     little = lost(weights, present)
     return ViewNoise(float(sigma), np.where(little, _by_medians(distances, present, float(sigma)), views))
 

@@ -45,7 +45,7 @@ _POSING = Stopping(relative_decrease=1e-6, iterations=20)
 _SOLVING = Stopping(relative_decrease=1e-6, iterations=30)
 _REACH = 20.0  # px: what a corner is off by at most, or without an image
 _LISTED = 3  # images of a group
-_PREFERRED = 1.5  # times clearer must groups be that are told apart by their lenses, where names suggest others
+_PREFERRED = 1.5  # times clearer must groups be that are distinguished by their lenses, where names suggest others
 _MOST_VALUES = 4  # of a part of names that tells cameras apart; what has more of them counts images
 _TOKENS = re.compile(r"[^\W\d_]+|\d+")
 _FAILURES = (InsufficientData, InvalidInput, SingularError, np.linalg.LinAlgError)
@@ -55,7 +55,7 @@ _FAILURES = (InsufficientData, InvalidInput, SingularError, np.linalg.LinAlgErro
 class TwoCameras:
     """Two groups of views whose lenses differ.
 
-    groups: their images, the larger one's first. by_name: whether they were told apart by their names. ratio: errors
+    groups: their images, the larger one's first. by_name: whether they were distinguished by their names. ratio: errors
     of corners with the lens of all views, and with that of the other group, over those with the lens of their own
     group, the view left out: the least of these, each less its standard error. own_px, other_px: the median error of
     the smaller group's corners with the lens of their own and with that of the larger group. focal_px: fx of both.
@@ -87,7 +87,7 @@ def two_cameras(
     shape: ShapeOptions,
     named: Sequence[frozenset[str]] = (),
 ) -> TwoCameras | None:
-    """Return the two groups that views fall into, None where nothing speaks for them; how clear it is, `ratio` says.
+    """Return the two groups that views fall into, None where nothing supports them; how clear it is, `ratio` says.
 
     plain: an estimate of all views. images: (V,) names of the views.
     named: groups of images by their names, each of which may be another camera's.
@@ -279,7 +279,7 @@ def smoothness(problem: BoardProblem, state: State, weights: Array) -> float:
 
 
 def _posed(lens: _Lens, views: _Lens, weights: Array) -> tuple[BoardProblem, State]:
-    """Return the views of one lens, posed anew under another one, with the weights (V, P) of their corners."""
+    """Return the views of one lens, posed again under another one, with the weights (V, P) of their corners."""
     problem = replace(
         views.problem,
         free=np.zeros(0, np.intp),

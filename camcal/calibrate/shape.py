@@ -24,7 +24,7 @@ from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLA
 
 _POINTS, _REACH = 65, 4.0  # of the grid of scales, and how many standard deviations of their logarithm it holds
 _WITHIN = np.linspace(-_REACH, _REACH, _POINTS)
-# logarithms of τ over the median, among which the effective scale is looked for, and in how many parts of each step
+# logarithms of τ over the median, among which the effective scale is searched for, and in how many parts of each step
 _COARSE, _PARTS = np.linspace(-14.0, 6.0, 21), 20
 
 _NARROWEST = 1e-4  # of a class's median: a prior this narrow leaves nothing of it

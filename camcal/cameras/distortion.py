@@ -129,7 +129,7 @@ class Distortion:
         return _known_limit(self, reach)
 
     def find_limit(self, reach: float) -> Limit:
-        """Return what `limit` does, found anew."""
+        """Return what `limit` does, found again."""
         if not self.values:
             return Limit(reach, reach)
         numerator, denominator = self._in_radius(self.roles.numerator), self._in_radius(self.roles.denominator)

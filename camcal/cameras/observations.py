@@ -35,7 +35,7 @@ class Observations:
     whitening: (2, 2, V, P) with Wᵀ W the inverse covariance of a pixel over a typical one's, or None: all alike.
     present: (V, P), the points that there are, whatever their weight; by default those of a weight above 0.
     covariance: (V, P, 2, 2) px², as the images give it, None: all alike. camera, body: (V,) places in the names cameras
-    and bodies. time: (V,) s, NaN where nobody knows.
+    and bodies. time: (V,) s, NaN where unknown.
     """
 
     ids: Array

@@ -26,7 +26,7 @@ CORE = (
 )
 PART = 8192
 Values = Sequence[float]
-FAR = 1e6  # the largest radius looked for on an unbounded plane: 1e-6 rad from 90° for a pinhole
+FAR = 1e6  # the largest radius searched for on an unbounded plane: 1e-6 rad from 90° for a pinhole
 # Residuals on the plane, relative to 1 + |target|: where to stop, and what still counts as solved when rounding
 # stops the steps earlier (1e-12 is far below a micropixel).
 ENOUGH, SOLVED = 1e-14, 1e-12
@@ -216,7 +216,7 @@ class PlaneModel(ABC):
         """Return the standard deviations (K,) of the weak priors, inf for parameters that have none.
 
         The change of the radius by a coefficient's term alone, at the image corner, is taken to be 0 ± 100 %, which is
-        more than most lenses have: coefficients that the data cannot tell apart stay finite. focal: px.
+        more than most lenses have: coefficients that the data cannot distinguish stay finite. focal: px.
         """
         corner = min(math.hypot(*image_size) / 2 / focal, self.prior_reach)
         return np.array([own.prior_std(corner) for own in self.parameters])

@@ -1,6 +1,6 @@
 """The pose of an object from its points and their pixels, with covariance and alternative poses.
 
-Many views are worked on at once. What cannot have a pose is told apart; every start of the rest is refined to its
+Many views are worked on at once. What cannot have a pose is distinguished; every start of the rest is refined to its
 minimum of the reprojection error through the package's solver, the lowest one wins, and all are judged with a common
 noise.
 """

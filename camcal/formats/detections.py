@@ -55,7 +55,7 @@ Placed = tuple[int, BoardDetection]  # with the line on which the file first nam
 def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
     """Return the detections in a file, views in the order in which it first names them.
 
-    board: what was looked for; it takes the place of the board a CSV names, and a .vnl names none. image_size: of the
+    board: what was searched for; it takes the place of the board a CSV names, and a .vnl names none. image_size: of the
     images of a .vnl, one (width, height) or a function of the image's name; a CSV has its own.
     Raises InvalidInput with file and line for the first row that breaks a rule, FileError if the file cannot be read.
     """

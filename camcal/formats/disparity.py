@@ -66,7 +66,7 @@ class DisparityMap:
 
     @property
     def signed(self) -> bool:
-        """Whether zero and less are matches: they were looked for, and do not mean that there is none."""
+        """Whether zero and less are matches: they were searched for, and do not mean that there is none."""
         searched = self.sidecar.searched if self.sidecar else None
         return self.invalid != ZERO and searched is not None and searched[0] < 0
 

@@ -42,7 +42,7 @@ class Sidecar:
 
     scale: counts of the file per pixel of disparity. invalid: what means "no match", one of INVALID_CODES. geometry:
     of the rectified pair. image: the rectified left image. sigma, confidence: images of the uncertainty (pixels) and
-    of the class of every pixel, see `stereo.disparity`. searched: smallest and largest disparity looked for, pixels.
+    of the class of every pixel, see `stereo.disparity`. searched: smallest and largest disparity searched for, pixels.
     matcher: its settings. inputs: the files it was made of, by their part. camera_R_rectified: (3, 3), from the
     rectified to the real left camera. relative_sigma: standard deviations of fx and baseline as shares of them.
     """

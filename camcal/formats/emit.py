@@ -109,7 +109,7 @@ def _item(value: Any, indent: str, number: NumberText) -> Iterator[str]:
 
 
 def _on_one_line(value: Mapping[str, Any] | Sequence[Any], line: str) -> bool:
-    """Tell whether a container stands on its key's line: short ones, and lists of numbers whatever their length."""
+    """Return whether a container stands on its key's line: short ones, and lists of numbers whatever their length."""
     if isinstance(value, Mapping):
         return len(line) <= LINE and all(not _is_container(part) or _holds_scalars(part) for part in value.values())
     return _holds_scalars(value) and (len(line) <= LINE or not any(isinstance(item, str) for item in value))

@@ -200,7 +200,7 @@ def circle_block(circle: ImageCircle | None) -> dict[str, Any] | None:
 
 
 def _check_lens(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:
-    """Check the keys of a lens of the given model; other keys of the block are not looked at."""
+    """Check the keys of a lens of the given model; other keys of the block are not examined."""
     names = model.parameter_names
     yield from _check_names(block.get("intrinsics", {}), child(path, "intrinsics"), model, _core(names))
     yield from _check_names(block.get("distortion", {}), child(path, "distortion"), model, _distortion(names))

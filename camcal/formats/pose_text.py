@@ -64,7 +64,7 @@ _SEPARATORS = re.compile(r"[\s,;\[\]()]+")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*_T_[A-Za-z0-9_]+\b")
 _IN_A_LINE = (7, 8, 12, 16)  # numbers
 _LIMIT = 1 << 20
-_REMARK = "#"
+_COMMENT_MARK = "#"
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +295,9 @@ def read_loose(path: Path, form: Form | None = None) -> LoosePose:
 
 def name_in(path: Path) -> str:
     """Return the name a_T_b that a remark of the file, or else the file's own name, begins with; empty without one."""
-    remarks = [line.lstrip("# \t") for line in files.read_text(path, _LIMIT).splitlines() if line.startswith(_REMARK)]
+    remarks = [
+        line.lstrip("# \t") for line in files.read_text(path, _LIMIT).splitlines() if line.startswith(_COMMENT_MARK)
+    ]
     found = (_NAME.match(words) for words in (*remarks, path.name))
     return next((match[0] for match in found if match), "")
 
@@ -320,7 +322,7 @@ def static_transform_publisher(frames: str, a_T_b: Pose) -> str:
 
 
 def _parsed(text: str, form: Form | None) -> LoosePose:
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_REMARK)]
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENT_MARK)]
     if lines and not is_row(" ".join(lines)):
         raise FileError("holds not a list of numbers")
     numbers = numbers_in(" ".join(lines)) if lines else np.empty(0)

@@ -19,7 +19,7 @@ COVARIANCE = ("suu", "suv", "svv")  # of u and v
 
 _MARGIN = 0.1  # a pixel farther outside than this share of the image's side is a mistake, not a measurement
 
-_SHIELD = "'"
+_APOSTROPHE = "'"
 _FORMULA = ("=", "+", "@", "\t")  # a minus too, but numbers begin with it
 _COMMENT = "#"
 _SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "blanks"}
@@ -141,7 +141,7 @@ def csv_rows(path: str, lines: Lines) -> list[list[str]]:
         for row in reader:
             if reader.line_num > len(rows) + 1:
                 break
-            rows.append([_unshielded(text) for text in row] if _SHIELD in "".join(row) else row)
+            rows.append([_unshielded(text) for text in row] if _APOSTROPHE in "".join(row) else row)
         else:
             return rows
     except csv.Error as error:
@@ -183,17 +183,17 @@ def cell(text: str) -> str:
     """
     if text.splitlines() not in ([], [text]):
         raise InvalidInput(f"{text!r} has a line break")
-    if text.lstrip(_SHIELD)[:1] in _FORMULA and not is_number(text):
-        text = _SHIELD + text
+    if text.lstrip(_APOSTROPHE)[:1] in _FORMULA and not is_number(text):
+        text = _APOSTROPHE + text
     if text.strip() != text or any(letter in text for letter in ',"#'):
         return '"' + text.replace('"', '""') + '"'
     return text
 
 
 def _unshielded(text: str) -> str:
-    """Return a cell without the apostrophe that `cell` put before what looks like a formula."""
-    inner = text.removeprefix(_SHIELD)
-    return inner if inner != text and inner.lstrip(_SHIELD)[:1] in _FORMULA else text
+    """Return a cell without the apostrophe that `cell` put before what resembles a formula."""
+    inner = text.removeprefix(_APOSTROPHE)
+    return inner if inner != text and inner.lstrip(_APOSTROPHE)[:1] in _FORMULA else text
 
 
 def read_measurements(path: Path) -> Table:

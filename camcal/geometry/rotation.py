@@ -20,7 +20,7 @@ from camcal.errors import InvalidInput
 
 SERIES_ANGLE = 1e-4
 _IDENTITY = np.eye(3)
-HOPELESS = 0.1  # orthonormality error beyond which the nearest rotation says nothing
+MAX_ORTHONORMALITY_ERROR = 0.1  # orthonormality error beyond which the nearest rotation says nothing
 LOCK = 1e-7  # rad; nearer to gimbal lock the outer angles are known to their sum or difference only
 _AXES = "xyz"
 
@@ -173,7 +173,7 @@ class Orthogonality:
     @property
     def can_be_fixed(self) -> bool:
         """Whether the nearest rotation is what was meant."""
-        return self.is_rotation(HOPELESS)
+        return self.is_rotation(MAX_ORTHONORMALITY_ERROR)
 
     def fault(self, tolerance: float) -> str:
         """Return what is wrong in words, empty for a rotation."""
@@ -191,7 +191,7 @@ def examine(matrix: Array) -> Orthogonality:
     with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are no rotation
         error = float(np.nan_to_num(np.abs(matrix @ matrix.T - np.eye(3)).max(), nan=np.inf, posinf=np.inf))
         determinant = float(np.nan_to_num(np.linalg.det(matrix)))
-    if error > HOPELESS or determinant < 0:
+    if error > MAX_ORTHONORMALITY_ERROR or determinant < 0:
         return Orthogonality(error, determinant, np.nan)
     return Orthogonality(error, determinant, float(np.linalg.norm(matrix - nearest(matrix)) / np.sqrt(2)))
 

@@ -263,7 +263,7 @@ class JpegHeader:
 def read_jpeg(content: bytes) -> JpegHeader:
     """Return the header of a JPEG file.
 
-    The end is looked for behind the header only: a camera's thumbnail has an end of its own. A decoder fills what is
+    The end is searched for behind the header only: a camera's thumbnail has an end of its own. A decoder fills what is
     missing with gray and says so to nobody.
     """
     size, channels, exif = (0, 0), 0, b""

@@ -38,7 +38,7 @@ _BAND = 32
 _FOUR_ARE_FASTER = int(cv2.__version__.partition(".")[0]) >= 5
 _OUTSIDE = -16.0  # so far from the image that no interpolation reaches it
 _EDGE = 2e-3  # px; a position off the image by less than the map's own error is on its border
-_HAIR = 1e-9  # px; rounding must not take a whole pixel from a position that is one
+_POSITION_TOLERANCE = 1e-9  # px; rounding must not take a whole pixel from a position that is one
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,7 @@ def _rounded(band: Array, interpolation: str) -> Array:
     """Return positions rounded in place where the interpolation asks for it."""
     if interpolation == "nearest":
         return np.rint(band, out=band)
-    return np.floor(band + _HAIR, out=band) if interpolation == NEAREST_TRUNCATE else band
+    return np.floor(band + _POSITION_TOLERANCE, out=band) if interpolation == NEAREST_TRUNCATE else band
 
 
 def _settled(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:

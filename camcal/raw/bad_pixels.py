@@ -17,7 +17,7 @@ from camcal.raw.mosaic import cell_side, is_x_trans, phases
 from camcal.raw.options import MONO
 
 MASK_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm"})
-TEXT_SUFFIXES = frozenset({"", ".txt", ".badpixels"})  # dcraw looks for a file that is named .badpixels
+TEXT_SUFFIXES = frozenset({"", ".txt", ".badpixels"})  # dcraw searches for a file that is named .badpixels
 
 _ENTRY = re.compile(r"(-?\d{1,9})\s+(-?\d{1,9})(\s+-?\d+)?", re.ASCII)
 

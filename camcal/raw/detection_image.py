@@ -46,7 +46,7 @@ _CLIPPED = 0.98
 
 @dataclass(frozen=True, eq=False)
 class DetectionImage:
-    """What is looked at: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
+    """What is examined: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
 
     measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
     sha256: of the file, if asked for and where the file was read as a whole.

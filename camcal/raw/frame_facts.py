@@ -2,7 +2,7 @@
 
 Counts give away the bits they have where a file or an option says more. Both greens of a Bayer cell see the same light,
 so on the right diagonal of the cell the two samples agree, and on the other one red meets blue. Red and blue cannot be
-told apart this way.
+distinguished this way.
 
 The samples are averaged over blocks, and what counts is how the differences of neighbouring blocks agree: colour
 reaches over neighbours, noise does not. Their mean product therefore estimates the square of the difference without

@@ -24,7 +24,7 @@ HIDDEN = sqrt(LIMIT - ROUNDING)  # counts: the noise that is then its upper limi
 
 _COARSE = 3.0  # counts: noise above that is rounded evenly, as long as it stays away from 0
 _REACH = 6.0  # standard deviations
-_SMALLEST = 0.02  # counts: noise that is not looked for below, and spread that is too small to matter
+_SMALLEST = 0.02  # counts: noise that is not searched for below, and spread that is too small to matter
 _SILENT = 1e-4  # counts²: a variance that only rare outliers bring about
 _VAGUE = 0.1  # of the noise: an uncertainty that only rounding brings about
 _SINGULAR = 1e-6  # of the determinant: the counts do not tell the noise any more

@@ -46,7 +46,7 @@ _LAPLACIAN_NOISE = 12.0  # variance of the second difference of interpolated gre
 _CORRECTION = -0.25  # of the second difference over two pixels, of a mean of neighbours
 _SUM = np.ones(3, np.float32)
 _QUIET = 40.0  # a sum of changes over 3 × 3 pixels that counts as none
-_COLOUR_REACH = ri_green.CALMING_REACH + RED_BLUE_REACH
+_COLOUR_REACH = ri_green.SMOOTHING_REACH + RED_BLUE_REACH
 
 _BLOCK = 6  # cells a side
 _MOST_BANDS = 64  # rows of blocks: more of them change nothing

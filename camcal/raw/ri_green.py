@@ -29,7 +29,7 @@ from camcal.raw.planes import (
 from camcal.raw.tiling import Bayer
 
 REACH = 12  # half-size pixels around a pixel that its colour difference depends on, rounded up to an even number
-CALMING_REACH = 8  # of green that of the differences
+SMOOTHING_REACH = 8  # of green that of the differences
 
 WIDE = np.array([0.8, 1.0, 0.8], np.float32) / np.float32(2.6)  # a window of about 7 × 7
 
@@ -39,8 +39,8 @@ _QUIET = 0.25  # a sum of gradients that counts as none
 _LARGE = 16.0  # makes roughness large against what OpenCV adds to weights, and its square small enough for float32
 _BESIDE, _BEYOND, _MIDDLE = 0.35, 0.10, 0.55  # weights of the differences on one side of a pixel, and of its own
 _GAUSSIAN = np.array([0.239, 0.522, 0.239], np.float32)
-_BELIEVED = 0.1  # variance of a colour difference that is taken for detail
-_CALMING = 0.4  # how much of the variance within 3 × 3 pixels is taken for an artefact
+_DETAIL_VARIANCE = 0.1  # variance of a colour difference that is taken for detail
+_ARTEFACT_SHARE = 0.4  # how much of the variance within 3 × 3 pixels is taken for an artefact
 
 
 class _Line(NamedTuple):
@@ -225,10 +225,10 @@ def green_from(tile: Tile, differences: Plane, samples: Plane) -> Plane:
     np.multiply(differences[HERE], differences[HERE], out=square[HERE])
     noise = tile.mean(square, WIDE)
     np.multiply(mean[HERE], mean[HERE], out=square[HERE])
-    detail, level = tile.mean(square, WIDE, _BELIEVED), tile.mean(mean, WIDE)
+    detail, level = tile.mean(square, WIDE, _DETAIL_VARIANCE), tile.mean(mean, WIDE)
     np.multiply(level, level, out=level)
     np.subtract(detail, level, out=detail)
-    plus_scaled(detail, noise, _CALMING, noise)
+    plus_scaled(detail, noise, _ARTEFACT_SHARE, noise)
     np.divide(detail, noise, out=detail)
     tile.forget(noise)
     tile.forget(level)

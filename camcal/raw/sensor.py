@@ -20,7 +20,7 @@ DECIBELS_A_STOP = 20 * log10(2)
 FULL_WELL, WHITE_LEVEL, NOT_REACHED = "full well", "white level", "not reached"
 
 _DRIFT = (0.01, 0.2)  # of the signal between frames of one level: what is warned of, what is refused
-_SURE = 5.0  # standard deviations at which a difference is no chance
+_SIGNIFICANT = 5.0  # standard deviations at which a difference is no chance
 _SAME_GAIN = 0.02  # by which the gains of two phases may differ
 _CUT_OFF = 1e-3  # share of dark samples at 0
 
@@ -104,7 +104,7 @@ def _drifts(flats: Sequence[Level], darks: Sequence[Level]) -> Iterator[tuple[Le
     for level in flats:
         signal = level.mean_dn - black
         change = np.ptp(level.frame_means, axis=0)
-        sure = change > _SURE * np.sqrt(2 * level.temporal / level.samples)
+        sure = change > _SIGNIFICANT * np.sqrt(2 * level.temporal / level.samples)
         if (shares := change[sure & (signal > 0)] / signal[sure & (signal > 0)]).size:
             yield level, float(shares.max())
 
@@ -156,7 +156,7 @@ def _warnings(
     gains = {name: figures.gain_dn_per_e for name, figures in phases.items()}
     for (name, one), (other_name, other) in combinations(gains.items(), 2):
         apart = abs(one.value - other.value)
-        if apart > _SURE * hypot(one.std, other.std) and apart > _SAME_GAIN * one.value:
+        if apart > _SIGNIFICANT * hypot(one.std, other.std) and apart > _SAME_GAIN * one.value:
             text = f"gains of {name} and {other_name} differ ({one.value:.4g} and {other.value:.4g} DN/e)"
             yield Message("gains_differ", text, {name: one.value, other_name: other.value})
             return

@@ -1,6 +1,6 @@
 """`vng`: demosaicing by a variable number of gradients.
 
-Around every sample eight directions are looked at, and only those count along which the mosaic changes little.
+Around every sample eight directions are examined, and only those count along which the mosaic changes little.
 Source: Chang, Cheung and Pang, Color filter array recovery using a threshold-based variable number of gradients,
 SPIE 3650, 1999.
 """

@@ -17,7 +17,7 @@ _SEED = 20240229
 _TAIL = 0.005  # share of the points beyond either side of the box
 _MARGIN = 1.0  # sizes of the box on either side of it within which points are still shown
 _SAMPLE = 50_000
-_AS_EVEN = 1.25  # spacings that grow are believed to if that makes them as even as this
+_AS_EVEN = 1.25  # spacings that grow are accepted to if that makes them as even as this
 _NEIGHBOURS = 8_000  # points of the sample that tells the spacing
 _BACKGROUND = 4.0  # median depths
 _WIDEST = 3.0  # tangent; what spreads more than 143 degrees as seen from the origin was not seen by one camera
@@ -51,7 +51,7 @@ class CloudScene:
 
     @cached_property
     def view_T_cloud(self) -> Array:  # noqa: N802 - a transform is named a_T_b
-        """Rotation (3, 3) to the frame that is looked at: x right, y down, z forward; by what the frame says."""
+        """Rotation (3, 3) to the frame that is examined: x right, y down, z forward; by what the frame says."""
         return rotation_of(self.frame)
 
     @cached_property

@@ -13,7 +13,7 @@ from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_R
 from camcal.stereo.pair.pair_check import Exposure, PairCheck
 from camcal.stereo.truth import FIGURES, ClassErrors, Evaluation
 
-_SURE = 3.0  # standard errors
+_SIGNIFICANT = 3.0  # standard errors
 CHECK_COLUMNS = (
     Column("left", file=True),
     Column("median dy", "px"),
@@ -45,7 +45,7 @@ def lines(check: PairCheck) -> list[str]:
     if 0 < trend.largest <= LARGEST_CORRECTION:
         shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
         said.append(f"trend: {_signed(trend.centre)} px at the centre, {shape}")
-    if residual.convergence is not None and abs(residual.convergence.value) > _SURE * residual.convergence.std:
+    if residual.convergence is not None and abs(residual.convergence.value) > _SIGNIFICANT * residual.convergence.std:
         said.append(f"row difference by disparity: {_signed(residual.convergence)} px per px")
     said.append(f"disparity {spanned(*check.disparity)} px{_searched(check)}")
     if check.exposure is not None:

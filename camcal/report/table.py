@@ -117,7 +117,7 @@ def _parts(line: str) -> list[str]:
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
-    """Return paths by as many of their last parts as tell them apart: most often the name of the file."""
+    """Return paths by as many of their last parts as distinguish them: most often the name of the file."""
     parts = {path: PurePath(path).parts for path in paths}
     count = dict.fromkeys(paths, 1)
     while True:

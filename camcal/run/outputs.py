@@ -250,7 +250,7 @@ class Run:
                 folder.rmdir()
 
     def _has_to_be_listed(self, path: Path) -> bool:
-        """Tell whether an output is there, new or camcal's before, and carries no mark of its own that would do."""
+        """Return whether an output is there, new or camcal's before, and carries no mark of its own that would do."""
         found, before = _status(path), self.planned[path]
         if found is None or not stat.S_ISREG(found.st_mode):
             return False

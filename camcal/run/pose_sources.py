@@ -8,7 +8,7 @@
     frames.yaml#base_T_tag          one of them, or what a chain of them gives
     poses.yaml#image.png            the pose of one image
 
-Camera files are read here too: every command warns of what looks wrong in one.
+Camera files are read here too: every command warns of implausible values in one.
 """
 
 import re

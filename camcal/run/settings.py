@@ -1,6 +1,6 @@
 """Settings files of one command (`--config settings.yaml`): option names and values.
 
-Keys that begin with x_ are notes: whoever wrote the file may keep anything there, and nothing of it is read.
+Keys that begin with x_ are notes: users may keep anything there, and nothing of it is read.
 """
 
 import json

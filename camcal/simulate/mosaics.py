@@ -1,6 +1,6 @@
 """Simulated raw frames of a sensor model: images of a board, flat frames, dark frames.
 
-Light goes in and raw counts come out, with the noise that photon transfer looks for.
+Light goes in and raw counts come out, with the noise that photon transfer searches for.
 """
 
 from collections.abc import Mapping

@@ -5,7 +5,7 @@ belongs to the ray through the middle of a pixel; nothing is taken from the pict
 
 A picture is what every pixel gathers under a point spread, which is the pixel's own square blurred by a Gaussian. The
 image plane is cut into cells, several to a pixel. A cell on one surface has the brightness of its middle, for paint is
-smooth; one that an edge goes through is looked at in many places. Every cell counts with the share of the spread that
+smooth; one that an edge goes through is examined in many places. Every cell counts with the share of the spread that
 lies on it: that is exact for edges of even surfaces.
 """
 
@@ -32,7 +32,7 @@ _STRIP = 1 << 18  # rays that are worked on at once: their temporaries stay near
 GRAY = np.array([0.114, 0.587, 0.299])  # of BGR, ITU-R BT.601
 CELLS = 2  # along a pixel
 SHARPEST = 0.3  # px of blur; with less the finest paint would alias between cells
-FINE = 8  # an edge cell is looked at in 64 places, 8 by 8, but shifted: they lie in 64 different columns and rows
+FINE = 8  # an edge cell is examined in 64 places, 8 by 8, but shifted: they lie in 64 different columns and rows
 _FINE_LENGTH = 1 / (CELLS * FINE)
 
 

@@ -111,7 +111,7 @@ class DenseFactors:
 
     @cached_property
     def _involved(self) -> Array:
-        """Which parameters (d, n) have a part in each of them that is worth naming."""
+        """Which parameters (d, n) have a part in each of them that is large enough to be named."""
         shares = np.abs(self._missing)
         return np.asarray(shares > _NEGLIGIBLE * shares.max(axis=1, keepdims=True, initial=0))
 
@@ -284,7 +284,7 @@ class _DenseSearch(Generic[State]):
         return step, free
 
     def _bend(self, state: State, equations: DenseEquations, step: Array, damping: float, free: Array) -> Array:
-        """Return half the acceleration (n,) along a step; raises SingularError where it is too large to be believed."""
+        """Return half the acceleration (n,) along a step; raises SingularError where it is too large to be used."""
         probe = self._residuals(self.problem.retract(state, Step(_PROBE * step, np.zeros((0, 0)))))
         if probe is None or not free.any():
             return np.zeros_like(step)

@@ -37,7 +37,7 @@ class Proposal:
 
 
 class Search(Protocol[State, Linear]):
-    """What the loop asks of a problem and the way to solve its linear equations."""
+    """What the loop requires of a problem and the way to solve its linear equations."""
 
     def linearise(self, state: State) -> Linear | None:
         """Return the equations at a state, or None where it is outside the domain."""
@@ -73,7 +73,7 @@ LEAST_COST = 1e-300  # costs below count as this in what is relative to them
 class Stopping:
     """The rules of the loop, of one search (numbers) or of many at once (arrays of one shape).
 
-    relative_decrease: how much the quadratic model must still promise, relative to the cost. iterations: at most.
+    relative_decrease: how much the quadratic model must still predict, relative to the cost. iterations: at most.
     damping: of the first step. least: the factor that a step as good as promised lowers it by. rise: the first factor
     after a step that failed, which doubles with every further one. by_gain: whether the damping falls by how much of
     the promise came true (Nielsen), or always by `least` and rises always by `rise` (Marquardt). restart: the damping
@@ -98,7 +98,7 @@ class Stopping:
         return np.maximum(UNSEEN * cost, self._blurred(cost))
 
     def little(self, cost: Number) -> Number:
-        """Return the decrease below which no further step is worth its while."""
+        """Return the decrease below which no further step is worthwhile."""
         return np.maximum(self.relative_decrease * np.maximum(cost, LEAST_COST), self._blurred(cost))
 
     def _blurred(self, cost: Number) -> Number:
@@ -106,7 +106,7 @@ class Stopping:
         return np.sqrt(cost * self.rounding) if self.rounding else 0.0
 
     def enough(self, damping: Number, promised: Number, cost: Number) -> Number:
-        """Return whether a step that was taken to a cost promised so little that no further one is worth its while."""
+        """Return whether a step that was taken to a cost promised so little that no further one is worthwhile."""
         # a step cut short by damping promises little and proves nothing
         return (damping < ALL_BUT_FULL) & (promised <= self.little(cost))
 
@@ -118,7 +118,7 @@ class Stopping:
         """Return why a search ends after a step that was taken, RUNNING where it goes on.
 
         cost: after the step, by `fall` lower. blocked: how many steps led out of the domain. enough: whether no further
-        step is worth its while.
+        step is worthwhile.
         """
         still = (fall <= 0) & (promised <= self.unseen(cost))
         held = (blocked >= BLOCKED) & (fall <= CRAWL * cost)

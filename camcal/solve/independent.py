@@ -55,7 +55,7 @@ class Models:
 
 
 class Problems(Protocol):
-    """What the solver asks of the problems; states are an array whose first axis runs over them."""
+    """What the solver requires of the problems; states are an array whose first axis runs over them."""
 
     def linearise(self, states: Array, which: Array) -> Models:
         """Return the models at the states (W, …) of the problems `which` (W,)."""
@@ -161,7 +161,7 @@ def minimise_each(
 
     A problem may be started several times. exact: the costs, (S,) or one, below which residuals are all rounding.
     worth: how many times, (S,) or one, the lowest cost of the same problem a minimum may be; searches that will not
-    come down to that end early. enough: after which steps (A,) no further one is worth its while, by default those that
+    come down to that end early. enough: after which steps (A,) no further one is worthwhile, by default those that
     were taken and promised little.
     """
     search = _Search.of(problems, states, which, stopping=stopping, exact=exact, worth=worth, enough=enough)

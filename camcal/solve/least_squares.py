@@ -20,7 +20,7 @@ _PART_ROWS = 4000  # of a block at a time
 
 
 class Problem(Protocol[State]):
-    """What the solver asks of a problem; it never sees what the state is made of."""
+    """What the solver requires of a problem; it never sees what the state is made of."""
 
     @property
     def shared(self) -> int:

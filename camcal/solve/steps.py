@@ -20,7 +20,7 @@ from camcal.solve.losses import Loss
 
 
 class SingularError(Exception):
-    """The normal matrix has no inverse: some parameters cannot be told apart."""
+    """The normal matrix has no inverse: some parameters cannot be distinguished."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ _ROUNDS = 8
 _STEP = 1e-4  # of a radial term or of the middle, for derivatives
 # What a hundredth of a pixel is in units of the scale, over the spreads of the terms and of the middle
 _HELD = 2.5e-5 / np.array([1.0, 1.0, 1.0, 0.05, 0.05])
-_WORTH = 0.99  # of the sum of squares that a round must fall below to be taken
+_REQUIRED_DECREASE = 0.99  # of the sum of squares that a round must fall below to be taken
 _INVERSIONS = 12
 
 
@@ -102,7 +102,7 @@ def _radial(points: Array, pixels: Array, size: tuple[int, int]) -> Radial:
         step = -np.linalg.lstsq(design, wanted, rcond=None)[0]
         trial = _moved(best, step)
         trial_off = _residuals(points, pixels, trial)
-        if not (trial_off**2).sum() < _WORTH * (off**2).sum():
+        if not (trial_off**2).sum() < _REQUIRED_DECREASE * (off**2).sum():
             break
         best, place, off = trial, place + step, trial_off
     return best

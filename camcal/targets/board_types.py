@@ -1,6 +1,6 @@
 """Board types: names, meaning of the fields of a Board, layouts of points, short forms.
 
-Layouts say where the points lie and which turns look alike; their lengths are in pitches. The short form of a board is
+Layouts say where the points lie and which turns are similar; their lengths are in pitches. The short form of a board is
 one word for the command line, such as chessboard:9x6:25mm.
 """
 
@@ -136,7 +136,7 @@ def _permutations(turns: Sequence[Array]) -> tuple[Array, ...]:
 def dotted_squares(columns: int, rows: int) -> tuple[tuple[int, int], ...]:
     """Return row and column of the three squares of a chessboard that carry a dot, counted with its outer squares.
 
-    The first is a white one near the middle, the origin that OpenCV looks for (findChessboardCornersSBWithMeta); the
+    The first is a white one near the middle, the origin that OpenCV searches for (findChessboardCornersSBWithMeta); the
     others are the black ones to its right and below. None lies at the rim. A board without room for them has none.
     """
     rim = [(row, column) for row in range(1, rows - 1) for column in range(1, columns - 1) if (row + column) % 2]

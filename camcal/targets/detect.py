@@ -9,7 +9,7 @@ from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBO
 from camcal.targets.corners.measure import measure
 from camcal.targets.detection import BoardDetection, MaskedImage
 
-SEED = 0  # of OpenCV's random numbers, set anew for every image
+SEED = 0  # of OpenCV's random numbers, set again for every image
 MIN_PIXELS = 32  # a side; smaller images hold no board, and OpenCV's detectors fail on them
 LEAST_SIDE = 3  # corners along a side of a chessboard; fewer may be anything
 

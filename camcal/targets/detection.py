@@ -23,9 +23,9 @@ class BoardDetection:
     """Points ids (N,) at pixels (N, 2) with their covariance (N, 2, 2) px² where it is known, or none and the reason.
 
     image: the name of the file, or of a frame of a video. size: (width, height). camera, body: the names of the one
-    that took the image and of what is seen in it, where there are several. time: s, None where nobody knows.
+    that took the image and of what is seen in it, where there are several. time: s, None where unknown.
     orientation: the EXIF tag 1…8 (never applied). sha256: of the file, where it was read.
-    other: the board in sight that is not the one that was looked for. colours: the same points by the samples of one
+    other: the board in sight that is not the one that was searched for. colours: the same points by the samples of one
     colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN where
     they were not measured.
     """
@@ -92,7 +92,7 @@ class BoardDetection:
 
 @dataclass(frozen=True)
 class Detections:
-    """What was found in a set of images, in their order, and the board that was looked for (None: unknown).
+    """What was found in a set of images, in their order, and the board that was searched for (None: unknown).
 
     circles: the image circles of cameras by their names, as far as they were measured.
     """

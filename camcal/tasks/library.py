@@ -65,7 +65,7 @@ def calibrate_camera(
 
     images: as for `detect_board`, or a detections file. board: a board, its file or its short form; None where the
     detections name it. options: without inputs and board; nothing is written unless they name an output.
-    Raises InvalidInput, FileError, InsufficientData or NotConverged. A calibration that is not to be trusted is no
+    Raises InvalidInput, FileError, InsufficientData or NotConverged. A calibration that is not trustworthy is no
     error: `trustworthy` says so.
     """
     known = None if board is None else _board(board)

@@ -216,7 +216,7 @@ def test_colours_far_from_a_change_stay_as_they_are():
     changed = mosaic.copy()
     changed[64:66, 70:72] ^= 255
     difference = np.argwhere((demosaic(mosaic, "RGGB") != demosaic(changed, "RGGB")).any(-1)) - (64, 70)
-    assert 2 < np.abs(difference).max() <= 2 * (ri_green.REACH + ri_green.CALMING_REACH + RED_BLUE_REACH)
+    assert 2 < np.abs(difference).max() <= 2 * (ri_green.REACH + ri_green.SMOOTHING_REACH + RED_BLUE_REACH)
 
 
 def stripes(first, second, degrees, size=72):

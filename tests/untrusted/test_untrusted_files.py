@@ -67,7 +67,7 @@ def test_a_named_pipe_is_waited_for_and_read_to_its_end(tmp_path):
 def test_a_named_pipe_that_nobody_writes_to_is_given_up(tmp_path, monkeypatch):
     pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
-    monkeypatch.setattr(files, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(files, "_PIPE_TIMEOUT_S", 0.05)
     with pytest.raises(FileError, match=r"without data for 0\.05 s"):
         files.read_bytes(pipe)
 

@@ -178,7 +178,7 @@ class CurveFit:
             return np.asarray(self.covariance / np.outer(std, std))
 
     def strong_correlations(self) -> list[tuple[str, str, float]]:
-        """Return the pairs of parameters that are hardly told apart, with their correlation."""
+        """Return the pairs of parameters that are hardly distinguished, with their correlation."""
         matrix = self.correlations()
         pairs = zip(*np.triu_indices(len(self.free), 1), strict=True)
         return [

@@ -257,7 +257,7 @@ FAMILIES: Mapping[str, Family] = {
 
 
 def family_named(name: str) -> Family | None:
-    """Return the family of a name such as gauss or poly:3, None if it looks like a formula.
+    """Return the family of a name such as gauss or poly:3, None if it resembles a formula.
 
     Raises InvalidInput for a word that is no family, naming the nearest.
     """

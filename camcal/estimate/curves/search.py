@@ -28,7 +28,7 @@ Observe = Callable[[int, Iteration], None]
 
 _ITERATIONS = 2000
 LARGEST = 1e100  # of residuals and slopes: sums of their squares are numbers
-_ROUNDS, _STEADY = 30, 1e-3  # of the scale of a robust fit: how often it is found anew, and when it has settled
+_ROUNDS, _STEADY = 30, 1e-3  # of the scale of a robust fit: how often it is estimated again, and when it has settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ def search(curve: Curve, data: Data, start: Mapping[str, float], options: Search
     """Return the lowest minimum found from a start that names every parameter.
 
     Levenberg–Marquardt runs twice from each start, with the running and with the present scale of the parameters: the
-    first is safe, the second follows narrow valleys to their end. `observe` is told the run and every turn of it.
+    first is safe, the second follows narrow valleys to their end. `observe` is called with the run in every iteration.
     Raises InvalidInput for a start outside its bounds or where the curve is undefined, InsufficientData for few data.
     """
     problem = _problem(curve, data, start, options)

@@ -32,7 +32,7 @@ from camcal.estimate.poses.states import Extents
 from camcal.solve.independent import Minima, joined
 
 MIN_POINTS = 4
-_TELLING = 6  # points of which one can be told to be wrong by the others
+_MIN_POINTS_FOR_OUTLIER = 6  # points of which one can be told to be wrong by the others
 _ESTIMATIONS = 3  # of noise and inliers in turns
 _EQUAL = 1e-6  # share by which the costs of poses that are the same may differ
 _FAR = 25.0  # times the limit of a squared residual: from there, no point is thought to be right
@@ -145,7 +145,7 @@ def points_needed(options: PoseOptions) -> int:
 
 def criterion_of(options: PoseOptions, sigma: float) -> InlierCriterion:
     """Return what makes an inlier where the noise is sigma."""
-    whole = _TELLING if options.outliers == "few" else 0
+    whole = _MIN_POINTS_FOR_OUTLIER if options.outliers == "few" else 0
     if options.threshold_px is not None:
         return InlierCriterion(options.threshold_px, points_needed(options), whole, in_pixels=True)
     return InlierCriterion(WIDTH * sigma, points_needed(options), whole)
@@ -193,7 +193,7 @@ def _agreeing(fit: PoseFit, options: PoseOptions, criterion: InlierCriterion) ->
     states = trimmed_refit(problems, states, which, criterion) if few else states
     found = refit_inliers(problems, states, which, criterion)
     chosen, minima = choose(problems, found, fit.extents, criterion)
-    lost = np.flatnonzero((2 * chosen.counts < problems.counts) & (problems.counts >= _TELLING))
+    lost = np.flatnonzero((2 * chosen.counts < problems.counts) & (problems.counts >= _MIN_POINTS_FOR_OUTLIER))
     if few and lost.size:
         found = reduce(RefitPoses.joined, _samples(problems, lost, options, criterion), found)
         chosen, minima = choose(problems, found, fit.extents, criterion)

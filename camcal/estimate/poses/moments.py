@@ -19,7 +19,7 @@ from camcal.solve.independent import Minima, Models
 SINGULAR = 1e-10  # smallest eigenvalue of the scaled normal matrix of a pose that the points fix
 _HELD = 1e-14  # keeps the normal matrices of other minima from having no inverse
 _LINEAR, _OPEN = 0.02, 1.0  # rad: turns known better are linear, and those known less are not known at all
-_HOPELESS = 30.0  # χ² over the lowest, from where minima are not worth the time
+_MAX_CHI2_DIFFERENCE = 30.0  # χ² over the lowest, from where minima are not worth the time
 _TURNS = 2  # the least known ones; the third is about the line of sight, and linear
 _NODES = np.arange(-6.0, 7.0)  # standard deviations; the trapezoidal rule is exact for a normal density
 _CORRECTIONS = 2  # Newton steps of the five other parameters at a node
@@ -39,7 +39,7 @@ def covariances(problems: PoseProblems, minima: Minima, centres: Array, sigma: f
     if bent.size:
         least = np.full(len(problems.view), np.inf)
         np.minimum.at(least, minima.which, minima.cost)
-        worth = 2 * (minima.cost - least[minima.which])[bent] <= _HOPELESS * sigma**2
+        worth = 2 * (minima.cost - least[minima.which])[bent] <= _MAX_CHI2_DIFFERENCE * sigma**2
         bent = bent[worth & (scaled_eigenvalues(minima.models.normal[bent])[:, 0] > SINGULAR)]
     if bent.size:
         result[bent] += _excess(problems, minima.take(bent), offsets[bent], result[bent], sigma)

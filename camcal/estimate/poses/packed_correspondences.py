@@ -29,7 +29,7 @@ _KEYS = np.array([0.5772156649, 0.6931471806, 1.2020569032])  # no two points of
 class PackedCorrespondences:
     """The points of W views by one camera, filled up to N each.
 
-    frame: camera_T_frame, where the frame is that of the poses looked for (the camera's own, or a rig's).
+    frame: camera_T_frame, where the frame is that of the poses searched for (the camera's own, or a rig's).
     points: (3, W, N) in the objects' frames. pixels: (2, W, N). rays: (3, W, N) unit, in the camera's frame.
     whitening: (2, 2, W, N) with Wᵀ W the inverse covariance of a pixel, or None.
     present: (W, N), the points that are there and whose pixels have a ray.

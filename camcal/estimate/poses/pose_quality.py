@@ -47,7 +47,7 @@ class PoseQuality:
 
     centres: (P, 3) the places in the objects' frames that the points of the problems are counted from.
     intrinsics: whether the uncertainty of the lenses counts. criterion: what made
-    inliers, None where outliers were not looked for.
+    inliers, None where outliers were not searched for.
     """
 
     problems: PoseProblems

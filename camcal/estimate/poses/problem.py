@@ -236,7 +236,7 @@ def _tried(minima: Array, problem: Array, *starts: tuple[Array, Array]) -> Array
 
 def refined(problems: PoseProblems, states: Array, which: Array) -> Minima:
     """Return the different minima that the most promising starts (S, 3, 4) of problems (S,) lead to."""
-    # two starts are faster followed than told apart
+    # two starts are faster followed than distinguished
     if np.bincount(which).max(initial=0) > 2:
         chosen = distinct(states, which, problems.cost(states, which), _SAME_START, _STARTS)
         states, which = states[chosen], which[chosen]

@@ -22,7 +22,7 @@ class Correspondences:
     """Points (N, 3) of an object and the pixels (N, 2) at which one image shows them.
 
     covariance: (N, 2, 2) px² of the pixels, None for equal ones, of 1 px². camera: its name in a rig.
-    object: the name of the object where an image shows several. time: s, None where nobody knows.
+    object: the name of the object where an image shows several. time: s, None where unknown.
     Raises InvalidInput unless every number is finite and every covariance positive.
     """
 
@@ -132,7 +132,7 @@ class PoseOptions:
 class Alternative:
     """Another minimum: its pose, how much larger its χ² is, and the probability that it is the true one.
 
-    covariance, noise_covariance: as in PoseEstimate; None where nobody computed them.
+    covariance, noise_covariance: as in PoseEstimate; None where not computed.
     """
 
     transform: Pose
@@ -172,7 +172,7 @@ class PoseEstimate:
     planarity: third spread of the points over their first, 0 for a plane. least_depth: smallest z of a point in the
     camera's frame. tilt_rad: angle between the line of sight and the normal of the points' plane, None if they are in
     no plane. condition: of the normal matrix, scaled to a unit diagonal. chance: how many poses with as many inliers
-    are expected if no pixel belongs to its point; 0 where outliers were not looked for. misfit: the residuals of the
+    are expected if no pixel belongs to its point; 0 where outliers were not searched for. misfit: the residuals of the
     inliers over what the noise explains, 1 on average.
     """
 

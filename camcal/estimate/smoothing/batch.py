@@ -197,7 +197,7 @@ def huber(numbers: int) -> Huber:
 def robust_weights(system: LinearSystem, start: Array | None = None, settled: float = _SETTLED) -> Array:
     """Return the weights (K,) of the measurements at the minimum of Huber's loss, by reweighted least squares.
 
-    start: (K,) a first guess. settled: change of a weight that is none. Raises NotConverged if they go on changing.
+    start: (K,) an initial value. settled: change of a weight that is none. Raises NotConverged if they go on changing.
     """
     system = invertible(system)
     loss = huber(system.measurements.shape[1])

@@ -237,7 +237,7 @@ def poses_at(measured: Trajectory, smoothed: SmoothedPoses, options: PosesOption
 def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pair, Pair]:
     """Return q and sigma of translation and rotation, sigma 1 if it is known: as given, or the most likely.
 
-    The two do not drive each other, so each is found by itself, about rotations smoothed with a first guess.
+    The two do not drive each other, so each is found by itself, about rotations smoothed with an initial value.
     """
     if options.q is not None and known:
         return options.q, (1.0, 1.0)
@@ -257,7 +257,7 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
 
 
 def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> SmootherNoise:
-    """Return a first guess of noise from translations or rotations (K, 3), `what`, that were measured."""
+    """Return an initial value of noise from translations or rotations (K, 3), `what`, that were measured."""
     values = values[problem.measured]
     sigma = measured_noise(values, len(problem.motion.states) + 1, what)
     q = strength(problem.motion, problem.stamps[problem.measured], sigma)

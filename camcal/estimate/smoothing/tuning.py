@@ -19,7 +19,7 @@ from camcal.estimate.smoothing.batch import (
 )
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel
 
-_DECADES = 5  # how far from the first guess noise is looked for, to either side
+_DECADES = 5  # how far from the initial value noise is searched for, to either side
 _TOLERANCE = 0.01  # of a logarithm: 1 % of q, less than any series tells
 _ROUGH = 0.1  # the same where a better search follows
 _ROUNDS = 2
@@ -175,7 +175,7 @@ def most_likely(likelihood: Callable[[Array], float], guess: Array, tolerance: f
 
 
 def measured_noise(values: Array, order: int, what: str = "measurements") -> float:
-    """Return a first guess of the standard deviation of measurements (K, d) that move as smoothly as `order` says.
+    """Return an initial value of the standard deviation of measurements (K, d) that move as smoothly as `order` says.
 
     It is that of differences so often repeated that motion hardly shows in them. Raises InsufficientData if there are
     too few, or if they hold no noise; `what` they are is said then.
@@ -195,6 +195,6 @@ def measured_noise(values: Array, order: int, what: str = "measurements") -> flo
 
 
 def strength(motion: MotionModel, stamps: Array, sigma: float) -> float:
-    """Return a first guess of q: over ten steps the motion's noise is as large as that of the measurements."""
+    """Return an initial value of q: over ten steps the motion's noise is as large as that of the measurements."""
     span = 10 * np.median(np.diff(stamps), keepdims=True)
     return float(sigma**2 / motion.noise(span)[0, 0, 0])

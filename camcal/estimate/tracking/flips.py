@@ -21,7 +21,7 @@ FAR = np.radians(10.0)  # poses that are more than this apart are not the same
 _FLAT = np.radians(30.0)  # a tilt at which one pose may pass into the other
 _APART = 6  # frames between cuts
 _RUNS = 4  # pieces that are mirrored together
-_WORTH = 40.0  # of χ² by which a mirrored run may be worse before it is solved
+_MAX_CHI2_INCREASE = 40.0  # of χ² by which a mirrored run may be worse before it is solved
 _AROUND = 20  # frames on either side that are solved with it
 _UNSEEN = 3  # frames in a row that are a cut
 _ROUNDS = 6
@@ -30,7 +30,7 @@ _MOST = 40  # runs that are solved in one round
 _PER_FRAME = 0.2  # of χ²: shorter runs are cheaper and come first
 _LARGEST = 8.0  # times the frames of the track that they may have together
 _HELD = 1e4  # times what is known of a state at the end of a stretch
-_RIVAL = 16.0  # Δ of rivals that are reported: a weight of 3e-4
+_MAX_ALTERNATIVE = 16.0  # Δ of rivals that are reported: a weight of 3e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +127,13 @@ class _Trials:
         for index in map(int, np.argsort(self.differences)):
             frames = self.apart(index)
             known = any(len(np.setxor1d(frames, one.frames)) <= 0.1 * len(frames) for one in result)
-            if self.differences[index] < _RIVAL and len(frames) and not known:
+            if self.differences[index] < _MAX_ALTERNATIVE and len(frames) and not known:
                 result.append(AlternativeTrack(frames, float(np.exp(-max(self.differences[index], 0.0) / 2))))
         return tuple(result)
 
 
 def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
-    """Return all mirrored runs worth a try, solved; None if there are none."""
+    """Return all mirrored runs to be tried, solved; None if there are none."""
     track = found.track
     chains = track.chains
     rotations, translations = track.poses
@@ -175,13 +175,13 @@ def _runs(cuts: Array, worse: Array, count: int) -> list[tuple[int, int]]:
     """Return the frames [first, last) of runs of pieces that mirrored explain their own pixels nearly as well."""
     ends = [0, *map(int, cuts), count]
     pieces = len(ends) - 1
-    total = np.concatenate([[0.0], np.cumsum(np.minimum(worse, 2 * _WORTH))])
+    total = np.concatenate([[0.0], np.cumsum(np.minimum(worse, 2 * _MAX_CHI2_INCREASE))])
     wanted = {(i, j) for i in range(pieces) for j in range(i + 1, min(i + _RUNS, pieces) + 1)}
     wanted |= {(0, j) for j in range(1, pieces + 1)} | {(i, pieces) for i in range(pieces)}
     runs = [(ends[i], ends[j]) for i, j in wanted]
     excess = {run: float(total[run[1]] - total[run[0]]) for run in runs if run[1] > run[0]}
     likely = sorted(
-        (run for run, value in excess.items() if value < _WORTH),
+        (run for run, value in excess.items() if value < _MAX_CHI2_INCREASE),
         key=lambda run: (excess[run] + _PER_FRAME * (run[1] - run[0]), run),
     )
     kept: list[tuple[int, int]] = []

@@ -29,12 +29,12 @@ _PER_AXIS = np.repeat([0, 1], 3)
 
 # descents
 _ITERATIONS = 12
-_TEMPERS = (16.0, 4.0)
-_SETTLED = 1e-3  # decrease of the cost that is no longer worth a step
+_TEMPERATURES = (16.0, 4.0)
+_SETTLED = 1e-3  # decrease of the cost that is below which no step is made
 _SAME = 1.0  # squared Mahalanobis distance of ends that are one
 _SAME_TURN = 0.2  # rad, no more than which they are apart
 _SMALL = 1e-6  # rad², below which the series is used
-_EYE = np.eye(6)
+_IDENTITY = np.eye(6)
 
 
 class MotionState(NamedTuple):
@@ -225,7 +225,7 @@ def descended(frame: PixelFrames, middles: MotionState, covariances: Array, star
     middle = middles.at(parents)
     rotations, translations = starts.rotations.copy(), starts.translations.copy()
     damping = np.full(len(parents), 1e-3)
-    for temper in _TEMPERS:
+    for temper in _TEMPERATURES:
         _, gradient, curvature = linearised(frame, rotations, translations, temper)
         step, slope = _pulled(rotations, translations, middle)
         change, _ = _solved(gradient, curvature, prior, step, slope, damping)
@@ -277,9 +277,9 @@ def _pulled(rotations: Array, translations: Array, middle: MotionState) -> tuple
     factor = np.where(square < _SMALL, 1 / 12, (1 - half / np.tan(half)) / (4 * half**2))
     skew = so3.hat(turn)
     slope = np.zeros((len(turn), 6, 6))
-    slope[:, :3, :3] = _EYE[:3, :3]
+    slope[:, :3, :3] = _IDENTITY[:3, :3]
     # The inverse of the left Jacobian: Log(Exp(δ) Exp(v)) ≈ v + J⁻¹ δ.
-    slope[:, 3:, 3:] = _EYE[:3, :3] - skew / 2 + factor[:, None, None] * (skew @ skew)
+    slope[:, 3:, 3:] = _IDENTITY[:3, :3] - skew / 2 + factor[:, None, None] * (skew @ skew)
     return np.concatenate([translations - middle.translations, turn], axis=-1), slope
 
 
@@ -290,7 +290,7 @@ def _solved(
     weighted = slope.swapaxes(-1, -2) @ prior
     whole = curvature + weighted @ slope
     right = gradient + (weighted @ step[..., None])[..., 0]
-    damped = whole + damping[:, None, None] * (whole * _EYE)
+    damped = whole + damping[:, None, None] * (whole * _IDENTITY)
     change = -np.linalg.solve(damped, right[..., None])[..., 0]
     return change, -(right * change).sum(axis=-1)
 

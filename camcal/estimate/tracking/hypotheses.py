@@ -3,7 +3,7 @@
 A frame of a small plane has two poses that explain it nearly as well. Every hypothesis is continued by both: from its
 forecast and from every pose that the frame allows, damped Gauss-Newton steps descend χ² of the pixels plus that of the
 forecast; every distinct end is a child. A frame may also show something else (the forecast goes on), and the motion may
-begin anew. Costs are -2 ln of likelihoods, so that they compare; those that nobody can tell apart are merged.
+start again. Costs are -2 ln of likelihoods, so that they compare; those that nobody can distinguish are merged.
 Source: Reid 1979 (multiple hypotheses); Bell, Cathey 1993 (iterated Kalman update as Gauss-Newton).
 """
 
@@ -27,15 +27,15 @@ from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised, minimi
 from camcal.geometry import rotation as so3
 
 MOST = 10  # hypotheses that are kept
-WORTH = 28.0  # above the best cost: e^-14 is no rival
-ANEW = 18.4  # cost of a motion that begins anew: -2 ln 1e-4
+MAX_COST = 28.0  # above the best cost: e^-14 is no rival
+ANEW = 18.4  # cost of a motion that starts again: -2 ln 1e-4
 FLIPPED = 9.2  # cost of having taken the other pose near the frontal view: -2 ln 1e-2 a frame
 _FRONTAL = np.radians(15.0)  # tilt below which that may have happened unseen
 RARE = 0.02  # share of frames that show something else
 _SAME = 1.0  # squared Mahalanobis distance of states that are one
 _BLUNT = 100.0  # so that no pixel is taken for wrong
 _UNSEEN = 1e-3  # of the forecast's information: what pixels say at least, all of them may be wrong
-_EYE = np.eye(6)
+_IDENTITY = np.eye(6)
 
 MEASURED, MISSED, WRONG, BEGUN = range(4)  # what a frame was to a hypothesis
 
@@ -98,7 +98,7 @@ def wrong_frame_costs(frames: PixelFrames, candidates: Candidates, unknown: Arra
     """
     single = candidates.rotations[:, 0], candidates.translations[:, 0]
     curvature = linearised(frames, *single, _BLUNT)[2]
-    volume = np.linalg.slogdet(_EYE + unknown[:, None] * curvature)[1]
+    volume = np.linalg.slogdet(_IDENTITY + unknown[:, None] * curvature)[1]
     return np.asarray(minimised(frames, *single)[2] + volume - 2 * np.log(RARE))
 
 
@@ -115,7 +115,7 @@ def followed(
     """Return the hypotheses after each frame.
 
     stamps: (N,) s. jitter_std: (N, 6, 6) covariance of what shakes each pose on its own. distance: (m) usual one of the
-    object. max_gap: s without a detection after which the motion begins anew. flat: the object's plane, if it has one.
+    object. max_gap: s without a detection after which the motion starts again. flat: the object's plane, if it has one.
     """
     result: list[Hypotheses | None] = []
     now: Hypotheses | None = None
@@ -207,7 +207,7 @@ def with_mirrored(expected: Hypotheses, flat: ObjectPlane) -> Hypotheses:
     """
     states = expected.states
     frontal = flat.tilt(states.rotations, states.translations) < _FRONTAL
-    frontal &= expected.costs < expected.costs.min() + WORTH - FLIPPED
+    frontal &= expected.costs < expected.costs.min() + MAX_COST - FLIPPED
     if not frontal.any():
         return expected
     twins = expected.take(np.flatnonzero(frontal))
@@ -237,7 +237,7 @@ def _seen(
     distance: float,
     limit: float,
 ) -> Hypotheses:
-    """Return what becomes of hypotheses with a frame: seen, taken for something else, or begun anew."""
+    """Return what becomes of hypotheses with a frame: seen, taken for something else, or begun again."""
     ends = _descended(expected, frame, _starts(expected, allowed), jitter_std)
     children = _children(expected, ends, jitter_std)
     parts = [children]
@@ -336,7 +336,7 @@ def _joined_states(parts: Sequence[MotionState]) -> MotionState:
 def _kept(children: Hypotheses) -> Hypotheses:
     """Return the likeliest hypotheses, each with the weight of those that are the same as it."""
     order = np.argsort(children.costs, kind="stable")
-    order = order[children.costs[order] < children.costs[order[0]] + WORTH]
+    order = order[children.costs[order] < children.costs[order[0]] + MAX_COST]
     if len(order) == 1:
         return children.take(order)
     costs = children.costs.copy()

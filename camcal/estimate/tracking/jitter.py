@@ -12,7 +12,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray
 from camcal.geometry import rotation as so3
 
-_START = 2e-3  # rad, or share of the distance: first guess
+_START = 2e-3  # rad, or share of the distance: initial value
 _STRIDE = 1.5  # exponent of a step: the plain rule creeps
 
 
@@ -55,7 +55,7 @@ class JitterStd:
 
     @classmethod
     def guess(cls, distance: float) -> "JitterStd":
-        """Return a first guess for an object that is so far (m) away."""
+        """Return an initial value for an object that is so far (m) away."""
         return cls(_START, _START * distance / 3, _START)
 
     @property

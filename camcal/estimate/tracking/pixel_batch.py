@@ -20,10 +20,10 @@ from camcal.geometry import rotation as so3
 from camcal.solve.steps import TridiagonalFactor, factorise_tridiagonal
 
 _ITERATIONS = 20
-_SETTLED = 1e-3  # decrease of a chain's cost that is no longer worth a step
+_SETTLED = 1e-3  # decrease of a chain's cost that is below which no step is made
 _LOOSENED = (1e-9, 1e-6, 1e-3, 1.0)  # damping against rounding
-_TEMPERS = (100.0, 30.0, 10.0, 3.0, 1.0)
-_EYE = np.eye(6)
+_TEMPERATURES = (100.0, 30.0, 10.0, 3.0, 1.0)
+_IDENTITY = np.eye(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Chains:
     """M frames of one or more chains, one after another.
 
     frames: their pixels. used: (M) whether they count. steps: (M - 1) s between frames. chains: (M) numbers from 0, in
-    order. begun: (M - 1) links over which the motion began anew. unknown: (S,) variances of what is not known of it.
+    order. begun: (M - 1) links over which the motion began again. unknown: (S,) variances of what is not known of it.
     anchors: (M, S) information about states where they are now: little at a start, much at a state that is held.
     jitter_std: (M, 6, 6) covariance of shakes, None if nothing shakes. groups: (M) numbers from 0, in order, of
     chains that are judged together; None for each on its own.
@@ -173,11 +173,11 @@ def _first_pulls(chains: Chains, states: MotionState) -> Array:
     if chains.jitter_std is None:
         return pulls
     nothing, best = pulls, linearised(chains.frames, *_shaken(chains, states, pulls))[0]
-    for temper in _TEMPERS:
+    for temper in _TEMPERATURES:
         _, gradient, curvature = linearised(chains.frames, *_shaken(chains, states, pulls), temper)
         shakes = (chains.jitter_std @ pulls[..., None])[..., 0]
         right = gradient[..., None] - curvature @ shakes[..., None]
-        pulls = -np.linalg.solve(_EYE + curvature @ chains.jitter_std, right)[..., 0]
+        pulls = -np.linalg.solve(_IDENTITY + curvature @ chains.jitter_std, right)[..., 0]
     cost = linearised(chains.frames, *_shaken(chains, states, pulls))[0]
     cost = cost + ((chains.jitter_std @ pulls[..., None])[..., 0] * pulls).sum(axis=1)
     return np.where((chains.used & (cost < best))[:, None], pulls, nothing)
@@ -211,7 +211,7 @@ def _linearised(
         # Shakes integrated out: H' = (I + H Σ)⁻¹ H, g' = (I + H Σ)⁻¹ (g - H j).
         shakes = (chains.jitter_std @ pulls[..., None])[..., 0]
         cost = cost + (shakes * pulls).sum(axis=1)
-        loosened = np.linalg.inv(_EYE + curvature @ chains.jitter_std)
+        loosened = np.linalg.inv(_IDENTITY + curvature @ chains.jitter_std)
         blocks[:, POSE, POSE] = loosened @ curvature
         total[:, POSE] = (loosened @ (gradient[..., None] - curvature @ shakes[..., None]))[..., 0]
     forecast, growth = motion.forecast(states.at(slice(None, -1)), chains.steps)
@@ -265,7 +265,7 @@ def _pulled(chains: Chains, pulls: Array, step: Array, terms: _Terms) -> Array:
         return pulls
     curvature, shakes = terms.pixel_curvature, (chains.jitter_std @ pulls[..., None])[..., 0]
     right = terms.pixel_gradient[..., None] + curvature @ (step[:, POSE] - shakes)[..., None]
-    return -np.linalg.solve(_EYE + curvature @ chains.jitter_std, right)[..., 0]
+    return -np.linalg.solve(_IDENTITY + curvature @ chains.jitter_std, right)[..., 0]
 
 
 def _judged(
@@ -281,7 +281,7 @@ def _judged(
     volume[1:] += links.log_volume
     volume -= np.where(chains.anchors > 0, np.log(np.maximum(chains.anchors, 1e-300)), 0.0).sum(axis=1)
     if chains.jitter_std is not None:
-        volume += np.linalg.slogdet(_EYE + terms.pixel_curvature @ chains.jitter_std)[1]
+        volume += np.linalg.slogdet(_IDENTITY + terms.pixel_curvature @ chains.jitter_std)[1]
     return BatchTrack(
         chains,
         motion,
@@ -315,7 +315,7 @@ def spread_of(track: BatchTrack) -> Spread:
     jitter_std, curvature = track.chains.jitter_std, track.curvatures
     if jitter_std is not None:
         # Given the smooth pose, that of the frame lies (I + Σ H)⁻¹ of the way from what the pixels say to it.
-        loosened = np.linalg.inv(_EYE + curvature @ jitter_std)
+        loosened = np.linalg.inv(_IDENTITY + curvature @ jitter_std)
         own = loosened @ curvature
         informed = own - own @ poses @ own
         poses = jitter_std @ loosened + loosened.swapaxes(-1, -2) @ poses @ loosened

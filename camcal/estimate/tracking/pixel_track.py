@@ -24,7 +24,7 @@ from camcal.estimate.tracking.process_noise import NoiseFit, ProcessNoise
 from camcal.estimate.tracking.segments import FramePose, PoseMeasurements
 from camcal.geometry import rotation as so3
 
-_START_TRANSLATION, _START_ROTATION = 0.3, 10.0  # first guess: m²/s³ of an object 1 m away (by its square), rad²/s³
+_START_TRANSLATION, _START_ROTATION = 0.3, 10.0  # initial value: m²/s³ of an object 1 m away (by its square), rad²/s³
 _FEW = 6  # points up to which a frame's squares are summed for the noise; of more the median is taken
 _NOISE_RANGE = 0.3, 3.0  # factors by which the noise may be corrected
 _ENOUGH = 0.45  # share of right points in a frame that shows the object

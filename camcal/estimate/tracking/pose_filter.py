@@ -22,7 +22,7 @@ SIZE = 12
 _SPEED = 2.0  # 1/s, of the distance: standard deviation of an unknown velocity
 _TURN = 2 * np.pi  # rad/s, the same of an unknown rate
 _POSE, _RATES, _ALL = np.arange(6), np.arange(6, 12), np.arange(SIZE)
-_EYE = np.eye(3)
+_IDENTITY = np.eye(3)
 _NEAR_HALF_TURN = -0.9  # cosine of an angle; there the sine says little
 
 
@@ -55,7 +55,7 @@ class Candidates(NamedTuple):
 class GatingResult(NamedTuple):
     """What became of a frame's candidates.
 
-    chosen: (...) the index of the candidate looked at. accepted: (...) whether it was inside the gate and used.
+    chosen: (...) the index of the candidate examined. accepted: (...) whether it was inside the gate and used.
     nis: (...) squared innovation over its covariance, infinite without a candidate. whitened: (..., 6) innovation.
     cost: (...) -2 log likelihood of the candidate, up to a constant; 0 without one.
     """
@@ -97,9 +97,9 @@ def transition(turn: Array, turned: Array, dt: Array) -> Array:
     result = np.zeros((*turn.shape[:-1], SIZE, SIZE))
     result[..., _ALL, _ALL] = 1.0
     skew, seconds = so3.hat(turn), dt[..., None, None]
-    result[..., :3, 6:9] = seconds * _EYE
+    result[..., :3, 6:9] = seconds * _IDENTITY
     result[..., 3:6, 3:6] = turned
-    result[..., 3:6, 9:] = seconds * (_EYE + skew / 2 + skew @ skew / 6)
+    result[..., 3:6, 9:] = seconds * (_IDENTITY + skew / 2 + skew @ skew / 6)
     return result
 
 

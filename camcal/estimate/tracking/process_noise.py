@@ -22,8 +22,8 @@ from camcal.estimate.tracking.pose_filter import Candidates, FilterState
 from camcal.estimate.tracking.segments import LEAST, GateOptions, PoseMeasurements, Segment, candidates_at, follow
 
 _STRETCH = 60  # frames; the first of each tells little
-_STRETCHES = 16  # that are looked at, spread evenly
-_SPACINGS = (1.0, 0.25)  # decades between the densities tried: a first guess may lose the track, and is corrected
+_STRETCHES = 16  # that are examined, spread evenly
+_SPACINGS = (1.0, 0.25)  # decades between the densities tried: an initial value may lose the track, and is corrected
 _FINEST, _ROUNDS = 0.25, 40
 _UNKNOWN = 10.0  # decades: the likelihood is flat
 _NOTICEABLE = 0.05  # of -2 log likelihood: less is no reason to go on towards no noise at all
@@ -36,9 +36,9 @@ FADING = 0.3  # s, in which accelerations fade
 _CHOICE_ROUNDS, _ROUNDS_SHAKEN = 5, 8
 _STEPS = 3  # of Gauss-Newton between two changes of the noise
 _NO_WORSE = 2.0  # of -2 ln evidence, that a cause of shakes must be worth
-_SETTLED = 0.5  # of -2 ln evidence, no longer worth a round
+_SETTLED = 0.5  # of -2 ln evidence, below which no round is made
 _BETTER = 12.0  # of -2 ln evidence, by which a model with more in it must win
-_SINGER_SCALE = 30.0  # 1/s², first guess of its densities over those of white noise
+_SINGER_SCALE = 30.0  # 1/s², initial value of its densities over those of white noise
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def tuned(measurements: PoseMeasurements, following: GateOptions) -> ProcessNois
 
 
 def _stretches(measurements: PoseMeasurements, segments: Sequence[Segment]) -> _Stretches | None:
-    """Return the stretches of the pieces, as many as are looked at; None if there are none."""
+    """Return the stretches of the pieces, as many as are examined; None if there are none."""
     cuts = [cut for segment in segments for cut in _cut(segment)]
     if not cuts:
         return None
@@ -113,7 +113,7 @@ def _stretches(measurements: PoseMeasurements, segments: Sequence[Segment]) -> _
 
 
 def _cut(segment: Segment) -> list[tuple[FilterState, Array]]:
-    """Return the stretches of a piece: what was believed at the first frame, and the indices of all."""
+    """Return the stretches of a piece: what was estimated at the first frame, and the indices of all."""
     cuts = []
     for first in range(0, len(segment.frames) - LEAST + 1, _STRETCH - 1):
         start = segment.run.filtered.each(lambda values: values[first])  # noqa: B023 - used at once

@@ -2,7 +2,7 @@
 
 A frame allows several poses where a plane leaves a doubt. A wrong start among two mirrored poses would be followed for
 long. So a piece starts with every candidate of its first frames, and the one that agrees with most of the frames to
-come is kept. When a piece is lost, the next one starts anew: nothing is bridged.
+come is kept. When a piece is lost, the next one starts again: nothing is bridged.
 
 A jerk is no loss: if two detections in a row lie outside the gate, but both are inside once the velocity before the
 first of them may have become any other, the piece goes on with that.
@@ -148,7 +148,7 @@ class GateOptions:
 
 
 class Start(NamedTuple):
-    """Where a piece starts: the frame, the candidate, and the last frame that was looked at to choose it."""
+    """Where a piece starts: the frame, the candidate, and the last frame that was examined to choose it."""
 
     frame: int
     candidate: int

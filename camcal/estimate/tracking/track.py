@@ -16,7 +16,7 @@ from camcal.geometry.pose import Pose, inverse_jacobian
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)
-_UNSURE = 0.01  # probability of another pose that is told
+_AMBIGUOUS = 0.01  # probability of another pose that is told
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Track:
     frames: what the poses map, such as camera_T_object. stamps: (N,) s. states: (N,) of STATES. segments: (N,) the
     number of the piece from 0, -1 outside. rotations: (N, 3, 3). translations: (N, 3) m. velocities: (N, 6) m/s and
     rad/s, R' = hat(w) R. covariances: (N, 6, 6) of the poses' steps. nis: (N,) of detections that were predicted.
-    candidates: (N,) which candidate was looked at, 0 the best of its frame, -1 where there was none.
+    candidates: (N,) which candidate was examined, 0 the best of its frame, -1 where there was none.
     jerks: the frames before which the velocity became another at once, in order.
     consistency: None where no detection was predicted. before, after: jitter of the single poses and of the track.
     p_wrong: (N,) the probability that the true pose is another one than the track's; NaN where nothing
     is known of it.
-    jitter_std: what moves single poses off the smooth motion, None where it was not looked for.
+    jitter_std: what moves single poses off the smooth motion, None where it was not searched for.
     """
 
     frames: str
@@ -105,8 +105,8 @@ class Track:
         Frames without a pose between two of them do not end a stretch.
         """
         frames = np.flatnonzero(self.posed)
-        rows = np.split(frames, np.flatnonzero(np.diff((self.p_wrong[frames] > _UNSURE).astype(int))) + 1)
-        doubtful = [row for row in rows if len(row) and self.p_wrong[row[0]] > _UNSURE]
+        rows = np.split(frames, np.flatnonzero(np.diff((self.p_wrong[frames] > _AMBIGUOUS).astype(int))) + 1)
+        doubtful = [row for row in rows if len(row) and self.p_wrong[row[0]] > _AMBIGUOUS]
         return [(int(row[0]), int(row[-1]), float(1 - self.p_wrong[row].max())) for row in doubtful]
 
     def inverse(self) -> "Track":

@@ -28,7 +28,7 @@ from camcal.estimate.tracking.track import (
 from camcal.geometry import rotation as so3
 from camcal.messages import Message
 
-_JUMP = 0.1, 0.35  # of the distance, and rad: what begins anew with such a step is another piece
+_JUMP = 0.1, 0.35  # of the distance, and rad: what starts again with such a step is another piece
 _OFTEN = 0.03  # share of poses that may be wrong, on average, from which on a track is ambiguous
 
 

@@ -39,7 +39,7 @@ _NOTHING = Given()
 def read(
     path: str | Path, progress: Progress = SILENT, given: Given = _NOTHING, second: Path | None = None
 ) -> CameraFile:
-    """Return the content of a camera file of any format; progress is told of what looks wrong in it.
+    """Return the content of a camera file of any format; progress gets warnings of implausible values in it.
 
     given: what the user says where the file does not. second: the other file of a pair, where it is written as two.
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
@@ -70,7 +70,7 @@ def _format_of(source: Source) -> CameraFormat:
 
 
 def is_camera_file(path: Path) -> bool:
-    """Tell whether a file is of one of the formats; raises FileError if it cannot be read."""
+    """Return whether a file is of one of the formats; raises FileError if it cannot be read."""
     text = files.read_text(path, _LARGEST)
     return any(form.sniff(text) for form in FORMATS.values())
 

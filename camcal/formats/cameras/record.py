@@ -1,4 +1,4 @@
-"""What a camera format is: what it can hold, how its files are told from others, read and written."""
+"""What a camera format is: what it can hold, how its files are distinguished from others, read and written."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

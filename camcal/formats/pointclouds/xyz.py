@@ -20,7 +20,7 @@ _PLAIN: dict[int, tuple[str, ...]] = {
     7: (*POSITION, *COLOUR, INTENSITY),
 }
 _WITH_NORMALS = (*POSITION, *NORMAL)
-_REMARKS = ("#", "//")
+_COMMENT_MARKS = ("#", "//")
 
 
 def write(file: BinaryIO, stream: VertexStream) -> None:
@@ -41,8 +41,8 @@ def read(content: bytes) -> PointCloudFile:
     Raises FileError if the rows are no table of numbers.
     """
     lines = [line.strip() for line in content.decode("utf-8", "replace").splitlines()]
-    remarks = [line.lstrip("#/ ") for line in lines if line.startswith(_REMARKS)]
-    rows = [line.replace(",", " ").replace(";", " ") for line in lines if not line.startswith(_REMARKS)]
+    remarks = [line.lstrip("#/ ") for line in lines if line.startswith(_COMMENT_MARKS)]
+    rows = [line.replace(",", " ").replace(";", " ") for line in lines if not line.startswith(_COMMENT_MARKS)]
     numbers = numbers_in([row for row in rows if row.strip()])
     names = next((remark.split()[1:] for remark in remarks if remark.startswith("columns:")), None)
     columns = _columns(numbers, names) if len(numbers) else dict.fromkeys(names or POSITION, np.empty(0))

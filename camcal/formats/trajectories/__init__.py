@@ -71,7 +71,7 @@ def read(path: str | Path, frames: str | None = None) -> Trajectory:
 
 
 def is_trajectory_csv(path: Path) -> bool:
-    """Tell whether a CSV holds poses, rather than other numbers over time."""
+    """Return whether a CSV holds poses, rather than other numbers over time."""
     return table.holds_poses(path)
 
 

@@ -62,7 +62,7 @@ def read(path: Path, frames: str | None = None) -> Trajectory:
 
 
 def holds_poses(path: Path) -> bool:
-    """Tell whether a CSV names the columns of poses, or is a ground truth of EuRoC."""
+    """Return whether a CSV names the columns of poses, or is a ground truth of EuRoC."""
     first = next((line for _, line in tables.numbered_lines(path) if not line.startswith("#")), "")
     return _is_euroc(path) or set(QUATERNION) <= {name.strip() for name in first.split(",")}
 
@@ -94,7 +94,7 @@ def _named(lines: tables.Lines) -> str | None:
 
 
 def _has(path: Path, names: Sequence[str], wanted: Sequence[str]) -> bool:
-    """Tell whether a table has columns that stand together; raises InvalidInput if it has only some of them."""
+    """Return whether a table has columns that stand together; raises InvalidInput if it has only some of them."""
     missing = [name for name in wanted if name not in names]
     if missing and len(missing) < len(wanted):
         raise InvalidInput(
@@ -140,7 +140,7 @@ def _of_tum(path: str, lines: list[int], table: Array, frames: str | None) -> Tr
 
 
 def _is_euroc(path: Path) -> bool:
-    """Tell whether a CSV is a ground truth of EuRoC or of what writes its form."""
+    """Return whether a CSV is a ground truth of EuRoC or of what writes its form."""
     return files.read_text(path).startswith("#timestamp")
 
 

@@ -64,7 +64,7 @@ CHECK = mapping(
 
 
 def holds_track(lines: Lines) -> bool:
-    """Tell whether lines are a table of `camcal track`, by the first of them."""
+    """Return whether lines are a table of `camcal track`, by the first of them."""
     return bool(lines) and lines[0][1].split()[:2] == ["#", FORMAT]
 
 

@@ -1,7 +1,7 @@
 """The two matchers of a pair, the left–right check, and their fusion.
 
 The matchers fail in different places: the census does not mind the light, gray levels do not mind noise. So where they
-agree, they are right. Believed is what both images agree on, and what does not stand alone.
+agree, they are right. Accepted is what both images agree on, and what does not stand alone.
 
 The matcher on gray levels is OpenCV's three-way one, made to match the whole image: alone it leaves out as many columns
 at the left border as there are disparities. Of its modes this one has the least error, uses all cores, and holds no
@@ -32,7 +32,7 @@ from camcal.stereo.matching.semi_global import (
 
 _NOISY = 7.0  # gray levels; below, more blur loses more detail than noise
 _SPECKLE, _SPECKLE_SHARE = 400, 0.02  # pixels of a patch, and share of a small image, that need no second witness
-_BLUR, _NOISY_BLUR = 0.5, 0.8  # pixels: what a lens does not, so that images sampled between pixels look alike
+_BLUR, _NOISY_BLUR = 0.5, 0.8  # pixels: what a lens does not, so that images sampled between pixels are similar
 
 # Of OpenCV's three-way matching.
 _BLOCK = 3
@@ -49,7 +49,7 @@ _MEANT = np.array([
 ], np.float32)
 # fmt: on
 
-# Of what is believed.
+# Of what is accepted.
 AGREEMENT = 1.0  # pixels by which the disparities of both images may differ
 _REACH = 15  # pixels over which smoothness may carry a disparity into what has no texture
 _SMALLEST = 50  # pixels of a patch
@@ -98,7 +98,7 @@ def by_gray_levels(pair: GrayPair, first: int, count: int) -> Found:
 def by_gray_levels_unchecked(pair: GrayPair, first: int, count: int) -> Found:
     """Return what three-way semi-global matching finds from the left image alone, at half the cost.
 
-    Believed is all but speckles whose counterpart lies inside the right image. There are no differences.
+    Accepted is all but speckles whose counterpart lies inside the right image. There are no differences.
     """
     smallest = min(_SPECKLE, int(_SPECKLE_SHARE * pair.left.size))
     seen = three_way(pair.left, pair.right, first, count, smallest)
@@ -123,7 +123,7 @@ def _end(disparity: Array, first: int, last: int) -> Array:
 def three_way(left: Array, right: Array, first: int, count: int, smallest: int = 0) -> Array:
     """Return the disparity (H, W), float32 pixels, of the left image; NaN where nothing is found.
 
-    left, right: (H, W) uint8. first: the smallest disparity looked for. count: how many. smallest: pixels of a patch
+    left, right: (H, W) uint8. first: the smallest disparity searched for. count: how many. smallest: pixels of a patch
     whose disparities differ by no more than one from neighbour to neighbour; smaller ones are dropped.
     """
     count = -(-count // _SIXTEENTHS) * _SIXTEENTHS
@@ -200,7 +200,7 @@ def without_speckles(disparity: Array) -> Array:
 
 
 class Fused(NamedTuple):
-    """Disparity (H, W), pixels, NaN where none is believed; its `Confidence` (H, W), uint8.
+    """Disparity (H, W), pixels, NaN where none is accepted; its `Confidence` (H, W), uint8.
 
     difference: (H, W) pixels between the two answers it rests on, NaN where there are not two. end: (H, W) int8, where
     the least cost lies at an end of the range, see `Found`.

@@ -17,7 +17,7 @@ from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.matchers import Fused
 from camcal.stereo.matching.preparation import GrayPair
 
-_LARGEST = 500_000  # pixels; larger images are looked at in steps, and lengths below are in steps then
+_LARGEST = 500_000  # pixels; larger images are examined in steps, and lengths below are in steps then
 _BLUR = 1.5  # pixels
 _EDGE, _EDGE_NOISES = 1.2, 0.3  # gray levels per pixel, and times the noise, from which there is an edge
 _SMALLEST, _BORDER = 500, 6  # pixels of an area, and pixels around it that belong to it
@@ -34,7 +34,7 @@ _AROUND, _AROUND_SHARE, _OUTSIDE = 2.0, 0.1, 0.5  # pixels and share of its rang
 _MARGIN, _MARGIN_SHARE, _TAIL = 2.0, 0.25, 2  # pixels and share by which a plane goes on; percent that says nothing
 _BACKDROP, _FLOOR_SHARE = 0.1, 0.03  # shares of the image: of a background, and of a floor
 _GROUND = 0.04  # share of the image: of gaps at its lower edge that stay as they are
-_HARDLY = 0.5  # of a background that are gaps, at least: where more is matched, that tells
+_MIN_GAP_SHARE = 0.5  # of a background that are gaps, at least: where more is matched, that tells
 _SPREAD, _LOWER = 0.4, 0.1  # shares of an area's side, and of its height
 _MISFIT, _MOST_MISFIT, _COMPARED = 0.5, 20.0, 30  # gray levels worse than the filling; clipped; pixels compared
 
@@ -59,9 +59,9 @@ _FLOOR = _Rule(on=0.2, behind=0.1, cost=3.0, steep=0.0, trials=4000)
 
 
 class _View(NamedTuple):
-    """What is looked at, every `step`-th pixel: arrays (h, w); disparities in steps, NaN where there is none.
+    """What is examined, every `step`-th pixel: arrays (h, w); disparities in steps, NaN where there is none.
 
-    nearest: (h, w) the largest disparity that is believed at each pixel of the right image.
+    nearest: (h, w) the largest disparity that is accepted at each pixel of the right image.
     """
 
     left: Array
@@ -184,7 +184,7 @@ def _plane_of(area: _Area, view: _View, rng: np.random.Generator) -> _Plane | No
     large = size >= _BACKDROP * view.left.size
     plane = None if support is None else _fitted(support, gaps, view, _LARGE if large else _SMALL, rng)
     low = _reaches_down(area, view) and size >= _FLOOR_SHARE * view.left.size
-    if plane is not None or not (large or low) or inner < _HARDLY * size:
+    if plane is not None or not (large or low) or inner < _MIN_GAP_SHARE * size:
         return None if plane is None else plane[0]
     support = _support(area, area.whole & ~area.inside & ~gap, view, rng)
     if support is None:

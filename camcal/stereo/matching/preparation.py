@@ -130,7 +130,7 @@ def _sample(image: Array) -> Array:
 class Prepared:
     """What is matched.
 
-    first, count: the smallest disparity to look for, pixels, and how many. rows: of the right image, px RMS, by which
+    first, count: the smallest disparity to search for, pixels, and how many. rows: of the right image, px RMS, by which
     they were aligned; 0 if they were not. warnings: of the range. failures: why the pair cannot be matched.
     """
 

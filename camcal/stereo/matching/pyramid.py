@@ -28,7 +28,7 @@ Matcher = Callable[[GrayPair, int, int], Fused]
 def coarse_to_fine(pair: GrayPair, first: int, count: int, match: Matcher) -> Fused:
     """Return what a matcher finds of a pair, if it is large by way of the pair at half its size.
 
-    first: the smallest disparity looked for, pixels. count: how many.
+    first: the smallest disparity searched for, pixels. count: how many.
     """
     if not needs_levels(pair, count):
         return match(pair, first, count)
@@ -104,7 +104,7 @@ def _costs_nearby(left: Array, right: Array, middle: Array) -> Array:
 def _refined(words: Array, right: Array, disparity: Array) -> Array:
     """Return a smooth map (H, W), pixels, moved to where the images agree best, by half a pixel at most.
 
-    words: the census of the left image. The right image is drawn anew as the map says, and one pixel to either side.
+    words: the census of the left image. The right image is drawn again as the map says, and one pixel to either side.
     """
     height, width = disparity.shape
     across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))

@@ -11,13 +11,13 @@ import numpy as np
 from camcal.arrays import Array
 
 STEP = 8  # what a change of disparity by one pixel costs
-JUMP = 39  # what a larger one costs where neighbours look alike
+JUMP = 39  # what a larger one costs where neighbours are similar
 _ALIKE = 12.0  # gray levels between neighbours up to which they do
 
 _STRIP = 512  # rows whose paths run side by side: what a step touches stays in the cache, its calls are few
 _NEVER = 255
 _OWN = 2  # places on either side of the best that belong to it
-_HARDLY = 20  # of 252; where texture repeats itself, three of four second best cost less than that more
+_UNIQUENESS_MARGIN = 20  # of 252; where texture repeats itself, three of four second best cost less than that more
 _AROUND = (9, 9)  # pixels; more are surer on planes, and less sure beside edges
 
 # Of the census transform.
@@ -113,7 +113,7 @@ def is_ambiguous(total: Array, best: Array) -> Array:
         costs = total[:, y].copy()
         lowest = costs[best[y], across].astype(np.int16)
         costs[np.clip(best[y] + around, 0, count - 1), across] = _NEVER
-        ambiguous[y] = costs.min(axis=0) - lowest <= _HARDLY
+        ambiguous[y] = costs.min(axis=0) - lowest <= _UNIQUENESS_MARGIN
     return ambiguous
 
 

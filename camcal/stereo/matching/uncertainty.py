@@ -82,7 +82,7 @@ def standard_deviation(evidence: Array, confidence: Array, weights: Weights) -> 
 
 
 def evidence_of(pair: GrayPair, fused: Fused, filled: Filled, smooth: Array) -> Array:
-    """Return what speaks for and against each disparity (10, H, W), float32.
+    """Return the features of each disparity (10, H, W), float32.
 
     In this order: 1; log of the noise; log of the difference of two answers around the pixel; log of the contrast along
     the row over the noise, and over what the images differ by; share of the pixels around it with a match; log of the

@@ -26,7 +26,7 @@ from camcal.stereo.pair.coarse import (
     require_pair,
 )
 
-NEGLIGIBLE = 0.1  # px; matching loses less by it than by drawing the image anew
+NEGLIGIBLE = 0.1  # px; matching loses less by it than by drawing the image again
 WORTH_RECTIFYING = 0.5  # px; from here on matching loses more than all else that can be set
 LARGEST_CORRECTION = LIMITS.rows_px  # a pair that is off by more is not a rectified one
 
@@ -34,12 +34,12 @@ _FEWEST = 12  # matches in agreement, three for each number of the trend and its
 _FEWEST_SHARE = 0.15  # of all; two images of different things reach 0.05, good pairs 0.6
 _SMALL = 64  # px of width or height, below which a scene hardly has features enough
 _FLAT = 4.0  # counts; the noise of a camera alone has less
-_SURE = 3.0  # standard errors at which a trend is no chance
+_SIGNIFICANT = 3.0  # standard errors at which a trend is no chance
 _FOLLOWED = 2.0  # px; of rows that are off by more too many corners are lost
 _SHARP = 0.6  # px; corners that are found scatter by 0.1 to 0.3 px, those that are lost by more than 1
 _SEED = 1
 _GUESSES = 500  # of three matches; if only a third of all is right, eighteen guesses are
-_NEAR = 1.0  # px features are looked for in, about a guess; matches that are right scatter by 0.1 to 0.4 px
+_NEAR = 1.0  # px features are searched for in, about a guess; matches that are right scatter by 0.1 to 0.4 px
 _ROUNDS = 20
 _BREAK = 4.685  # deviations beyond which Tukey's biweight takes a match for wrong; the usual choice for normal errors
 _NORMAL = 1.4826  # standard deviation over median absolute deviation
@@ -194,7 +194,7 @@ def row_correction(residual: Residual) -> Array | None:
             f"rows differ by up to {trend.largest:.1f} px, more than the {LARGEST_CORRECTION:g} px that can be put "
             "right without a camera file; rectify the pair first"
         )
-    sure = any(abs(value) > _SURE * std for value, std in (trend.centre, trend.tilt, trend.scale))
+    sure = any(abs(value) > _SIGNIFICANT * std for value, std in (trend.centre, trend.tilt, trend.scale))
     return residual.rows if sure and trend.rms > NEGLIGIBLE else None
 
 

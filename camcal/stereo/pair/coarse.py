@@ -16,7 +16,7 @@ from camcal.arrays import Array, readonly, require_shape
 from camcal.errors import InvalidInput
 from camcal.opencv import resized
 
-LOOKS = (128, 256)  # px of width; the first look is for all disparities up to half the width, either sign
+SEARCH_WIDTHS = (128, 256)  # px of width; the first look is for all disparities up to half the width, either sign
 
 _WIDENED = 0.15  # of the span of the first look, on either side, for the second
 _WINDOW = 9  # px; larger than texture, smaller than what light does to a surface
@@ -36,7 +36,7 @@ _BODY = (0.05, 0.95)  # quantiles of the disparities that bound what all of the 
 _BANDS = 1 / 3  # of the width; more is no band at the side of the image any more
 _JOINED, _ENOUGH = 1.5, 25  # px between neighbours of a patch, and how much of it beside a band vouches for the rest
 _BEHIND, _MOSTLY = -2.0, 10  # px, and how many times as many matches lie before it; what is left is chance
-_PRICE = 0.007  # share of the matches that makes a range worth widening by its own span
+_WIDENING_SHARE = 0.007  # share of the matches that makes a range worth widening by its own span
 _NEARLY_ALL, _LEAST_SPAN = (0.02, 0.98), 2.0  # quantiles, and pixels, of that span
 _FEWEST = 50  # matches
 _FEWEST_SHARE = 0.02  # of the pixels; noise alone gives fewer
@@ -44,7 +44,7 @@ _FAR, _NEAR = 0.04, 0.12  # margins, of the span: what is missed at reduced size
 _DEFAULT_SHARE = 1 / 6  # of the width
 
 # features
-PIXELS = 1e6  # of the image features are looked for in; they are found to a part of a pixel that is as large there
+PIXELS = 1e6  # of the image features are searched for in; they are found to a part of a pixel that is as large there
 _MOST = 1500  # features of an image; more make the trend of the rows no surer than it is already
 _FEATURE_CONTRAST = 0.01  # SIFT's own limit is 0.04, too much for dark images; the strongest are taken anyway
 
@@ -53,7 +53,7 @@ class CoarseMap(NamedTuple):
     """Disparities (h, w) float32 of the left image reduced to 256 columns, pixels of the image itself.
 
     Good to about a column of the map; NaN where unknown or outside the range that texture which does not repeat itself
-    shows, and everywhere if too little can be matched. periodic: next to all that is matched looks like other places of
+    shows, and everywhere if too little can be matched. periodic: next to all that is matched resembles other places of
     its row, so that all of it may be off by a period.
     """
 
@@ -67,7 +67,7 @@ def coarse_map(left: Array, right: Array) -> CoarseMap:
     left, right: (H, W) uint8, rows aligned to a few pixels. Raises InvalidInput for images of different sizes.
     """
     pairs = [require_pair(left, right)]
-    for width in reversed(LOOKS):
+    for width in reversed(SEARCH_WIDTHS):
         pairs.append((_reduced(pairs[-1][0], width), _reduced(pairs[-1][1], width)))
     nothing = CoarseMap(np.full(pairs[1][0].shape, np.nan, np.float32), False)
     if left.shape[1] < _WINDOW:  # which no window fits in, and in which OpenCV's matcher may divide by zero
@@ -108,7 +108,7 @@ def worthwhile_range(disparities: Array) -> tuple[float, float]:
     ordered = np.sort(disparities)
     middle = ordered.size // 2
     span = max(float(np.ptp(np.quantile(ordered, _NEARLY_ALL))), _LEAST_SPAN)
-    held = np.arange(ordered.size) / ordered.size - _PRICE / span * ordered
+    held = np.arange(ordered.size) / ordered.size - _WIDENING_SHARE / span * ordered
     return float(ordered[np.argmin(held[: middle + 1])]), float(ordered[middle + np.argmax(held[middle:])])
 
 
@@ -232,7 +232,7 @@ def _repeated(image: Array, farthest: int) -> Array:
 
 
 def _least(pixels: int) -> float:
-    """Return how many matches of a map of so many pixels are enough to go by."""
+    """Return how many matches of a map of so many pixels are enough."""
     return max(_FEWEST, _FEWEST_SHARE * pixels)
 
 
@@ -242,7 +242,7 @@ def default_range(width: int) -> tuple[int, int]:
 
 
 def range_in(coarse: CoarseMap, width: int) -> tuple[int, int] | None:
-    """Return the smallest and the largest disparity to look for, pixels, with margins; None if the map tells none.
+    """Return the smallest and the largest disparity to search for, pixels, with margins; None if the map tells none.
 
     coarse: of a pair whose images are `width` pixels wide; it tells none where nothing is matched but what repeats
     itself. The range is negative where the cameras are toed in, or where left and right are swapped.
@@ -251,7 +251,7 @@ def range_in(coarse: CoarseMap, width: int) -> tuple[int, int] | None:
     if not known.size or coarse.periodic:
         return None
     low, high = float(known.min()), float(known.max())
-    pixel, span = max(1.0, width / LOOKS[-1]), high - low
+    pixel, span = max(1.0, width / SEARCH_WIDTHS[-1]), high - low
     return floor(low - pixel - _FAR * span) - 1, ceil(high + pixel + _NEAR * span) + 1
 
 
@@ -278,7 +278,7 @@ class Matches:
 
     @property
     def coarseness(self) -> float:
-        """Side of the pixels that features were looked for in, pixels of the images."""
+        """Side of the pixels that features were searched for in, pixels of the images."""
         return max(1.0, sqrt(self.size[0] * self.size[1] / PIXELS))
 
 

@@ -21,7 +21,7 @@ _ROUNDS = 10
 _BREAK = 4.685  # deviations, for Tukey's biweight: what shines, or is in another's shadow, is left out
 _NORMAL = 1.4826
 _LEAST_SCATTER = 0.5  # counts
-_SURE = 3.0
+_SIGNIFICANT = 3.0
 _LEAST_SPREAD = 1e-6  # counts²; images of one gray tell no gain
 _NOTICEABLE = 0.05  # of the light
 _TAIL = 0.01
@@ -50,7 +50,7 @@ class Exposure:
     def differs(self) -> bool:
         """Whether the difference is no chance and worth a word."""
         value, std = self.brightness
-        return abs(value) > max(_NOTICEABLE, _SURE * std)
+        return abs(value) > max(_NOTICEABLE, _SIGNIFICANT * std)
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,7 +137,7 @@ def _on_grid(shape: tuple[int, int], stride: int) -> Array:
 
 
 def _remove_lonely(image: StereoImage, radius: float | None, kept: Array) -> int:
-    """Leave points without neighbours out of the pixels kept (H, W) and return how many that were."""
+    """Leave isolated points out of the pixels kept (H, W) and return how many that were."""
     places = BackProjection(image.geometry, image.shape, _METRES_OF_LEFT)
     blocks = row_blocks(image.shape, _BLOCK)
     points = np.concatenate([places.points(rows, image.depth(rows))[kept[rows]] for rows in blocks])
@@ -164,7 +164,7 @@ def has_similar_neighbours(disparity: Array, within: slice) -> Array:
     """Return whether at least 6 of the 5 × 5 pixels around each have a disparity within 1 px of its own, (N, W).
 
     disparity: (M, W) pixels, NaN where there is no match. within: the N of the M rows that are asked about; up to
-    `REACH` on either side are looked at.
+    `REACH` on either side are examined.
     """
     columns = disparity.shape[1] + 2 * REACH
     padded = np.full((len(disparity), columns), np.nan, np.float32)

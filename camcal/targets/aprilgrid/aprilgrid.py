@@ -31,15 +31,15 @@ CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
 NEAR = 0.15  # of that, how far off corners may be for a narrow look
 MOVED = 0.2  # sides of a tag from where a corner was put to where it is seen at most
 STRAY = 0.12  # sides of a tag from where its neighbours put a corner that rule it out
-LEAST_SIDE_PX = 6.0  # of a tag; corners of smaller ones are not told apart
+LEAST_SIDE_PX = 6.0  # of a tag; corners of smaller ones are not distinguished
 GROUPS = 3  # of tags in a copy of the image that are tried; more are accidents
 CERTAIN = 5.0  # standard deviations of the bits' agreement by chance: tags that are read
 RIGHT = 0.6  # correlation of a tag's bits with the right ones that one tag in thousands has by chance
 OTHER = 0.1  # less of it shows that it is another tag, or none
 ENOUGH = 2  # tags with the right bits, and none with others, that end the search
-LOUD = 4.0  # times the median of what the model leaves over, or
+NOISE_LIMIT = 4.0  # times the median of what the model leaves over, or
 ROUGH = 0.02  # of the contrast more: something covers a part of the corner
-COPIES = 3  # of an image in which other tags are looked for, to say what is in sight
+COPIES = 3  # of an image in which other tags are searched for, to say what is in sight
 SHOWN = 6  # ids in a message
 PASSES = 2  # of the final fit, where the blur makes corners see their neighbours
 
@@ -69,7 +69,7 @@ class _TagCorners:
 
 @dataclass(frozen=True, eq=False)
 class _NodeMeasurements:
-    """What is seen at the corners of a grid (2 rows, 2 columns), NaN where nobody looked.
+    """What is seen at the corners of a grid (2 rows, 2 columns), NaN where not examined.
 
     contrast: gray levels, positive where dark and bright are as on the board. moved: from the start, in sides of a tag.
     """
@@ -202,7 +202,9 @@ def _measured(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side
         grid[known] = corners.pixels
         if not crowded:
             break
-    good = clear(corners) & (corners.noise < LOUD * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast))
+    good = clear(corners) & (
+        corners.noise < NOISE_LIMIT * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast)
+    )
     if good.sum() < MIN_CORNERS:
         return BoardDetection.nothing(f"only {int(good.sum())} usable tag corners")
     ids = lattice.ids[known][good]

@@ -19,11 +19,11 @@ from camcal.targets.board import Board
 
 _CORNERS = np.array([[0, 1], [3, 2]])  # Kalibr's number of a tag's corner, [upper, right]
 _NEIGHBOURS = 12  # the nearest corners, which say where one lies
-_REACH = 4.0  # as far as neighbours are looked for
+_REACH = 4.0  # as far as neighbours are searched for
 _EXACT = 0.01  # standard deviation of a corner, and
 _BENT = 0.02  # of what a homography leaves of a lens's distortion, at distance 1; it goes with the distance squared
 _PERSPECTIVE = 0.2  # standard deviation of the change of scale over a tag
-_VAGUE = 0.15  # a corner whose place is known no better is not looked for
+_MAX_POSITION_STD = 0.15  # a corner whose place is known no better is not searched for
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def predict(lattice: TagLattice, grid: Array, *, own: bool = False) -> Predicted
     size = _radius(seen) / _radius(away)  # px of a tag's side, more or less
     entries, spread = _homographies(away, (seen - middle) / size, weights)
     steps = entries[:, :4].reshape(-1, 2, 2) - entries[:, 4:6, None] * entries[:, None, 6:]
-    known_enough = spread < _VAGUE
+    known_enough = spread < _MAX_POSITION_STD
     places = np.where(known_enough[:, None], entries[:, 4:6] * size[:, 0] + middle[:, 0], np.nan)
     shape = grid.shape[:2]
     return Predicted(places.reshape(*shape, 2), (steps * size).reshape(*shape, 2, 2), spread.reshape(shape))

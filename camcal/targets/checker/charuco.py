@@ -4,7 +4,7 @@ Markers are arranged in two ways: as OpenCV draws boards today, and as it did be
 has an even number of rows of squares. A board drawn with its sizes exchanged has other markers in other places too.
 
 The corners say where every cell of every marker is: nothing is searched for, and blur, tilt and small squares do little
-harm. Two markers that put the pattern in the same place on the board, more than speak for any other, settle it.
+harm. Two markers that put the pattern in the same place on the board, more than support any other, settle it.
 
 A board with more rows has the same markers, so only the image can tell where the rows end. Beyond the last one there is
 white paper, and a further row would have dark squares. What hides the rest, a hand or a clamp, is not white just where
@@ -218,7 +218,7 @@ def require_markers(board: Board) -> None:
 def find_charuco(gray: Array, board: Board) -> BoardDetection:
     """Return the corners of a ChArUco board in `gray`, (H, W) uint8, or the reason why there are none.
 
-    A board whose `legacy` is None is looked for in both patterns, and the one that more markers speak for is taken.
+    A board whose `legacy` is None is searched for in both patterns, and the one that more markers support is taken.
     Raises InvalidInput if the dictionary is unknown or too small.
     """
     require_markers(board)
@@ -298,7 +298,7 @@ def _ratio(board: Board) -> float:
 
 
 def _legacies(board: Board) -> tuple[bool, ...]:
-    """Return the patterns of markers to look for; both look the same with an odd number of rows of squares."""
+    """Return the patterns of markers to search for; both look the same with an odd number of rows of squares."""
     either = board.legacy is None and (board.rows + 1) % 2 == 0
     return (False, True) if either else (bool(board.legacy),)
 

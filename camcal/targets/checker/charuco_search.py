@@ -250,7 +250,7 @@ def _agreed(
 def _verified(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, CharucoLayout] | None:
     """Return the number of corners seen, and the layout with as many rows as they tell of; None if there are none.
 
-    The board is looked for with more rows than its markers tell of, since something may hide what lies between. The
+    The board is searched for with more rows than its markers tell of, since something may hide what lies between. The
     number of rows is that of `like` where nothing speaks against it.
     """
     for rows in (2 * layout.rows, layout.rows):

@@ -1,7 +1,7 @@
 """Verification of proposed corners of a checker pattern.
 
 A corner is kept if two crossing edges are seen there, dark and bright as a checker pattern demands, where its
-neighbours put it. One that fails is looked for again where its neighbours put it, and left out if that fails too.
+neighbours put it. One that fails is searched for again where its neighbours put it, and left out if that fails too.
 
 A look tells whether a corner is there, and where to a part of a pixel. Around it the image is sampled along its two
 edges in the board's own directions, so that every corner looks the same however it is tilted, and fitted linearly with
@@ -28,7 +28,7 @@ CONTRAST = 0.05  # at least, of the median over the board: a corner of it may li
 START = 0.5  # steps from a proposed corner to the fitted one at most
 STRAY = 0.3  # steps from where the neighbours put a corner that cost it a second look
 REPAIR = 0.5  # steps from where the neighbours put a missing corner to the fitted one at most
-# A pattern that goes on beyond its stated size looks like the rest of it in most places of a side; a board's margin
+# A pattern that goes on beyond its stated size resembles the rest of it in most places of a side; a board's margin
 # and what lies behind it reach neither.
 SAME_AGREEMENT = 0.9
 SAME_CONTRAST = 0.3  # largest relative difference
@@ -63,7 +63,7 @@ class Checker:
 
 @dataclass(frozen=True, eq=False)
 class _NodeMeasurements:
-    """What is seen at the nodes of a grid (rows, columns), NaN where nobody looked.
+    """What is seen at the nodes of a grid (rows, columns), NaN where not examined.
 
     contrast: gray levels, its sign changed on every other node so that a checker pattern has one sign.
     moved: steps from the start.

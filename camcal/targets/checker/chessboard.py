@@ -97,7 +97,7 @@ def _leaves(gray: Array, pattern: Array) -> bool:
 
 # Where the board ends, squares are dark and bright by turns on its side and bright on the other.
 RIMS = (1.0, 0.75, 0.5)  # steps, how wide outer squares may be; many boards are cut
-ASIDE = 0.3  # of that from the rim, and of a step along it, is where the squares and the margin are looked at
+ASIDE = 0.3  # of that from the rim, and of a step along it, is where the squares and the margin are examined
 ALTERNATING = 0.5  # smallest difference of neighbouring squares of the rim, of dark to bright
 MARGIN = 0.35  # largest difference of the margin and a bright square, likewise
 ENDS = 0.75  # share of a side that must look so, as far as it is in the image

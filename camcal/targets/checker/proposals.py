@@ -28,7 +28,7 @@ from camcal.targets.checker import grid as grids
 SIGMA = 1.2  # px of the Gaussian that derivatives are taken of
 APART = 5  # px, the window that one saddle has for itself
 LEAST_CONTRAST = 0.7  # gray levels
-MOST_SADDLES = 900  # saddles that are looked at, those of most contrast
+MOST_SADDLES = 900  # saddles that are examined, those of most contrast
 RING_PX = 3.0
 RING = 16  # places on it
 SYMMETRY = 0.75  # share of the ring's variance that is the same on opposite sides, 1 at a crossing of straight edges
@@ -132,7 +132,7 @@ def _from_copy(corners: Array, copy: Array, gray: Array) -> Array:
 
 
 NEAREST = 40  # saddles that may be the next one; what is printed in a square lies nearer, so do foreshortened rows
-WAY = np.array([0.15, 0.3, 0.45, 0.6, 0.75, 0.9])  # where an edge is looked at, shares of it
+WAY = np.array([0.15, 0.3, 0.45, 0.6, 0.75, 0.9])  # where an edge is examined, shares of it
 BESIDE_PX, BESIDE = 1.3, 0.05  # how far from it, pixels and share of its length: edges bend
 EDGE = 0.3  # smallest difference across an edge, of what the contrast of its corners makes expected
 QUARTER = np.pi / 2

@@ -2,7 +2,7 @@
 
 A plain grid looks the same after half a turn, a square one after a quarter, and so does an asymmetric one of an even
 number of rows; the turn whose rows run most to the right is then taken. The pixels are those of the discs' centres,
-not of the ellipses' (disc_fit.py). A grid that is not the board looked for is told as another board or a part of one.
+not of the ellipses' (disc_fit.py). A grid that is not the board searched for is told as another board or a part of one.
 
 A grid of ellipses has centres (rows, columns, 2) and axes (rows, columns, 2, 2), NaN where there is none. An asymmetric
 board's grid has a column for every half of its spacing, so that every other node is none of its circles.
@@ -24,7 +24,7 @@ from camcal.targets.circles.blobs import Ellipses, find_ellipses, lattices, plac
 from camcal.targets.circles.disc_fit import DiscFits, fit_discs, projected_centres
 from camcal.targets.detection import MIN_CORNERS, BoardDetection
 
-MIN_PROPOSED = 0.5  # of the board's circles, for the others to be looked for
+MIN_PROPOSED = 0.5  # of the board's circles, for the others to be searched for
 LEAST_OTHER = 9  # circles of a grid that is worth a word; fewer may be anything
 MIN_SHARE = 0.75  # of them that must be measured
 _REDUCED = 800  # px, the longer side of the copy that is searched first
@@ -73,7 +73,7 @@ def _proposals(gray: Array) -> Iterator[Ellipses]:
 
 
 def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> BoardDetection:
-    """Return the dots of a board fitted to the image; those that the lattice lacks are looked for too."""
+    """Return the dots of a board fitted to the image; those that the lattice lacks are searched for too."""
     height, width = gray.shape
     start = _completed(board, lattice, ellipses, (width, height))
     fits = fit_discs(gray, start)
@@ -204,7 +204,7 @@ _OUTSIDE = 0.5  # of the next circles along a side, that lie outside the image w
 
 @dataclass(frozen=True, eq=False)
 class OtherGrid:
-    """A lattice of ellipses that is not the board looked for.
+    """A lattice of ellipses that is not the board searched for.
 
     drawn: indices (rows, columns), -1 where none, as `like` is drawn. like: the type of board of which most is seen.
     count: ellipses. whole: whether the lattice ends by itself.

@@ -104,7 +104,7 @@ CENTRE, AXES, BLUR, LEVEL, CONTRAST, TONE, GRADIENT = (
 )  # fmt: skip
 
 _START_BLUR = 1.0  # px
-_GRADIENT = 0.02  # spread of the light's change from a window's middle to its rim; a wide blur looks like one
+_GRADIENT = 0.02  # spread of the light's change from a window's middle to its rim; a wide blur resembles one
 _LOG_BLUR = (-3.0, 2.0)
 _THINNEST = 0.3  # px, a half axis
 _POSSIBLE = np.array([0, 0, 1, 0, 1, 0, 0, 1, 0, 0, 0], dtype=float)  # a state inside the domain

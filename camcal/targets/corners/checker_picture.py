@@ -1,6 +1,6 @@
 """The image model of a blurred checker corner, with derivatives and tone curve.
 
-With d₁, d₂ the signed distances to two edges and s the blur, a crossing looks like  E[sign(d₁ + ε₁) sign(d₂ + ε₂)],
+With d₁, d₂ the signed distances to two edges and s the blur, a crossing resembles  E[sign(d₁ + ε₁) sign(d₂ + ε₂)],
 ε normal of standard deviation s and correlated by the cosine ρ of the angle between the edges' normals:
     erf(z₁ / √2) erf(z₂ / √2) + 4 Σ ρᵏ / k! · φ⁽ᵏ⁻¹⁾(z₁) φ⁽ᵏ⁻¹⁾(z₂),   z = d / s,  φ the normal density
 (the tetrachoric series, Pearson 1900). It is the same on opposite sides of the corner, so terms left out move nothing.

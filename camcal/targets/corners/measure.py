@@ -2,7 +2,7 @@
 
 They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are. Who
 knows the lens and where the board is looks once more: corners that were found are measured again along the edges as the
-lens bends them, corners that were missed are looked for where they must be.
+lens bends them, corners that were missed are searched for where they must be.
 """
 
 from collections.abc import Callable, Sequence
@@ -208,7 +208,7 @@ def seen_cells(
 
     points: (N, 3) where they are on the board as it is, in its unit. project: takes points (N, 3) of the board to
     pixels (N, 2), NaN where the camera does not see them. Pixels and cells are NaN there. blur_px: of the edges; the
-    next ones are looked for only where it may bring them into the picture. first: see BoardEdges.of.
+    next ones are searched for only where it may bring them into the picture. first: see BoardEdges.of.
     """
     edges = BoardEdges.of(board, first)
     board_steps = _BoardSteps(points, edges.length, project)
@@ -311,7 +311,7 @@ def remeasure(samples: MaskedImage, view: BoardDetection, expected: Expected) ->
 
 _REACH = 0.45  # of the way to the nearest point: what lies around a point and no other
 _RADII = (3, 16)  # px of a window: enough for an edge, few enough for a quick look
-_MOST = 100  # points of a board that are looked at
+_MOST = 100  # points of a board that are examined
 _NEIGHBOURS = 2.5  # nearest distances within which the second direction is sought
 _DARK, _BRIGHT = 0.05, 0.95
 _DIFFERENCE = 1 / 3  # px², variance of the box that a central difference averages over

@@ -3,7 +3,7 @@
 Around a corner the image is modelled as
     (1 + g · (x, y)) · (level + contrast · T(f)),   f the crossing and T the curve of checker_picture.py,
 with both edges' places, directions and blurs, and the gradient g of the light: eleven unknowns a corner. The edges may
-bend as a lens bends them, by a curvature that is given. Only pixels by the edges are looked at, each counted with the
+bend as a lens bends them, by a curvature that is given. Only pixels by the edges are examined, each counted with the
 nearer one, and none that the next edges reach. All corners are fitted at once, by steps in offsets and angles of the
 edges, in which the unknowns hardly depend on each other.
 """

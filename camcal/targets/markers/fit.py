@@ -153,7 +153,7 @@ def _by_edges(entries: Array, drawing: MarkerDrawing, side: float, most: int) ->
     return np.unique(np.rint(straight(entries, places).pixels), axis=0)
 
 
-# How many pixels are looked at and how long: first to come near, then in the frame that was found
+# How many pixels are examined and how long: first to come near, then in the frame that was found
 _PASSES = (
     (300, Stopping(relative_decrease=5e-2, damping=1e-4)),
     (1200, Stopping(relative_decrease=1e-3, damping=1e-5)),

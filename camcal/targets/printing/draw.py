@@ -90,7 +90,7 @@ class Ink:
     """The black of a board, in millimetres from its upper left corner, y down; see `Page` for outlines and discs.
 
     size: width and height of the board. spacing: of its squares, tags or circles. quiet: width of the white
-    that belongs around it. finest: width of the smallest thing that is to be told apart.
+    that belongs around it. finest: width of the smallest thing that is to be distinguished.
     """
 
     size: tuple[float, float]

@@ -62,7 +62,7 @@ def board_views(
 
     board: a board, its file or its short form; it may be None where a detections file names the board.
     image_size: (width, height) of the images of a .vnl file, which has none; None: the images beside it tell.
-    reading: what is made of raw frames, and which colours are looked at. frames: which ones of videos are taken.
+    reading: what is made of raw frames, and which colours are examined. frames: which ones of videos are taken.
     parts: whether parts of a chessboard will do that show which part they are. mixed_sizes: whether views of another
     size than most are used where it is known how the sizes are related; None is no, by a command without that option.
     Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.

@@ -183,7 +183,7 @@ def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
 
 
 def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
-    """Return whether the images are to be looked at once more. Raises InvalidInput if they should and cannot be."""
+    """Return whether the images are to be examined once more. Raises InvalidInput if they should and cannot be."""
     if options.refine is None:
         return seen.board.has_saddle_corners and not seen.table
     if options.refine and not seen.board.has_saddle_corners:

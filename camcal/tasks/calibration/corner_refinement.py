@@ -18,8 +18,8 @@ from camcal.targets.corners.measure import Expected, remeasure, seen_cells, sign
 from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
 from camcal.tasks.calibration.video_frames import Video
 
-_BLUREST_PX = 3.0  # of edges: whose images are more blurred have larger squares
-_RIM_PX = 3.0  # corners nearer to the border of the image are not looked for
+_MAX_BLUR_PX = 3.0  # of edges: whose images are more blurred have larger squares
+_RIM_PX = 3.0  # corners nearer to the border of the image are not searched for
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class RefinementSummary:
 
 @dataclass(frozen=True, eq=False)
 class _ExpectedView:
-    """A view to be looked at again, and what is expected of it, with its image: the file, or the frame of a video."""
+    """A view to be examined again, and what is expected of it, with its image: the file, or the frame of a video."""
 
     view: BoardDetection
     expected: Expected
@@ -99,7 +99,7 @@ def refine_corners(
 
 
 def _expected_views(expected: Mapping[str, _ExpectedView], videos: Sequence[Video]) -> Iterator[_ExpectedView]:
-    """Yield what is to be looked at: image files first, then the frames of one video after another."""
+    """Yield what is to be examined: image files first, then the frames of one video after another."""
     from_videos = frozenset(name for video in videos for name in video.names)
     yield from (expected_view for image, expected_view in expected.items() if image not in from_videos)
     for video in videos:
@@ -129,7 +129,7 @@ def _expected(calibration: Calibration, record: View) -> Expected:
     if pose is None:
         raise ValueError(f"{record.image} has no pose")
     pixels, cells = seen_cells(
-        board, ids, calibration.surface.points(), lambda points: camera.project(pose.apply(points)).pixels, _BLUREST_PX
+        board, ids, calibration.surface.points(), lambda points: camera.project(pose.apply(points)).pixels, _MAX_BLUR_PX
     )
     size = np.array(camera.image_size)
     known = np.isfinite(pixels).all(axis=1) & np.isfinite(cells.steps).all(axis=(1, 2))

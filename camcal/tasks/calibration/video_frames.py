@@ -38,7 +38,7 @@ COLUMNS = (
     Column("order", priority=3),
     Column("reason", wraps=True),
 )
-LOOKS = 8  # frames that are searched for every one that may be chosen
+SEARCHED_PER_CHOSEN = 8  # frames that are searched for every one that may be chosen
 _SAMPLE = 6  # frames of a video on which the arrangement of a ChArUco board is found out
 
 
@@ -110,7 +110,7 @@ def require_names(videos: Sequence[Path]) -> None:
 
 
 def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
-    """Return a video with the frames to be searched: the sharpest one of each of LOOKS · most stretches, or all."""
+    """Return a video and the frames to search: the sharpest in each of SEARCHED_PER_CHOSEN · most intervals, or all."""
     progress.start(f"surveying {path.name}", None)
     sharpness: list[float] = []
     numbers: list[int] = []
@@ -126,7 +126,7 @@ def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
         error = failure
     finally:
         progress.finish()
-    kept = numbers if options.whole else _sharpest(numbers, sharpness, LOOKS * options.most)
+    kept = numbers if options.whole else _sharpest(numbers, sharpness, SEARCHED_PER_CHOSEN * options.most)
     return Video(path, count, tuple(kept), error)
 
 

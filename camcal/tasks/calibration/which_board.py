@@ -233,7 +233,7 @@ def _counts(views: Iterable[tuple[Board, BoardDetection]]) -> Counter[Board]:
 def other_board(asked: Board, board: Board, views: Sequence[BoardDetection], material: Material) -> OtherBoard | None:
     """Return the ChArUco board that images show in place of the one asked for, None if they show no other one.
 
-    board: the arrangement of it that was looked for. views: what was found of it. A board that is found in less than
+    board: the arrangement of it that was searched for. views: what was found of it. A board that is found in less than
     half of the images may be a part of one with other columns or more rows; one whose last rows are never seen may end
     before them.
     """
@@ -256,7 +256,7 @@ def _family(board: Board) -> str:
 
 
 def _searched(asked: Board, material: Material) -> OtherBoard | None:
-    """Return the board that a few images show, looked for until two of them agree."""
+    """Return the board that a few images show, searched for until two of them agree."""
     work = partial(_layout_in, reading=replace(material.reading, colours=False), like=asked)
     tasks = list(islice(material.sample().sources(), SAMPLE))
     layouts: list[CharucoLayout] = []

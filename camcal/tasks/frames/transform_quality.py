@@ -15,7 +15,7 @@ from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import LoosePose, form_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import NamedTransform, Pose, frames_of
-from camcal.geometry.rotation import HOPELESS, Orthogonality, examine
+from camcal.geometry.rotation import MAX_ORTHONORMALITY_ERROR, Orthogonality, examine
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.transform import plain
@@ -205,7 +205,7 @@ def _verdict(pose: LoosePose, found: Orthogonality) -> str:
     if found.is_reflection:
         return REFLECTION
     stretched = 0.0 if pose.norm is None else abs(pose.norm - 1)
-    if not found.can_be_fixed or stretched > HOPELESS or pose.strays > EXACT:
+    if not found.can_be_fixed or stretched > MAX_ORTHONORMALITY_ERROR or pose.strays > EXACT:
         return NONE
     return OK if found.is_rotation(EXACT) and stretched <= EXACT else INEXACT
 

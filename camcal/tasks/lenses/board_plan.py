@@ -26,7 +26,7 @@ from camcal.tasks.lenses.options import BoardOptions
 
 _BORDER = 1.0  # squares around the corners that must be in the image
 _HALVINGS = 24  # of a factor of 2 between distances: to 4e-8
-_REACH = 1e4  # board sizes between which distances are looked for
+_REACH = 1e4  # board sizes between which distances are searched for
 _SQUARE_PX, _CELL_PX = 8.0, 2.0  # of a chessboard, and of a marker's cell
 
 
@@ -195,7 +195,7 @@ class _Held:
     def _farthest(self, is_near: Callable[[float], bool]) -> float:
         """Return up to which distance (m) a board is near, 0 if it is nowhere.
 
-        Looked for from afar: close to a wide lens the outer squares shrink again.
+        Searched for from afar: close to a wide lens the outer squares shrink again.
         """
         nearest, high = (max(self.board.extent) * reach for reach in (1 / _REACH, _REACH))
         low = high

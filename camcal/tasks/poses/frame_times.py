@@ -42,7 +42,7 @@ def frame_times(frames: Sequence[str], videos: Sequence[Path], timing: Timing, p
 
 
 def require_times(videos: Sequence[Path], timing: Timing) -> None:
-    """Raise InvalidInput or FileError if nothing tells when frames were taken, before they are looked at."""
+    """Raise InvalidInput or FileError if nothing tells when frames were taken, before they are examined."""
     if timing.source not in (None, _EXIF) and not timing.by_name:
         require_there(Path(str(timing.source)))
     elif timing.source is None and timing.fps is None and not any(video.stamps(path) is not None for path in videos):

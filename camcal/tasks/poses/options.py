@@ -61,7 +61,7 @@ def or_auto(needed: str) -> ValueType:
 
 @dataclass(frozen=True)
 class DetectionOptions(OptionsRecord):
-    """What is looked for, and how: a board (file or short form) or tags (file or short form).
+    """What is searched for, and how: a board (file or short form) or tags (file or short form).
 
     board_shape: take the board as the camera file says it is, not as drawn. scale: fit the camera to resized images.
     repeated_ids: what becomes of single tags that an image shows more than once, "drop" or "keep".

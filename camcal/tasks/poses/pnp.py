@@ -245,7 +245,7 @@ def _warnings(
 
 
 def _folders(options: PnpOptions) -> list[Path]:
-    """Return the folders in which images are looked for that are named by their names alone."""
+    """Return the folders in which images are searched for that are named by their names alone."""
     return [path.parent for path in (*options.paths, options.points) if path is not None]
 
 

@@ -129,7 +129,7 @@ def _points(observation: Observation) -> Array:
 
 
 def _is_mixed(observation: Observation) -> bool:
-    """Tell whether the distances of neighbouring points fall into two groups that are far apart."""
+    """Return whether the distances of neighbouring points fall into two groups that are far apart."""
     from scipy.spatial import cKDTree
 
     points = _points(observation)

@@ -85,7 +85,7 @@ def seen_by(
     """Return what images, videos or a detections file show of a board or of tags to one camera of a file.
 
     The camera comes first, as it is for images of this size. name: of the camera, by which the views of a detections
-    file with several are told apart.
+    file with several are distinguished.
     Raises InvalidInput, FileError, or InsufficientData if a board is in none of the images.
     """
     tables = any(is_table(text) for text in inputs)
@@ -138,7 +138,7 @@ def _seen_tags(
 
 
 def _board(detection: DetectionOptions, file: CameraFile, tables: bool) -> Board | None:
-    """Return the board to look for: the one that is named, or the one whose shape the camera file has.
+    """Return the board to search for: the one that is named, or the one whose shape the camera file has.
 
     None leaves it to the detections file. Raises InvalidInput if nothing says which one.
     """

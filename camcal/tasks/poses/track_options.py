@@ -188,5 +188,5 @@ class TrackingOptions(OptionsRecord):
 
 
 def names_camera(arguments: Sequence[str]) -> bool:
-    """Tell whether the first of the arguments is the camera of what follows; a pose file needs none."""
+    """Return whether the first of the arguments is the camera of what follows; a pose file needs none."""
     return len(arguments) > 2 or (len(arguments) == 2 and Path(arguments[1]).suffix.lower() not in POSE_SUFFIXES)

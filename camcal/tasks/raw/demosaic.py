@@ -1,7 +1,7 @@
 """`camcal demosaic`: raw frames to images, in parallel.
 
 Settings that repeat a development bit for bit are written beside every image. With --preview-patterns, what a mosaic
-looks like with each of the four patterns.
+resembles with each of the four patterns.
 """
 
 from collections.abc import Mapping, Sequence

@@ -71,7 +71,7 @@ class RawInput(OptionsRecord):
             raise InvalidInput(f"a black level is one number or four (R,Gr,Gb,B), found {len(self.black)}")
 
 
-AS_THEY_SAY = RawInput()
+AS_DECLARED = RawInput()
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class DemosaicOptions(OptionsRecord):
         Path,
         result_option(Written(lambda: (*image_suffixes(), ".dng", ".txt", ".badpixels"), folder=True)),
     ]
-    reading: RawInput = AS_THEY_SAY
+    reading: RawInput = AS_DECLARED
     corrections: CorrectionFiles = NO_FILES
     development: Development = field(default_factory=Development)
     type: Annotated[

@@ -119,7 +119,7 @@ def _cloud_suffixes() -> tuple[str, ...]:
 class CloudOptions(OptionsRecord):
     """A disparity map, the left image, and where the geometry comes from.
 
-    image, camera_file: the left image and the camera file (FILE or FILE#NAME), either or both, told apart by the
+    image, camera_file: the left image and the camera file (FILE or FILE#NAME), either or both, distinguished by the
     suffix; what is not given is taken from the sidecar of the map. scale: counts of the file per pixel of disparity,
     None by its type.
     """

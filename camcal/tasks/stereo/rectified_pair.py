@@ -100,7 +100,7 @@ def pair_of(
 
 
 def warn_of_file(address: str | None, progress: Progress) -> None:
-    """Give the warnings of a pair's camera file, for commands that ask for the geometry of every pair anew.
+    """Give the warnings of a pair's camera file, for commands that ask for the geometry of every pair again.
 
     address: as in `pair_of`. Raises InvalidInput and FileError as `cameras.read` does.
     """

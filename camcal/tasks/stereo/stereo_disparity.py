@@ -58,7 +58,7 @@ class MapFiles(NamedTuple):
 class Figures:
     """A map in numbers.
 
-    size: (width, height), pixels. searched: smallest and largest disparity looked for, pixels. at_ends: shares of the
+    size: (width, height), pixels. searched: smallest and largest disparity searched for, pixels. at_ends: shares of the
     pixels whose best match lies at either of them. matched: share of those that are matched and not filled. filled:
     share that is. classes: share of each `Confidence`. median: of the disparities, pixels, None without any. sigma:
     median of their standard deviations, pixels, None if unknown.
