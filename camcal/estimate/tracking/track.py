@@ -16,7 +16,7 @@ from camcal.geometry.pose import Pose, inverse_jacobian
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)
-_AMBIGUOUS = 0.01  # probability of another pose that is told
+_OTHER_POSE_LIKELY = 0.01  # probability of another pose that is told
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class Track:
         Frames without a pose between two of them do not end a stretch.
         """
         frames = np.flatnonzero(self.posed)
-        rows = np.split(frames, np.flatnonzero(np.diff((self.p_wrong[frames] > _AMBIGUOUS).astype(int))) + 1)
-        doubtful = [row for row in rows if len(row) and self.p_wrong[row[0]] > _AMBIGUOUS]
+        rows = np.split(frames, np.flatnonzero(np.diff((self.p_wrong[frames] > _OTHER_POSE_LIKELY).astype(int))) + 1)
+        doubtful = [row for row in rows if len(row) and self.p_wrong[row[0]] > _OTHER_POSE_LIKELY]
         return [(int(row[0]), int(row[-1]), float(1 - self.p_wrong[row].max())) for row in doubtful]
 
     def inverse(self) -> "Track":
