@@ -5,6 +5,8 @@ from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named
 from camcal.cameras.model import Camera as Camera
 from camcal.cameras.model import CameraModel as CameraModel
+from camcal.cameras.model import Projection as Projection
+from camcal.cameras.model import Rays as Rays
 from camcal.cameras.model import Rig as Rig
 from camcal.cameras.model import resized as resized
 from camcal.errors import CamcalError as CamcalError
@@ -128,6 +130,8 @@ __all__ = [
     "PoseOptions",
     "PosePrior",
     "PosesOptions",
+    "Projection",
+    "Rays",
     "Rig",
     "SearchOptions",
     "Series",

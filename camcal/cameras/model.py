@@ -133,6 +133,13 @@ class Camera:
         if unknown:
             raise InvalidInput(f"{self.model.name} has no parameter {min(unknown)!r}")
 
+    def __repr__(self) -> str:
+        """Return the lens model, the size and the parameters."""
+        values = ", ".join(
+            f"{name}={value:.7g}" for name, value in zip(self.model.parameter_names, self.parameters, strict=True)
+        )
+        return f"Camera({self.model.name}, {self.image_size[0]}x{self.image_size[1]}, {values})"
+
     @classmethod
     def from_opencv(
         cls, K: ArrayLike, dist: ArrayLike | None, size: tuple[int, int], *, fisheye: bool = False

@@ -7,24 +7,25 @@ from camcal.cli.command import Call
 from camcal.tasks.options import ConvertFileOptions
 
 if TYPE_CHECKING:
-    from camcal.tasks.convert import ConvertedFile
+    from camcal.tasks.convert import ConvertReport
 
 
 def convert(options: ConvertFileOptions, call: Call) -> None:
     """Convert a camera file: camcal's own, OpenCV's FileStorage (YAML, XML, JSON), ROS camera_info, Kalibr's camchain.
 
-    The format of IN is told by its content, that of OUT by its suffix or --to. Lenses are written exactly or refused,
-    unless --max-error accepts the nearest one. What else is known and the other format does not hold is named.
+    The format of IN follows from its content, that of each OUT from its suffix or --to. Lenses are written exactly or
+    refused, unless --max-error accepts the nearest one. What else is known and a format does not store is named.
     """
     from camcal.tasks.convert import convert as run
     from camcal.tasks.convert import document
 
-    converted = run(options, call.progress)
-    call.give(lambda: document(converted), lambda: _show(converted))
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show(report))
 
 
-def _show(converted: "ConvertedFile") -> None:
+def _show(report: "ConvertReport") -> None:
     from camcal.tasks.convert import words
 
-    show.text(words(converted))
-    show.wrote(*converted.outputs)
+    for converted in report.files:
+        show.text(words(converted))
+    show.wrote(*report.outputs)

@@ -6,7 +6,7 @@ that x in an image of half the size is (x + 0.5) * 2 - 0.5 in the whole one. An 
 which way it was turned; see tasks/calibration/mixed_sizes.py.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -100,6 +100,18 @@ class Detections:
     board: Board | None
     views: tuple[BoardDetection, ...]
     circles: Mapping[str, ImageCircle] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Return the number of images."""
+        return len(self.views)
+
+    def __iter__(self) -> Iterator[BoardDetection]:
+        """Yield the images in their order."""
+        return iter(self.views)
+
+    def __getitem__(self, index: int) -> BoardDetection:
+        """Return one image."""
+        return self.views[index]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,13 @@
-"""`camcal convert`: a camera file of one format to another."""
+"""`camcal convert`: a camera file of one format to others."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from camcal import files
 from camcal.cameras.refit import Refit
+from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given
@@ -19,42 +21,66 @@ from camcal.tasks.options import ConvertFileOptions
 
 @dataclass(frozen=True, eq=False)
 class ConvertedFile:
-    """The cameras as they were written, the formats they come from and go to, and the files.
+    """The cameras as they are written to a path, their format, and the files.
 
-    refits: the lenses that are not exact, by the names of their cameras. left_out: in words, what was known of the
+    refits: the lenses that are not exact, by the names of their cameras. left_out: in words, what is known of the
     cameras and the format does not hold; lenses and transforms are all there.
     """
 
     file: CameraFile
-    source: CameraFormat
-    target: CameraFormat
+    path: Path
+    format: CameraFormat
     outputs: tuple[Path, ...]
     refits: Mapping[str, Refit]
     left_out: tuple[str, ...]
 
 
-@writes
-def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> ConvertedFile:
-    """Return what was written to options.output.
+@dataclass(frozen=True, eq=False)
+class ConvertReport:
+    """The format of the camera file that was read, and what was written."""
 
-    Raises InvalidInput for a lens or for more cameras than the format holds, where nothing says the size of the images
-    or the format, and for an output that is an input; FileError.
+    source: CameraFormat
+    files: tuple[ConvertedFile, ...]
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """All files."""
+        return tuple(path for file in self.files for path in file.outputs)
+
+
+@writes
+def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> ConvertReport:
+    """Return what was written to options.outputs: all of them, or none.
+
+    Raises InvalidInput for a lens or for more cameras than a format holds, where nothing says the size of the images
+    or a format, and for an output that is an input; FileError.
     """
+    if len(options.outputs) > 1 and any(map(files.is_stream, options.outputs)):
+        raise InvalidInput("standard output takes one file; name the others in calls of their own")
     path, name = split_address(options.source)
     require_no_image(path)
     file = cameras.read(path, progress, Given(options.given.size, options.given.model), options.second)
     source = cameras.format_of(path)
-    target = cameras.format_for(options.output, options.to, source)
     if (wanted := options.camera or name) is not None:
         file = _alone(file, wanted, str(path))
-    prepared = cameras.prepared(file, target, str(options.output), options.max_error_px)
-    file = prepared.file
-    if not file.provenance and target.name == cameras.OWN:
-        file = replace(file, provenance=provenance.build(command_line("convert", options), None))
-    outputs = target.outputs(options.output, file)
-    claim(outputs)
-    target.write(options.output, file)
-    return ConvertedFile(file, source, target, outputs, prepared.refits, cameras.left_out(file, target))
+    written = tuple(_converted(file, output, source, options) for output in options.outputs)
+    report = ConvertReport(source, written)
+    claim(report.outputs)
+    for each in written:
+        each.format.write(each.path, each.file)
+    return report
+
+
+def _converted(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
+    """Return what is to be written to an output."""
+    one_of_several = len(options.outputs) > 1
+    target = cameras.format_for(output, options.to, source, by_suffix=one_of_several)
+    prepared = cameras.prepared(file, target, str(output), options.max_error_px)
+    fitting = prepared.file
+    if not fitting.provenance and target.name == cameras.OWN:
+        fitting = replace(fitting, provenance=provenance.build(command_line("convert", options), None))
+    outputs = target.outputs(output, fitting)
+    return ConvertedFile(fitting, output, target, outputs, prepared.refits, cameras.left_out(fitting, target))
 
 
 def _alone(file: CameraFile, name: str, where: str) -> CameraFile:
@@ -63,11 +89,14 @@ def _alone(file: CameraFile, name: str, where: str) -> CameraFile:
     return replace(file, cameras={name: entry}, transforms={}, joint_covariance=None)
 
 
-def document(converted: ConvertedFile) -> dict[str, Any]:
+def document(report: ConvertReport) -> dict[str, Any]:
     """Return what was written as plain data for --json."""
+    return {"source_format": report.source.name, "files": [_file_data(file) for file in report.files]}
+
+
+def _file_data(converted: ConvertedFile) -> dict[str, Any]:
     return {
-        "source_format": converted.source.name,
-        "format": converted.target.name,
+        "format": converted.format.name,
         "outputs": list(converted.outputs),
         "cameras": [
             {
@@ -93,5 +122,5 @@ def words(converted: ConvertedFile) -> str:
         f"{name} as the nearest {found.camera.model.name}, off by up to {found.max_px:.2g} px ({found.rms_px:.2g} RMS)"
         for name, found in converted.refits.items()
     ]
-    left_out = f"; not held there: {', '.join(converted.left_out)}" if converted.left_out else ""
-    return f"{converted.target.title}, {', '.join(refits) or 'exact'}{left_out}"
+    left_out = f"; not stored: {', '.join(converted.left_out)}" if converted.left_out else ""
+    return f"{converted.format.title}, {', '.join(refits) or 'exact'}{left_out}"

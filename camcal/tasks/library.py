@@ -182,13 +182,19 @@ def _inputs(images: Images | Sequence[BoardDetection]) -> Iterator[_Inputs]:
     else:
         with TemporaryDirectory(prefix="camcal-") as folder:
             files = {f"images[{index}]": Path(folder) / f"{index}.npy" for index in range(len(arrays))}
-            for path, pixels in zip(files.values(), arrays, strict=True):
+            for (name, path), pixels in zip(files.items(), arrays, strict=True):
+                if pixels.dtype not in (np.uint8, np.uint16):
+                    raise InvalidInput(f"{name}: images are uint8 or uint16, found {pixels.dtype}")
                 np.save(path, pixels)
             yield _Inputs(tuple(map(str, files.values())), files)
 
 
 def _board(board: Board | File) -> Board:
-    return board if isinstance(board, Board) else load_board(board)
+    if isinstance(board, (str, Path)):
+        return load_board(board)
+    if not isinstance(board, Board):
+        raise InvalidInput(f"{board!r} is not a board: give one, its file or text such as 'chessboard:9x6:25mm'")
+    return board
 
 
 def _views(detections: Detections, board: Board | None) -> BoardViews:

@@ -212,12 +212,12 @@ def camera_formats() -> str:
     from camcal.formats.cameras import FORMATS
 
     named = ", ".join(f"{form.name} ({form.title})" for form in FORMATS.values())
-    return f"Format of OUT, where its suffix leaves that open: {named}."
+    return f"Format of OUT where its suffix is that of several: {named}."
 
 
 @dataclass(frozen=True)
 class ConvertFileOptions(OptionsRecord):
-    """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as its suffix says.
+    """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as suffixes say.
 
     second: the other file of a pair that is written as two. given: what the file does not say. max_error_px: how far
     off a lens may be that the format does not have, pixels; None: it has to be exact.
@@ -226,11 +226,11 @@ class ConvertFileOptions(OptionsRecord):
     source: Annotated[
         str, Argument("Camera file of camcal, OpenCV, ROS or Kalibr, or FILE#NAME for one camera of it.", metavar="IN")
     ]
-    output: Annotated[
-        Path,
+    outputs: Annotated[
+        tuple[Path, ...],
         Argument(
-            "The file to write; a folder for a pair in ROS's format.",
-            metavar="OUT",
+            "The files to write; a folder for a pair in ROS's format.",
+            metavar="OUT…",
             group=OUTPUT,
             recorded=False,
             written=Written(CAMERA_SUFFIXES, folder=True, stdout=True),

@@ -27,7 +27,7 @@ def rig(tmp_path):
 def test_it_says_what_was_written_and_what_is_not_held(run, tmp_path, rig):
     code, out, err = run("convert", f"{rig}#left", tmp_path / "left.yaml", "--to", "ros")
     assert (code, err) == (0, "")
-    assert out == f"ROS camera_info, exact; not held there: noise\nwrote {tmp_path / 'left.yaml'}\n"
+    assert out == f"ROS camera_info, exact; not stored: noise\nwrote {tmp_path / 'left.yaml'}\n"
     assert yaml.safe_load((tmp_path / "left.yaml").read_text())["camera_name"] == "left"
 
 
@@ -37,16 +37,34 @@ def test_the_document(run, tmp_path, rig):
     assert json.loads(out) == {
         "schema": "camcal/convert/1",
         "source_format": "camcal",
-        "format": "opencv",
-        "outputs": [str(tmp_path / "rig.json")],
-        "cameras": [
-            {"name": "left", "model": "opencv5", "image_size": [640, 480], "refit": None},
-            {"name": "right", "model": "opencv5", "image_size": [640, 480], "refit": None},
+        "files": [
+            {
+                "format": "opencv",
+                "outputs": [str(tmp_path / "rig.json")],
+                "cameras": [
+                    {"name": "left", "model": "opencv5", "image_size": [640, 480], "refit": None},
+                    {"name": "right", "model": "opencv5", "image_size": [640, 480], "refit": None},
+                ],
+                "transforms": ["right_T_left"],
+                "left_out": ["noise"],
+            }
         ],
-        "transforms": ["right_T_left"],
-        "left_out": ["noise"],
         "warnings": [],
     }
+
+
+def test_several_files_are_written_at_once_or_none(run, tmp_path, rig):
+    xml, ros = tmp_path / "opencv.xml", tmp_path / "ros.yaml"
+    code, out, _ = run("convert", f"{rig}#left", xml, ros, "--to", "ros")
+    assert code == 0
+    assert out.splitlines()[0].startswith("OpenCV FileStorage, exact")
+    assert out.splitlines()[1].startswith("ROS camera_info, exact")
+    assert [cameras.format_of(path).name for path in (xml, ros)] == ["opencv", "ros"]
+    other = tmp_path / "other.xml"
+    code, _, err = run("convert", f"{rig}#left", other, tmp_path / "kalibr.yaml", "--to", "kalibr")
+    assert (code, other.exists()) == (2, False)
+    assert "k3 = 0.01" in err
+    assert "standard output takes one file" in run("convert", rig, other, "-")[2]
 
 
 def test_a_pair_goes_to_ros_and_back(run, tmp_path, rig):
@@ -63,7 +81,11 @@ def test_a_pair_goes_to_ros_and_back(run, tmp_path, rig):
 def test_what_is_refused_and_how(run, tmp_path, rig):
     out = tmp_path / "out.yaml"
     rows = [
-        ((rig, out), 2, "out.yaml: .yaml is written in several formats: give --to camcal, kalibr, ros, opencv"),
+        (
+            (rig, out),
+            2,
+            "out.yaml: .yaml is written in several formats: give --to and one of camcal",
+        ),
         ((f"{rig}#left", out, "--to", "kalibr"), 2, "left: Kalibr camchain has no lens model with k3 = 0.01"),
         ((rig, out, "--to", "rso"), 2, "--to rso: no camera format of this name. Did you mean 'ros'?"),
         ((rig, out, "--to", "ros"), 2, "out.yaml: a pair is two files for ROS (left.yaml, right.yaml): give a folder"),

@@ -66,6 +66,26 @@ def test_images_of_two_kinds_or_of_none_are_refused(given):
         camcal.detect_board(given, BOARD)
 
 
+def test_a_board_that_is_none_is_refused(images):
+    with pytest.raises(camcal.InvalidInput, match=r"\(6, 5\) is not a board: .* 'chessboard:9x6:25mm'"):
+        camcal.detect_board(images, (6, 5))
+
+
+def test_images_of_floating_point_are_refused(images):
+    with pytest.raises(camcal.InvalidInput, match=r"images\[1\]: images are uint8 or uint16, found float64"):
+        camcal.detect_board([images[0], images[1] / 255], BOARD)
+
+
+def test_detections_are_a_sequence_of_views(images):
+    found = camcal.detect_board(images[:2], BOARD, camcal.DetectOptions(jobs=1))
+    assert len(found) == 2
+    assert [view.image for view in found] == [found[0].image, found[1].image]
+
+
+def test_a_camera_is_shown_by_its_parameters(report):
+    assert repr(report.camera).startswith("Camera(opencv4, 320x240, fx=")
+
+
 def test_a_camera_alone_is_written_and_read_back(report, tmp_path):
     camcal.write_camera_file(str(tmp_path / "camera.yaml"), report.camera)
     again = camcal.read_camera(tmp_path / "camera.yaml")

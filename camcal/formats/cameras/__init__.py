@@ -94,16 +94,17 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
     return file.cameras[name or names[0]]
 
 
-def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFormat:
+def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffix: bool = False) -> CameraFormat:
     """Return the format to write to a path: the one that is wanted, or the only one its suffix can mean.
 
     source: the format of what is written; camera files of other programs, and what goes to standard output, become
-    camcal's where nothing says more.
+    camcal's where nothing says more. by_suffix: a suffix that one format alone has goes before what is wanted.
     Raises InvalidInput for an unknown name, a suffix that does not go with it, and where it is not clear.
     """
-    if wanted is not None:
-        if wanted not in FORMATS:
-            raise InvalidInput(f"--to {wanted}: no camera format of this name{did_you_mean(wanted, FORMATS)}")
+    if wanted is not None and wanted not in FORMATS:
+        raise InvalidInput(f"--to {wanted}: no camera format of this name{did_you_mean(wanted, FORMATS)}")
+    possible = [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
+    if wanted is not None and not (by_suffix and len(possible) == 1):
         form = FORMATS[wanted]
         if files.is_stream(path):
             return form
@@ -112,7 +113,6 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFo
         return form
     if files.is_stream(path):
         return FORMATS[OWN]
-    possible = [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
     if len(possible) == 1:
         return possible[0]
     if possible and source.name != OWN:
@@ -120,7 +120,8 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat) -> CameraFo
     if not possible and path.suffix:
         raise InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(SUFFIXES)}", where=str(path))
     names = ", ".join(form.name for form in possible or FORMATS.values())
-    raise InvalidInput(f"{path.suffix or 'a folder'} is written in several formats: give --to {names}", where=str(path))
+    kind = path.suffix or "a folder"
+    raise InvalidInput(f"{kind} is written in several formats: give --to and one of {names}", where=str(path))
 
 
 @dataclass(frozen=True, eq=False)
