@@ -63,6 +63,7 @@ def test_a_generator_of_one_test_is_allowed(allowed):
     assert not list(shared_generators(allowed))
 
 
+@pytest.mark.slow
 def test_no_tests_share_a_generator():
     found = [
         f"{path.relative_to(TESTS)}:{line}"

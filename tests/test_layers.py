@@ -183,6 +183,7 @@ def test_threads_and_processes_start_in_the_fan_out_only(plant):
     assert imports_of(PACKAGE, CONCURRENCY) == {"run/fanout.py"}
 
 
+@pytest.mark.slow
 def test_only_reports_import_a_plotting_library(plant):
     assert imports_of(plant("quality/plot.py", "import matplotlib.pyplot as plt"), {"matplotlib"}) == {
         "quality/plot.py"

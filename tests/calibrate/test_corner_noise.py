@@ -165,6 +165,7 @@ def test_an_aligned_edge_keeps_all_of_its_errors_and_one_over_many_pixels_next_t
     assert (shares[2] < 0.0011).all()
 
 
+@pytest.mark.slow
 def test_a_share_is_what_an_average_along_the_edge_leaves():
     rng = np.random.default_rng(10)
     for covered in (0.2, 0.5, 0.9):

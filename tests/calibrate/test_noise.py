@@ -132,6 +132,7 @@ def test_the_noise_of_gaussian_residuals_is_found_to_two_percent(start):
     np.testing.assert_allclose(found.views, 1.0, atol=0.1)  # 6000 squares: 1.8 %
 
 
+@pytest.mark.slow
 def test_the_noise_of_gaussian_residuals_has_no_bias():
     rng = np.random.default_rng(4)
     distances = lengths(rng, (20, 20_000), 0.3)

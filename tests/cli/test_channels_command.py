@@ -34,6 +34,7 @@ def calibrated(run, scene, *options):
     return run("calibrate", scene / "images", "--board", BOARD, "--pattern", "RGGB", "--jobs", 1, *options)
 
 
+@pytest.mark.slow
 def test_channels_are_written_to_the_camera_file_and_reported(run, scene, tmp_path):
     output = tmp_path / "camera.yaml"
     code, out, err = calibrated(run, scene, "--channels", "-o", output, "--json")

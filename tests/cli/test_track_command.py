@@ -158,6 +158,7 @@ def test_the_json_document(run, files):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_picture_has_a_line_for_the_track(run, files, tmp_path):
     code, _, _ = run(
         "track", files / "two.json", "--fps", 30, "--process-noise", "0.02,0.5", "--plot", tmp_path / "t.png"

@@ -223,6 +223,7 @@ def test_a_short_form_that_is_none_says_which_part(text, message):
     assert message in str(caught.value)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40) | st.from_regex(r"(aprilgrid|circles|charuco|chessboard)(:[0-9x.mdn-]{0,6}){0,4}"))
 def test_any_text_is_a_board_or_refused(text):
     try:

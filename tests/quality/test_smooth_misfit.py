@@ -48,6 +48,7 @@ def test_blurred_images_are_refused_for_their_blur():
         calibrate(seen_by("pinhole", 3.0), BOARD, Options(model_named("pinhole"), shape=FLAT))
 
 
+@pytest.mark.slow
 def test_a_fisheye_is_refused_for_its_model():
     with pytest.raises(InsufficientData, match=r"residuals vary smoothly, so the lens model \(opencv4\) does not fit"):
         calibrate(seen_by("kannala_brandt4", 0.1), BOARD, Options(model_named("opencv4"), shape=FLAT))

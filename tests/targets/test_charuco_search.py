@@ -65,6 +65,7 @@ def test_the_board_itself_is_no_other_board(asked):
     assert is_like(search_charuco(shown(BOARD), wanted), wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_it_is_told_in_an_image_that_is_turned(turns):
     layout = search_charuco(np.ascontiguousarray(np.rot90(shown(BOARD), turns)), BOARD)

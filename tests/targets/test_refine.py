@@ -177,6 +177,7 @@ def test_the_blur_is_that_of_the_lens_without_that_of_the_pixels(blur):
     assert np.median(refined(image, truth, start, np.hypot(blur, 0.29)).blur) == pytest.approx(blur, rel=0.05)
 
 
+@pytest.mark.slow
 def test_errors_of_slanted_corners_are_correlated_as_their_covariances_say():
     rng = np.random.default_rng(5)
     image, truth, _ = photograph(Exposure(blur_px=0.8, noise_dn=0, depth=16), where=pose(50, roll=0.5))

@@ -80,6 +80,7 @@ def test_vibration_is_found_and_its_regions_hold():
     assert 0.85 < np.mean(distances < 12.59) <= 1.0  # χ² of 6 degrees of freedom, 120 frames
 
 
+@pytest.mark.slow
 def test_without_vibration_none_is_found():
     _, _, views, poses = swaying(0.8, 5)
     assert not track_views(CAMERA, STAMPS, views, poses, TrackOptions()).jitter_std.any
