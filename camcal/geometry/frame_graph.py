@@ -196,7 +196,7 @@ def evaluate(text: str, transforms: Mapping[str, NamedTransform]) -> FrameProduc
     try:
         return _value(tree.body, transforms)
     except RecursionError as error:
-        raise InvalidInput("too many nested brackets") from error
+        raise InvalidInput("too many nested parentheses") from error
 
 
 def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FrameProduct:
@@ -209,7 +209,7 @@ def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FramePro
             value = _value(inner, transforms)
             return FrameProduct(value.source, value.target, value.derived.inverse(), f"inv({value.text})")
         case _:
-            raise InvalidInput(f"{ast.unparse(node)!r} is not supported: use names a_T_b, *, inv() and brackets")
+            raise InvalidInput(f"{ast.unparse(node)!r} is not supported: use names a_T_b, *, inv() and parentheses")
 
 
 def _named(name: str, transforms: Mapping[str, NamedTransform]) -> FrameProduct:

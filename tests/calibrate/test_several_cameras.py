@@ -152,7 +152,7 @@ def test_a_wrong_lens_model_is_no_second_camera(model):
     """Any two groups of views have two lenses then, of which neither describes its views."""
     wide = make_scene("kannala_brandt4", count=18, seed=1)
     views = wide.observe(1, noise_px=0.1)
-    with pytest.raises(InsufficientData, match=rf"the lens model \({model}\) is wrong"):
+    with pytest.raises(InsufficientData, match=rf"the lens model \({model}\) does not fit"):
         calibrate(views, wide.board, Options(model_named(model), shape=FLAT))
 
 

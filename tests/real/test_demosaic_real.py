@@ -30,7 +30,7 @@ def test_a_file_name_with_an_accent_is_read(real_data):
 
 
 def test_a_pattern_that_contradicts_the_camera_is_refused(real_data):
-    with pytest.raises(InvalidInput, match="the file says RGGB, --pattern says BGGR"):
+    with pytest.raises(InvalidInput, match="pattern RGGB in the file, BGGR by --pattern"):
         read_mosaic(real_data / "raw" / "tinydng-colorchart" / "colorchart.dng", "BGGR")
 
 

@@ -138,7 +138,7 @@ def test_a_file_that_does_not_fit_is_refused_with_its_place(tmp_path, text, word
         (lambda: Timing(unit="min"), "'--time-unit': 'min' is not one of s, ms, us, ns"),
         (lambda: Timing(fps=30.0, source="exif"), "are redundant, except with frame numbers in names"),
         (lambda: times(Timing()), "unknown times of the frames: set --fps, or --timestamps with a file, name or exif"),
-        (lambda: times(Timing(source="name:img")), "put the number in brackets"),
+        (lambda: times(Timing(source="name:img")), "put the number in parentheses"),
         (lambda: times(Timing(source="name:(")), "invalid regular expression"),
         (lambda: times(Timing(source="name:shot(\\d+)")), "has no time in its name"),
     ],

@@ -24,7 +24,7 @@ _DEEPEST = 200  # a sum of n terms is nested n deep
 _HINTS: Mapping[type, str] = {
     ast.BitXor: "a power is written **, not ^",
     ast.Compare: "a model has one side only, without = or <",
-    ast.Subscript: "functions take round brackets, not square ones",
+    ast.Subscript: "functions need parentheses, not square brackets",
     ast.Tuple: "a number has a dot, not a comma",
     ast.Attribute: "a name has no dot in it",
 }
@@ -204,7 +204,7 @@ def _parts(node: ast.expr, text: str) -> Sequence[ast.expr]:
     if isinstance(node, ast.Call):
         return _arguments(node, text)
     refused = node.op if isinstance(node, (ast.BinOp, ast.UnaryOp)) else node
-    hint = _HINTS.get(type(refused), "only numbers, names, + - * / **, brackets and functions are supported")
+    hint = _HINTS.get(type(refused), "only numbers, names, + - * / **, parentheses and functions are supported")
     raise InvalidInput(f"{_place(text, node.col_offset)}: {hint}")
 
 

@@ -71,7 +71,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
         entries, places, values = entries[::-1], places[::-1], values[::-1]
     left, right = (place for place in places if place is not None)
     if not np.abs(right.offset - left.offset).max():
-        raise InvalidInput("P has no fourth column in either file, so they are no pair", where=str(sources[1].path))
+        raise InvalidInput("the fourth column of P is equal in both files: not a pair", where=str(sources[1].path))
     warnings += tuple(_doubts(values[1], left, right))
     pose = right.placed_from(left)
     names = {LEFT: entries[0], RIGHT: entries[1]}

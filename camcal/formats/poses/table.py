@@ -191,4 +191,4 @@ def _ids(table: Table, row: int, text: str) -> tuple[int, ...]:
         return tuple(map(parse_integer, text.split()))
     except ValueError as error:
         where = f"{table.path}:{table.lines[row]}"
-        raise InvalidInput(f"outliers: {text!r} are no numbers of points", where=where) from error
+        raise InvalidInput(f"outliers: {text!r} are not numbers of points", where=where) from error

@@ -200,7 +200,7 @@ def model_of(text: str, measured: Measured, start: Mapping[str, float]) -> Model
     formula = parse(text)
     if formula.text.isidentifier() and formula.text not in {*measured.table.columns, *start}:
         known = ", ".join(["poly:N", *FAMILIES])
-        raise InvalidInput(f"unknown curve {text!r}{did_you_mean(text, list(FAMILIES))}; known are {known}")
+        raise InvalidInput(f"unknown curve {text!r}{did_you_mean(text, list(FAMILIES))}; use one of {known}")
     return _of_formula(formula, measured, start)
 
 

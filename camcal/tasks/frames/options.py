@@ -134,7 +134,9 @@ class ExpressionOptions(OptionsRecord):
     expression: Annotated[
         str,
         Argument(
-            "Expression such as 'a_T_b * inv(c_T_b)': names, *, inv() and brackets.", metavar="EXPRESSION", numbers=True
+            "Expression such as 'a_T_b * inv(c_T_b)': names, *, inv() and parentheses.",
+            metavar="EXPRESSION",
+            numbers=True,
         ),
     ]
     sources: Annotated[

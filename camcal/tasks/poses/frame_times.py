@@ -101,7 +101,7 @@ def _of_names(frames: Sequence[str], timing: Timing) -> Array:
     except re.error as error:
         raise InvalidInput(f"--timestamps {timing.source}: invalid regular expression: {error}") from error
     if pattern.groups < 1:
-        raise InvalidInput(f"--timestamps {timing.source}: put the number in brackets, such as name:frame_(\\d+)")
+        raise InvalidInput(f"--timestamps {timing.source}: put the number in parentheses, such as name:frame_(\\d+)")
     scale = UNITS[timing.unit] if timing.fps is None else 1 / timing.fps
     return np.array([_number_in(frame, pattern) * scale for frame in frames])
 

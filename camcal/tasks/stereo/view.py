@@ -234,7 +234,7 @@ def is_cloud(path: Path) -> bool:
     suffix = path.suffix.lower()
     if suffix not in (*pointclouds.SUFFIXES, *disparity.SUFFIXES):
         known = " ".join(dict.fromkeys((*pointclouds.SUFFIXES, *disparity.SUFFIXES)))
-        raise InvalidInput(f"neither a point cloud nor a disparity map; known are {known}", where=str(path))
+        raise InvalidInput(f"neither a point cloud nor a disparity map; use one of {known}", where=str(path))
     if suffix not in disparity.SUFFIXES:
         return True
     return suffix in pointclouds.SUFFIXES and _POINTS in names_in(read_bytes(path))

@@ -102,7 +102,7 @@ def test_names_are_those_that_need_a_value():
         ("exp(x", 4, "not a formula"),
         ("a*y = 3", 5, "not a formula"),
         ("a == 3", 1, "one side only"),
-        ("exp[x]", 1, "round brackets"),
+        ("exp[x]", 1, "parentheses, not square brackets"),
         ("1,5*x", 1, "a dot, not a comma"),
         ("a.b", 1, "no dot"),
         ("2*sine(x)", 3, "unknown function 'sine'. Did you mean 'sin'?"),
