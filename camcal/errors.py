@@ -53,7 +53,7 @@ class CamcalError(Exception):
 
 
 class Located:
-    """A block of work whose errors say where they are: those that do not say it themselves get this place."""
+    """A block of work that adds a place to errors without one."""
 
     def __init__(self, where: object) -> None:
         self.where = str(where)

@@ -70,7 +70,7 @@ def unwatched() -> Iterator[None]:
 
 
 def note_read(path: Path) -> None:
-    """Tell the ledger, if a run has one, of a file that is read in another way than by `opened`."""
+    """Enter into the ledger, if a run has one, a file that is read in another way than by `opened`."""
     if (ledger := LEDGER.get()) is not None:
         with suppress(OSError):
             ledger.reads(path, path.stat())

@@ -118,7 +118,7 @@ class Written:
 
 @dataclass(frozen=True)
 class Option:
-    """What a user is told of an option, and what it takes.
+    """The help of an option, and its values.
 
     help: sentences, or a function that makes them where that needs more than the options. names: the spellings, the
     long one first, as '--output -o' or '--landscape/--portrait'; by default that of the field. type: by default that
@@ -190,7 +190,7 @@ class Declared:
 
     @property
     def help(self) -> str:
-        """What a user is told of it."""
+        """The help text."""
         return self.option.help if isinstance(self.option.help, str) else self.option.help()
 
     @property

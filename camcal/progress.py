@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 
 
 class Progress(Protocol):
-    """What a task tells whoever watches; the command line shows a bar, a library user nothing."""
+    """The progress of a task; the command line shows a bar, the library nothing."""
 
     def start(self, what: str, total: int | None) -> None: ...
     def advance(self, count: int = 1) -> None: ...
@@ -21,7 +21,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """The default: nobody is told anything."""
+    """The default: no output."""
 
     def start(self, what: str, total: int | None) -> None:
         pass

@@ -164,7 +164,7 @@ class _Linearised:
         return np.asarray(weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-12))
 
     def offsets(self) -> tuple[ViewOffsets, ViewOffsets]:
-        """Return what the views say of focal lengths of their own, and of proportions of the board."""
+        """Return the information of the views on changes of the focal length and of the board."""
         own = np.concatenate([self.by_focal_length(), self.by_proportions()], axis=1) * self.present
         columns = np.concatenate([self.columns, own], axis=1)
         equations = self.estimate.problem.equations(self.estimate.state, self.derivatives, columns)

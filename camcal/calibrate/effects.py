@@ -276,7 +276,7 @@ class _Search:
         return _Point(scales, factors, -likelihood - scales.log_prior())
 
     def step(self, point: _Point) -> tuple[Array, float]:
-        """Return the scoring step (1 + V, A) of the logarithms of variances and shares, and what it promises.
+        """Return the scoring step (1 + V, A) of the logarithms of variances and shares, and its predicted gain.
 
         What views say of each other's scales is left out of the information: it is little, and would be a matrix of all
         views by all views.

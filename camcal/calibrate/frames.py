@@ -87,7 +87,7 @@ def _errors(views: Sequence[BoardDetection]) -> Array:
 def _chosen(
     views: Sequence[BoardDetection], good: Array, errors: Array, board: Board, limit: int
 ) -> dict[int, FrameChoice]:
-    """Return what becomes of the good frames (their indices), the first ones chosen where several tell the same."""
+    """Return what becomes of the good frames (their indices), one of several with equal information."""
     views = [views[index] for index in good.tolist()]
     informations = lens_information(views, board, errors)
     search = _Search(_table(views, board), board, ALIKE * float(np.hypot(*views[0].size)))
@@ -171,7 +171,7 @@ def _table(views: Sequence[BoardDetection], board: Board) -> Array:
 
 
 def lens_information(views: Sequence[BoardDetection], board: Board, errors: Array) -> Array:
-    """Return what every view tells about the lens alone, (V, K, K), beside an initial value whose information is 1.
+    """Return the information of each view on the lens alone, (V, K, K), with an initial value of information 1.
 
     errors: (V,) px, standard deviations of the points of each view. Zero where there is no initial value of a lens.
     """

@@ -195,7 +195,7 @@ def _view_costs(problem: BoardProblem, state: State) -> Array:
 
 
 def opposed_views(scores: Array, information: Array) -> Array:
-    """Return a guess (V,) of which views were numbered from the other end, as 0 or 1; all 0 when nothing says so.
+    """Return a guess (V,) of which views were numbered from the other end, as 0 or 1; all 0 without evidence.
 
     scores: (V, 4) each view's pull on the cubic terms. information: (4, 4) what all views know of them.
     Turning a view by 180° changes the sign of its pull. When views of both kinds are mixed the pulls cancel and no

@@ -87,7 +87,7 @@ def two_cameras(
     shape: ShapeOptions,
     named: Sequence[frozenset[str]] = (),
 ) -> TwoCameras | None:
-    """Return the two groups that views fall into, None where nothing supports them; how clear it is, `ratio` says.
+    """Return the two groups that views fall into, None where nothing supports them; its significance is `ratio`.
 
     plain: an estimate of all views. images: (V,) names of the views.
     named: groups of images by their names, each of which may be another camera's.
@@ -332,7 +332,7 @@ def name_groups(images: Sequence[str]) -> tuple[frozenset[str], ...]:
 
 
 def _partitions(images: Sequence[str]) -> Iterator[list[str]]:
-    """Yield what may tell cameras: a key of every image."""
+    """Yield possible names of cameras: a key of every image."""
     paths = [PurePath(image) for image in images]
     depth = max((len(path.parts) for path in paths), default=0)
     for level in range(2, depth + 1):  # the folder itself and those above it

@@ -181,7 +181,7 @@ def odd_terms(problem: BoardProblem, state: State, factors: Factors) -> tuple[Ar
 
 
 def _of_data(problem: BoardProblem, state: State, covariance: Array, chosen: Array) -> tuple[Array, Array]:
-    """Return what the data say of some shared parameters, their own prior taken out and everything else following:
+    """Return the information of the data on some shared parameters, without their prior and everything else following:
     information Λ (k, k) and vector Λ x, where x is the data's value. covariance: (S, S) of the shared parameters.
     """
     precision, value = _priors(problem, state)
@@ -235,7 +235,7 @@ def _over_plane(problem: BoardProblem, heights: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PointEquations:
-    """What the data say of every point: information (C, 3, 3) and vector (C, 3), of its offset in the board's unit.
+    """The information on every point: matrix (C, 3, 3) and vector (C, 3), of its offset in the board's unit.
 
     by_corner: (V, P, 3, 3) what single corners add to the information. ids: (V, P) the points that these are.
     """

@@ -202,7 +202,7 @@ class ViewQuadratics:
 
 
 def view_quadratics(problem: BoardProblem, state: State) -> ViewQuadratics:
-    """Return what every view says of the lens at a state; corners count little that are far off within their view."""
+    """Return the information of views on the lens; corners count little that are far off within their view."""
     derivatives, (views, points) = problem.derivatives(state), problem.observations.ids.shape
     shown = (problem.observations.weights > 0) & derivatives.valid.reshape(views, points)
     distances = np.where(shown, np.hypot(*derivatives.residuals).reshape(views, points), np.nan)

@@ -222,7 +222,7 @@ class PlaneModel(ABC):
         return np.array([own.prior_std(corner) for own in self.parameters])
 
     def _read(self, parameters: Array) -> _Lens:
-        """Return what parameters (K,) say."""
+        """Return the named values of parameters (K,)."""
         values = require_shape(parameters, (len(self.parameters),), "parameters").tolist()
         first = len(CORE) + len(self.plane_parameters)
         return _Lens(values[:2], values[2:4], values[4:first], Distortion(tuple(values[first:]), self._roles))

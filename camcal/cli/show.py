@@ -35,7 +35,7 @@ _SIGNIFICANT_DIGITS = 12
 
 @dataclass
 class Session:
-    """What one command has to say as JSON at its end: the document of its result, if it has one, and all warnings."""
+    """The JSON output of one command: the document of its result, if it has one, and all warnings."""
 
     command: str | None = None
     result: Mapping[str, Any] = field(default_factory=dict)

@@ -99,7 +99,7 @@ def _board(path: str, first: str, given: Board | None) -> Board | None:
 
 
 def _numbering(board: Board) -> tuple[str, int, int]:
-    """Return what tells how points are numbered: a chessboard, a ChArUco board and a grid of circles do it alike."""
+    """Return what determines the numbering: a chessboard, a ChArUco board and a grid of circles do it alike."""
     return "grid" if board.has_grid else board.type, board.columns, board.rows
 
 
@@ -264,7 +264,7 @@ def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
 
 
 def _csv_text(detections: Detections) -> str:
-    """Return the text of a CSV file, columns that would say nothing left out."""
+    """Return the text of a CSV file, without empty columns."""
     views = detections.views
     cameras = any(view.camera for view in views)
     turned = any(view.orientation != 1 for view in views)

@@ -1,4 +1,4 @@
-"""The target file of Kalibr: the board that its calibrations look for, as YAML.
+"""The target file of Kalibr: the board of its calibrations, as YAML.
 
 target_type: aprilgrid       # or checkerboard, circlegrid
 tagCols: 6

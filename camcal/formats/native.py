@@ -65,7 +65,7 @@ _FILE = mapping(
 
 
 def read(path: str | Path, progress: Progress = SILENT) -> CameraFile:
-    """Return the content of a camera file, with warnings about what looks wrong in it and of cameras that are not to be
+    """Return the content of a camera file, with warnings about implausible values and of cameras that are not to be
     trusted; progress is told of them.
 
     Raises InvalidInput with a line for every rule it breaks, FileError if it cannot be read or is no YAML.

@@ -137,7 +137,7 @@ class Form:
         return quaternion if self.quaternion == "wxyz" else np.roll(quaternion, -1)
 
     def parse(self, numbers: Array) -> LoosePose:
-        """Return what finite numbers say; raises InvalidInput if there are more or fewer than the form has."""
+        """Return finite numbers; raises InvalidInput if there are more or fewer than the form has."""
         counts = _COUNTS[self.kind]
         if len(numbers) not in counts:
             wanted = " or ".join(map(str, counts))

@@ -55,7 +55,7 @@ _SHORTEST_QUATERNION = 1e-3
 
 
 def read(path: Path) -> TagObjects:
-    """Return what a YAML file says of tags.
+    """Return the tags of a YAML file.
 
     Raises InvalidInput with a line for every fault, FileError if the file cannot be read.
     """

@@ -183,7 +183,7 @@ class FrameProduct:
 
 
 def evaluate(text: str, transforms: Mapping[str, NamedTransform]) -> FrameProduct:
-    """Return the product that a text says: names a_T_b, * or @ between them, inv(), brackets.
+    """Return the product that a text describes: names a_T_b, * or @ between them, inv(), brackets.
 
     Raises InvalidInput for anything else, for a name that is not there, and where inner frames do not cancel.
     """

@@ -73,7 +73,7 @@ def orientation(block: bytes) -> int:
 
 
 def capture_facts(block: bytes) -> dict[str, Any]:
-    """Return how the image was taken: make, model, exposure_s, iso, f_number, focal_mm, as far as the block says.
+    """Return how the image was taken: make, model, exposure_s, iso, f_number, focal_mm, as far as known.
 
     block: an EXIF block, or a file built like TIFF, as most camera raw files are. Zero counts as not said.
     """

@@ -1,4 +1,4 @@
-"""NumPy's own file formats, for frames and maps that no image format holds; what a header promises is checked first."""
+"""NumPy's own file formats, for frames and maps that no image format holds; sizes in a header are checked first."""
 
 import io
 import math

@@ -55,7 +55,7 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
 
 
 def stamps(path: Path) -> Array | None:
-    """Return the times (N,) s of a video's frames as its file tells them, None if it tells none.
+    """Return the times (N,) s of a video's frames from its file, None if it has none.
 
     Raises FileError if the file is missing or no video.
     """

@@ -31,7 +31,7 @@ _DARKEST = 0.02  # mean light of one colour: 80 of 4095 counts, 10 % noise and t
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """What a number of equal exposures say about every pixel, in the unit of the frames.
+    """Statistics of every pixel over equal exposures, in the unit of the frames.
 
     mean: (H, W) float32, without the highest and the lowest frame when there are three or more.
     deviation: (H, W) float32, standard deviation of the frames that went into the mean, NaN for a single one. Without

@@ -60,12 +60,12 @@ class DetectionImage:
 
     @property
     def samples(self) -> MaskedImage:
-        """The samples that say where corners are."""
+        """The samples from which corners are located."""
         return self.measured or MaskedImage(self.gray)
 
 
 def read_detection_image(path: Path, reading: ImageReadOptions = AS_IMAGES, *, hashed: bool = False) -> DetectionImage:
-    """Return what detectors look at in an image, a camera raw file, a bare mosaic or a header-less file.
+    """Return the detection image of an image, a camera raw file, a bare mosaic or a header-less file.
 
     hashed: with its hash. Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the
     colours asked for.
@@ -99,7 +99,7 @@ def _of_image(image: Image, reading: ImageReadOptions) -> DetectionImage:
 
 
 def detection_image_of(frame: Mosaic, reading: ImageReadOptions = AS_IMAGES) -> DetectionImage:
-    """Return what detectors look at in a raw frame.
+    """Return the detection image of a raw frame.
 
     Raises InvalidInput for X-Trans, a pattern that contradicts the frame, or colours that it has not.
     """

@@ -36,7 +36,7 @@ from camcal.raw.planes import Each, one_by_one
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """What other frames of the same sensor say about it, each (H, W).
+    """Corrections from other frames of the same sensor, each (H, W).
 
     dark: counts without light, float32. bad: true where a pixel is to be replaced. flat: what light is divided by.
     """

@@ -31,7 +31,7 @@ _OFFERS = 6  # candidates in one message
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What the file does not say. size: (width, height) pixels. stride: bytes from row to row, None without padding.
+    """The layout of the file. size: (width, height) pixels. stride: bytes from row to row, None without padding.
 
     offset: bytes before the first frame. endian and align: see `unpack`. pattern: four letters or MONO; None takes that
     of the pixel format. frame: which of several, from 0; None is for a file with one.

@@ -19,7 +19,7 @@ _X_TRANS_LETTERS = 36
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """How a frame was taken, as far as its file says: exposure_s in seconds, focal_mm, the f-number, ISO speed."""
+    """How a frame was taken, as far as known: exposure_s in seconds, focal_mm, the f-number, ISO speed."""
 
     make: str = ""
     model: str = ""

@@ -180,7 +180,7 @@ def _masked_black(raw: Any, pattern: str) -> Array:
 
 
 def _white(raw: Any) -> float:
-    """Return the counts at which the first channel saturates: what the maker says, else what LibRaw knows."""
+    """Return the counts at which the first channel saturates: from the metadata, else from LibRaw."""
     darkest = max(raw.black_level_per_channel)
     stated = [level for level in raw.camera_white_level_per_channel or () if level > darkest]
     return float(min(stated, default=raw.white_level))

@@ -66,7 +66,7 @@ def candidates_data(candidates: Sequence[CandidateModel]) -> list[dict[str, Any]
 
 
 def summary(calibration: Calibration) -> list[str]:
-    """Return what the numbers say of the residuals and the board, a line each."""
+    """Return lines about the residuals and the board."""
     unused = len(calibration.views) - len(calibration.used)
     residuals = (
         f"RMS {calibration.rms_px:.3f} px over {len(calibration.residuals)} corners of "

@@ -94,7 +94,7 @@ class CloudScene:
 
     @cached_property
     def from_camera(self) -> bool:
-        """Whether the points look as if a camera at the origin had seen them: in front of it, within what one sees."""
+        """Whether the points are in the field of view of a camera at the origin."""
         if np.mean(self._sample[:, 2] > 0) < _IN_FRONT:
             return False
         return bool(np.ptp(self.tangents, axis=0).max() < _WIDEST)

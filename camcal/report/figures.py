@@ -119,7 +119,7 @@ def _distances(curve: BlurCurve) -> Array:
 
 
 def encoded(figure: Figure, suffix: str) -> bytes:
-    """Return the file; nothing in it says when it was made."""
+    """Return the file; it has no date."""
     undated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[suffix.lower()]
     stream = BytesIO()
     figure.savefig(stream, format=suffix.lower()[1:], dpi=_DPI, metadata=undated)

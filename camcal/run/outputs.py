@@ -307,7 +307,7 @@ def require_folder(path: Path, option: str) -> None:
 
 
 def says_camcal(path: Path) -> bool:
-    """Return whether the beginning of a file says that camcal wrote it."""
+    """Return whether the beginning of a file has the mark of camcal."""
     try:
         with files.unwatched(), files.opened(path) as stream:
             return _MARK.search(stream.read(_HEAD)) is not None

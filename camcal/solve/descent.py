@@ -30,7 +30,7 @@ Linear = TypeVar("Linear", bound=Equations)
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A step, and by how much the quadratic model says that it lowers the cost."""
+    """A step, and the decrease of the cost predicted by the quadratic model."""
 
     step: Step
     promised: float
@@ -162,12 +162,12 @@ Observer = Callable[[Iteration], None]
 
 
 def unobserved(_: Iteration) -> None:
-    """Look at no turn."""
+    """Observe nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[State, Linear]):
-    """Where the loop ended: `converged` says whether at a minimum, `reason` says why."""
+    """Where the loop ended: `converged`: whether at a minimum, `reason`: why."""
 
     state: State
     equations: Linear

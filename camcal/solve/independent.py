@@ -273,7 +273,7 @@ class _Search:
         )
 
     def _propose(self, alive: Array) -> tuple[Array, Array]:
-        """Return the damped steps (A, P) and by how much (A,) the models say that they lower the costs."""
+        """Return the damped steps (A, P) and the predicted decreases (A,) of the costs."""
         normal, gradient = self.models.normal[alive], self.models.gradient[alive]
         diagonal = np.einsum("wii->wi", normal)
         largest = np.maximum(diagonal.max(axis=1, keepdims=True), _TINY)

@@ -43,7 +43,7 @@ class Problem(Protocol[State]):
 
 @dataclass(frozen=True, eq=False)
 class Solution(Generic[State]):
-    """A minimum, or where the search ended: `converged` says which, `reason` says why."""
+    """A minimum, or where the search ended: `converged`: which, `reason`: why."""
 
     state: State
     cost: float

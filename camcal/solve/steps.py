@@ -198,7 +198,7 @@ class Factors:
         return np.asarray(self.equations.group_gradients - own)
 
     def decrease(self) -> float:
-        """Return by how much the quadratic model says the cost can fall: ½ gᵀ H⁻¹ g."""
+        """Return the decrease of the cost predicted by the quadratic model: ½ gᵀ H⁻¹ g."""
         return -0.5 * self.solve().dot(self.equations.gradient)
 
 

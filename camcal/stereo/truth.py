@@ -95,7 +95,7 @@ class ClassErrors:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a disparity map is worth, as columns of figures.
+    """The accuracy of a disparity map, as columns of figures.
 
     figures: by column, nocc and all with "-valid" appended for the pixels that have a disparity, then by name. In
     percent: bad0.5 … bad4 (error above so many pixels), d1 (above 3 pixels and 5 % of the truth), density. In pixels:

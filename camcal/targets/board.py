@@ -92,12 +92,12 @@ class Board:
 
     @property
     def has_ids(self) -> bool:
-        """Whether every point of a part of the board can be told from the others."""
+        """Whether every point of a part of the board can be distinguished from the others."""
         return self.type in (CHARUCO, APRILGRID) or self.dots
 
     @property
     def z_sign(self) -> int:
-        """1 if z points into the board, away from who looks at its printed side; -1 if out of it (AprilGrid)."""
+        """1 if z points into the board, away from its printed side; -1 if out of it (AprilGrid)."""
         return -1 if self.type == APRILGRID else 1
 
     @property
@@ -153,7 +153,7 @@ class Board:
         return replace(self, columns=columns, rows=rows, dots=dots)
 
     def symmetries(self) -> tuple[IntArray, ...]:
-        """Return the permutations of ids, the identity first, that a detector cannot tell from each other.
+        """Return the permutations of ids, the identity first, that a detector cannot distinguish.
 
         permutation[id] is the id that a turned board shows where `id` is expected. A chessboard with columns + rows
         even looks the same turned by 180°, a square one by 90°, so does any plain grid of circles; an asymmetric one

@@ -67,7 +67,7 @@ class Data:
 
 
 def predictions(curve: Curve, columns: Columns, values: Array, rows: int) -> Array:
-    """Return what the formulas say, (N, D), at parameter values (K,); NaN or infinite where they are not defined."""
+    """Return the formulas, (N, D), at parameter values (K,); NaN or infinite where they are not defined."""
     known = {**columns, **dict(zip(curve.parameters, values, strict=True))}
     return np.stack([_filled(formula.value(known), (rows,)) for formula in curve.formulas], axis=1)
 
@@ -75,7 +75,7 @@ def predictions(curve: Curve, columns: Columns, values: Array, rows: int) -> Arr
 def predictions_with_jacobian(
     curve: Curve, columns: Columns, values: Array, rows: int, by: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Return what the formulas say (N, D), and its derivatives (N, D, L) by the parameters `by`."""
+    """Return the values of the formulas (N, D), and their derivatives (N, D, L) by the parameters `by`."""
     known = {**columns, **dict(zip(curve.parameters, values, strict=True))}
     found = [formula.with_derivatives(known, by) for formula in curve.formulas]
     shape = len(by), rows
@@ -99,7 +99,7 @@ def require_enough(data: Data, curve: Curve, free: int) -> None:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value, its standard error and its 95 % interval; None where the data do not say.
+    """A value, its standard error and its 95 % interval; None where the data do not determine it.
 
     held: why it has no error of its own ('fixed', 'bound', 'unobservable'), None for a free one.
     """

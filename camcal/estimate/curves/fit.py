@@ -110,7 +110,7 @@ class _Assessment:
         return int(count - self.factors.rank)
 
     def _noise(self) -> float | None:
-        """Return the variance of a residual divided by sigma: 1 where sigma is known, None where nothing says."""
+        """Return the variance of a residual divided by sigma: 1 where sigma is known, None where unknown."""
         if self.problem.data.sigma is not None:
             return 1.0
         return float(self.squared.sum()) / self.degrees_of_freedom if self.degrees_of_freedom > 0 else None

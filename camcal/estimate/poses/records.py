@@ -124,7 +124,7 @@ class PoseOptions:
 
     @property
     def scale(self) -> float | None:
-        """The standard deviation of a pixel coordinate over what its covariance says, None if it is to be estimated."""
+        """The standard deviation of a pixel coordinate relative to its covariance, None if it is to be estimated."""
         return self.noise_scale if self.noise_px is None else self.noise_px
 
 

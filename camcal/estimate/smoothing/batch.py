@@ -217,7 +217,7 @@ def squared_residuals(system: LinearSystem, means: Array) -> Array:
 
 
 def disagreement(system: LinearSystem, weights: Array, smoothed: Smoothed) -> Array:
-    """Return how far each measurement lies from what all others say, squared, in units of both uncertainties (K,).
+    """Return the squared deletion residual of each measurement, normalised by its covariance (K,).
 
     It is χ² of as many degrees of freedom as the measurement has numbers, if that one is good. NaN where the others
     say nothing, or nothing was measured. weights: (K,) with which the states were smoothed.

@@ -154,7 +154,7 @@ class Consistency:
 
 
 def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consistency:
-    """Return what innovations say about the noise.
+    """Return a consistency check of innovations.
 
     nis: (N,) their normalised squares. dof: (N,) the numbers each has. pairs: two arrays (M,) of whitened numbers,
     the second measured one step after the first, of the same kind.

@@ -163,7 +163,7 @@ class Filtered:
 
 
 def kalman_filter(system: LinearSystem) -> Filtered:
-    """Return what a filter that looks only back knows at every stamp."""
+    """Return the state of the forward filter at every stamp."""
     size = system.observation.shape[1]
     nothing = Information(np.zeros((size, size)), np.zeros(size))
     before: Gaussian | Information = nothing

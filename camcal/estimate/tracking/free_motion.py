@@ -185,7 +185,7 @@ class ObjectPlane:
         return np.asarray(np.arccos(np.clip(cosine, 0, 1)))
 
     def mirrored(self, rotations: Array, translations: Array) -> tuple[Array, Array]:
-        """Return the poses that look the same from far away: the plane reflected across the line of sight."""
+        """Return the mirrored poses: the plane reflected across the line of sight."""
         sight = self.sight(rotations, translations)
         across = np.eye(3) - 2 * sight[:, :, None] * sight[:, None, :]
         turned = across @ rotations @ (np.eye(3) - 2 * np.outer(self.normal, self.normal))

@@ -34,7 +34,7 @@ _NOTED = 0.02  # a correction that is worth it
 
 @dataclass(frozen=True, eq=False)
 class PixelTrack:
-    """What the pixels of N frames say of a motion.
+    """The motion estimated from the pixels of N frames.
 
     used: (N,) the frames whose pixels count. linked: (N,) whether a frame's motion follows from that before it.
     jerked: (N,) whether the velocity became another at once before it. poses, velocities (N, 6) and covariances (N, 6,
@@ -178,7 +178,7 @@ class _Run:
         return chains, path.states
 
     def whole(self, forward: Forward, result: Searched, sigma: float, noise: ProcessNoise | None) -> PixelTrack:
-        """Return what all frames together say."""
+        """Return the estimate from all frames together."""
         found = result.found
         track, chains = found.track, found.track.chains
         path = _Path.of(forward, len(self.stamps) - 1)
@@ -192,7 +192,7 @@ class _Run:
     def with_lag(
         self, forward: Forward, found: NoiseFit, lag: int, sigma: float, noise: ProcessNoise | None
     ) -> PixelTrack:
-        """Return what the frames up to `lag` later ones say of each frame."""
+        """Return the estimate of each frame from the frames up to `lag` later ones."""
         from camcal.estimate.tracking.pixel_track import lagged
 
         states, covariances, p_wrong = lagged(forward, lag, FAR)

@@ -260,7 +260,7 @@ def _assembled(
 
 
 def _judged(segments: Sequence[Segment]) -> Consistency | None:
-    """Return what the innovations of accepted detections say about the noise."""
+    """Return a consistency check of the innovations of accepted detections."""
     chains = np.concatenate([np.full(len(segment.verdicts.nis), number) for number, segment in enumerate(segments)])
     nis, whitened = (
         np.concatenate([getattr(segment.verdicts, name) for segment in segments]) for name in ("nis", "whitened")

@@ -121,7 +121,7 @@ def _pieces(followed: PixelTrack, stamps: Array, max_gap: float) -> Array:
 def _judged_pixels(
     followed: PixelTrack, used: Array, segments: Array, p_wrong: Array, covariances: Array
 ) -> Consistency | None:
-    """Return what the surprises of frames with known velocities say of the noise, and whether poses are ambiguous."""
+    """Return a check of the innovations of frames with known velocities, and whether poses are ambiguous."""
     foretold = used & ~followed.jerked & np.isfinite(followed.surprises[:, 0])
     for number in range(int(segments.max()) + 1):
         foretold[np.flatnonzero(used & (segments == number))[:2]] = False

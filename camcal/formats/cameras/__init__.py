@@ -1,4 +1,4 @@
-"""Camera files of camcal and of other programs: told by their content, read to one record and written from it.
+"""Camera files of camcal and of other programs: detected by content, read to one record and written from it.
 
 A format is a module with its FORMAT, and the line with the name of that module here.
 """

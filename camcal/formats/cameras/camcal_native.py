@@ -15,7 +15,7 @@ _KEY = re.compile(rf"^[\"']?format[\"']?[ \t]*:[ \t]*[\"']?{native.FORMAT}", re.
 
 
 def sniff(text: str) -> bool:
-    """Return whether a text says that it is a camera file of camcal."""
+    """Return whether a text is marked as a camera file of camcal."""
     return _KEY.search(text) is not None
 
 

@@ -124,7 +124,7 @@ def _lens(values: Values, matrix: str, coefficients: str | None, given: Given) -
 
 
 def _model(values: Values, key: str, count: int, given: Given) -> str:
-    """Return the lens model: told by the count of coefficients, but for four by the file or by what the user says."""
+    """Return the lens model: by the number of coefficients, for four of them by the file or the user."""
     flag = _first(values, _FLAGS)
     told = None if flag is None else bool(values.number(flag))
     wanted = None if given.model is None else model_named(given.model).name

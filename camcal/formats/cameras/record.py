@@ -16,7 +16,7 @@ CAMERA, LEFT, RIGHT = "camera", "left", "right"  # names of cameras whose file g
 
 
 class MissingSize(InvalidInput):
-    """A camera file that does not say the size of its images."""
+    """A camera file without the size of its images."""
 
 
 class Source(NamedTuple):
@@ -28,7 +28,7 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Given:
-    """What a user says of a camera where its file does not: the size (width, height) of its images, its lens model."""
+    """What the user gives if the file lacks it: the size (width, height) of its images, its lens model."""
 
     image_size: tuple[int, int] | None = None
     model: str | None = None

@@ -1,4 +1,4 @@
-"""How ROS says that images are rectified: a rotation R and a projection P for each camera, of one or of a pair."""
+"""Rectification of images in ROS: a rotation R and a projection P for each camera, of one or of a pair."""
 
 from dataclasses import dataclass
 

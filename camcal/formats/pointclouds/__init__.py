@@ -50,7 +50,7 @@ def write(path: str | Path, stream: VertexStream, *, ascii_text: bool = False) -
 
 
 def read(path: str | Path) -> PointCloudFile:
-    """Return what a file holds of a point cloud, told by its suffix.
+    """Return what a file holds of a point cloud, by its suffix.
 
     Raises InvalidInput for another suffix, FileError if the file is missing, empty, truncated or not of that format.
     """

@@ -143,7 +143,7 @@ def _columns(reader: Any) -> dict[str, Array]:
 
 
 def _require_whole(content: bytes) -> None:
-    """Raise FileError unless the counts in the header fit the file: laspy believes them, whatever they are."""
+    """Raise FileError unless the counts in the header fit the file: laspy does not check them."""
     if len(content) < _LEAST or content[:4] != b"LASF":
         raise FileError("not a LAS file (it begins with LASF)")
     header, start, records, form, length, count = _HEADER.unpack_from(content)

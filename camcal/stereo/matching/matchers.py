@@ -213,7 +213,7 @@ class Fused(NamedTuple):
 
 
 def fused(census: Found, gray_levels: Found) -> Fused:
-    """Return what two matchers say together: their mean where they are near, else the census.
+    """Return the fusion of two matchers: their mean where they are near, else the census.
 
     Where the census fails its check of left and right, gray levels stand in only if it would have said the same: what
     they alone find is often a foreground grown too large. Where the census has a rival, both may be off by a period,

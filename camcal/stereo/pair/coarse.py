@@ -237,12 +237,12 @@ def _least(pixels: int) -> float:
 
 
 def default_range(width: int) -> tuple[int, int]:
-    """Return the range of disparities for images that do not tell theirs: 0 to a sixth of their width, pixels."""
+    """Return the range of disparities for images without a measured one: 0 to a sixth of their width, pixels."""
     return 0, max(1, round(_DEFAULT_SHARE * width))
 
 
 def range_in(coarse: CoarseMap, width: int) -> tuple[int, int] | None:
-    """Return the smallest and the largest disparity to search for, pixels, with margins; None if the map tells none.
+    """Return the smallest and the largest disparity to search for, pixels, with margins; None if the map has none.
 
     coarse: of a pair whose images are `width` pixels wide; it tells none where nothing is matched but what repeats
     itself. The range is negative where the cameras are toed in, or where left and right are swapped.

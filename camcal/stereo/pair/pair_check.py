@@ -48,7 +48,7 @@ class Exposure:
 
     @property
     def differs(self) -> bool:
-        """Whether the difference is no chance and worth a word."""
+        """Whether the difference is significant and large enough to report."""
         value, std = self.brightness
         return abs(value) > max(_NOTICEABLE, _SIGNIFICANT * std)
 
@@ -80,7 +80,7 @@ class PairCheck:
 
 
 def check_pair(left: Array, right: Array) -> PairCheck:
-    """Return what two images (H, W) uint8 say of themselves as a pair.
+    """Return what two images (H, W) uint8 show as a pair.
 
     Raises InvalidInput for images of different sizes, or if one is turned against the other; InsufficientData if they
     share too few features.

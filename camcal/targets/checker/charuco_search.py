@@ -55,7 +55,7 @@ _LEAST_ROWS = 3  # of squares; a board of two has one row of corners
 
 @dataclass(frozen=True)
 class CharucoLayout:
-    """A ChArUco board as its image tells it, of columns × rows squares.
+    """A ChArUco board as estimated from its image, of columns × rows squares.
 
     dictionary: the largest one of the family. first: the first marker's id. offset: whether the first square has a
     marker. ratio: side of a marker over that of a square. votes: how many markers agree on
@@ -103,7 +103,7 @@ class CharucoLayout:
 
 
 def _rounded(ratio: float, square: float | None) -> float:
-    """Return a marker's side in the unit of the board, in as few digits as its measurement is worth."""
+    """Return a marker's side in the unit of the board, rounded by its uncertainty."""
     if square is None:
         return round(ratio, 2)
     return float(f"{1e3 * ratio * square:.{_DIGITS}g}") / 1e3

@@ -208,7 +208,7 @@ def projected_centres(ellipses: Ellipses, points: Array, radius: float | None, s
 
 
 def _radius(seen: BoardMap, points: Array, ellipses: Ellipses) -> float:
-    """Return the radius of the discs in the points' unit: the median over what their areas say."""
+    """Return the radius of the discs in the points' unit: the median over their areas."""
     trial = _TYPICAL_RADIUS * float(np.linalg.norm(points[1:] - points[:-1], axis=1).min())
     return trial * float(np.sqrt(np.median(ellipses.areas / _rims(seen, points, trial).areas)))
 

@@ -225,7 +225,7 @@ class _Frames:
         return x.reshape(count, -1), y.reshape(count, -1)
 
     def lattice(self) -> tuple[Array, Array]:
-        """Return whole offsets x, y (N, K) spread over the cells: what is far from edges says what light there is."""
+        """Return whole offsets x, y (N, K) spread over the cells: pixels far from edges determine the illumination."""
         side = int(np.clip(2 * self.limits.max() / _LATTICE_PX, *_LATTICE))
         share = (np.arange(side) + 0.5) / side
         low, high = -self.limits[:, :, 0], self.limits[:, :, 1]

@@ -84,7 +84,7 @@ def _cells(
 
 
 def _detection(ids: Array, corners: RefinedCorners, near: RefinedCorners) -> BoardDetection:
-    """Return the corners that are clear, by a near look at them where the whole of their cells does not fit."""
+    """Return the corners that are clear, measured closely where the whole of their cells does not fit."""
     good, fallback = clear(corners), clear(near)
     kept = good | fallback
     if kept.sum() < MIN_CORNERS:
