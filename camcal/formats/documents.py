@@ -149,7 +149,7 @@ def _parsed(text: str, builder: "_Builder", check: Check | None) -> Document:
     except yaml.YAMLError as error:
         raise FileError(f"invalid YAML: {str(error).splitlines()[0]}", where=where) from error
     if not isinstance(data, dict):
-        raise FileError("not a YAML mapping (key: value)", where=where)
+        raise FileError("not a YAML mapping (key: value): check that this is the right file", where=where)
     document = Document(where, data, builder.lines)
     findings = check(data, "") if check else ()
     faults = [*builder.faults, *(fault for fault in findings if fault.path not in builder.without_value)]
@@ -258,12 +258,12 @@ def _line(event: Any) -> int:
 def load_json(path: Path, check: Check | None = None) -> Document:
     """Return the document in a JSON file, having passed `check` over its data.
 
-    Raises FileError if it cannot be read or is no JSON mapping, InvalidInput with one line for every fault found.
+    Raises FileError if it cannot be read or is no JSON object, InvalidInput with one line for every fault found.
     """
     where = str(path)
     data = parse_json(files.read_text(path), where)
     if not isinstance(data, dict):
-        raise FileError("holds no JSON mapping {…}; is this the right file?", where=where)
+        raise FileError("not a JSON object {…}: check that this is the right file", where=where)
     document = Document(where, data, {})
     if faults := list(check(data, "") if check else ()):
         raise document.error(faults)

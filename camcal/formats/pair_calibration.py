@@ -65,7 +65,7 @@ def _entries(path: Path) -> Mapping[str, _Entry]:
         match = _LINE.fullmatch(line)
         if match is None:
             if line.strip():
-                raise FileError(f"{line.strip()[:40]!r} not name=value or name: value", where=where)
+                raise FileError(f"{line.strip()[:40]!r} is not name=value or name: value", where=where)
             continue
         name = re.sub(r"([PS])_rect_0(?=[0-3]$)", r"\1", match[1])
         if name in entries:

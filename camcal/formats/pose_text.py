@@ -324,7 +324,7 @@ def static_transform_publisher(frames: str, a_T_b: Pose) -> str:
 def _parsed(text: str, form: Form | None) -> LoosePose:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENT_MARK)]
     if lines and not is_row(" ".join(lines)):
-        raise FileError("holds not a list of numbers")
+        raise FileError("not a list of numbers")
     numbers = numbers_in(" ".join(lines)) if lines else np.empty(0)
     if len(lines) > 1 and len(numbers) in {count * len(lines) for count in _IN_A_LINE}:
         raise InvalidInput(

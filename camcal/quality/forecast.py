@@ -84,5 +84,5 @@ def calibration_std(
             raise InsufficientData("a corner is outside what the lens can image")
         result[free] = np.sqrt(np.diag(factorise(equations).shared_covariance()))
     except SingularError as error:
-        raise InsufficientData("the views leave some parameters open; plan more of them, tilted") from error
+        raise InsufficientData("some parameters are not determined by the views: plan more views, tilted") from error
     return result

@@ -218,7 +218,7 @@ def test_a_covariance_that_is_none_is_refused(found, tmp_path):
     ("name", "content", "message"),
     [
         ("poses.json", "{", "invalid or truncated JSON"),
-        ("poses.json", "[1]", "holds no JSON mapping"),
+        ("poses.json", "[1]", "not a JSON object"),
         ("poses.yaml", "a: [", "invalid or truncated YAML"),
         ("poses.csv", "image,tx\na,1\n", "not a pose file of camcal"),
         ("poses.csv", "", "is empty"),

@@ -40,7 +40,7 @@ def test_what_readers_take_differently_is_refused(tmp_path, text, message):
     [
         ('{"a": 1', "a.json:1: invalid or truncated JSON"),
         ('{\n"a": }', "a.json:2: invalid or truncated JSON"),
-        ("[1, 2]", "a.json: holds no JSON mapping"),
+        ("[1, 2]", "a.json: not a JSON object"),
         ("", "a.json: is empty"),
         ("[" * 100_000, "a.json: is nested too deeply"),
     ],

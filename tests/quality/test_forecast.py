@@ -100,5 +100,5 @@ def test_parameters_that_are_held_have_no_uncertainty():
 def test_views_that_are_all_alike_have_no_forecast():
     camera, flat = pinhole(), Pose(np.eye(3), np.array([-0.1, -0.06, 0.5]))
     exact, _ = observe(camera, BOARD, [flat], rng=np.random.default_rng(0))
-    with pytest.raises(InsufficientData, match="plan more of them"):
+    with pytest.raises(InsufficientData, match="not determined by the views: plan more views"):
         calibration_std(camera, BOARD, exact.views, [flat], 0.2)
