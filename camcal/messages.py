@@ -13,6 +13,11 @@ from camcal.errors import in_one_line
 Value = float | int | str | tuple[str, ...]
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count in words: '1 corner', '2 corners'."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class Message:
     """A warning or a failure.

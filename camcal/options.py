@@ -190,8 +190,10 @@ class Declared:
 
     @property
     def help(self) -> str:
-        """The help text."""
-        return self.option.help if isinstance(self.option.help, str) else self.option.help()
+        """The help text, which names the sign for standard output where the option takes it."""
+        said = self.option.help if isinstance(self.option.help, str) else self.option.help()
+        written = self.option.written
+        return f"{said.removesuffix('.')} (- for standard output)." if written and written.stdout else said
 
     @property
     def required(self) -> bool:

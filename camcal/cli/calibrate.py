@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
+from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.sheet_options import SheetOptions
@@ -32,11 +33,12 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     from camcal.tasks.calibration.calibrate import document, require_good
 
     report = run(options, call.progress)
-    call.give(lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose))
+    failures = () if options.require else report.assessment.failures  # which end the command with an error then
+    call.give(lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose), failures)
     require_good(report, options)
     if report.failed:
         raise ItemsFailed(
-            f"{len(report.failed)} of the images could not be read: {', '.join(report.failed[: show.LISTED])}"
+            f"{counted(len(report.failed), 'image')} could not be read: {', '.join(report.failed[: show.LISTED])}"
         )
 
 
@@ -49,9 +51,9 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     if report.frames and verbose:
         _show_frames(report.frames, verbose)
     for failure in report.assessment.failures:
-        show.verdict(f"DO NOT TRUST: {failure}", good=False)
+        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
     if report.assessment.trustworthy:
-        show.verdict("trustworthy", good=True)
+        show.verdict(show.TRUSTWORTHY, good=True)
     show.text(headline(calibration))
     show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
     for line in report.lines:
@@ -133,8 +135,9 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
     report = detect_images(options, call.progress)
     call.give(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
+    show.failed(report.failed)
     if report.failed:
-        raise ItemsFailed(f"{len(report.failed)} of the images could not be read, the rest is written")
+        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written")
 
 
 def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bool) -> None:
@@ -151,8 +154,6 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
         _show_frames(report.frames, verbose)
     for line in report.lines:
         show.text(line)
-    for message in report.failed:
-        show.text(f"failed: {message}")
     show.wrote(options.output, show.several(report.pictures, "picture"))
 
 

@@ -6,11 +6,12 @@ Its docstring is its help.
 
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
 from pathlib import Path
+from textwrap import wrap
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -20,12 +21,15 @@ from camcal.cli import examples, show
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images import limits
+from camcal.messages import Message
 from camcal.options import GENERAL, Argument, Declared, Option, assembled, by_group, declared
 from camcal.progress import Progress
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 WRITE_SETTINGS = "--write-config"
 
+_CONTINUED = " \\"
+_OPTION = re.compile(r"(?<= )(-\S+) ")
 _MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
 _NEGATIVE = re.compile(r"-[0-9.]")
 
@@ -47,12 +51,22 @@ class Call:
         """What a task reports to."""
         return show.progress(self.quiet)
 
-    def give(self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None]) -> None:
-        """Print a result: as the one JSON document, or in words, or not at all."""
+    def give(
+        self,
+        document: Callable[[], Mapping[str, Any]],
+        words: Callable[[], None],
+        failures: Sequence[Message] = (),
+    ) -> None:
+        """Print a result: as the one JSON document, or in words, or not at all.
+
+        failures: why it is not to be trusted; they go to stderr where there are no words, which say it themselves.
+        """
         if self.json:
             show.result(self.command, document())
         elif not self.quiet:
             words()
+            return
+        show.distrust(failures)
 
 
 @dataclass(frozen=True)
@@ -111,6 +125,10 @@ class OptionsCommand(TyperCommand):
         arguments = [each for each in self.declared if each.positional]
         return ["[OPTIONS]", *(each.name if each.required else f"[{each.name}]" for each in arguments)]
 
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        """Return the names of --help in the order of all other options; typer gives them in none."""
+        return sorted(super().get_help_option_names(ctx), key=len)
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options under the titles of their groups, those of typer's own parameters with the general ones."""
         own = {parameter_name(each) for each in self.declared}
@@ -123,7 +141,21 @@ class OptionsCommand(TyperCommand):
                 formatter.write_dl(rows)
         if self.examples:
             with formatter.section("Examples"):
-                formatter.write("".join(f"  {example}\n" for example in self.examples))
+                formatter.write("".join(f"  {line}\n" for line in _continued(self.examples, formatter.width - 2)))
+
+
+def _continued(calls: Iterable[str], most: int) -> Iterator[str]:
+    """Yield the lines of shell commands, a longer one continued on the next line."""
+    for call in calls:
+        if len(call) <= most:
+            yield call
+            continue
+        width = most - len(_CONTINUED)
+        bound = _OPTION.sub("\\1\0", call)  # each option stays with its value
+        lines = wrap(bound, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+        *first, last = (line.replace("\0", " ") for line in lines)
+        yield from (f"{line}{_CONTINUED}" for line in first)
+        yield last
 
 
 def usage(each: Declared) -> str:

@@ -104,9 +104,9 @@ def _show(inspection: "Inspection", verbose: bool) -> None:
         for line in camera_lines(entry, field):
             show.text(line)
         if entry.verdict is not None and entry.verdict.trustworthy:
-            show.verdict("trustworthy", good=True)
+            show.verdict(show.TRUSTWORTHY, good=True)
         for reason in entry.verdict.reasons if entry.verdict is not None else ():
-            show.verdict(f"DO NOT TRUST: {reason}", good=False)
+            show.verdict(f"{show.DO_NOT_TRUST}{reason}", good=False)
     for line in file_lines(inspection.file):
         show.text(line)
     if verbose and (images := image_rows(inspection.file)):

@@ -114,6 +114,10 @@ class CommandGroup(TyperGroup):
             raise typer.Exit(InvalidInput.exit_code)
         return super().parse_args(ctx, args)
 
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        """Return the names of --help in the order of all other options; typer gives them in none."""
+        return sorted(super().get_help_option_names(ctx), key=len)
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002 - typer calls it so
         """Write the list of commands without importing them."""
         with formatter.section("Commands"):

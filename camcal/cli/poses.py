@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
+from camcal.messages import counted
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.smooth_options import SmoothOptions
 from camcal.tasks.poses.track_options import TrackingOptions
@@ -31,7 +32,8 @@ def pnp(options: PnpOptions, call: ImageCall) -> None:
     report.require_good(options.gates)
     if failed := report.failed:
         total = len(failed) + len(report.poses.estimates)
-        raise ItemsFailed(f"{len(failed)} of {total} images have no pose: {', '.join(failed[: show.LISTED])}")
+        listed = ", ".join(failed[: show.LISTED])
+        raise ItemsFailed(f"no pose from {len(failed)} of {counted(total, 'image')}: {listed}")
 
 
 def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> None:

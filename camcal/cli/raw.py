@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.raw.options import DemosaicOptions, SensorOptions
 
@@ -52,6 +53,7 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
 
     outcomes = run(options, call.progress)
     call.give(lambda: document(outcomes), lambda: _show_images(outcomes, call.verbose))
+    show.failed(outcomes)
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
         raise ItemsFailed(f"{len(failed)} of {len(outcomes)} frames failed, the rest is written")
@@ -95,9 +97,7 @@ def _show_images(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: b
         size, pattern = "{}x{}".format(*frame.size), pattern_words(frame.pattern)
         rows.append([str(frame.output), size, pattern, black, f"{frame.white:g}", gains, clipped])
     if rows:
-        count = f"{len(rows)} image{'s' * (len(rows) > 1)}"
-        show.table(count, FRAME_COLUMNS, rows, verbose=verbose, most=show.LISTED)
-    show.failed(outcomes)
+        show.table(counted(len(rows), "image"), FRAME_COLUMNS, rows, verbose=verbose, most=show.LISTED)
     show.wrote(show.several([frame.output for frame in written], "image"))
 
 

@@ -15,6 +15,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TextIO
 
 from camcal.errors import FileError, in_one_line, reason
+from camcal.files import STANDARD
 from camcal.messages import Message, as_data
 from camcal.progress import Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
@@ -22,13 +23,14 @@ from camcal.report.table import Column, table_lines, wrapped
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
+DO_NOT_TRUST = "DO NOT TRUST: "
+TRUSTWORTHY = "Calibration is trustworthy"
 LISTED = 10  # rows and lines of a list, unless all are asked for
 
 _BOLD_GREEN, _BOLD_RED, _PLAIN = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
 _NARROWEST = 40  # cells: no line is made shorter
 _REDRAW_S = 0.1
-_LONGEST = 400  # characters of a line on stderr
-_END = 100  # of them that stay of its end
+_LONGEST = 4000  # characters of a line on stderr, which may quote what stands in a file
 _STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _SIGNIFICANT_DIGITS = 12
 
@@ -71,8 +73,11 @@ def verdict(line: str, *, good: bool | None) -> None:
 
 
 def wrote(*files: Path | str | None) -> None:
-    """Print the one line about what was written: paths, or what `several` says of them; None was not asked for."""
-    listed = [str(file) for file in files if file is not None]
+    """Print the one line about what was written: paths, or what `several` says of them.
+
+    None was not asked for, and what went to standard output is there to be seen.
+    """
+    listed = [str(file) for file in files if file is not None and str(file) != STANDARD]
     if listed:
         text(f"wrote {' and '.join(filter(None, (', '.join(listed[:-1]), listed[-1])))}")
 
@@ -161,11 +166,18 @@ def lines(items: Sequence[str], verbose: bool) -> None:
         text(f"… and {len(items) - LISTED} more (--verbose lists all)")
 
 
-def failed(outcomes: Iterable[Outcome[Any, Any]]) -> None:
-    """Print why items of a fan-out failed, a line each."""
-    for outcome in outcomes:
-        if outcome.error is not None:
-            text(f"failed: {outcome.error}")
+def failed(items: Iterable[Outcome[Any, Any] | str]) -> None:
+    """Print to stderr why items failed, a line each: outcomes of a fan-out, those with an error, or the reasons."""
+    for item in items:
+        why = item if isinstance(item, str) else item.error
+        if why is not None:
+            _complain("failed", str(why))
+
+
+def distrust(failures: Iterable[Message]) -> None:
+    """Print to stderr why a result is not to be trusted, where no verdict is printed to stdout."""
+    for failure in failures:
+        _complain("warning", f"{DO_NOT_TRUST}{failure}")
 
 
 def table(
@@ -314,9 +326,16 @@ def _lines(kind: str, message: str) -> Iterator[str]:
     On a terminal they end at words.
     """
     for line in map(printable, message.split("\n")):
-        short = line if len(line) <= _LONGEST else f"{line[: _LONGEST - _END]} … {line[-_END:]}"
-        said = f"camcal: {kind}: {short}"
+        said = f"camcal: {kind}: {_shortened(line)}"
         yield from wrapped(said, width()) if sys.stderr.isatty() else [said]
+
+
+def _shortened(line: str) -> str:
+    """Return a line that ends at a word where it would be too long."""
+    if len(line) <= _LONGEST:
+        return line
+    kept = line[:_LONGEST]
+    return f"{kept.rpartition(' ')[0] or kept} …"
 
 
 def _printable_cell(cell: object) -> object:

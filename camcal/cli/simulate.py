@@ -102,7 +102,8 @@ def demo(options: DemoOptions, call: Call) -> None:
     from camcal.tasks.calibration.demo import document
 
     report = run(options, call.progress)
-    call.give(lambda: document(report, options), lambda: _show_demo(report, options.output, call.verbose))
+    failures = report.calibrated.assessment.failures
+    call.give(lambda: document(report, options), lambda: _show_demo(report, options.output, call.verbose), failures)
 
 
 def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
@@ -121,7 +122,7 @@ def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
         views = [[view.image, view.kept, view.rms_px] for view in calibration.views]
         show.table("images", [Column("image", file=True), Column("corners"), Column("RMS", "px")], views)
     for failure in report.calibrated.assessment.failures:
-        show.verdict(f"DO NOT TRUST: {failure}", good=False)
+        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
     show.wrote(f"{output}{os.sep}")
     show.text(f"next: read {output / 'README.txt'}, which says what each file is and what to try")
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call, ImageCall
+from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
@@ -41,6 +42,7 @@ def check(options: StereoCheckOptions, call: ImageCall) -> None:
 
     outcomes = stereo_check(options, call.progress)
     call.give(lambda: document(outcomes), lambda: _show_checks(outcomes, call.verbose))
+    show.failed(outcomes)
     require_good(outcomes, options.max_rms)
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
@@ -59,7 +61,6 @@ def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool
             show.verdict(f"  {verdict(pair.check)}", good=agrees(pair.check))
     if len(outcomes) > 1:
         _show_together(outcomes, verbose)
-    show.failed(outcomes)
     show.wrote(show.several([pair.picture for pair in checked if pair.picture is not None], "picture"))
 
 
@@ -112,7 +113,7 @@ def _show_matched(pairs: "Sequence[MatchedPair]", verbose: bool) -> None:
         rows.append([str(pair.output), *shares, "{}:{}".format(*figures.searched), *sizes, f"{pair.rows:.2f}", *more])
     if rows:
         columns = [*MAP_COLUMNS, *(Column(name, "%") for name in classes)]
-        show.table(f"{len(rows)} map{'s' * (len(rows) > 1)}", columns, rows, verbose=verbose, most=show.LISTED)
+        show.table(counted(len(rows), "map"), columns, rows, verbose=verbose, most=show.LISTED)
     pictures = [pair.picture for pair in pairs if pair.picture is not None]
     show.wrote(show.several([pair.output for pair in pairs], "map"), show.several(pictures, "picture"))
 
@@ -144,7 +145,7 @@ def _make_clouds(options: CloudOptions, call: Call) -> None:
 
 def _show_clouds(reports: "list[CloudReport]", verbose: bool) -> None:
     rows = [[str(report.output), report.points, report.pixels] for report in reports]
-    show.table(f"{len(rows)} cloud{'s' * (len(rows) > 1)}", CLOUD_COLUMNS, rows, verbose=verbose, most=show.LISTED)
+    show.table(counted(len(rows), "cloud"), CLOUD_COLUMNS, rows, verbose=verbose, most=show.LISTED)
     show.wrote(show.several([report.output for report in reports], "cloud"))
 
 
@@ -174,8 +175,9 @@ def evaluate(options: EvalOptions, call: ImageCall) -> None:
 
     report = stereo_eval(options, call.progress)
     call.give(lambda: document(report), lambda: _show_errors(report, call.verbose))
+    show.failed(report.outcomes)
     if report.failures:
-        raise GateFailed.of(report.failures)
+        raise GateFailed.of(report.failures, where="--gate")
     failed = [outcome for outcome in report.outcomes if outcome.error]
     if failed:
         raise ItemsFailed(f"{len(failed)} of {len(report.outcomes)} maps failed: {failed[0].error}")
@@ -193,7 +195,6 @@ def _show_errors(report: "EvalReport", verbose: bool) -> None:
     for verdict in report.verdicts:
         line = f"gate {verdict.gate}: {verdict.value:.4g}, {'passed' if verdict.passed else 'FAILED'}"
         show.verdict(line, good=verdict.passed)
-    show.failed(report.outcomes)
     show.wrote(show.several([pair.picture for pair in report.pairs if pair.picture is not None], "picture"))
 
 

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 
@@ -30,6 +31,7 @@ def _undistort_images(options: UndistortOptions, call: ImageCall) -> None:
 
     report = run(options, call.progress)
     call.give(lambda: document(report), lambda: _show(report, call.verbose))
+    show.failed(report.failed)
     if report.failed:
         raise ItemsFailed(f"{len(report.failed)} of {len(report.outcomes)} images failed, the rest is written")
 
@@ -44,7 +46,7 @@ def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
 
 def _show_points(report: "PointsReport") -> None:
     lost = f", {report.lost} outside the lens model (empty cells)" if report.lost else ""
-    show.text(f"{report.count} points{lost}")
+    show.text(f"{counted(report.count, 'point')}{lost}")
     show.wrote(report.output, report.camera_file)
 
 
@@ -52,7 +54,6 @@ def _show(report: "UndistortReport", verbose: bool) -> None:
     written = [outcome.value.output for outcome in report.outcomes if outcome.value is not None]
     if verbose:
         show.table("undistorted", [Column("image", file=True)], [[str(path)] for path in written], verbose=True)
-    show.failed(report.failed)
     if report.aligned:
         show.text(f"{' and '.join(report.aligned)} of colour images undistorted with their own lens models")
     width, height = report.view.image_size

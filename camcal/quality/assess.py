@@ -17,7 +17,7 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.quality.criteria import CRITERIA, between_views, message
 from camcal.targets.board_types import BOARD_TYPES
 
@@ -135,7 +135,7 @@ def _few_views_factor(count: int) -> float:
 def _views(calibration: Calibration) -> Iterator[Message]:
     views = calibration.used
     if len(views) < _limit("few_views"):
-        text = f"{len(views)} views only: take 15 to 40 in varied positions"
+        text = f"{counted(len(views), 'view')} only: take 15 to 40 in varied positions"
         yield message("few_views", text, len(views))
 
 
@@ -171,7 +171,7 @@ def _rejected_words(calibration: Calibration, share: float) -> str:
     lost = Counter(corner.image for corner in calibration.rejected)
     worst = [view.image for view in calibration.views if lost[view.image] > _MOSTLY * max(view.points, 1)]
     remedy = f"leave out {names_of(worst)}" if worst else "check them with camcal detect --draw"
-    return f"{len(calibration.rejected)} corners ({100 * share:.1f} %) rejected: {remedy}"
+    return f"{counted(len(calibration.rejected), 'corner')} ({100 * share:.1f} %) rejected: {remedy}"
 
 
 def _within_views(calibration: Calibration) -> Iterator[Message]:

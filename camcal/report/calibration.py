@@ -8,6 +8,7 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.calibrate.jackknife import CandidateModel
 from camcal.formats import boards
+from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.table import Column
 from camcal.report.uncertain import held_by_prior_words, value_and_std
@@ -69,8 +70,9 @@ def summary(calibration: Calibration) -> list[str]:
     """Return lines about the residuals and the board."""
     unused = len(calibration.views) - len(calibration.used)
     residuals = (
-        f"RMS {calibration.rms_px:.3f} px over {len(calibration.residuals)} corners of "
-        f"{len(calibration.used)} views ({unused} not used, {len(calibration.rejected)} corners rejected); "
+        f"RMS {calibration.rms_px:.3f} px over {counted(len(calibration.residuals), 'corner')} of "
+        f"{counted(len(calibration.used), 'view')} ({unused} not used, "
+        f"{counted(len(calibration.rejected), 'corner')} rejected); "
         f"noise {calibration.sigma_px:.3f} px"
     )
     held = [held_by_prior_words(calibration.held_by_prior)] if calibration.held_by_prior else []

@@ -167,7 +167,7 @@ def fields_of(text: str) -> Fields:
     kind, *parts = text.split(":")
     if kind not in FORMS:
         if near := nearest(kind, FORMS, _LIKENESS):
-            raise _unlike(text, "did you mean", near)
+            raise InvalidInput(f"board {text!r}: did you mean {':'.join((near, *parts))!r}?")
         raise InvalidInput(f"board {text!r}: expected {'; '.join(FORMS.values())}; or a YAML file")
     if not parts:
         raise _unlike(text, "expected", kind)
@@ -263,9 +263,11 @@ def _length(text: str, part: str) -> float:
 def without_unit(text: str) -> str:
     """Return why a text is no length with its unit, and what to write."""
     try:
-        parse_number(text)
+        length = parse_number(text)
     except ValueError:
         return f"{text!r} is not a length with its unit; write 25mm, 2.5cm, 0.025m or 1in"
+    if abs(length) < 1:
+        return f"{text!r} has no unit; write {text}m or {1000 * length:.12g}mm if it is in metres"
     return f"{text!r} has no unit; write {text}mm if it is in millimetres"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.cameras.validity import ImageCircle
+from camcal.messages import counted
 from camcal.targets.board import Board
 
 MIN_CORNERS = 4  # as many as a homography needs
@@ -66,7 +67,7 @@ class BoardDetection:
         found = ~np.isnan(grid[..., 0])
         count = int(found.sum())
         if count < MIN_CORNERS:
-            return cls.nothing(f"only {count} corner{'s' if count != 1 else ''}" if count else "no corner found")
+            return cls.nothing(f"only {counted(count, 'corner')}" if count else "no corner found")
         if min(found.any(axis=0).sum(), found.any(axis=1).sum()) < 2:
             return cls.nothing(f"only {count} corners, all collinear")
         known = None if covariance is None else covariance[found]

@@ -94,7 +94,7 @@ def test_a_board_of_the_size_that_is_proposed_takes_the_share_that_was_asked_for
         ("circles:8x6:25mm", "grid of 8x6 circles needs a diameter to be drawn"),
         ("aprilgrid:30x20:60mm:0.3", "tag36h11 ends at 586"),
         ("aprilgrid:4x3:60mm", "is not the spacing as a share of the tag"),
-        ("asymmetric:4x11:20mm:15mm", "did you mean asymmetric_circles:4x11"),
+        ("asymmetric:4x11:20mm:15mm", "did you mean 'asymmetric_circles:4x11:20mm:15mm'?"),
     ],
 )
 def test_a_board_that_cannot_be_drawn_is_refused_in_one_line(run, tmp_path, board, message):

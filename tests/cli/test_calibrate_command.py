@@ -183,13 +183,20 @@ def test_a_result_that_is_not_to_be_trusted_is_written_and_ends_with_exit_7_wher
     code, out, err = run(*command)
     assert (code, "error" in err) == (0, False)
     assert f"DO NOT TRUST: {texts[0]}" in out.splitlines()
+    assert "DO NOT TRUST" not in err
+    for silent in ("--quiet", "--json"):
+        code, out, err = run(*command, silent)
+        assert (code, "DO NOT TRUST" in out) == (0, False)
+        assert [line for line in err.splitlines() if "DO NOT" in line] == [
+            f"camcal: warning: DO NOT TRUST: {text}" for text in texts
+        ]
 
 
 def test_a_result_that_is_to_be_trusted_passes_where_trust_is_required(run, table, tmp_path):
     output = tmp_path / "camera.yaml"
     code, out, err = run("calibrate", table, "-o", output, "--model", "opencv5", "--require", "trustworthy")
     assert (code, "error" in err) == (0, False)
-    assert "trustworthy" in out.splitlines()
+    assert out.startswith("Calibration is trustworthy\n")
     assert "DO NOT TRUST" not in out
     assert native.read(output).cameras["camera"].verdict.trustworthy
 

@@ -129,7 +129,7 @@ def test_channels_are_resized_with_their_camera(run, scene, tmp_path):
     small = load(scene / "colour.png").pixels[::2, ::2]
     save(tmp_path / "small.png", small)
     output = tmp_path / "out"
-    options = ["--rescale", "--jobs", 1, "--json"]
+    options = ["--scale-intrinsics", "--jobs", 1, "--json"]
     code, out, _ = run("undistort", scene / "truth.yaml", tmp_path / "small.png", "-o", output, *options)
     assert code == 0
     assert json.loads(out)["aligned_channels"] == ["red", "blue"]

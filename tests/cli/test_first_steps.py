@@ -146,3 +146,11 @@ def test_a_command_called_with_nothing_shows_its_most_common_calls(run, name):
 def test_help_ends_with_the_most_common_calls(run):
     shown = run("calibrate", "--help")[1].splitlines()
     assert shown[-4:] == ["Examples:", *(f"  camcal {call}" for call in EXAMPLES["calibrate"])]
+
+
+def test_help_keeps_to_its_width_and_has_one_order_of_names(run):
+    for command in ("track", "detect", "simulate"):
+        out = run(command, "--help")[1]
+        assert max(map(len, out.splitlines())) <= 80
+        assert "-h, --help" in out
+    assert " --board chessboard:9x6:25mm \\\n      -o track.csv --plot" in run("track", "--help")[1]

@@ -80,19 +80,19 @@ GOOD, BAD, END = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
 
 def said(capsys):
     show.text("fx 458.65 ± 0.41 px and many words more")
-    show.verdict("trustworthy", good=True)
+    show.verdict(show.TRUSTWORTHY, good=True)
     show.verdict("DO NOT TRUST: few views", good=False)
     return capsys.readouterr().out.splitlines()
 
 
 def test_verdicts_stand_out_and_lines_end_at_words_on_a_terminal_only(capsys, monkeypatch):
-    plain = ["fx 458.65 ± 0.41 px and many words more", "trustworthy", "DO NOT TRUST: few views"]
+    plain = ["fx 458.65 ± 0.41 px and many words more", "Calibration is trustworthy", "DO NOT TRUST: few views"]
     monkeypatch.setenv("COLUMNS", "40")
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
     assert said(capsys) == plain
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    assert said(capsys) == [plain[0], f"{GOOD}trustworthy{END}", f"{BAD}DO NOT TRUST: few views{END}"]
+    assert said(capsys) == [plain[0], f"{GOOD}Calibration is trustworthy{END}", f"{BAD}DO NOT TRUST: few views{END}"]
     show.text("one two three four five six seven eight nine")
     assert capsys.readouterr().out == "one two three four five six seven eight\n  nine\n"
     show.document("fit", {"text": "word " * 20})
@@ -114,6 +114,8 @@ def test_one_line_says_what_was_written(capsys):
         "wrote a, b and c",
         "wrote out/0.png",
     ]
+    show.wrote(Path("-"))
+    assert capsys.readouterr().out == ""
 
 
 def test_an_error_ends_at_words_on_a_terminal_and_is_one_line_in_a_pipe(capsys, monkeypatch):
@@ -123,3 +125,14 @@ def test_an_error_ends_at_words_on_a_terminal_and_is_one_line_in_a_pipe(capsys, 
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     show.error("left.yaml:9: cameras.left.distorsion: unknown key")
     assert capsys.readouterr().err == ("camcal: error: left.yaml:9:\n  cameras.left.distorsion: unknown key\n")
+
+
+def test_a_long_line_is_whole_and_an_endless_one_ends_at_a_word(capsys):
+    show.error("word " * 300 + "end")
+    assert capsys.readouterr().err == f"camcal: error: {'word ' * 300}end\n"
+    show.error("word " * 3000)
+    long = capsys.readouterr().err
+    assert 3900 < len(long) < 4100
+    assert long.endswith("word …\n")
+    show.error("x" * 9000)
+    assert len(capsys.readouterr().err) < 4100

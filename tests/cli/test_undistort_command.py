@@ -48,7 +48,9 @@ def test_the_document_has_a_fixed_shape(run, folder):
     code, out, err = run("undistort", "lens.yaml", "photos", "-o", "out", "--mask", "--json")
     document = json.loads(out)
     assert code == 6
-    assert err == "camcal: error: 1 of 4 images failed, the rest is written\n"
+    failed, error = err.splitlines()
+    assert failed.startswith("camcal: failed: photos/3.png: unknown image format")
+    assert error == "camcal: error: 1 of 4 images failed, the rest is written"
     assert list(document) == ["schema", "camera_file", "mask", "view", "images", "failed", "warnings", "error", "exit"]
     assert document["schema"] == "camcal/undistort/1"
     assert document["camera_file"] == "out/camera.yaml"
@@ -137,3 +139,10 @@ def test_what_cannot_be_done_is_said_in_one_line(run, folder, arguments, code, w
     assert words in err
     assert err.count("\n") == 1
     assert not (folder / "out").exists()
+
+
+def test_images_do_not_go_to_standard_output(run, folder):
+    code, out, err = run("undistort", "lens.yaml", "photos", "-o", "-")
+    assert (code, out) == (2, "")
+    assert err.startswith("camcal: error: --output writes only --points to standard output; name a folder for images")
+    assert not (folder / "-").exists()

@@ -71,6 +71,7 @@ def test_a_short_form_may_name_the_ids_that_count():
     [
         ("tag36h11", "expected FAMILY:SIZE"),
         ("tag36h11:53", "has no unit; write 53mm"),
+        ("tag36h11:0.053", "'0.053' has no unit; write 0.053m or 53mm if it is in metres"),
         ("tag36h11:0mm", "must be positive"),
         ("tag36h12:53mm", "did you mean tag36h11"),
         ("tag16h5:53mm:30", "ids are 0 to 29"),

@@ -9,6 +9,7 @@ from camcal.targets.board import parse_board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.which_board import OtherBoard, board_warnings, nothing_found
 
+AMBIGUOUS = "corner ids are ambiguous between views; for the calibration of one camera this is harmless"
 NOTHING = BoardDetection("a.png", (640, 480), reason="nothing seen")
 
 
@@ -24,14 +25,17 @@ def instead(other):
         ("chessboard:8x6:25mm:dots", []),
         ("aprilgrid:6x6:88mm:0.3", []),
         ("aprilgrid:6x6:0.3", ["tag size unknown: lengths are in tag spacings; give it with --board"]),
-        ("circles:10x8:25mm", ["a 10x8 board is symmetric under rotation by 180°: corner ids are ambiguous"]),
-        ("circles:8x8:25mm", ["a 8x8 board is symmetric under rotation by 90°: corner ids are ambiguous"]),
+        (
+            "circles:10x8:25mm",
+            [f"a 10x8 board is symmetric under rotation by 180°: {AMBIGUOUS}"],
+        ),
+        ("circles:8x8:25mm", [f"a 8x8 board is symmetric under rotation by 90°: {AMBIGUOUS}"]),
         ("asymmetric_circles:4x11:20mm", []),
         (
             "asymmetric_circles:4x4",
             [
                 "circle spacing unknown: lengths are in row spacings; give it with --board",
-                "a 4x4 board is symmetric under rotation by 180°: corner ids are ambiguous",
+                f"a 4x4 board is symmetric under rotation by 180°: {AMBIGUOUS}",
             ],
         ),
     ],

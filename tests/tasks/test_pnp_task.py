@@ -135,7 +135,7 @@ def test_views_without_a_pose_are_listed_with_their_reason(camera_file, tmp_path
 def test_without_any_pose_the_reason_is_raised_and_nothing_written(camera_file, tmp_path):
     empty = Detections(BOARD, (BoardDetection("empty.png", CAMERA.image_size, reason="no board found"),))
     output = tmp_path / "poses.yaml"
-    with pytest.raises(InsufficientData, match=r"empty\.png: no pose from 1 images; no board found"):
+    with pytest.raises(InsufficientData, match=r"empty\.png: no pose from 1 image; no board found"):
         pnp(from_detections(camera_file, tmp_path, empty, output=output))
     line = np.outer(np.arange(5), [0.1, 0, 0])
     pixels = CAMERA.project(line + np.array([0, 0, 2])).pixels
@@ -433,10 +433,10 @@ def test_gates_name_the_image_and_the_figure(camera_file, tmp_path, seen):
     report = pnp(from_detections(camera_file, tmp_path, seen))
     report.require_good(Gates(max_rms=1.0, max_ambiguity=0.5, min_inliers=54))
     with pytest.raises(
-        GateFailed, match=r"^view0000\.png: reprojection RMS 0\.1\d+ px \(limit 0\.01 px\)\nview0001\.png: "
+        GateFailed, match=r"^--max-rms: view0000\.png: reprojection RMS 0\.1\d+ px \(limit 0\.01 px\)\nview0001\.png: "
     ):
         report.require_good(Gates(max_rms=0.01))
-    with pytest.raises(GateFailed, match=r"view0000\.png: 54 of 54 points are inliers \(limit 55\)"):
+    with pytest.raises(GateFailed, match=r"--min-inliers: view0000\.png: 54 of 54 points are inliers \(limit 55\)"):
         report.require_good(Gates(min_inliers=55))
 
 

@@ -168,13 +168,13 @@ def test_an_image_of_another_size_is_refused_with_what_to_do(folder):
     save(folder / "photos" / "half.png", picture(size=(60, 40)))
     save(folder / "photos" / "crop.png", picture(size=(100, 80)))
     half, crop = (outcome.error for outcome in sorted(run(folder).failed, key=lambda outcome: -len(str(outcome.error))))
-    assert "is 60x40, the camera 120x80: if it was resized, not cropped, give --rescale" in str(half)
+    assert "is 60x40, the camera 120x80: if it was resized, not cropped, give --scale-intrinsics" in str(half)
     assert str(crop).endswith("is 100x80, the camera 120x80")
 
 
 def test_resized_images_are_undistorted_by_the_rescaled_camera(folder):
     save(folder / "large.png", picture(size=(240, 160)))
-    report = run(folder, "large.png", rescale=True)
+    report = run(folder, "large.png", scale_intrinsics=True)
     large = Camera(LENS.model, (240, 160), LENS.model.rescale(LENS.parameters, (2, 2), (0, 0)))
     np.testing.assert_allclose(report.view.parameters, make_view(large, ViewOptions()).parameters, rtol=1e-6)
     assert load(folder / "out" / "large.png").size == (240, 160)
@@ -183,7 +183,7 @@ def test_resized_images_are_undistorted_by_the_rescaled_camera(folder):
 def test_cropped_images_are_not_rescaled(folder):
     save(folder / "crop.png", picture(size=(100, 80)))
     with pytest.raises(InvalidInput, match="100x80 are not resized images of 120x80"):
-        run(folder, "crop.png", rescale=True)
+        run(folder, "crop.png", scale_intrinsics=True)
 
 
 def test_a_mask_says_which_pixels_have_a_source(folder):
@@ -253,7 +253,7 @@ def test_a_resized_camera_has_its_image_circle_resized(folder):
     native.write(folder / "circle.yaml", CameraFile({"fish": entry}))
     view = ViewOptions(projection="stereographic", fov_deg=170.0)
     usual = run(folder, "photos/1.png", camera="circle.yaml", view=view)
-    large = run(folder, "large.png", camera="circle.yaml", output="large", view=view, rescale=True)
+    large = run(folder, "large.png", camera="circle.yaml", output="large", view=view, scale_intrinsics=True)
     assert large.valid == pytest.approx(usual.valid, abs=0.01)  # by the pixels along the circle
 
 

@@ -179,7 +179,7 @@ def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
     if most is not None and not reached <= most:
         text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
         values = {"uncertainty_px": reached, "limit_px": most}
-        raise GateFailed.of([Message("projection_uncertainty", text, values, "--max-uncertainty")])
+        raise GateFailed.of([Message("projection_uncertainty", text, values)], where="--max-uncertainty")
 
 
 def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:

@@ -18,7 +18,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.errors import CamcalError
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.targets.board import Board
 from camcal.targets.detection import (
     CLOCKWISE,
@@ -107,7 +107,7 @@ def _size_warnings(
     for (used, size), images in named.items():
         what = f"used with {OPTION}" if used else "not used"
         hint = f"; {OPTION} uses such images" if mixed is False else ""
-        count = f"{len(images)} image{'s' if len(images) > 1 else ''} of {_words(size)}"
+        count = f"{counted(len(images), 'image')} of {_words(size)}"
         words = f"{size_words(size, usual)} (the majority: {_words(usual)})"
         text = f"{what}: {count}, {words}: {names_of(images, _NAMED)}{hint}"
         found.append(Message("mixed_image_sizes", text, {"images": len(images), "width": size[0], "height": size[1]}))

@@ -208,7 +208,9 @@ class CalibrateOptions(OptionsRecord):
     require: Annotated[
         str | None,
         Option(
-            "Exit with 7 if the calibration is not trustworthy.",
+            "Exit with 7 if the calibration is not trustworthy: the lens model does not fit or is not invertible where "
+            "corners are, the focal length is uncertain or changes between views, or the views are of several "
+            "cameras. The camera file is written all the same.",
             metavar=TRUSTWORTHY,
             group=CHECKS,
             choices=(TRUSTWORTHY,),
@@ -218,7 +220,8 @@ class CalibrateOptions(OptionsRecord):
     max_uncertainty: Annotated[
         float | None,
         Option(
-            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) is larger.",
+            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) is larger; the "
+            "camera file is written all the same.",
             metavar="PX",
             group=CHECKS,
             recorded=False,

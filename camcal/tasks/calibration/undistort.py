@@ -102,14 +102,14 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     source = read_source(options, partial(_first_size, media), progress)
     outputs, camera_file, mask_file = _places(options, media)
     claim([*outputs.values(), camera_file, *([mask_file] if options.mask else [])])
-    if options.rescale:
+    if options.scale_intrinsics:
         source = _rescaled(source, media)
     view = make_view(source.camera, options.view, source.circle)
     _warn_of_shrinking(source.camera, view, progress)
     maps = build_maps(source.camera, view, options.interpolation, circle=source.circle)
     lenses = source.channels if options.align_channels else {}
     maps = align_channels(maps, lenses, view) if lenses else maps
-    advice = ": if it was resized, not cropped, give --rescale"
+    advice = ": if it was resized, not cropped, give --scale-intrinsics"
     drawing = Drawing(maps, options.border, options.quality, advice)
     outcomes = tuple(_drawn(drawing, outputs, media, options, progress))
     require_success(outcomes)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
+from camcal.files import STANDARD
 from camcal.images.options import JPEG_QUALITY, ViewOptions
 from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without, Written
 from camcal.tasks.options import CameraName, GivenCamera, Jobs, Overwrite, Recursive, image_suffixes, output_option
@@ -19,7 +20,7 @@ class UndistortOptions(OptionsRecord):
     camera: a camera file or FILE#NAME; an input where `given` is the camera itself.
     output: a folder; of points a CSV file, or a folder for one of the same name.
     border: one number, or one for each channel. format: one of FORMATS, None keeps the type of the source. mask: write
-    which pixels have a source, too. rescale: fit the camera to images that were resized. align_channels: draw the
+    which pixels have a source, too. scale_intrinsics: fit the camera to resized images. align_channels: draw the
     colours of colour images through their own lenses, where the camera file has them. points: a CSV file with columns
     u, v and any others, in place of images. distort: from pixels of the view to pixels of the image the camera took.
     """
@@ -62,7 +63,9 @@ class UndistortOptions(OptionsRecord):
         tuple[float, ...],
         Option("Value of pixels without a source: a number, or one per channel: B,G,R.", metavar="VALUE", type=NUMBERS),
     ] = (0.0,)
-    rescale: Annotated[bool, Option("Rescale the intrinsics to images that were resized (not cropped).")] = False
+    scale_intrinsics: Annotated[bool, Option("Rescale the intrinsics to images that were resized (not cropped).")] = (
+        False
+    )
     align_channels: Annotated[
         bool,
         Option("Correct lateral chromatic aberration if the camera file has channels ('camcal calibrate --channels')."),
@@ -91,6 +94,8 @@ class UndistortOptions(OptionsRecord):
             raise InvalidInput("no camera: give a camera file, or --camera-matrix FX,FY,CX,CY")
         if self.points is not None and self.images:
             raise InvalidInput(f"--points takes no images, found {self.images[0]}")
+        if self.points is None and str(self.output) == STANDARD:
+            raise InvalidInput("--output writes only --points to standard output; name a folder for images")
         if self.points is None and self.distort:
             raise InvalidInput("--distort is for --points")
 

@@ -16,7 +16,7 @@ from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.boards import short_form
 from camcal.formats.tables import require_cell
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.progress import Outcome, Progress
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
@@ -65,11 +65,14 @@ def board_warnings(views: Sequence[BoardDetection], board: Board, stated: Board)
         found.append(Message("unknown_board_size", _UNKNOWN_SIZE[board.type]))
     if (looks := len(board.symmetries())) > 1:
         angle = 180 if looks == 2 else 90
-        text = f"a {board.columns}x{board.rows} board is symmetric under rotation by {angle}°: corner ids are ambiguous"
+        text = (
+            f"a {board.columns}x{board.rows} board is symmetric under rotation by {angle}°: corner ids are ambiguous "
+            "between views; for the calibration of one camera this is harmless"
+        )
         found.append(Message("symmetric_board", text, {"rotation_deg": angle}))
     turned = sum(view.orientation != 1 for view in views)
     if turned:
-        text = f"EXIF orientation ignored in {turned} images: pixels are used as stored"
+        text = f"EXIF orientation ignored in {counted(turned, 'image')}: pixels are used as stored"
         found.append(Message("orientation_ignored", text, {"images": turned}))
     return tuple(found)
 

@@ -1,7 +1,7 @@
 """The options of `camcal pnp`, and those that it shares with `camcal track`."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -97,6 +97,9 @@ class DetectionOptions(OptionsRecord):
     ] = "drop"
 
 
+_GATES = {"pose_rms": "--max-rms", "pose_ambiguity": "--max-ambiguity", "pose_inliers": "--min-inliers"}
+
+
 @dataclass(frozen=True)
 class Gates(OptionsRecord):
     """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers."""
@@ -132,6 +135,11 @@ class Gates(OptionsRecord):
         if self.min_inliers is not None and record.n_inliers < self.min_inliers:
             text = f"{record.n_inliers} of {record.n_points} points are inliers (limit {self.min_inliers})"
             yield Message("pose_inliers", text, {"inliers": record.n_inliers, "limit": self.min_inliers})
+
+    def named(self, failures: Sequence[Message]) -> str:
+        """Return the options that these failures are of."""
+        codes = {failure.code for failure in failures}
+        return ", ".join(option for code, option in _GATES.items() if code in codes)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from camcal.formats import cameras, correspondences, pose_text, poses
 from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.poses.record import PixelNoise, PoseKey, Poses
 from camcal.geometry.pose import Pose, inverse_jacobian
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
@@ -57,7 +57,7 @@ class PnpReport:
             each.at(pose_key) for pose_key, record in self.poses.estimates.items() for each in gates.failures(record)
         ]
         if found:
-            raise GateFailed.of(found)
+            raise GateFailed.of(found, where=gates.named(found))
 
 
 @writes
@@ -220,7 +220,7 @@ def _why_no_pose(seen: PnpViews, refused: Mapping[PoseKey, CamcalError]) -> Camc
         pose_key, error = next(iter(refused.items()))
         return type(error)(error.message, where=str(pose_key))
     for pose_key, reason in seen.nothing.items():
-        return InsufficientData(f"no pose from {len(seen.nothing)} images; {reason}", where=str(pose_key))
+        return InsufficientData(f"no pose from {counted(len(seen.nothing), 'image')}; {reason}", where=str(pose_key))
     return InsufficientData("no pose; no image could be read")
 
 

@@ -91,7 +91,7 @@ def require_good(outcomes: Sequence[Outcome[Pair, CheckedPair]], max_rms: float 
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
     failures = [failure.at(pair.left) for pair in checked if (failure := _failure(pair.check, max_rms))]
     if failures:
-        raise GateFailed.of(failures)
+        raise GateFailed.of(failures, where="--max-rms")
 
 
 def document(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> dict[str, Any]:

@@ -82,7 +82,7 @@ class EvalReport:
     def failures(self) -> list[Message]:
         """The gates that do not hold."""
         return [
-            Message("eval_gate", f"{each.gate} failed: {each.value:.4g}", {"value": each.value}, "--gate")
+            Message("eval_gate", f"{each.gate} failed: {each.value:.4g}", {"value": each.value})
             for each in self.verdicts
             if not each.passed
         ]
