@@ -294,6 +294,7 @@ def test_two_views_end_with_exit_4(run, seen, tmp_path):
     assert json.loads(out)["error"]["kind"] == "insufficient_data"
 
 
+@pytest.mark.slow
 def test_a_lens_that_the_default_model_cannot_hold_gets_another_and_it_is_said(run, tmp_path):
     camera = Camera(
         model_named("kannala_brandt4"), (1600, 1200), np.array([520.0, 521, 803, 596, 0.02, -0.01, 0.004, 0])

@@ -65,6 +65,7 @@ def test_cameras_of_which_nothing_fits_together_end_with_exit_4_and_both_are_nam
     assert not output.exists()
 
 
+@pytest.mark.slow
 def test_images_of_one_camera_by_two_names_are_one_camera(run, table, tmp_path):
     code, out, _ = run("calibrate", table(1200.0, (805.0, 590.0)), "-o", tmp_path / "camera.yaml", "--json")
     document = json.loads(out)

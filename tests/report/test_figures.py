@@ -42,6 +42,7 @@ def test_the_same_figure_is_the_same_file():
     assert photon_transfer(measured(), ".svg") == drawn(".svg")
 
 
+@pytest.mark.slow
 def test_without_exposures_another_figure_stands_in_for_linearity():
     with_line, without = (drawn(".svg", known).decode() for known in (True, False))
     assert ("linearity" in with_line, "signal-to-noise" in with_line) == (True, False)

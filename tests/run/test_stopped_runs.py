@@ -80,6 +80,7 @@ def test_a_killed_run_is_repeated_and_its_temporary_files_are_swept(start_python
     require_whole(mosaics, 12)
 
 
+@pytest.mark.slow
 def test_what_another_run_is_writing_is_not_swept(start_python, mosaics):
     program = """
 import sys, time

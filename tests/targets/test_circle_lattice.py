@@ -1,6 +1,7 @@
 """Lattices grown from ellipses among others that belong to none."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,6 +23,7 @@ def seen(points, radius, tilt, turn):
     return Ellipses(320 + 40 * flat * squash / depth, axes)
 
 
+@pytest.mark.slow
 @given(tilt=st.floats(0, 1.2), turn=st.floats(0, 6.28), seed=st.integers(0, 1000))
 def test_the_whole_board_is_one_lattice_among_clutter(tilt, turn, seed):
     rng = np.random.default_rng(seed)

@@ -172,6 +172,7 @@ def test_the_other_pattern_yields_nothing(drawn, looked_for):
     assert detection.reason.endswith("markers in other positions than on this board")
 
 
+@pytest.mark.slow
 def test_a_board_of_unknown_pattern_is_found_in_both():
     for board in (CHARUCO, LEGACY):
         assert len(detect(view(board), replace(CHARUCO, legacy=None)).ids) == CHARUCO.count

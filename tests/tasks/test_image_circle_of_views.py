@@ -145,6 +145,7 @@ def circle_in_file(corners, tmp_path, circles, guess=None):
     return native.read(tmp_path / "camera.yaml").cameras["camera"].valid
 
 
+@pytest.mark.slow
 def test_calibrate_takes_the_circle_of_the_table_or_else_of_the_guess(corners, tmp_path):
     other = ImageCircle((640, 480), (318.0, 240.0), 290.25)
     entry = CameraEntry(LENS, valid=ValidRegion(image_circle=other))

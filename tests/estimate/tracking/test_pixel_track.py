@@ -55,6 +55,7 @@ def test_a_small_tag_is_not_followed_by_its_mirrored_poses(seed):
     assert track.consistency.verdict == "consistent"
 
 
+@pytest.mark.slow
 def test_the_forward_pass_alone_and_a_short_look_ahead_keep_to_the_right_pose():
     rotations, _, views, poses = swaying(1.5, 3)
     for lag, most in ((0, 0.05), (15, 0.02)):
@@ -99,6 +100,7 @@ def test_wrong_frames_are_left_out():
     assert not wrong(rotations, track)[np.isfinite(track.nis)].any()
 
 
+@pytest.mark.slow
 def test_a_wrong_corner_does_not_cost_its_frame():
     rotations, _, views, poses = swaying(1.0, 7)
     views, poses = list(views), list(poses)
