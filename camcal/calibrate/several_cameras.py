@@ -23,6 +23,7 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.single_views import ViewQuadratics, view_quadratics
 from camcal.calibrate.view_records import names_of, px_words
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.messages import counted
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
@@ -71,7 +72,7 @@ class TwoCameras:
     @property
     def words(self) -> str:
         """What was found and what to do."""
-        larger, smaller = (f"{len(images)} views ({names_of(images, _LISTED)})" for images in self.groups)
+        larger, smaller = (f"{counted(len(images), 'view')} ({names_of(images, _LISTED)})" for images in self.groups)
         focal = " and ".join(f"{value:.0f}" for value in self.focal_px)
         return (
             f"views of two cameras, or of one with changed zoom or focus: {larger} and {smaller}, fx {focal} px; "

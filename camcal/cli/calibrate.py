@@ -147,7 +147,9 @@ def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bo
     rows = [[view.image, len(view.ids), view.reason or ""] for view in shown]
     if views:
         found = sum(view.found for view in views)
-        show.table(f"{found} of {len(views)} images show the board", DETECTION_COLUMNS, rows, verbose=verbose)
+        show.table(
+            f"{found} of {counted(len(views), 'image')} with the board", DETECTION_COLUMNS, rows, verbose=verbose
+        )
     if len(shown) < len(views):
         show.text(f"  … and {len(views) - len(shown)} with corners (--verbose lists all)")
     if report.frames:

@@ -96,7 +96,7 @@ def test_views_are_refused_for_two_cameras_where_these_are_clear(ratio, refused)
         (("a.png",), ("b.png",)), by_name=False, ratio=ratio, own_px=0.1, other_px=9.0, focal_px=(1, 2)
     )
     if refused:
-        with pytest.raises(InsufficientData, match=r"1 views \(a\.png\) and 1 views \(b\.png\)"):
+        with pytest.raises(InsufficientData, match=r"1 view \(a\.png\) and 1 view \(b\.png\)"):
             require_one_camera(cameras)
     else:
         require_one_camera(cameras)

@@ -85,7 +85,7 @@ def test_the_corners_of_raw_frames_are_written(run, scene, tmp_path):
         options = ["--pattern", "RGGB", "--algorithm", algorithm, "--jobs", 1]
         code, out, _ = run("detect", scene / "images" / "view0000.png", "-b", BOARD, "-o", output, *options)
         assert code == 0
-        assert "1 of 1 images show the board" in out
+        assert "1 of 1 image with the board" in out
 
 
 def test_a_table_of_corners_has_no_channels(run, scene, tmp_path):

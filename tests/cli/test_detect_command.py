@@ -25,7 +25,7 @@ def test_a_table_says_what_every_image_shows(run, folder, tmp_path):
     code, out, err = run("detect", folder, "--board", "chessboard:6x5:25mm", "-o", output, "--jobs", 1)
     assert (code, err) == (0, "")
     lines = out.splitlines()
-    assert lines[0] == "1 of 2 images show the board"
+    assert lines[0] == "1 of 2 images with the board"
     assert lines[1].split() == ["image", "corners", "reason"]
     assert lines[2].split() == ["board.png", "30"]
     assert lines[3].split(maxsplit=2) == ["wall.png", "0", "no chessboard found"]
@@ -87,7 +87,7 @@ def test_a_board_of_circles_is_proposed_in_the_form_that_the_option_takes(run, t
     code, _, err = run("detect", tmp_path, "-b", "asymmetric_circles:4x11:20mm", "-o", tmp_path / "a.csv", "--jobs", 1)
     assert code == 4
     assert err == (
-        "camcal: error: no asymmetric grid of 4x11 circles in 1 of 1 images, but an asymmetric grid of 3x7 circles in "
+        "camcal: error: no asymmetric grid of 4x11 circles in 1 of 1 image, but an asymmetric grid of 3x7 circles in "
         "1; use --board asymmetric_circles:3x7:20mm\n"
     )
     board = err.split()[-1]
@@ -107,7 +107,7 @@ def test_images_of_other_sizes_are_used_with_their_option(run, folder, tmp_path)
     )
     code, out, _ = run(*command, "--mixed-sizes")
     assert code == 0
-    assert "3 of 4 images show the board" in out
+    assert "3 of 4 images with the board" in out
     assert output.read_text().count("cropped.png,320,240,") == 30
 
 

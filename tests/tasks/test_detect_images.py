@@ -221,9 +221,9 @@ def test_images_of_other_sizes_are_used_if_asked_for(tmp_path):
 
 def test_a_board_that_is_nowhere_ends_with_advice(tmp_path):
     write_wall(tmp_path / "a.png")
-    with pytest.raises(InsufficientData, match=r"in any of 1 images \(1 times: no chessboard found\); check the size"):
+    with pytest.raises(InsufficientData, match=r"in the image \(1 time: no chessboard found\); check the size"):
         found(tmp_path)
-    with pytest.raises(InsufficientData, match=r"no ChArUco board of 6x4 squares in any of 1 .* check squares"):
+    with pytest.raises(InsufficientData, match=r"no ChArUco board of 6x4 squares in the image .* check squares"):
         found(tmp_path, CHARUCO)
 
 

@@ -98,7 +98,7 @@ def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool 
         return None
     if common is None:
         advice = f"check {_TO_CHECK[board.type]}, and the images"
-        return InsufficientData(f"no {board.words} in any of {len(views)} images{_reasons(views)}; {advice}")
+        return InsufficientData(f"no {board.words} in {_any(views)}{_reasons(views)}; {advice}")
     squares = (common.columns + 1, common.rows + 1) == (board.columns, board.rows)
     checker = board.type == CHESSBOARD
     why = "sizes count inner corners, not squares: " if checker and squares else ""
@@ -107,7 +107,7 @@ def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool 
     article = "an" if common.type == ASYMMETRIC_CIRCLES else "a"
     what = f"a checker pattern of {common.columns}x{common.rows}" if checker else f"{article} {common.words}"
     return InsufficientData(
-        f"no {board.words} in {len(views) - found} of {len(views)} images, but {what} "
+        f"no {board.words} in {len(views) - found} of {counted(len(views), 'image')}, but {what} "
         f"in {counts[common]}; {why}use --board {short_form(common)}{hidden}"
     )
 
@@ -123,7 +123,7 @@ class OtherBoard:
     def error(self, views: Sequence[BoardDetection], asked: Board) -> InsufficientData:
         """Return the error that says so; views: what was found of the board that was asked for."""
         missing = sum(not view.found for view in views)
-        lacking = f"no {asked.words}" + (f" in {missing} of {len(views)} images" if missing else "")
+        lacking = f"no {asked.words}" + (f" in {missing} of {counted(len(views), 'image')}" if missing else "")
         return InsufficientData(
             f"{lacking}: {self.shown} of {self.tried} tested images show "
             f"{', '.join(_differences(self.board, asked))}; use --board {_stated(self.board)}"
@@ -167,9 +167,14 @@ def _larger(other: Board, board: Board) -> bool:
     return long > longest or short > shortest
 
 
+def _any(views: Sequence[BoardDetection]) -> str:
+    """Return 'the image', or 'any of 9 images'."""
+    return "the image" if len(views) == 1 else f"any of {len(views)} images"
+
+
 def _reasons(views: Sequence[BoardDetection]) -> str:
     reason, count = Counter(view.reason for view in views).most_common(1)[0]
-    return f" ({count} times: {reason})"
+    return f" ({counted(count, 'time')}: {reason})"
 
 
 def _squares(board: Board) -> str:
