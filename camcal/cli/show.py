@@ -30,7 +30,9 @@ LISTED = 10  # rows and lines of a list, unless all are asked for
 _BOLD_GREEN, _BOLD_RED, _PLAIN = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
 _NARROWEST = 40  # cells: no line is made shorter
 _REDRAW_S = 0.1
-_LONGEST = 4000  # characters of a line on stderr, which may quote what stands in a file
+_LONGEST = 4000  # characters of a line on stderr
+_QUOTED = 100  # characters of a quotation that is shortened
+_QUOTATION = re.compile(r"""(['"])((?:(?!\1).){200,})\1""")
 _STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _SIGNIFICANT_DIGITS = 12
 
@@ -331,7 +333,8 @@ def _lines(kind: str, message: str) -> Iterator[str]:
 
 
 def _shortened(line: str) -> str:
-    """Return a line that ends at a word where it would be too long."""
+    """Return a line with long quotations of files shortened, ending at a word where it would be too long."""
+    line = _QUOTATION.sub(lambda found: f"{found[1]}{found[2][:_QUOTED]} …{found[1]}", line)
     if len(line) <= _LONGEST:
         return line
     kept = line[:_LONGEST]

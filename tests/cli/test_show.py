@@ -136,3 +136,9 @@ def test_a_long_line_is_whole_and_an_endless_one_ends_at_a_word(capsys):
     assert long.endswith("word …\n")
     show.error("x" * 9000)
     assert len(capsys.readouterr().err) < 4100
+
+
+def test_a_long_quotation_of_a_file_is_shortened_and_what_is_said_of_it_is_not(capsys):
+    show.error(f"a.csv:1: unknown column '{'- ' * 1000}'. Did you mean 'x'? {'words ' * 100}")
+    said = capsys.readouterr().err
+    assert f"'{'- ' * 50} …'. Did you mean 'x'? {'words ' * 100}".strip() in said

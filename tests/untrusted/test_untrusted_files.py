@@ -185,7 +185,7 @@ def test_a_name_with_a_line_break_costs_that_image_only(tmp_path):
         save(tmp_path / name, board)
     done = camcal("detect", tmp_path, "-b", "chessboard:7x5:25mm", "-o", tmp_path / "d.csv", "--jobs", "1")
     assert done.returncode == 6, done.stderr
-    assert "has a line break in its name" in done.stdout
+    assert "has a line break in its name" in done.stderr
     assert "c.png" in (tmp_path / "d.csv").read_text()
 
 
