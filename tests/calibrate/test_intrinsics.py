@@ -58,6 +58,7 @@ def test_priors_leave_the_coefficients_of_a_fisheye_model_to_the_data_at_a_long_
     assert ours[-1] > 100  # by far more than the prior of a denominator's k4 would let through
 
 
+@pytest.mark.slow
 def test_coefficients_that_the_data_hardly_determine_are_held_by_their_priors(scene):
     seen = scene.observe(3, noise_px=0.1)
     assert calibrate(seen, scene.board, Options(scene.camera.model)).held_by_prior == ()

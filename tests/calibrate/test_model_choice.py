@@ -265,7 +265,7 @@ def test_the_fisheye_sees_about_150_degrees():
     assert np.degrees(field_of_view(camera)[0]) == pytest.approx(150, abs=3)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("count", [8, 20])
 @pytest.mark.parametrize("name", ["opencv5", "kannala_brandt4", "kannala_brandt5t"])
 def test_a_lens_takes_the_model_that_it_was_made_with(name, count, seed):
@@ -319,6 +319,7 @@ def jittered(views, rng):
     return [replace(view, pixels=view.pixels + 0.001 * rng.normal(size=view.pixels.shape)) for view in views]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "view"), [(8, 0), (20, 5)])
 @pytest.mark.parametrize("name", WIDE)
 def test_one_view_with_shuffled_ids_does_not_change_the_choice(name, count, view):

@@ -121,6 +121,7 @@ def test_the_json_document_of_a_pair(run, images):
     assert document["overall"]["rms"] == pair["rows_px"]["rms"]
 
 
+@pytest.mark.slow
 def test_folders_are_paired_and_checked_together(run, tmp_path):
     left, right = sequence(tmp_path, 0.0, 0.8)
     code, out, _ = run("stereo", "check", left, right, "-o", tmp_path / "pictures", "-j", 1)

@@ -169,6 +169,7 @@ def test_a_part_of_a_fisheye_fits_a_pinhole():
     assert build_maps(ALL_AROUND, view).valid().all()
 
 
+@pytest.mark.slow
 def test_the_search_for_a_crop_ends_where_the_axis_is_at_the_corner_of_the_image():
     lens = Camera(model_named("kannala_brandt4"), (400, 300), np.array([150, 150, 2, 2, 0.01, -0.01, 0.002, -0.001]))
     with pytest.raises(InvalidInput, match="exceeds the field of view of a pinhole"):

@@ -255,6 +255,7 @@ def test_how_smooth_views_are_is_asked_where_the_median_is_too_large():
     assert far.roughness == roughness(problem)
 
 
+@pytest.mark.slow
 def test_a_wide_lens_that_is_called_a_pinhole_is_refused_for_its_model():
     wide = Camera(model_named("kannala_brandt4"), (1600, 1200), np.array([520.0, 520, 799, 599, 0.02, -0.01, 0.004, 0]))
     rng = np.random.default_rng(1)

@@ -93,6 +93,7 @@ def test_rows_out_of_sight_are_those_that_were_stated():
     assert search_charuco(image, replace(asked, rows=8)).rows == 9
 
 
+@pytest.mark.slow
 def test_most_layouts_make_the_common_one_and_the_largest_says_how_many_rows():
     layout = search_charuco(shown(BOARD), BOARD)
     other = replace(layout, dictionary="DICT_4X4_1000")

@@ -87,6 +87,7 @@ def test_every_image_has_its_place_and_its_reason(tmp_path):
     assert failed.startswith(f"{tmp_path}/5.png: ")
 
 
+@pytest.mark.slow
 def test_the_same_bytes_come_out_whatever_the_number_of_jobs(tmp_path):
     images = tmp_path / "images"
     images.mkdir()

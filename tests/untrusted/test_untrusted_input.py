@@ -14,6 +14,7 @@ HARNESS = Path(__file__).with_name("untrusted_run.py")
 CASES = 130  # every reader once
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as Linux does")
 def test_damaged_files_end_in_one_line_and_a_documented_exit():
     done = subprocess.run(
