@@ -150,20 +150,21 @@ def _add_grouped(total: NormalEquations, block: Block, where: slice | Array, com
     gram = np.asarray(sum(run @ run.transpose(0, 2, 1) for run in stacked))
     group, shared, residual = slice(0, size), slice(size, count - 1), count - 1
     gradients = gram[:, shared, residual]
-    _add_at(total.group_group, where, gram[:, group, group])
-    _add_at(total.gradient.groups, where, gram[:, group, residual])
-    if isinstance(where, slice):
+    if isinstance(where, slice) and block.group_columns is None:
         span = _span(columns)
+        total.group_group[where] += gram[:, group, group]
+        total.gradient.groups[where] += gram[:, group, residual]
         total.group_shared[where, :, span] += gram[:, group, shared]
         total.group_gradients[where, span] += gradients
     else:
-        np.add.at(total.group_shared, (where[:, None, None], np.arange(size)[:, None], columns), gram[:, group, shared])
-        np.add.at(total.group_gradients, (where[:, None], columns), gradients)
+        groups, own = _indices(where), _group_columns(block, size)
+        total.group_group[np.ix_(groups, own, own)] += gram[:, group, group]
+        total.gradient.groups[np.ix_(groups, own)] += gram[:, group, residual]
+        total.group_shared[np.ix_(groups, own, columns)] += gram[:, group, shared]
+        total.group_gradients[np.ix_(groups, columns)] += gradients
     total.gradient.shared[columns] += gradients.sum(axis=0)
     total.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
-    products = np.zeros((len(gram), *total.group_products.shape[1:]))
-    products[:, columns[:, None], columns] = gram[:, shared, shared]
-    _add_at(total.group_products, where, products)
+    total.group_products[np.ix_(_indices(where), columns, columns)] += gram[:, shared, shared]
 
 
 def _add_ungrouped(total: NormalEquations, common: _Common) -> None:
@@ -177,18 +178,26 @@ def _add_sparse(
 ) -> None:
     """Add a Jacobian whose columns differ from row to row."""
     own = _rows([jacobian.values], np.sqrt(weights))
-    places = _repeated(block, jacobian) if isinstance(where, slice) else None
-    if places is None or not isinstance(where, slice):
+    places = _repeated(block, jacobian)
+    if places is None:
         _add_scattered(total, block, where, jacobian, own, common)
     else:
-        _add_repeated(total, where, places, own, common)
+        _add_repeated(total, block, where, places, own, common)
 
 
-def _add_repeated(total: NormalEquations, where: slice, places: Sequence[slice], own: Array, common: _Common) -> None:
+def _add_repeated(
+    total: NormalEquations,
+    block: Block,
+    where: slice | Array,
+    places: Sequence[slice],
+    own: Array,
+    common: _Common,
+) -> None:
     """Add a Jacobian whose rows have the same columns in every run: of each derivative (L,) those of all rows."""
     rows, size, columns = common
-    shape = where.stop - where.start, -1
+    shape = len(block.residuals) // block.rows_per_group, -1
     own, rows = own.reshape(*own.shape[:2], *shape), rows.reshape(*rows.shape[:2], *shape)
+    groups, group_columns = _indices(where)[:, None], _group_columns(block, size)
     for axis, place in enumerate(places):
         products = sum(first * second for first, second in zip(own[:, axis], rows, strict=True))
         summed = products.sum(axis=1)
@@ -196,7 +205,7 @@ def _add_repeated(total: NormalEquations, where: slice, places: Sequence[slice],
         total.shared_shared[place, columns] += summed[size:-1].T
         total.shared_shared[columns, place] += summed[size:-1]
         total.group_gradients[where, place] += products[-1]
-        total.group_shared[where, :, place] += products[:size].swapaxes(0, 1)
+        total.group_shared[groups, group_columns, place] += products[:size].swapaxes(0, 1)
         for other, across in zip(np.einsum("dgp,dlgp->lp", own[:, axis], own), places, strict=True):
             np.einsum("ii->i", total.shared_shared[place, across])[:] += other
 
@@ -218,7 +227,8 @@ def _add_scattered(
         runs = np.arange(own.shape[-1]) // block.rows_per_group
         group = runs + where.start if isinstance(where, slice) else where[runs]
         _scatter(total.group_gradients, group * shared + at, products[:, -1])
-        index = (group * size + np.arange(size)[:, None])[None] * shared + at[:, None]
+        places = group * total.group_shared.shape[1] + _group_columns(block, size)[:, None]
+        index = places[None] * shared + at[:, None]
         _scatter(total.group_shared, index, products[:, :size])
 
 
@@ -234,8 +244,8 @@ def _add_cross(total: NormalEquations, first: Jacobian, second: Jacobian, weight
 def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:
     """Return a block in parts of whole groups that fit the processor's caches, and the groups of each."""
     length = block.rows_per_group
-    if not length or block.groups is not None:
-        yield block, slice(0, 0) if block.groups is None else block.groups
+    if not length:
+        yield block, slice(0, 0)
         return
     groups = len(block.residuals) // length
     step = max(_PART_ROWS // length, 1)
@@ -249,7 +259,17 @@ def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:
             group=None if block.group is None else block.group[rows],
             weights=None if block.weights is None else block.weights[rows],
         )
-        yield part, where
+        yield part, where if block.groups is None else block.groups[where]
+
+
+def _indices(where: slice | Array) -> Array:
+    """Return groups as indices."""
+    return np.arange(where.start, where.stop) if isinstance(where, slice) else where
+
+
+def _group_columns(block: Block, size: int) -> Array:
+    """Return the parameters of a group that the `size` derivatives of a block's rows are by."""
+    return np.arange(size) if block.group_columns is None else block.group_columns
 
 
 def _rows_of(jacobian: Jacobian, rows: slice) -> Jacobian:
@@ -293,10 +313,3 @@ def _scatter(target: Array, index: Array, values: Array) -> None:
     """Add values to the flat positions `index` of a contiguous array; repeated positions add up."""
     index = np.broadcast_to(index, values.shape)
     target += np.bincount(index.ravel(), values.ravel(), target.size).reshape(target.shape)
-
-
-def _add_at(target: Array, where: slice | Array, values: Array) -> None:
-    if isinstance(where, slice):
-        target[where] += values
-    else:
-        np.add.at(target, where, values)

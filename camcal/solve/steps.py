@@ -37,7 +37,8 @@ class Block:
 
     shared: by shared parameters. group: (M, D, g) by the parameters of the row's own group, or None.
     The rows of a group are adjacent and `rows_per_group` in number (pad with weight 0); run i belongs to group i,
-    or to groups[i] where given. weights: (M,) inverse variances. loss: applied to the weighted squared residual.
+    or to groups[i] where given, each of which occurs once. group_columns: (g,) which parameters of a group these are,
+    None for all. weights: (M,) inverse variances. loss: applied to the weighted squared residual.
     Arrays laid out with M last are the fast ones.
     """
 
@@ -46,6 +47,7 @@ class Block:
     group: Array | None = None
     rows_per_group: int = 0
     groups: Array | None = None
+    group_columns: Array | None = None
     weights: Array | None = None
     loss: Loss | None = None
 

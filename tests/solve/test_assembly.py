@@ -47,7 +47,8 @@ def plain(blocks):
                 own_gradients[group] += weight * own.T @ residual
                 own_matrices[group] += weight * own.T @ own
                 if block.group is not None:
-                    columns[:, group * SIZE : (group + 1) * SIZE] = block.group[row]
+                    inside = np.arange(SIZE) if block.group_columns is None else block.group_columns
+                    columns[:, group * SIZE + inside] = block.group[row]
             gradient += weight * columns.T @ residual
             matrix += weight * columns.T @ columns
     return Plain(cost, gradient, matrix, own_gradients, own_matrices)
@@ -95,8 +96,18 @@ def block_of(rng, runs, length, shared, **how):
 
 def cases(rng):
     """Blocks by what they are, and how many shared parameters all rows of a group may depend on."""
-    indexed = {"groups": np.array([3, 1, 1])}
+    indexed = {"groups": np.array([3, 1, 2])}
+    partly = {"group_columns": np.array([2, 0]), "group": rng.normal(size=(9, 2, 2))}
     return {
+        "some parameters": ([block_of(rng, 3, 3, [common(rng, 9, [0, 2, 3])], **partly)], 4),
+        "some parameters of named groups": (
+            [
+                block_of(rng, 4, 5, [common(rng, 20, [0, 1])]),
+                block_of(rng, 3, 3, [common(rng, 9, [3, 1]), repeated(rng, 3, 3)], **indexed, **partly),
+                block_of(rng, 3, 3, [common(rng, 9, [0]), scattered(rng, 9, np.arange(2, 9))], **indexed, **partly),
+            ],
+            4,
+        ),
         "dense": ([block_of(rng, 4, 5, [common(rng, 20, [0, 1, 2, 3])])], 4),
         "dense with gaps": ([block_of(rng, 4, 5, [common(rng, 20, [4, 0]), common(rng, 20, [2])])], 5),
         "without weights": ([block_of(rng, 4, 5, [common(rng, 20, [0, 1])], weights=None)], 2),
