@@ -103,7 +103,9 @@ def cases(rng):
         "some parameters of named groups": (
             [
                 block_of(rng, 4, 5, [common(rng, 20, [0, 1])]),
-                block_of(rng, 3, 3, [common(rng, 9, [3, 1]), repeated(rng, 3, 3, first=4)], **indexed, **partly),
+                block_of(
+                    rng, 3, 3, [common(rng, 9, [3, 1]), repeated(rng, 3, 3, first=4, step=1)], **indexed, **partly
+                ),
                 block_of(rng, 3, 3, [common(rng, 9, [0]), scattered(rng, 9, np.arange(4, 9))], **indexed, **partly),
             ],
             4,
