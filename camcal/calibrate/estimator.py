@@ -12,32 +12,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior, columns_at, fit_effects, posterior, scaled
+from camcal.calibrate.camera_part import CameraPart, KnownNoise, Place
+from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior, fit_effects, posterior, scaled
 from camcal.calibrate.noise import (
-    FINEST,
-    PERIODS,
     CornerNoise,
     ViewNoise,
-    clipped,
-    corner_weights,
-    count_of,
-    estimate_noise,
-    first_noise,
     lost,
-    period_shares,
-    view_noise,
 )
-from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
+from camcal.calibrate.problem import POSE, BoardProblem, State
 from camcal.calibrate.shape import (
     AT_ALL_TOGETHER,
     TOGETHER,
     Scale,
     board_scales,
-    first_scales,
     offset_std,
     point_equations,
     spent_on_offsets,
-    with_priors,
     with_terms,
 )
 from camcal.solve.descent import Stopping
@@ -60,9 +50,7 @@ _LESS, _LEAST_SHARE, _BACK = 0.7, 0.3, 0.5
 # A step is as long as the cost along it is lowest: how near to that is near enough, how much shorter a trial may be,
 # how many there are, and of the cost what cannot be seen in it.
 _NEAR, _SHORTEST, _TRIALS, _UNSEEN = 0.75, 0.2, 12, 1e-11
-_FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is accepted
 _POSING, _GROSS = Stopping(relative_decrease=1e-6, iterations=20), 3.0  # of lost views; σ where an error is gross
-_LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for
 
 
 @dataclass(frozen=True)
@@ -117,44 +105,25 @@ def estimate(
     return _Passes(problem, state, additional, start).run(brief=brief)
 
 
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """Where the passes are: a state, what was linearised there, and the coefficients (V, m) of effects."""
-
-    state: State
-    derivatives: Derivatives
-    coefficients: Array
-
-
-class _Passes:
+class _Passes(CameraPart):
     """The alternation; its attributes are what a pass leaves for the next."""
 
     def __init__(
         self, problem: BoardProblem, state: State, additional: AdditionalParameters, start: Estimate | None
     ) -> None:
-        present, claimed = problem.observations.present, problem.observations.covariance
         if additional.smooth:
             problem, state = with_terms(problem, state)
         together = additional.points and problem.board.count <= TOGETHER
-        self.problem = replace(problem, loss=None, offsets=together)
-        self.present, self.claimed, self.additional = present, claimed, additional
-        derivatives = self.problem.derivatives(state)
-        self.columns = columns_at(self.problem, state, derivatives, additional.effects)
-        self.place = _Place(state, derivatives, np.zeros((len(present), len(self.columns.effect))))
-        self.shares = self._shares()
-        residuals = self._residuals(self.place)
-        self.fresh = start is None
-        self.noise = start.noise if start else first_noise(self.problem.distances(residuals), present)
-        self.spent = start.posterior.spent if start else np.full(len(present), float(POSE))
+        known = KnownNoise(start.noise, start.corners, start.posterior.spent) if start else None
+        super().__init__(replace(problem, loss=None, offsets=together), state, additional.effects, known)
+        self.additional, self.fresh = additional, start is None
         self.on_points = 0.0  # degrees of freedom spent on single points
-        self.corners = start.corners if start else None
-        self.board = dict(start.board) if start else first_scales()
-        self.effect_scales = EffectScales.start(len(present), self.noise.sigma, max(problem.board.extent))
+        self.effect_scales = EffectScales.start(len(self.present), self.noise.sigma, max(problem.board.extent))
+        if start:
+            self.board = dict(start.board)
         if start and start.effect_scales:
             self._take_effects(start, start.effect_scales)
-        self.moved, self.share = np.zeros(len(problem.free)), 1.0
-        # offsets of the points may follow the corners of a view or two exactly, as if these had no noise at all
-        self.finest = FINEST if claimed is None else _FINER * _typical_std(claimed[present])
+        self.moved = np.zeros(len(problem.free))
 
     def _take_effects(self, start: Estimate, scales: EffectScales) -> None:
         """Begin with the effects of an estimate that has some of them."""
@@ -189,7 +158,7 @@ class _Passes:
             posterior=left,
             passes=number,
             converged=moved < _CALM,
-            model_error_px=None if self.corners is None else self.corners.typical(self.shares[self.present]),
+            model_error_px=self.model_error_px,
         )
 
     def _pass(self, *, first: bool) -> tuple[Factors, Posterior, float]:
@@ -197,7 +166,7 @@ class _Passes:
         deviations.
         """
         before = self.place.state.parameters
-        self._judge(first=first)
+        self.judge(first=first)
         offsets = np.zeros(len(self.present))
         if self.additional.points and not self.problem.offsets and not first:
             offsets = self._move_points()
@@ -218,86 +187,19 @@ class _Passes:
             self.moved = moved
         return factors, left, float(np.max(np.abs(moved), initial=0.0))
 
-    def _residuals(self, place: _Place) -> Array:
-        """Return the residuals (2, V, P) that effects do not explain, NaN where the lens has no image.
-
-        Beyond the domain of the lens of now they are those of its formula: a corner that had none could not pull the
-        lens back.
-        """
-        residuals = np.where(place.derivatives.valid, place.derivatives.residuals, np.nan)
-        return residuals.reshape(2, *self.present.shape) + self._field(place)
-
-    def _field(self, place: _Place) -> Array:
-        """Return what effects move the corners by, (2, V, P) px."""
-        views = self.columns.values.transpose(0, 2, 3, 1)
-        return np.asarray((views @ place.coefficients[:, :, None])[..., 0])
-
-    def _judge(self, *, first: bool) -> None:
-        """Take noise and weights from the residuals."""
-        residuals = self._residuals(self.place)
-        if self.claimed is not None and not first:
-            self._weigh(residuals)
-        distances = self.problem.distances(residuals)
-        if not first:
-            weights = self.problem.observations.weights
-            self.noise = view_noise(
-                distances,
-                self.present,
-                weights=weights,
-                spent=self.spent,
-                noise=self.noise,
-                share=self.share,
-                finest=self.finest,
-            )
-        weights = corner_weights(distances, self.present, self.noise, self.spent)
-        if not first:
-            weights = np.where(
-                weights > 0, self.share * weights + (1 - self.share) * self.problem.observations.weights, 0.0
-            )
-        observations = replace(self.problem.observations, weights=weights)
-        problem = replace(self.problem, observations=observations, sigma=self.noise.sigma, noise=self.noise.views)
-        self.problem = with_priors(problem, self.board)
-
-    def _weigh(self, residuals: Array) -> None:
-        """Take the errors that corners have beyond their covariances from the residuals, and weigh them by both."""
-        assert self.claimed is not None
-        observations = self.problem.observations
-        kept = self.present & np.isfinite(residuals).all(axis=0)
-        # by their own median, not by the weights: these follow from the noise, and both would shrink each other
-        even = clipped((residuals / np.sqrt(self.noise.views)[:, None])[:, kept].T)
-        weights = np.ones(len(even))
-        found = estimate_noise(even, self.claimed[kept], self.shares[kept], weights, self._unspent(), self.corners)
-        self.corners = found if self.corners is None else self.corners.towards(found, self.share)
-        total = self.corners.covariances(self.claimed.reshape(-1, 2, 2), self.shares.reshape(-1, 2, len(PERIODS)))
-        self.problem = replace(self.problem, observations=observations.weighted(total.reshape(self.claimed.shape)))
-
-    def _shares(self) -> Array:
-        """Return the shares (V, P, 2, n) that errors of each period have in the corners, in u and in v."""
-        board, shape = self.problem.board, self.present.shape
-        if self.claimed is None or not board.has_saddle_corners:
-            return np.zeros((*shape, 2, len(PERIODS)))
-        side = board.spacing if board.checker else (board.marker or board.spacing)
-        axes = side * self.place.derivatives.by_board(self.place.state.rotations)[..., :2]
-        return period_shares(axes.reshape(-1, 2, 2)).reshape(*shape, 2, -1)
-
     def _move_points(self) -> Array:
         """Solve for the offsets of the points, everything else held; return the degrees of freedom (V,) that the
         corners of each view spend on them.
         """
         state, derivatives = self.place.state, self.place.derivatives
-        equations = point_equations(self.problem, state, derivatives, self._field(self.place))
+        equations = point_equations(self.problem, state, derivatives, self.field(self.place))
         side = max(self.problem.board.extent)
-        self.board = self.board | equations.scales(side, self._unspent())
+        self.board = self.board | equations.scales(side, self.unspent())
         std = offset_std(self.board, side)
         offsets = equations.offsets(std)
         derivatives = self.problem.with_points_moved(state, derivatives, offsets - state.offsets)
         self.place = replace(self.place, state=replace(state, offsets=offsets), derivatives=derivatives)
         return equations.spent(std)
-
-    def _unspent(self) -> float:
-        """Return the degrees of freedom per coordinate that parameters have left over."""
-        left = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(self.problem.observations.weights)))
-        return max(left, _LEAST_DOF)
 
     def _move(self) -> tuple[Factors, State]:
         """Solve for everything that is linear, and go as much of the way as the cost falls; return the factors and the
@@ -321,21 +223,16 @@ class _Passes:
             share = max(best, _SHORTEST * share)
         return factors, self.problem.retract(here.state, step)
 
-    def _towards(self, here: _Place, step: Step, share: float) -> _Place:
+    def _towards(self, here: Place, step: Step, share: float) -> Place:
         """Return the place a share of the way along a step, whose coefficients of effects are those of its end."""
         state = self.problem.retract(here.state, Step(share * step.shared, share * step.groups[:, :POSE]))
         coefficients = (1 - share) * here.coefficients + share * step.groups[:, POSE:]
-        return _Place(state, self.problem.derivatives(state), coefficients)
+        return Place(state, self.problem.derivatives(state), coefficients)
 
-    def _cost(self, place: _Place, std: Array) -> float:
-        """Return the cost of a place, effects of standard deviations (V, m) included; inf where corners that count have
-        no image.
-        """
-        weights = self.problem.observations.weights / self.noise.views[:, None]
-        squared = np.nan_to_num(self.problem.distances(self._residuals(place)), nan=np.inf) ** 2
-        total = np.sum(weights * np.where(weights > 0, squared, 0.0)) / self.noise.sigma**2
-        total += sum(np.sum(prior.residuals**2) for prior in self.problem.priors(place.state))
-        return 0.5 * float(total + np.sum((place.coefficients / std) ** 2))
+    def _cost(self, place: Place, std: Array) -> float:
+        """Return the cost of a place, effects of standard deviations (V, m) and priors included."""
+        priors = sum(np.sum(prior.residuals**2) for prior in self.problem.priors(place.state))
+        return self.cost(place, std) + 0.5 * float(priors)
 
     def _pose_lost_views(self) -> None:
         """Pose the views that have lost most of their corners once more, all corners counting: an old pose under a lens
@@ -358,8 +255,3 @@ def _to_come(moved: float, before: float) -> float:
     """Return how far a series goes on after a change, of which the one before was `before`; at least the change."""
     rate = min(moved / before, _SLOWEST) if before > 0 else 0.0
     return moved * max(rate / (1 - rate), 1.0)
-
-
-def _typical_std(covariances: Array) -> float:
-    """Return the standard deviation of a coordinate of a typical corner, of covariances (N, 2, 2)."""
-    return float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2)) / 2))

@@ -8,6 +8,7 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
+from camcal.calibrate.camera_part import Place
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior
 from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.noise import CornerNoise, ViewNoise
@@ -56,7 +57,7 @@ def test_the_cost_of_a_place_is_that_of_corners_priors_and_effects():
     state = replace(passes.place.state, shape=1e-3 * rng.normal(size=terms))
     count = passes.columns.values.shape[1]
     coefficients, std = 0.1 * rng.normal(size=(VIEWS, count)), rng.uniform(0.1, 0.5, (VIEWS, count))
-    place = estimator._Place(state, passes.problem.derivatives(state), coefficients)
+    place = Place(state, passes.problem.derivatives(state), coefficients)
     field = np.einsum("imvp,vm->ivp", passes.columns.values, coefficients)
     away = np.einsum("ijvp,jvp->ivp", observations.whitening, passes.problem.residuals(state) + field)
     corners = np.sum(weights / views[:, None] * np.sum(away**2, axis=0)) / 0.3**2
@@ -65,8 +66,8 @@ def test_the_cost_of_a_place_is_that_of_corners_priors_and_effects():
     assert passes._cost(place, std) == pytest.approx(expected, rel=1e-12)
     lost = replace(place.derivatives, valid=np.arange(place.derivatives.valid.size) != 2 * shape[1] + 3)
     assert passes._cost(replace(place, derivatives=lost), std) == pytest.approx(expected, rel=1e-12)  # of no weight
-    np.testing.assert_allclose(passes._field(place), field, atol=1e-12)
-    np.testing.assert_allclose(passes._residuals(place), passes.problem.residuals(state) + field, atol=1e-9)
+    np.testing.assert_allclose(passes.field(place), field, atol=1e-12)
+    np.testing.assert_allclose(passes.residuals(place), passes.problem.residuals(state) + field, atol=1e-9)
 
 
 def test_a_part_of_a_step_leads_that_part_of_the_way():
@@ -96,7 +97,7 @@ def to_and_fro(monkeypatch, moves, *, offsets=None):
         self.place = replace(self.place, state=replace(self.place.state, parameters=parameters))
         return None, None
 
-    monkeypatch.setattr(estimator._Passes, "_judge", lambda self, *, first: None)
+    monkeypatch.setattr(estimator._Passes, "judge", lambda self, *, first: None)
     monkeypatch.setattr(estimator._Passes, "_move", move)
     monkeypatch.setattr(estimator, "posterior", lambda factors: Posterior(np.diag(std**2), spent))
     monkeypatch.setattr(estimator, "board_scales", lambda *problem: {})
@@ -140,9 +141,9 @@ def test_what_is_left_per_coordinate_is_what_parameters_have_not_spent():
     passes = passes_of(scene_of())
     passes.spent = np.full(VIEWS, 15.0)
     # 60 coordinates a view; a weight of all corners counts as 1 / 0.99 of Gaussian ones
-    assert passes._unspent() == pytest.approx(0.75, abs=0.005)
+    assert passes.unspent() == pytest.approx(0.75, abs=0.005)
     passes.spent = np.full(VIEWS, 59.9)
-    assert passes._unspent() == 0.05
+    assert passes.unspent() == 0.05
 
 
 def test_passes_begin_with_poses_paid_for_and_points_of_small_boards_together():
@@ -222,7 +223,7 @@ def weighed(rng, claimed_std=0.05):
 
 def test_a_floor_is_found_beside_gross_errors_views_of_more_noise_and_spent_freedom():
     passes, residuals = weighed(np.random.default_rng(4))
-    passes._weigh(residuals)
+    passes.weigh(residuals)
     # 2500 numbers: 1.4 % of a variance of which the floor is two thirds; ten gross ones, cut at four deviations
     assert passes.corners.constant_px == pytest.approx(FLOOR, rel=0.06)
     whitening = passes.problem.observations.whitening
@@ -233,11 +234,11 @@ def test_a_floor_is_found_beside_gross_errors_views_of_more_noise_and_spent_free
 
 def test_a_new_floor_goes_a_share_of_the_way_in_variances():
     passes, residuals = weighed(np.random.default_rng(5))
-    passes._weigh(residuals)
+    passes.weigh(residuals)
     first, passes.share = passes.corners.constant_px, 0.3
-    passes._weigh(3 * residuals)
+    passes.weigh(3 * residuals)
     third = weighed(np.random.default_rng(5))[0]
-    third._weigh(3 * residuals)
+    third.weigh(3 * residuals)
     expected = np.sqrt(0.7 * first**2 + 0.3 * third.corners.constant_px**2)
     assert passes.corners.constant_px == pytest.approx(expected, rel=1e-4)
 
@@ -278,11 +279,11 @@ def test_points_move_to_where_their_equations_say():
     scene = scene_of(13, 5)
     passes = passes_of(scene, AdditionalParameters(smooth=False, points=True), noise=0.5)
     assert not passes.problem.offsets
-    passes._judge(first=True)
+    passes.judge(first=True)
     for _ in range(2):  # from where they are drawn, and from there
         here = passes.place
         equations = point_equations(passes.problem, here.state, here.derivatives, np.zeros((2, *passes.present.shape)))
-        expected = equations.scales(max(scene.board.extent), passes._unspent())
+        expected = equations.scales(max(scene.board.extent), passes.unspent())
         spent = passes._move_points()
         for name, scale in expected.items():
             assert passes.board[name].effective == pytest.approx(scale.effective, rel=1e-9)

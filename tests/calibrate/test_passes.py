@@ -162,7 +162,7 @@ def parts(monkeypatch, additional=BARE, *, first=False, at_once=False):
     left = Posterior(np.eye(4), np.full(VIEWS, 7.0))
     apart, together = np.arange(VIEWS) + 6.0, np.arange(VIEWS) + 12.0
     for name, result in (
-        ("_judge", None),
+        ("judge", None),
         ("_move_points", apart),
         ("_move", (None, None)),
         ("_pose_lost_views", None),
@@ -177,7 +177,7 @@ def parts(monkeypatch, additional=BARE, *, first=False, at_once=False):
     return passes, told
 
 
-ALL = ["_judge", "_move", "_pose_lost_views"]
+ALL = ["judge", "_move", "_pose_lost_views"]
 FREE = AdditionalParameters(smooth=True, points=True)
 
 
@@ -185,7 +185,7 @@ FREE = AdditionalParameters(smooth=True, points=True)
     ("additional", "how", "told", "offsets"),
     [
         (BARE, {}, ALL, None),
-        (FREE, {}, ["_judge", "_move_points", "_move", "_pose_lost_views"], 6.0),
+        (FREE, {}, ["judge", "_move_points", "_move", "_pose_lost_views"], 6.0),
         (FREE, {"first": True}, ALL, None),
         (FREE, {"at_once": True}, ALL, 12.0),
     ],
@@ -211,12 +211,12 @@ def judged(claimed, share):
     """Passes that have been judged once, and once more by corners of which one has no image now and all are noisier."""
     passes = passes_of(scene_of(), claimed=claimed)
     told = []
-    passes._weigh = told.append
+    passes.weigh = told.append
     before, passes.share = passes.noise, share
-    passes._judge(first=True)
+    passes.judge(first=True)
     weights = passes.problem.observations.weights
     assert passes.noise is before  # by medians, as good as it gets without weights
-    first = corner_weights(np.hypot(*passes._residuals(passes.place)), passes.present, before, passes.spent)
+    first = corner_weights(np.hypot(*passes.residuals(passes.place)), passes.present, before, passes.spent)
     np.testing.assert_allclose(weights, first, rtol=1e-12)
     assert weights.min() < 0.99
     rng = np.random.default_rng(3)
@@ -226,7 +226,7 @@ def judged(claimed, share):
     residuals[:, 4] = np.nan
     passes.place = replace(passes.place, derivatives=derivatives)
     assert not told  # the first pass has no noise yet to weigh by
-    passes._judge(first=False)
+    passes.judge(first=False)
     return passes, before, weights, residuals.reshape(2, *passes.present.shape), told
 
 
@@ -258,7 +258,7 @@ def test_corners_whose_images_claim_covariances_are_weighed_by_them():
 def test_priors_of_the_board_are_those_of_its_scales():
     passes = passes_of(scene_of(), FREE)
     passes.board["bow"] = replace(passes.board["bow"], effective=0.01)
-    passes._judge(first=True)
+    passes.judge(first=True)
     assert passes.problem.term_std[TERMS.index("P2(x)")] == pytest.approx(0.01 * 0.2)
     assert passes.problem.offset_std is not None
 
@@ -271,7 +271,7 @@ def line_search(monkeypatch, cost, promised=None):
     a slope of -2); promised: the share of the cost that the whole step does.
     """
     passes = passes_of(scene_of())
-    passes._judge(first=True)
+    passes.judge(first=True)
     here = passes.place
     end = passes._cost(here, np.zeros((VIEWS, 0))) - passes._move()[0].decrease()
     level = 2 * end if promised is None else end / (1 - promised)
@@ -316,7 +316,7 @@ def test_effects_go_with_the_step_to_where_they_are_likeliest():
     )
     state = passes.place.state
     passes.place = replace(passes.place, derivatives=passes.problem.derivatives(state))
-    passes._judge(first=True)
+    passes.judge(first=True)
     started = passes.effect_scales
     factors, end = passes._move()
     step, std = factors.solve().groups, passes.effect_scales.std(passes.columns.effect)
@@ -329,7 +329,7 @@ def test_effects_go_with_the_step_to_where_they_are_likeliest():
 
 def test_scales_of_effects_that_are_not_estimated_stay_as_they_are():
     passes = passes_of(scene_of())
-    passes._judge(first=True)
+    passes.judge(first=True)
     before = passes.effect_scales
     passes._move()
     assert passes.effect_scales is before
