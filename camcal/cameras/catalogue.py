@@ -12,6 +12,7 @@ _FILES = (
     "brown",
     "kannala_brandt",
     "panoramic",
+    "rectified_views",
 )
 _REGISTERED: dict[str, CameraModel] = {
     model.name: model for file in _FILES for model in import_module(f"camcal.cameras.{file}").MODELS

@@ -1,0 +1,1 @@
+"""Rectification: the geometry of the rectified pair, and maps that images are drawn through."""
