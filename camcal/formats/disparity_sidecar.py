@@ -5,7 +5,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,12 @@ from typing import Any
 from camcal import files
 from camcal.arrays import FloatArray, readonly
 from camcal.errors import InvalidInput, Located
-from camcal.formats.documents import Fault, parse_json
+from camcal.formats.documents import Fault, child, parse_json
 from camcal.formats.emit import rounded
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text, unchecked
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.geometry import BESIDE, StereoGeometry
+from camcal.stereo.points.calibration_error import CalibrationError
+from camcal.stereo.rectify.record import AXES, PINHOLE, PROJECTIONS
 
 SCHEMA = "camcal/disparity/1"
 NAN = "nan"
@@ -45,6 +47,7 @@ class Sidecar:
     of the class of every pixel, see `stereo.disparity`. searched: smallest and largest disparity searched for, pixels.
     matcher: its settings. inputs: the files it was made of, by their part. camera_R_rectified: (3, 3), from the
     rectified to the real left camera. relative_sigma: standard deviations of fx and baseline as shares of them.
+    calibration: what the uncertainty of the whole calibration adds to that of the depth.
     """
 
     scale: float = 1.0
@@ -58,6 +61,7 @@ class Sidecar:
     inputs: Mapping[str, SourceFile] = field(default_factory=dict)
     camera_R_rectified: FloatArray | None = None
     relative_sigma: Mapping[str, float] | None = None
+    calibration: CalibrationError | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.scale < float("inf"):
@@ -111,6 +115,7 @@ def _record(data: Mapping[str, Any], folder: Path) -> Sidecar:
             for part, source in data.get("inputs", {}).items()
         },
         camera_R_rectified=None if turn is None else readonly(turn, (3, 3), "camera_R_rectified"),
+        calibration=CalibrationError(**data["calibration"]) if "calibration" in data else None,
     )
 
 
@@ -125,7 +130,7 @@ def _document(sidecar: Sidecar, folder: Path) -> dict[str, Any]:
         "schema": SCHEMA,
         "scale": sidecar.scale,
         "invalid": sidecar.invalid,
-        "geometry": asdict(sidecar.geometry) if sidecar.geometry else None,
+        "geometry": geometry_document(sidecar.geometry) if sidecar.geometry else None,
         "image": _relative(sidecar.image, folder),
         "sigma": _relative(sidecar.sigma, folder),
         "confidence": _relative(sidecar.confidence, folder),
@@ -134,12 +139,35 @@ def _document(sidecar: Sidecar, folder: Path) -> dict[str, Any]:
         "inputs": inputs or None,
         "camera_R_rectified": None if turn is None else turn.tolist(),
         "relative_sigma": dict(sidecar.relative_sigma) if sidecar.relative_sigma else None,
+        "calibration": _calibration(sidecar.calibration) if sidecar.calibration else None,
     }
     return {name: rounded(value) for name, value in data.items() if value is not None}
 
 
+def geometry_document(geometry: StereoGeometry) -> dict[str, Any]:
+    """Return a geometry as plain data; of a pinhole pair beside each other without projection and axis."""
+    usual = {"projection": PINHOLE, "axis": BESIDE}
+    return {name: value for name, value in asdict(geometry).items() if value != usual.get(name)}
+
+
+def _calibration(error: CalibrationError) -> dict[str, Any]:
+    return {name: getattr(error, name).tolist() for name in ("columns", "rows", "variance")}
+
+
 def _relative(path: Path | None, folder: Path) -> str | None:
     return None if path is None else Path(os.path.relpath(path, folder)).as_posix()
+
+
+_NODES = mapping({"columns": items(number()), "rows": items(number()), "variance": unchecked})
+
+
+def _check_calibration(value: Any, path: str) -> Iterator[Fault]:
+    """Check the nodes of a calibration's error, and that each power has a table of as many rows and columns."""
+    faults = list(_NODES(value, path))
+    yield from faults
+    if not faults:
+        table = matrix(len(value["rows"]), len(value["columns"]))
+        yield from items(table, 3)(value["variance"], child(path, "variance"))
 
 
 _POSITIVE = number(above=0.0)
@@ -148,7 +176,7 @@ _CHECK = mapping(
     {
         "geometry": mapping(
             {"fx": _POSITIVE, "fy": _POSITIVE, "cx": number(), "cy": number(), "baseline": _POSITIVE},
-            {"doffs": number()},
+            {"doffs": number(), "projection": one_of(PROJECTIONS, "projection"), "axis": one_of(AXES, "axis")},
         ),
         "image": text,
         "sigma": text,
@@ -158,5 +186,6 @@ _CHECK = mapping(
         "inputs": mapping({}, others=mapping({"path": text, "sha256": text})),
         "camera_R_rectified": matrix(3, 3),
         "relative_sigma": mapping({}, {"fx": number(0), "baseline": number(0)}),
+        "calibration": _check_calibration,
     },
 )

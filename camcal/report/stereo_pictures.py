@@ -22,6 +22,7 @@ from camcal.report.stereo_words import headline, verdict
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.pair.alignment import Residual
 from camcal.stereo.pair.pair_check import PairCheck
+from camcal.stereo.rectify.record import LATLON, PINHOLE
 
 ERROR_EDGES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # pixels: up to 2 blue, above yellow to red
 
@@ -158,7 +159,9 @@ class _Strip:
 
 
 def _draw_scale(strip: _Strip, limits: tuple[float, float], geometry: StereoGeometry | None) -> None:
-    """Draw the colours from low to high, pixels above them and metres below."""
+    """Draw the colours from low to high, pixels above them and metres below, if one disparity is one distance."""
+    if geometry is not None and geometry.projection == LATLON:
+        geometry = None
     low, high = limits
     left, right, bottom = 8.6, strip.width - 8.2, 1.9
     colours = ListedColormap(turbo_table()[_DARKEST:] / 255)
@@ -173,10 +176,10 @@ def _draw_scale(strip: _Strip, limits: tuple[float, float], geometry: StereoGeom
         strip.axes.plot([place, place], [bottom + _BOX, bottom + _BOX + 0.25], color="black", lw=strip.points / 12)
         strip.write(place, _ABOVE, f"{tick:.6g}", "center")
         if geometry is not None and tick + geometry.doffs > 0:
-            depth = geometry.fx * geometry.baseline / (tick + geometry.doffs)
+            depth = geometry.scale / (tick + geometry.doffs)
             strip.write(place, _BELOW, f"{depth:.3g}", "center")
     if geometry is not None:
-        strip.write(0.6, _BELOW, "depth, m")
+        strip.write(0.6, _BELOW, "depth, m" if geometry.projection == PINHOLE else "distance, m")
     strip.box(strip.width - 6.9, bottom, 1.0, _UNKNOWN)
     strip.write(strip.width - 5.5, bottom + _BOX / 2, "no match")
 

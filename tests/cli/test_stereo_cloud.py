@@ -253,7 +253,8 @@ def cloud_of(run, path, *options):
 
 def test_a_map_with_its_sidecar_needs_nothing_else(run, tmp_path, measured):
     cloud, report = cloud_of(run, measured, "-o", tmp_path / "cloud.ply")
-    assert report["geometry"] == {"fx": 100, "fy": 100, "cx": 10, "cy": 8, "baseline": 0.5, "doffs": 0}
+    numbers = {"fx": 100, "fy": 100, "cx": 10, "cy": 8, "baseline": 0.5, "doffs": 0}
+    assert report["geometry"] == numbers | {"projection": "pinhole", "axis": "x"}
     assert (report["points"], report["matched"], report["outliers"]) == (318, 319, 1)
     assert cloud.vertices[["red", "green", "blue"]][0].tolist() == (30, 20, 10)
     assert cloud.notes == {"disparity": "disparity.pfm", "fx": "100 px", "baseline": "0.5 m"}

@@ -9,6 +9,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
 from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.calibration_error import CalibrationError
 
 GEOMETRY = StereoGeometry(718.856, 718.9, 607.19, 185.2, 0.537, 1.5)
 
@@ -37,6 +38,16 @@ def test_everything_comes_back(tmp_path):
         if name != "camera_R_rectified":
             assert getattr(found, name) == getattr(given, name), name
     np.testing.assert_array_equal(found.camera_R_rectified, given.camera_R_rectified)
+
+
+def test_a_view_about_the_baseline_and_the_error_of_its_calibration_come_back(tmp_path):
+    geometry = StereoGeometry(300.0, 300.0, 400.0, 300.0, 0.1, 2.0, "latlon", "y")
+    error = CalibrationError(np.array([0.0, 799.0]), np.array([0.0, 300.0, 599.0]), np.arange(18.0).reshape(3, 3, 2))
+    disparity_sidecar.write(tmp_path / "map.tiff", Sidecar(geometry=geometry, calibration=error))
+    found = disparity_sidecar.read(tmp_path / "map.tiff")
+    assert found.geometry == geometry
+    for name in ("columns", "rows", "variance"):
+        np.testing.assert_array_equal(getattr(found.calibration, name), getattr(error, name))
 
 
 def test_the_schema_stands_first_and_what_is_not_known_is_left_out(tmp_path):
@@ -79,6 +90,12 @@ def test_the_rotation_cannot_be_changed(tmp_path):
         ({"inputs": {"left": {"path": "left.png"}}}, "inputs.left: missing key 'sha256'"),
         ({"camera_R_rectified": [[1, 0, 0]]}, "camera_R_rectified: 1 items"),
         ({"relative_sigma": {"fx": -1}}, "relative_sigma.fx: -1 is outside"),
+        (
+            {"geometry": {"fx": 1, "fy": 1, "cx": 0, "cy": 0, "baseline": 1, "axis": "z"}},
+            "geometry.axis: unknown axis 'z'",
+        ),
+        ({"calibration": {"columns": [0], "rows": [0], "variance": [[[0]]]}}, "calibration.variance: 1 items; 3"),
+        ({"calibration": {"columns": [0], "rows": [0], "variance": [[[0]], [[0]], [[0, 1]]]}}, "variance"),
     ],
 )
 def test_broken_content_is_named(tmp_path, change, message):

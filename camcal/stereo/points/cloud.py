@@ -1,8 +1,9 @@
 """Vertices from the pixels of a stereo image, computed in blocks of rows.
 
-Normals of surfaces come from planes fitted to disparities. The plane n · P = D is seen with the disparity d + doffs =
-(f b / D) (n_x x + n_y y + n_z) at the image point (x, y), so a plane in space is a plane in the disparity map too: its
-fit needs sums over windows of pixels and no neighbour search.
+Normals of surfaces come from planes fitted to parallaxes, f b / depth. The plane n · P = D is seen with the parallax
+(f b / D) n · ray, for a pinhole view (f b / D) (n_x x + n_y y + n_z) at the image point (x, y): a plane in space is a
+plane in the map too, in other views within a small window. Its fit needs sums over windows of pixels and no neighbour
+search.
 
 A cloud is thinned to one point for each cube of a grid, or to so many drawn at random.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from camcal.arrays import Array, BoolArray
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
+from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.depth import StereoImage, row_blocks, widened
 from camcal.stereo.points.frames import (
     COLOUR,
@@ -29,6 +31,7 @@ from camcal.stereo.points.frames import (
     VertexStream,
     vertex_type,
 )
+from camcal.stereo.rectify.record import LATLON, PINHOLE
 
 _REACH = 4  # pixels to all sides
 _FEWEST = 6  # matches in a window
@@ -44,16 +47,35 @@ def normals(image: StereoImage, rows: slice) -> Array:
     only some in a line, have a match.
     """
     wide, within = widened(rows, _REACH, image.shape[0])
-    shifted = image.shifted(wide)
-    matched = np.isfinite(shifted)
-    slope_u, slope_v, level = _fitted(np.where(matched, shifted, np.float32(0)), matched.astype(np.float32), within)
-    geometry = image.geometry
-    right = np.float32(geometry.cx) - np.arange(image.shape[1], dtype=np.float32)
-    down = np.float32(geometry.cy) - np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
-    on_axis = level + slope_u * right + slope_v * down
-    found = np.stack([slope_u * np.float32(-geometry.fx), slope_v * np.float32(-geometry.fy), -on_axis])
-    found /= np.sqrt(found[0] ** 2 + found[1] ** 2 + found[2] ** 2)
-    return np.asarray(found)
+    parallax = image.parallax(wide)
+    matched = np.isfinite(parallax)
+    slopes = _fitted(np.where(matched, parallax, np.float32(0)), matched.astype(np.float32), within)
+    found = _plane(image.geometry, image.shape, rows, *slopes)
+    found /= -np.sqrt(found[0] ** 2 + found[1] ** 2 + found[2] ** 2)
+    return found
+
+
+def _plane(
+    geometry: StereoGeometry, shape: tuple[int, int], rows: slice, slope_u: Array, slope_v: Array, level: Array
+) -> Array:
+    """Return m (3, N, W) of the planes m · X = f b that have such parallaxes and slopes of it, px and px per pixel.
+
+    With X = depth · ray the parallax is m · ray, and its slopes are m · d(ray)/du and m · d(ray)/dv.
+    """
+    columns, down = (part.astype(np.float32) for part in geometry.rays(shape))
+    down = down[:, rows, None]
+    if geometry.projection == PINHOLE:
+        x, y = slope_u * np.float32(geometry.fx), slope_v * np.float32(geometry.fy)
+        return np.stack([x, y, level - x * columns[0] - y * down[1]])
+    along, angle = (down[1], columns[:, None]) if geometry.upright else (columns[0][None], down)
+    slope_along, slope_across = (slope_v, slope_u) if geometry.upright else (slope_u, slope_v)
+    across_focal = np.float32(geometry.fx if geometry.upright else geometry.fy)
+    stretch = 1 + along**2 if geometry.projection == LATLON else np.float32(1)
+    sine, cosine = angle[0 if geometry.upright else 1], angle[2]
+    first = slope_along * np.float32(geometry.focal) / stretch
+    radial, turning = level - first * along, slope_across * across_focal
+    second, third = radial * sine + turning * cosine, radial * cosine - turning * sine
+    return np.stack([second, first, third] if geometry.upright else [first, second, third])
 
 
 def _fitted(values: Array, matched: Array, within: slice) -> tuple[Array, Array, Array]:

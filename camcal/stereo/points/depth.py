@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.errors import InvalidInput
 from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.calibration_error import CalibrationError
+from camcal.stereo.rectify.record import LATLON
 
 _FARTHEST = 1e38  # metres; hardly more fits into a float32
 
@@ -25,7 +27,7 @@ class StereoImage:
     signed: then the search went below zero, as for cameras that are toed in, and d + doffs > 0 alone decides.
     pixels: (H, W) gray, (H, W, 3) blue, green, red or (H, W, 4) with alpha; uint8, uint16 or float32 0 … 1.
     sigma: (H, W) or one number, pixels, standard deviation of the disparity, NaN where it is not known.
-    confidence: (H, W), see `Confidence`. calibration_sigma: standard deviation of fx times baseline, as a share of it.
+    confidence: (H, W), see `Confidence`. calibration: what its uncertainty adds, None for an exact one.
     Raises InvalidInput if a picture has another size than the map.
     """
 
@@ -35,7 +37,7 @@ class StereoImage:
     pixels: PixelArray | None = None
     sigma: Float32Array | float | None = None
     confidence: NDArray[np.uint8] | None = None
-    calibration_sigma: float = 0.0
+    calibration: CalibrationError | None = None
 
     def __post_init__(self) -> None:
         require_size(self.pixels, self.shape, "image")
@@ -57,43 +59,51 @@ class StereoImage:
         shifted = self._shifted_as_is(rows)
         return np.where(self._matched(rows, shifted), shifted, np.float32(np.nan))
 
-    def depth(self, rows: slice) -> Float32Array:
-        """Return the depth along the optical axis of some rows (N, W), float32 metres, NaN where there is no match.
+    def parallax(self, rows: slice) -> Float32Array:
+        """Return f b / depth of some rows (N, W), float32 pixels, NaN where there is no match before the cameras."""
+        return self.geometry.parallax(self.shifted(rows), rows)
 
-        z = f b / (d + doffs): Hartley & Zisserman, 2nd ed., ch. 9.
+    def depth(self, rows: slice) -> Float32Array:
+        """Return the depth of some rows (N, W), float32 metres, NaN where there is no match.
+
+        z along the optical axis, f b / (d + doffs): Hartley & Zisserman, 2nd ed., ch. 9; where the geometry is not
+        pinhole, the distance from the baseline's line.
         """
-        return np.asarray(np.float32(self._scale) / self.shifted(rows))
+        return np.asarray(np.float32(self.geometry.scale) / self.parallax(rows))
 
     def depth_of_matches(self, rows: slice) -> Float32Array:
         """Return the same as `depth`, but any number where there is no match: for who knows where that is."""
-        with np.errstate(divide="ignore", over="ignore"):
-            return np.asarray(np.float32(self._scale) / self._shifted_as_is(rows))
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            return np.asarray(np.float32(self.geometry.scale) / self.geometry.parallax(self._shifted_as_is(rows), rows))
 
     def _shifted_as_is(self, rows: slice) -> Array:
         disparity = self.disparity[rows].astype(np.float32, copy=False)
         return np.asarray(disparity + np.float32(self.geometry.doffs))
 
     def _matched(self, rows: slice, shifted: Array) -> Array:
-        matched = (shifted > np.float32(self._scale / _FARTHEST)) & (shifted < np.inf)
+        least = np.float32(self.geometry.scale / _FARTHEST)
+        matched = (shifted > least) & (shifted < np.inf)
+        if self.geometry.projection == LATLON:
+            with np.errstate(invalid="ignore", over="ignore"):
+                matched &= self.geometry.parallax(shifted, rows) > least
         if self.geometry.doffs > 0 and not self.signed:
             matched &= self.disparity[rows] > 0
         return np.asarray(matched)
 
-    @property
-    def _scale(self) -> float:
-        return self.geometry.fx * self.geometry.baseline
-
     def relative_sigma(self, rows: slice) -> Float32Array:
         """Return the standard deviation of the depth of some rows as a share of it, (N, W), NaN where not known.
 
-        (sigma_z / z)² = (sigma_d / (d + doffs))² + (sigma_fb / fb)². Raises InvalidInput if sigma is not known at all.
+        (sigma_z / z)² = (sigma_d² + what the calibration adds) / (d + doffs)²; for latlon see StereoGeometry.effective.
+        Raises InvalidInput if sigma is not known at all.
         """
         if self.sigma is None:
             raise InvalidInput("unknown standard deviation of the disparity: set --sigma-disparity")
-        sigma = self.sigma[rows] if isinstance(self.sigma, np.ndarray) else self.sigma
+        sigma = np.asarray(self.sigma[rows] if isinstance(self.sigma, np.ndarray) else self.sigma, np.float32)
+        effective = self.geometry.effective(self.shifted(rows), rows)
         with np.errstate(over="ignore"):
-            share = np.asarray(sigma, np.float32) / self.shifted(rows)
-        return np.asarray(np.hypot(share, np.float32(self.calibration_sigma)) if self.calibration_sigma else share)
+            if self.calibration is None:
+                return np.asarray(sigma / effective)
+            return np.asarray(np.sqrt(sigma**2 + self.calibration.variance_of(effective, rows)) / effective)
 
 
 def row_blocks(shape: tuple[int, int], pixels: int) -> Iterator[slice]:

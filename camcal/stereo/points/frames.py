@@ -116,19 +116,18 @@ def frame_named(
 
 
 class BackProjection:
-    """Pixels and their depths as points in a frame: X = (u - cx) z / fx, Y = (v - cy) z / fy, then the frame's pose."""
+    """Pixels and their depths as points in a frame: the depth times `StereoGeometry.rays`, then the frame's pose."""
 
     def __init__(self, geometry: StereoGeometry, shape: tuple[int, int], frame: Frame) -> None:
         """Prepare for images of a shape (height, width)."""
         scale = UNITS[frame.unit]
         rotation = frame.frame_T_left.rotation
-        x = (np.arange(shape[1]) - geometry.cx) / geometry.fx
-        y = (np.arange(shape[0]) - geometry.cy) / geometry.fy
+        columns, rows = geometry.rays(shape)
         self._rotation = rotation.astype(np.float32)
         self._offset = (scale * frame.frame_T_left.translation).astype(np.float32)
         # A ray at depth 1 is what its column says plus what its row says.
-        self._across = (scale * rotation[:, :1] * x).astype(np.float32)
-        self._down = (scale * (rotation[:, 1:2] * y + rotation[:, 2:])).astype(np.float32)[..., None]
+        self._across = (scale * (rotation @ columns)).astype(np.float32)
+        self._down = (scale * (rotation @ rows)).astype(np.float32)[..., None]
 
     def coordinate(self, axis: int, rows: slice, depth: Array) -> Array:
         """Return coordinate 0, 1 or 2 of the points of some rows with depths (N, W), metres; in the frame's unit."""

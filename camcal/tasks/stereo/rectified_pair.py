@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
@@ -22,6 +24,7 @@ from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+from camcal.stereo.points.calibration_error import CalibrationError
 from camcal.stereo.points.depth import StereoImage
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
@@ -32,17 +35,31 @@ SUFFIXES = (*CAMERA_SUFFIXES, pair_calibration.SUFFIX)  # of files that know cam
 _NEEDED = ("fx", "cx", "cy", "baseline")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RectifiedPair:
-    """The geometry, None if nothing is known, and the standard deviations of fx and baseline as shares, where known."""
+    """What is known of a rectified pair.
+
+    geometry: None if nothing is. relative_sigma: standard deviations of fx and baseline as shares, where known.
+    calibration: what the covariance of the whole calibration adds to the uncertainty of the depth, in their place.
+    camera_R_rectified: (3, 3), from the rectified to the real left camera.
+    """
 
     geometry: StereoGeometry | None
     relative_sigma: Mapping[str, float] = field(default_factory=dict)
+    calibration: CalibrationError | None = None
+    camera_R_rectified: FloatArray | None = None
 
     @property
     def farthest(self) -> float:
         """The disparity of what is infinitely far, pixels; 0 if nothing is known."""
         return -self.geometry.doffs if self.geometry else 0.0
+
+    @property
+    def calibration_error(self) -> CalibrationError | None:
+        """What the calibration adds to the uncertainty of the depth, None where nothing is known of it."""
+        if self.calibration is None and self.sigma_of_product:
+            return CalibrationError.of_share(self.sigma_of_product)
+        return self.calibration
 
     @property
     def sigma_of_product(self) -> float:
@@ -52,9 +69,9 @@ class RectifiedPair:
 
 @dataclass(frozen=True)
 class _Source:
-    """The numbers and relative standard deviations that one source knows, by name."""
+    """The fields of a StereoGeometry and relative standard deviations that one source knows, by name."""
 
-    numbers: Mapping[str, float] = field(default_factory=dict)
+    numbers: Mapping[str, Any] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -85,7 +102,7 @@ def pair_of(
     """
     _require_size(options.given.size, size, "--size")
     sources = [_of_sidecar(sidecar), _of_file(address, options.camera, size, progress), _Source(options.numbers())]
-    numbers: dict[str, float] = {}
+    numbers: dict[str, Any] = {}
     sigma: dict[str, float] = {}
     for source in sources:
         sigma = {name: value for name, value in sigma.items() if name not in source.numbers} | dict(source.sigma)
@@ -96,7 +113,10 @@ def pair_of(
     if missing:
         told = "the camera file has no camera to the right of it: " if address else ""
         raise InvalidInput(f"{told}give {', '.join(missing)}, or a camera file of the rectified pair")
-    return RectifiedPair(StereoGeometry(**{"fy": numbers["fx"], **numbers}), sigma)
+    geometry = StereoGeometry(**{"fy": numbers["fx"], **numbers})
+    if sidecar is None or geometry != sidecar.geometry:
+        return RectifiedPair(geometry, sigma)
+    return RectifiedPair(geometry, sigma, sidecar.calibration, sidecar.camera_R_rectified)
 
 
 def warn_of_file(address: str | None, progress: Progress) -> None:
@@ -220,5 +240,5 @@ def stereo_image(
         pixels=load(image).pixels if image else None,
         sigma=disparity.read(sigma).values if isinstance(sigma, Path) else sigma,
         confidence=load(confidence).pixels if confidence else None,
-        calibration_sigma=pair.sigma_of_product,
+        calibration=pair.calibration_error,
     )

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.points.calibration_error import CalibrationError
 from camcal.stereo.points.cloud import CloudMaker, thinned
 from camcal.stereo.points.depth import StereoImage
 from camcal.stereo.points.frames import Frame
@@ -188,7 +189,7 @@ def test_sigma_of_the_depth_is_what_an_error_of_sigma_in_the_disparity_makes():
 def test_sigma_takes_the_offset_the_calibration_and_the_unit_into_account():
     geometry = StereoGeometry(700.0, 700.0, 1.0, 1.0, 0.1, doffs=5.0)
     sigma = np.array([[0.3, np.nan]], np.float32)
-    image = StereoImage(np.array([[5.0, 5.0]]), geometry, sigma=sigma, calibration_sigma=0.04)
+    image = StereoImage(np.array([[5.0, 5.0]]), geometry, sigma=sigma, calibration=CalibrationError.of_share(0.04))
     found = vertices(image, frame=Frame(unit="mm"), sigma=True)
     np.testing.assert_allclose(found["z"], 7000, rtol=1e-6)
     np.testing.assert_allclose(found["sigma"], [7000 * 0.05, np.nan], rtol=1e-6)  # 0.03 and 0.04 in quadrature
