@@ -236,12 +236,20 @@ def staged(stages: dict[str, int]) -> tuple[tuple[str, ...], ...]:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras by name and where each stands: rig_T_camera takes points of a camera's frame to the rig's, metres."""
+    """Cameras by name and where each stands: rig_T_camera takes points of a camera's frame to the rig's, metres.
+
+    covariance: (N, N) of, camera by camera, its parameters and the step of camera_T_rig (order tx ty tz rx ry rz, m and
+    rad); None where only the cameras' own covariances are known, and where they stand is taken as exact.
+    """
 
     cameras: Mapping[str, Camera]
     rig_T_camera: Mapping[str, Pose]
+    covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        if self.covariance is not None:
+            count = sum(len(camera.parameters) + 6 for camera in self.cameras.values())
+            object.__setattr__(self, "covariance", readonly(self.covariance, (count, count), "covariance"))
         if not self.cameras:
             raise InvalidInput("a rig needs at least one camera")
         without = [name for name in self.cameras if name not in self.rig_T_camera]
@@ -249,6 +257,26 @@ class Rig:
             raise InvalidInput(f"no transform connects camera {without[0]!r} to the rig")
         object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
         object.__setattr__(self, "rig_T_camera", MappingProxyType(dict(self.rig_T_camera)))
+
+    def rows(self, camera: str) -> slice:
+        """Return where a camera's parameters, and then its pose, stand in the covariance."""
+        names = list(self.cameras)
+        before = names[: names.index(camera)]
+        start = sum(len(self.cameras[name].parameters) + 6 for name in before)
+        return slice(start, start + len(self.cameras[camera].parameters) + 6)
+
+    def resized(self, sizes: Mapping[str, tuple[int, int]]) -> "Rig":
+        """Return the rig with some cameras as they are for images resized to (width, height); raises as `resized`."""
+        cameras = {name: resized(camera, sizes.get(name, camera.image_size)) for name, camera in self.cameras.items()}
+        covariance = self.covariance
+        if covariance is not None:
+            jacobian = np.eye(len(covariance))
+            for name, camera in self.cameras.items():
+                rows = self.rows(name)
+                lens = slice(rows.start, rows.stop - 6)
+                jacobian[lens, lens] = _resizing(camera, cameras[name].image_size)[1]
+            covariance = jacobian @ covariance @ jacobian.T
+        return Rig(cameras, self.rig_T_camera, covariance)
 
 
 def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
@@ -264,11 +292,15 @@ def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
             f"images of {width} x {height} pixels are not resized images of {usual_width} x {usual_height}: "
             "they need a camera of their own"
         )
-    scale = width / usual_width, height / usual_height
+    parameters, jacobian = _resizing(camera, image_size)
+    covariance = None if camera.covariance is None else jacobian @ camera.covariance @ jacobian.T
+    return Camera(camera.model, image_size, parameters, covariance, camera.fixed)
+
+
+def _resizing(camera: Camera, image_size: tuple[int, int]) -> tuple[Array, Array]:
+    """Return the parameters (K,) for resized images, and their derivatives (K, K) by those for the usual ones."""
+    scale = image_size[0] / camera.image_size[0], image_size[1] / camera.image_size[1]
     parameters = camera.model.rescale(camera.parameters, scale, (0.0, 0.0))
-    if camera.covariance is None:
-        return Camera(camera.model, image_size, parameters, fixed=camera.fixed)
     # resizing is affine in the parameters: a step of 1 gives the exact derivative
     moved = [camera.model.rescale(camera.parameters + step, scale, (0.0, 0.0)) for step in np.eye(len(parameters))]
-    jacobian = np.column_stack(moved) - parameters[:, None]
-    return Camera(camera.model, image_size, parameters, jacobian @ camera.covariance @ jacobian.T, camera.fixed)
+    return parameters, np.column_stack(moved) - parameters[:, None]

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.poses.fits import PoseFit, criterion_of, fits_of, points_needed, pooled
@@ -79,7 +80,7 @@ def estimate_rig_poses(
     frames = [rig.rig_T_camera[name].inverse() for name in names]
     counts = [sum(len(view.points) for view in instant) for instant in views]
     groups = [Group.of(cameras, frames, [placed[item] for item in items], items) for items in alike(np.array(counts))]
-    found = estimates(groups, options, RIG_T_OBJECT)
+    found = estimates(groups, options, RIG_T_OBJECT, rig.covariance)
     return [_outcome(instant, _in_order(found[item], names, instant)) for item, instant in enumerate(views)]
 
 
@@ -117,9 +118,9 @@ def _in_order(
 
 
 def estimates(
-    groups: Sequence[Group], options: PoseOptions, frames: str
+    groups: Sequence[Group], options: PoseOptions, frames: str, rig_covariance: FloatArray | None = None
 ) -> Mapping[int, PoseEstimate | InsufficientData]:
-    """Return by item the estimate, or what kept it from one."""
+    """Return by item the estimate, or what kept it from one; rig_covariance: as in Rig."""
     found: Found = {}
     sound = [_sound(group, options, found) for group in groups]
     fits, noise = fits_of([group for group in sound if len(group.items)], options)
@@ -135,6 +136,7 @@ def estimates(
             extents=fit.extents,
             intrinsics=options.intrinsics,
             criterion=criterion,
+            rig_covariance=rig_covariance,
         )
         for item, estimate in zip(fit.group.items, quality.estimates(frames, fit.group.counts()), strict=True):
             found[int(item)] = estimate

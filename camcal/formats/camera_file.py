@@ -4,16 +4,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from camcal.arrays import FloatArray, readonly
 from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
-from camcal.geometry.pose import JOINT, NamedTransform, Pose, frames_of
+from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
 from camcal.messages import Message
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.targets.surface import Surface
 
+STEP = ("tx", "ty", "tz", "rx", "ry", "rz")  # of a pose, the order of its covariance
 FRAME = "rig"  # the name of a rig's own frame, where transforms name it
 
 
@@ -148,33 +151,98 @@ class CameraFile:
 def rig_of(file: CameraFile, where: str) -> tuple[Rig, str]:
     """Return the cameras of a file as a rig, and the name of the rig's frame.
 
-    That is `rig` if a transform names such a frame, otherwise the first camera. The transforms are taken as exact.
-    Raises InvalidInput naming the first camera of which no transforms say where it stands.
+    That is `rig` if a transform names such a frame, otherwise the first camera. Transforms without a covariance are
+    taken as exact. Raises InvalidInput naming the first camera of which no transforms say where it stands.
     """
-    transforms = [NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()]
-    graph = FrameGraph(transforms)
+    graph = _graph(file)
     first = next(iter(file.cameras))
     frame = FRAME if FRAME in graph.frames else first
-    poses = {name: _pose(graph, frame, name, where) for name in file.cameras}
-    return Rig({name: entry.camera for name, entry in file.cameras.items()}, poses), frame
+    derived = {name: _pose(graph, frame, name, where) for name in file.cameras}
+    poses = {name: own.pose.inverse() for name, own in derived.items()}
+    cameras = {name: entry.camera for name, entry in file.cameras.items()}
+    return Rig(cameras, poses, _rig_covariance(file, derived)), frame
+
+
+def parameters_covariance(file: CameraFile) -> JointCovariance:
+    """Return the covariance of all lens parameters and transforms of a file: what the joint covariance has, for the
+    rest the covariance of each camera and transform by itself, zero for what has none.
+    """
+    blocks: list[tuple[tuple[str, ...], FloatArray | None]] = [
+        (tuple(f"{name}.{each}" for each in entry.camera.model.parameter_names), entry.camera.covariance)
+        for name, entry in file.cameras.items()
+    ]
+    blocks += [(tuple(f"{name}.{step}" for step in STEP), item.covariance) for name, item in file.transforms.items()]
+    names = tuple(name for block, _ in blocks for name in block)
+    index = {name: place for place, name in enumerate(names)}
+    result = np.zeros((len(names), len(names)))
+    for block, own in blocks:
+        if own is not None:
+            rows = [index[name] for name in block]
+            result[np.ix_(rows, rows)] = own
+    if file.joint_covariance is not None:
+        rows = [index[name] for name in file.joint_covariance.names]
+        result[rows, :] = result[:, rows] = 0.0  # cross-terms of a block are not known beside those of the joint one
+        result[np.ix_(rows, rows)] = file.joint_covariance.matrix
+    return JointCovariance(names, result)
+
+
+def transform_covariances(file: CameraFile, transform: str) -> dict[str, FloatArray]:
+    """Return the covariances (6, 6) of the step of a transform with those of others in a file by their names, its own
+    among them, as far as they are known.
+    """
+    known = file.transforms[transform].covariance
+    own = {} if known is None else {transform: known}
+    if file.joint_covariance is None or not (rows := _rows(file.joint_covariance, transform)):
+        return own
+    places = {name: _rows(file.joint_covariance, name) for name in file.transforms}
+    matrix = file.joint_covariance.matrix
+    return {name: matrix[np.ix_(rows, columns)] for name, columns in places.items() if columns} | own
+
+
+def _rows(joint: JointCovariance, transform: str) -> list[int]:
+    """Return where the step of a transform stands in a joint covariance, nothing where it does not."""
+    names = [f"{transform}.{step}" for step in STEP]
+    return [joint.names.index(name) for name in names] if set(names) <= set(joint.names) else []
+
+
+def _graph(file: CameraFile) -> FrameGraph:
+    return FrameGraph([NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()])
+
+
+def _rig_covariance(file: CameraFile, derived: Mapping[str, Derived[int]]) -> FloatArray | None:
+    """Return the covariance as in Rig; None where no transform has one."""
+    known = parameters_covariance(file)
+    transforms = list(file.transforms)
+    index = {name: place for place, name in enumerate(known.names)}
+    rows: list[FloatArray] = []
+    for name, own in derived.items():
+        parameters = file.cameras[name].camera.model.parameter_names
+        lens = np.eye(len(known.names))[[index[f"{name}.{each}"] for each in parameters]]
+        pose = np.zeros((6, len(known.names)))
+        for place, jacobian in own.by.items():
+            pose[:, [index[f"{transforms[place]}.{step}"] for step in STEP]] = jacobian
+        rows += [lens, pose]
+    jacobian = np.concatenate(rows)
+    result = np.asarray(jacobian @ known.matrix @ jacobian.T)
+    uncertain = any(known.matrix[index[f"{name}.{step}"]].any() for name in transforms for step in STEP)
+    return result if uncertain else None
 
 
 def pose_between(file: CameraFile, target: str, source: str) -> Pose | None:
     """Return target_T_source by way of the transforms of a file, None if they do not join the two."""
-    transforms = [NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()]
-    graph = FrameGraph(transforms)
+    graph = _graph(file)
     try:
         return graph.along(graph.path(target, source)).pose
     except InvalidInput:
         return None
 
 
-def _pose(graph: FrameGraph, frame: str, camera: str, where: str) -> Pose:
-    """Return frame_T_camera."""
+def _pose(graph: FrameGraph, frame: str, camera: str, where: str) -> Derived[int]:
+    """Return camera_T_frame, by the places of the transforms in the file."""
     if camera == frame:
-        return Pose.identity()
+        return Derived(Pose.identity(), {})
     try:
-        return graph.along(graph.path(frame, camera)).pose
+        return graph.along(graph.path(camera, frame))
     except InvalidInput as error:
         raise InvalidInput(
             f"no transform connects camera {camera!r}: transforms such as {camera}{JOINT}{frame} are missing",

@@ -136,8 +136,9 @@ class FrameGraph:
         returning = [Link(link.index, not link.inverted) for link in reversed(back[shared:])]
         links = [*there[shared:], Link(index, inverted=False), *returning]
         derived = self.along(links)
-        known = {link.index: self.transforms[link.index].covariance for link in links}
-        covariance = None if any(part is None for part in known.values()) else derived.covariance(known)
+        known = {link.index: self.transforms[link.index] for link in links}
+        uncertain = all(item.covariance is not None for item in known.values())
+        covariance = derived.covariance_of(known) if uncertain else None
         return Loop(tuple(self.name_of(link) for link in links), derived.pose, covariance)
 
     def _factor(self, link: Link) -> Derived[int]:

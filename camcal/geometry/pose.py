@@ -1,7 +1,8 @@
 """Rigid poses, single, over time or named by frames: `a_T_b` takes coordinates in frame b to coordinates in a."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -165,6 +166,8 @@ class NamedTransform:
     """target_T_source: takes coordinates in `source` to coordinates in `target`; both empty where they have no names.
 
     covariance: (6, 6) of the pose's step, order tx ty tz rx ry rz, m and rad; None: not known. where: it stands.
+    cross: (6, 6) covariances of the step with those of other transforms, by where these stand, as far as they are not
+    independent.
     """
 
     target: str
@@ -172,6 +175,7 @@ class NamedTransform:
     pose: Pose
     covariance: FloatArray | None = None
     where: str = ""
+    cross: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.covariance is not None:
@@ -195,6 +199,7 @@ class NamedTransform:
             source=self.target,
             pose=self.pose.inverse(),
             covariance=carried(inverse_jacobian(self.pose), self.covariance),
+            cross={},
         )
 
 
@@ -239,11 +244,26 @@ class Derived(Generic[Key]):
         jacobian = inverse_jacobian(self.pose)
         return Derived(self.pose.inverse(), {key: jacobian @ own for key, own in self.by.items()})
 
-    def covariance(self, covariances: Mapping[Key, Array | None]) -> FloatArray | None:
-        """Return the covariance (6, 6), to first order, from those of the poses it is made of, which are independent.
+    def covariance(
+        self, covariances: Mapping[Key, Array | None], cross: Mapping[tuple[Key, Key], Array] = MappingProxyType({})
+    ) -> FloatArray | None:
+        """Return the covariance (6, 6), to first order, from those of the poses it is made of.
 
-        None counts as exact; where no pose has a covariance, the result has none.
+        None counts as exact; where no pose has a covariance, the result has none. cross: (6, 6) those of two poses,
+        in both orders; poses without are independent.
         """
         parts = [carried(jacobian, covariances.get(key)) for key, jacobian in self.by.items()]
         known = [part for part in parts if part is not None]
-        return np.sum(known, axis=0) if known else None
+        both = [self.by[one] @ own @ self.by[other].T for (one, other), own in cross.items()]
+        return np.sum([*known, *both], axis=0) if known else None
+
+    def covariance_of(self, factors: Mapping[Key, NamedTransform]) -> FloatArray | None:
+        """Return the covariance (6, 6) from the transforms it is made of and what they have in common."""
+        used = {key: factors[key] for key in self.by if factors[key].covariance is not None}
+        cross = {
+            (one, other): used[one].cross[used[other].where]
+            for one in used
+            for other in used
+            if one != other and used[other].where in used[one].cross
+        }
+        return self.covariance({key: item.covariance for key, item in used.items()}, cross)

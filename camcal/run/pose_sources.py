@@ -182,5 +182,4 @@ def _addressed(found: Sequence[NamedTransform], address: str, where: str) -> Nam
         graph = FrameGraph(found)
         target, source = frames_of(address)
         derived = graph.along(graph.path(target, source))
-    covariance = derived.covariance({index: item.covariance for index, item in enumerate(found)})
-    return NamedTransform(target, source, derived.pose, covariance, where)
+    return NamedTransform(target, source, derived.pose, derived.covariance_of(dict(enumerate(found))), where)

@@ -34,6 +34,36 @@ def test_the_covariance_of_a_product_is_that_of_samples():
     assert np.abs(np.linalg.eigvalsh(root @ scatter @ root.T) - 1).max() < 0.16
 
 
+def test_transforms_that_are_not_independent_have_the_covariance_of_samples():
+    rng, count = np.random.default_rng(5), 4000
+    root = np.random.default_rng(6).normal(size=(12, 4)) * 1e-3  # four causes in common
+    steps = rng.standard_normal((count, 4)) @ root.T
+    both, own = root @ root.T, covariance(7, 1e-4)
+    steps[:, :6] += rng.multivariate_normal(np.zeros(6), own, count)
+    both[:6, :6] += own
+    factors = {
+        0: NamedTransform("b", "a", FIRST, both[:6, :6], "rig.yaml:1", {"rig.yaml:2": both[:6, 6:]}),
+        1: NamedTransform("c", "a", SECOND, both[6:, 6:], "rig.yaml:2", {"rig.yaml:1": both[6:, :6]}),
+    }
+    derived = Derived.of(0, FIRST) @ Derived.of(1, SECOND).inverse()
+    rotations, translations = zip(
+        *(
+            retract(pose.rotation, pose.translation, own)
+            for pose, own in ((FIRST, steps[:, :6]), (SECOND, steps[:, 6:]))
+        ),
+        strict=True,
+    )
+    turned = rotations[0] @ rotations[1].transpose(0, 2, 1)
+    moved = translations[0] - np.einsum("nij,nj->ni", turned, translations[1])
+    turns = so3.log(turned @ derived.pose.rotation.T)
+    scatter = np.cov(np.concatenate([moved - derived.pose.translation, turns], axis=1).T)
+    found = derived.covariance_of(factors)
+    root = np.linalg.inv(np.linalg.cholesky(found))
+    assert np.abs(np.linalg.eigvalsh(root @ scatter @ root.T) - 1).max() < 0.16  # as above
+    independent = derived.covariance({key: item.covariance for key, item in factors.items()})
+    assert np.abs(np.linalg.eigvalsh(root @ independent @ root.T) - 1).max() > 1
+
+
 def test_what_cancels_has_no_uncertainty_left():
     first = Derived.of("a_T_b", FIRST)
     for product in (first @ first.inverse(), first.inverse() @ first):

@@ -46,8 +46,9 @@ class PoseQuality:
     """The minima of problems, one or more for each, in their order and the lowest first, and the noise they share.
 
     centres: (P, 3) the places in the objects' frames that the points of the problems are counted from.
-    intrinsics: whether the uncertainty of the lenses counts. criterion: what made
-    inliers, None where outliers were not searched for.
+    intrinsics: whether the uncertainty of the lenses, and of where cameras of a rig stand, counts. criterion: what made
+    inliers, None where outliers were not searched for. rig_covariance: as in Rig, None for cameras that are independent
+    and stand where they are said to.
     """
 
     problems: PoseProblems
@@ -57,6 +58,7 @@ class PoseQuality:
     extents: Extents
     intrinsics: bool
     criterion: InlierCriterion | None
+    rig_covariance: Array | None = None
 
     def estimates(self, frames: str, counts: Sequence[Sequence[int]]) -> list[PoseEstimate]:
         """Return the estimates of the problems; counts: the points of every camera's view, the absent ones included."""
@@ -94,9 +96,13 @@ class PoseQuality:
     def _covariances(self) -> tuple[Array, Array]:
         """Return the covariances (S, 6, 6) of the minima and the pixels' part of them."""
         noise = covariances(self.problems, self.minima, self.centres, self.noise.sigma)
-        if not self.intrinsics or all(packed.camera.covariance is None for packed in self.problems.packed_views):
+        known = [packed.camera.covariance is not None for packed in self.problems.packed_views]
+        if not self.intrinsics or (self.rig_covariance is None and not any(known)):
             return noise, noise
-        lenses = _of_lenses(self.problems, self.minima)
+        if self.rig_covariance is None:
+            lenses = _of_lenses(self.problems, self.minima)
+        else:
+            lenses = _of_rig(self.problems, self.minima, self.rig_covariance)
         moves = se3.shift_jacobians(self.minima.states, -self.centres[self.minima.which])
         return noise + moves @ lenses @ moves.transpose(0, 2, 1), noise
 
@@ -196,6 +202,20 @@ def _of_lenses(problems: PoseProblems, minima: Minima) -> Array:
             gain = inverse @ problems.by_lens(minima.states, minima.which, camera)
             total += gain @ packed.camera.covariance @ gain.transpose(0, 2, 1)
     return total
+
+
+def _of_rig(problems: PoseProblems, minima: Minima, covariance: Array) -> Array:
+    """Return G Σ Gᵀ (S, 6, 6), where G = -H⁻¹ Jᵀ J_C of what a rig's calibration knows with covariance Σ: of every
+    camera its parameters and where it stands.
+    """
+    states, which = minima.states, minima.which
+    by = [
+        each(states, which, camera)
+        for camera in range(len(problems.packed_views))
+        for each in (problems.by_lens, problems.by_frame)
+    ]
+    gain = inverses(minima.models.normal) @ np.concatenate(by, axis=2)
+    return np.asarray(gain @ covariance @ gain.transpose(0, 2, 1))
 
 
 def _least_depths(problems: PoseProblems, states: Array) -> Array:

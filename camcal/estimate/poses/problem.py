@@ -130,6 +130,20 @@ class PoseProblems:
             result[part] = sum(by_pose @ lens for by_pose, lens in pairs)
         return result
 
+    def by_frame(self, states: Array, which: Array, camera: int) -> Array:
+        """Return Jᵀ J_F (S, 6, 6) of the pose and the step of camera_T_frame of one camera.
+
+        That step moves the points in the camera as a step of the pose does: R_F Exp(δr) = Exp(R_F δr) R_F.
+        """
+        count, turn = len(which), self.packed_views[camera].frame.rotation.T
+        normal = np.empty((count, 6, 6))
+        for part in _parts(count, self.masks[camera].shape[1]):
+            normal[part] = self._of_camera(camera, states[part], which[part]).normal
+        moved = np.zeros((count, 6, 6))
+        moved[:, :3, :3] = moved[:, 3:, 3:] = turn
+        moved[:, :3, 3:] = -so3.hat(states[:, :, 3]) @ turn
+        return np.asarray(normal @ moved)
+
     def retract(self, states: Array, steps: Array) -> Array:
         """Return the states moved by steps (S, 6)."""
         return se3.retract(states, steps)

@@ -118,8 +118,7 @@ def _with_covariance(
     ends: tuple[str, str], derived: Derived[Key], factors: Mapping[Key, NamedTransform]
 ) -> NamedTransform:
     """Return what was derived from factors as a transform between two frames, with the covariance that follows."""
-    covariance = derived.covariance({key: item.covariance for key, item in factors.items()})
-    return NamedTransform(*ends, derived.pose, covariance)
+    return NamedTransform(*ends, derived.pose, derived.covariance_of(factors))
 
 
 def _product(factors: Iterable[str]) -> str:

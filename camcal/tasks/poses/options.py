@@ -292,7 +292,9 @@ class PnpOptions(OptionsRecord):
     prior: PriorOptions = field(default_factory=PriorOptions)
     seed: Annotated[int, Option("Random seed of RANSAC.", metavar="N", least=0)] = 0
     all_solutions: Annotated[bool, Option("List all solutions, not only the two most likely.", group=OUTPUT)] = False
-    intrinsics: Annotated[bool, Option("Include the covariance of the camera parameters in that of the poses.")] = True
+    intrinsics: Annotated[
+        bool, Option("Include the covariance of the calibration in that of the poses: lenses, and transforms of a rig.")
+    ] = True
     gates: Gates = field(default_factory=Gates)
     overwrite: Overwrite = False
 

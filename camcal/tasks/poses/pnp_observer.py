@@ -138,7 +138,7 @@ def seen_by_rig(
     """
     given = _by_camera(inputs, list(rig.cameras))
     found = {name: seen_by(rig.cameras[name], name, file, paths, detection, progress) for name, paths in given.items()}
-    fitted = {**rig.cameras, **{name: camera for name, (camera, _) in found.items()}}
+    fitted = rig.resized({name: camera.image_size for name, (camera, _) in found.items()})
     seen = {name: each for name, (_, each) in found.items()}
     units = {each.unit for each in seen.values()}
     if len(units) > 1:
@@ -154,7 +154,7 @@ def seen_by_rig(
         )
         alone = (Message("no_common_instants", text),)
         warn_of(alone, progress)
-    return replace(rig, cameras=fitted), PnpViews(
+    return fitted, PnpViews(
         together,
         units.pop(),
         nothing={pose_key: reason for each in seen.values() for pose_key, reason in each.nothing.items()},

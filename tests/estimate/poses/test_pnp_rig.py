@@ -1,5 +1,7 @@
 """Poses by several cameras at once: rig_T_object, its covariance and what one camera alone cannot tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -73,6 +75,62 @@ def test_errors_are_as_large_as_the_covariance_says():
     total = sum(e @ np.linalg.solve(o.value.covariance, e) for e, o in zip(errors, outcomes, strict=True))
     low, high = stats.chi2.interval(0.99, 6 * len(truths))
     assert low < total < high
+
+
+def moved_rig(step):
+    """Return the rig with its lenses and camera_T_rig moved by a step, as its covariance counts them."""
+    cameras, poses = {}, {}
+    for name, camera in RIG.cameras.items():
+        own = step[RIG.rows(name)]
+        cameras[name] = replace(camera, parameters=camera.parameters + own[:-6])
+        poses[name] = RIG.rig_T_camera[name].inverse().retract(own[-6:]).inverse()
+    return Rig(cameras, poses)
+
+
+def without_cross_terms(covariance):
+    """Return a rig's covariance with those of each lens and of each pose alone."""
+    blocks = np.zeros_like(covariance)
+    for name in RIG.cameras:
+        rows = RIG.rows(name)
+        for block in (slice(rows.start, rows.stop - 6), slice(rows.stop - 6, rows.stop)):
+            blocks[block, block] = covariance[block, block]
+    return blocks
+
+
+def test_the_covariance_of_a_rig_with_its_cross_terms_reaches_that_of_the_poses():
+    rng = np.random.default_rng(8)
+    count = RIG.rows("right").stop
+    scales = np.concatenate([[0.8, 0.8, 1, 1], [1e-3] * 6, [0.8, 0.8, 1, 1], [1e-3] * 4, [1e-3] * 6])
+    shared = rng.standard_normal((count, 2))  # two causes in common: cross-terms between lenses and poses
+    factor = scales[:, None] * np.column_stack([shared, 0.2 * np.eye(count)])
+    covariance, options = factor @ factor.T, PoseOptions(noise_px=0.05, outliers="none")
+    truths, views = [some_pose(rng, 1.2) for _ in range(150)], []
+    for truth in truths:
+        real = moved_rig(factor @ rng.standard_normal(factor.shape[1]))
+        poses = {name: rig_T_camera.inverse() @ truth for name, rig_T_camera in real.rig_T_camera.items()}
+        pixels = {name: camera.project(poses[name].apply(CUBE)).pixels for name, camera in real.cameras.items()}
+        views.append([Correspondences("a", CUBE, own, camera=name) for name, own in pixels.items()])
+
+    def total(known):
+        found = [each.value for each in estimate_rig_poses(replace(RIG, covariance=known), views, options)]
+        errors = [error_of(own.transform, truth) for own, truth in zip(found, truths, strict=True)]
+        pairs = zip(errors, found, strict=True)  # the pixels themselves are exact
+        return sum(error @ np.linalg.solve(own.covariance - own.noise_covariance, error) for error, own in pairs)
+
+    low, high = stats.chi2.interval(0.99, 6 * len(views))
+    assert low < total(covariance) < high
+    assert not low < total(without_cross_terms(covariance)) < high
+
+
+def test_a_resized_rig_has_the_covariance_of_its_resized_lenses():
+    rng = np.random.default_rng(9)
+    factor = rng.standard_normal((RIG.rows("right").stop,) * 2)
+    rig = replace(RIG, covariance=factor @ factor.T)
+    half = rig.resized({"left": (640, 480)})
+    np.testing.assert_allclose(half.cameras["left"].parameters, [400.0, 402.5, 319.75, 239.75])
+    np.testing.assert_allclose(half.covariance[:4, :4], rig.covariance[:4, :4] / 4)
+    np.testing.assert_allclose(half.covariance[:4, 4:], rig.covariance[:4, 4:] / 2)
+    np.testing.assert_allclose(half.covariance[4:, 4:], rig.covariance[4:, 4:], rtol=1e-12)
 
 
 def test_two_cameras_settle_which_of_two_poses_a_tag_has():
