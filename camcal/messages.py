@@ -121,6 +121,8 @@ CODES: Mapping[str, Mapping[str, str]] = {
     },
     "Stereo": {
         "swapped_images": "left and right are swapped, or the cameras are toed in",
+        "exchanged_cameras": "the cameras were given in the other order",
+        "field_not_kept": "rectified images hold less than 85 % of the common field of view",
         "identical_images": "both images are of one view",
         "periodic_texture": "disparities are ambiguous by a period of the texture",
         "row_differences": "row differences exceed --max-rms",

@@ -1,0 +1,238 @@
+"""The geometry of a rectified pair from two cameras of any lenses: axes, projection, field of view and focal length.
+
+The x axis of the pair (y, where one camera is above the other) is the baseline, in the direction that keeps images
+upright as those of the first camera; z is the mean optical axis across it, or the middle of the common field.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.geometry.pose import Pose
+from camcal.messages import Message
+from camcal.stereo.rectify.field import CommonField, Interval, Viewer, arc, common_field, directions_of, extent
+from camcal.stereo.rectify.options import AUTO, RectifiedViewOptions
+from camcal.stereo.rectify.record import AXES, CYLINDRICAL, LATLON, PINHOLE, Rectification
+from camcal.stereo.rectify.window import Region, Window, window_of
+
+KEPT = 0.85  # share of the common field that is to be kept
+_WIDEST = {PINHOLE: np.radians(52), CYLINDRICAL: np.radians(58)}  # from the middle, where the projection is chosen
+_AXIAL, _OBLIQUE = np.radians(15), np.radians(65)  # of the mean view from the baseline
+_TURNED = 0.05  # of an image, whose content may be turned by more than 90°
+_CHECKED, _STEP = 24, 0.5  # places a side where that is checked, and pixels to the next ones
+_ALL_AROUND = np.radians(250)  # of φ, beyond which images are turned in a part
+_FAINT = (0.05, 0.1, 0.2, 0.4)
+_OFF_AXIS = np.radians(5)  # of the middle of the field from the mean optical axis, beyond which it becomes the axis
+
+DEFAULTS = RectifiedViewOptions()
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """The pair in its axes: names and cameras, left (or upper) first, and the baseline, m."""
+
+    names: tuple[str, str]
+    left: Viewer
+    right: Viewer
+    baseline: float
+    swapped: bool
+
+    @property
+    def along(self) -> int:
+        return self.left.along
+
+    @property
+    def view_angle(self) -> float:
+        """The angle (rad) between the mean optical axis and the baseline, 0 … π/2."""
+        forward = self.left.rect_R_camera[:, 2] + self.right.rect_R_camera[:, 2]
+        return float(np.arctan2(np.hypot(forward[1 - self.along], forward[2]), abs(forward[self.along])))
+
+    @property
+    def described(self) -> str:
+        """What kind of pair it is, for one that looks along its baseline or obliquely to it."""
+        kind = "axial" if self.view_angle < _AXIAL else "oblique"
+        first, second = self.names
+        return f"{kind} pair: {first} and {second} look {np.degrees(self.view_angle):.0f}° off their baseline"
+
+    def axial(self) -> InsufficientData:
+        """Return the error of a pair that cannot be rectified."""
+        return InsufficientData(
+            f"{self.described}, so that the lines of corresponding points meet in the images: rectification would turn "
+            "a part of them"
+        )
+
+    def turned(self, about: float) -> "_Frame":
+        """Return it with the optical axis turned about the baseline by an angle φ."""
+        sine, cosine = np.sin(about), np.cos(about)
+        rotation = np.eye(3)
+        across = 1 - self.along
+        rotation[across, across] = rotation[2, 2] = cosine
+        rotation[across, 2], rotation[2, across] = -sine, sine
+        return replace(self, left=self.left.turned(rotation), right=self.right.turned(rotation))
+
+
+def plan_rectification(
+    cameras: Mapping[str, Camera],
+    right_T_left: Pose,
+    options: RectifiedViewOptions = DEFAULTS,
+    circles: Mapping[str, ImageCircle | None] | None = None,
+) -> Rectification:
+    """Return how the images of two cameras are rectified, with warnings of what that costs.
+
+    cameras: two by their names, of any lens models. right_T_left: the pose of the first camera in the second one, m.
+    circles: image circles by the names of cameras, beyond which there is no image.
+    Raises InvalidInput for another number of cameras or a projection that cannot hold the field, InsufficientData for a
+    pair that has no common field or looks along its baseline.
+    """
+    if len(cameras) != 2:
+        raise InvalidInput(f"a pair is two cameras, found {len(cameras)}")
+    frame = _frame(cameras, right_T_left, circles or {})
+    field = common_field(frame.left, frame.right)
+    _require_common(field, frame)
+    rows = _rows(field, frame)
+    if abs(rows.middle) > _OFF_AXIS:
+        frame = frame.turned(rows.middle)
+        field = common_field(frame.left, frame.right)
+        _require_common(field, frame)
+        rows = _rows(field, frame)
+    region = _region(field, rows, frame.along, options)
+    projection = _projection(region) if options.projection == AUTO else options.projection
+    window = window_of((frame.left, frame.right), field, region, projection, options)
+    found = _record(frame, window)
+    by_user = options.fov_deg is not None or options.alpha < 1 or options.projection != AUTO
+    if window.kept < KEPT and frame.view_angle < _OBLIQUE and not by_user:
+        raise InsufficientData(
+            f"{frame.described}: rectified images would hold {100 * window.kept:.0f} % of the common field, as it "
+            "reaches to the baseline itself; give --fov HxV for a part of it"
+        )
+    if _turned_share(frame, found) > _TURNED:
+        raise frame.axial()
+    return found
+
+
+def _turned_share(frame: _Frame, found: Rectification) -> float:
+    """Return how much of the first camera's rectified image shows what that camera sees turned by more than 90°."""
+    first, camera = (frame.right, found.right_camera) if frame.swapped else (frame.left, found.left_camera)
+    grid = np.meshgrid(*((np.arange(_CHECKED) + 0.5) / _CHECKED * (side - 1) for side in found.size))
+    here = np.column_stack([axis.ravel() for axis in grid])
+    places = [
+        first.pixels(directions_of(camera.unproject(here + step).directions, frame.along))
+        for step in (np.zeros(2), np.array([_STEP, 0]), np.array([0, _STEP]))
+    ]
+    right, down = ((each - places[0]) / np.linalg.norm(each - places[0], axis=1, keepdims=True) for each in places[1:])
+    upright = right[:, 0] + down[:, 1]
+    known = np.isfinite(upright)
+    return float((upright[known] < 0).mean()) if known.any() else 1.0
+
+
+def _record(frame: _Frame, window: Window) -> Rectification:
+    found = Rectification(
+        window.projection,
+        AXES[frame.along],
+        *frame.names,
+        frame.left.rect_R_camera,
+        frame.right.rect_R_camera,
+        window.size,
+        window.focal,
+        window.centres[0],
+        window.centres[1],
+        frame.baseline,
+        swapped=frame.swapped,
+        kept=window.kept,
+    )
+    return replace(found, warnings=tuple(_warnings(frame, window)))
+
+
+def _warnings(frame: _Frame, window: Window) -> list[Message]:
+    """Return what the user is to know: cameras the other way round, and what is lost of the common field."""
+    found = []
+    if frame.swapped:
+        first, second = frame.names
+        side = ("left of", "above")[frame.along]
+        text = f"{first} is {side} {second}: the pair is written in this order, so that disparities are positive"
+        found.append(Message("exchanged_cameras", text))
+    if window.kept < KEPT:
+        text = f"{100 * window.kept:.0f} % of the common field kept: {window.reason}"
+        found.append(Message("field_not_kept", text, {"kept": window.kept}))
+    return found
+
+
+def _frame(cameras: Mapping[str, Camera], right_T_left: Pose, circles: Mapping[str, ImageCircle | None]) -> _Frame:
+    """Return the axes of the pair; z is the mean optical axis, across the baseline."""
+    first, second = cameras
+    centre = right_T_left.inverse().translation  # of the second camera, in the axes of the first
+    baseline = float(np.linalg.norm(centre))
+    if not baseline > 0:
+        raise InsufficientData(f"{first} and {second} are at one place: without a baseline there is no depth")
+    direction = centre / baseline
+    along = int(abs(direction[1]) > abs(direction[0]))
+    swapped = bool(direction[along] < 0)
+    axis = -direction if swapped else direction
+    rotations = {first: np.eye(3), second: right_T_left.rotation.T}  # first_R_camera
+    forward = rotations[first][:, 2] + rotations[second][:, 2]
+    across = forward - (forward @ axis) * axis
+    length = float(np.linalg.norm(across))
+    z = across / length if length > 1e-6 else _perpendicular(axis, along)
+    axes = (axis, np.cross(z, axis), z) if along == 0 else (np.cross(axis, z), axis, z)
+    rect_R_first = np.array(axes)
+    order = (second, first) if swapped else (first, second)
+    left, right = (Viewer(cameras[name], circles.get(name), rect_R_first @ rotations[name], along) for name in order)
+    frame = _Frame(order, left, right, baseline, swapped)
+    if length < np.sin(_AXIAL) * np.linalg.norm(forward):
+        raise frame.axial()
+    return frame
+
+
+def _perpendicular(axis: Array, along: int) -> Array:
+    """Return a unit vector (3,) across an axis, for cameras that look straight along it."""
+    across = np.cross(axis, np.eye(3)[1 - along])
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def _require_common(field: CommonField, frame: _Frame) -> None:
+    if field.is_empty:
+        first, second = frame.names
+        axes = frame.left.rect_R_camera[:, 2] @ frame.right.rect_R_camera[:, 2]
+        angle = np.degrees(np.arccos(np.clip(axes, -1, 1)))
+        raise InsufficientData(
+            f"{first} and {second} have no common field of view: their optical axes are {angle:.0f}° apart"
+        )
+
+
+def _rows(field: CommonField, frame: _Frame) -> Interval:
+    """Return the φ to be shown: those that are more than faint, and of lenses that see behind them fewer.
+
+    Raises InsufficientData where the field goes around the baseline all the same: it is an axial pair's.
+    """
+    if not field.around:
+        return extent(field.rows, field.left.about)
+    for faint in _FAINT:
+        rows = arc(field.rows, field.left.about, faint)
+        if rows.width <= _ALL_AROUND:
+            return rows
+    raise frame.axial()
+
+
+def _region(field: CommonField, rows: Interval, along: int, options: RectifiedViewOptions) -> Region:
+    """Return the angles to be shown: those that are useful, or the field of view asked for about their middle."""
+    held = rows.holds(field.left.about)[:, None]
+    offs = [extent((each.weights * held).sum(axis=0), each.off) for each in (field.left, field.right)]
+    if options.fov_deg is None:
+        return Region(rows, (offs[0], offs[1]))
+    halves = np.radians(options.fov_deg) / 2
+    off, about = halves[along], halves[1 - along]
+    first, second = (Interval(each.middle - off, each.middle + off) for each in offs)
+    return Region(Interval(rows.middle - about, rows.middle + about), (first, second))
+
+
+def _projection(region: Region) -> str:
+    """Return the simplest projection that holds a region without stretching it much."""
+    off = max(abs(edge) for each in region.off for edge in each)
+    if max(off, *map(abs, region.about)) <= _WIDEST[PINHOLE]:
+        return PINHOLE
+    return CYLINDRICAL if off <= _WIDEST[CYLINDRICAL] else LATLON
