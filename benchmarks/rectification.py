@@ -21,7 +21,7 @@ from collections import Counter
 
 import cv2
 import numpy as np
-from rectified_rigs import FISHEYE, KINDS, Image, Lens, RandomRig, Rectified, Verdict, judge, random_rigs
+from rectified_rigs import FISHEYE, KINDS, Image, Lens, RandomRig, Rectified, RigVerdict, judge, random_rigs
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
@@ -74,7 +74,7 @@ def print_rigs(count: int, seed: int, *, listed: bool) -> None:
     )
 
 
-def of_camcal(rig: RandomRig, seed: int) -> tuple[str, Verdict | None]:
+def of_camcal(rig: RandomRig, seed: int) -> tuple[str, RigVerdict | None]:
     names = ("first", "second")
     cameras = {name: camera_of(lens) for name, lens in zip(names, rig.lenses, strict=True)}
     circles = {name: circle_of(lens) for name, lens in zip(names, rig.lenses, strict=True)}
@@ -87,11 +87,11 @@ def of_camcal(rig: RandomRig, seed: int) -> tuple[str, Verdict | None]:
     return _outcome(verdict, said=said), verdict
 
 
-def _outcome(verdict: Verdict, *, said: bool = False) -> str:
+def _outcome(verdict: RigVerdict, *, said: bool = False) -> str:
     if verdict.is_right:
         return "right"
-    if verdict.faults:
-        return verdict.faults[0]
+    if verdict.problems:
+        return verdict.problems[0]
     return "reason said" if said else "kept < 85 %"
 
 
@@ -141,13 +141,13 @@ def rectified(plan: Rectification, names: tuple[str, str]) -> Rectified:
     return Rectified((image(names[0]), image(names[1])), (plan.focal,), along)
 
 
-def of_opencv(rig: RandomRig, seed: int) -> tuple[str, Verdict | None]:
+def of_opencv(rig: RandomRig, seed: int) -> tuple[str, RigVerdict | None]:
     kinds = {lens.model for lens in rig.lenses}
     if len(kinds) > 1 or rig.lenses[0].size != rig.lenses[1].size:
         return "not supported", None
     tries = _fisheye(rig) if FISHEYE in kinds else _pinhole(rig)
     found = [(judge(rig, each, seed)) for each in tries]
-    best = max(found, key=lambda verdict: (verdict.is_right, not verdict.faults, verdict.kept))
+    best = max(found, key=lambda verdict: (verdict.is_right, not verdict.problems, verdict.kept))
     return _outcome(best), best
 
 

@@ -210,24 +210,24 @@ class Rectified:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RigVerdict:
     """What the judge found; kept: the least and the whole share of common points over the distances."""
 
     kept: float
-    faults: tuple[str, ...]
+    problems: tuple[str, ...]
     row_error: float
 
     @property
     def is_right(self) -> bool:
-        return not self.faults and self.kept >= KEPT
+        return not self.problems and self.kept >= KEPT
 
 
-def judge(rig: RandomRig, found: Rectified, seed: int) -> Verdict:
+def judge(rig: RandomRig, found: Rectified, seed: int) -> RigVerdict:
     """Return the verdict on a rectification."""
     rng = np.random.default_rng(seed)
     faults = []
     if not all(np.isfinite(focal) and focal > 0 for focal in found.focals):
-        return Verdict(0.0, ("negative focal length",), np.nan)
+        return RigVerdict(0.0, ("negative focal length",), np.nan)
     sources = [_source_pixels(lens, image) for lens, image in zip(rig.lenses, found.images, strict=True)]
     if min(seen.mean() for _, seen in sources) < EMPTY:
         faults.append("empty")
@@ -259,7 +259,7 @@ def judge(rig: RandomRig, found: Rectified, seed: int) -> Verdict:
             error = max(error, float(apart.max()))
     if error > 1e-3:
         faults.append("rows")
-    return Verdict(held / count if count else 0.0, tuple(faults), error)
+    return RigVerdict(held / count if count else 0.0, tuple(faults), error)
 
 
 def _source_pixels(lens: Lens, image: Image, steps: int = 40, offset: Array | None = None) -> tuple[Array, Array]:
