@@ -212,18 +212,19 @@ def posterior(factors: Factors) -> Posterior:
     return Posterior(shared, POSE + inverse.shape[-1] - effects + lens)
 
 
-def fit_effects(equations: NormalEquations, columns: EffectColumns, scales: EffectScales) -> EffectScales:
+def fit_effects(equations: NormalEquations, effect: Array, scales: EffectScales) -> EffectScales:
     """Return the scales under which the residuals of one linearisation are likeliest, or the way there.
 
-    equations: with columns per unit of the coefficients, without their prior.
+    equations: with columns per unit of the coefficients, without their prior. effect: (m,) which effect each belongs
+    to.
     """
-    search = _Search.of(equations, columns)
+    search = _Search.of(equations, effect)
     return search.best(scales, _ROUNDS).scales
 
 
-def likelihood_gain(equations: NormalEquations, columns: EffectColumns, start: EffectScales) -> float:
+def likelihood_gain(equations: NormalEquations, effect: Array, start: EffectScales) -> float:
     """Return the gain of the restricted log likelihood by effects of the likeliest scales, over that of none."""
-    search = _Search.of(equations, columns)
+    search = _Search.of(equations, effect)
     best = search.best(start, _MANY_ROUNDS)
     nothing = search.at(replace(best.scales, variances=_NOTHING * best.scales.variances))
     return nothing.unlikeliness + nothing.scales.log_prior() - best.unlikeliness - best.scales.log_prior()
@@ -246,10 +247,10 @@ class _Search:
     effect: Array
 
     @classmethod
-    def of(cls, equations: NormalEquations, columns: EffectColumns) -> "_Search":
+    def of(cls, equations: NormalEquations, effect: Array) -> "_Search":
         """Return the search; equations: with columns per unit of the coefficients, without their prior."""
         dense = equations.restricted(np.arange(equations.group_products.shape[-1]))
-        return cls(dense.without_first(POSE), columns.effect)
+        return cls(dense.without_first(POSE), effect)
 
     def best(self, scales: EffectScales, rounds: int) -> _Point:
         """Return the likeliest scales, or how far as many scoring steps lead."""

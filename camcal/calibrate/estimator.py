@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.alternation import CALM, AdditionalParameters, Alternation
 from camcal.calibrate.camera_part import CameraPart, KnownNoise, Place
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior, fit_effects, posterior, scaled
 from camcal.calibrate.noise import (
@@ -21,7 +22,6 @@ from camcal.calibrate.noise import (
 )
 from camcal.calibrate.problem import POSE, BoardProblem, State
 from camcal.calibrate.shape import (
-    AT_ALL_TOGETHER,
     TOGETHER,
     Scale,
     board_scales,
@@ -35,33 +35,10 @@ from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import Factors, Step, factorise, lowest_along
 
-# Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
-_LEAST, _MOST, _BRIEF = 2, 60, 10
-# Of a standard deviation: so little more to come for any lens parameter that no other pass is needed; and its largest
-# change by a pass with which the result may still be used where passes run out.
-_SETTLED, _CALM = 1e-2, 0.3
-_SLOWEST = 0.95  # rate at which changes are taken to fall at least
-# Of the change by the pass before, and of a standard deviation: in turn, single points and all else hardly get on.
-_SLOW, _CREEP = 0.5, 0.05
-_NEGLIGIBLE_DOF = 1.0  # degrees of freedom that single points take together: solved for in turn, they are as good
-# Noise, weights and lens answer to each other, and full steps may overshoot: less of the way to new scales is gone from
-# then on where a pass takes back what the one before did.
-_LESS, _LEAST_SHARE, _BACK = 0.7, 0.3, 0.5
 # A step is as long as the cost along it is lowest: how near to that is near enough, how much shorter a trial may be,
 # how many there are, and of the cost what cannot be seen in it.
 _NEAR, _SHORTEST, _TRIALS, _UNSEEN = 0.75, 0.2, 12, 1e-11
 _POSING, _GROSS = Stopping(relative_decrease=1e-6, iterations=20), 3.0  # of lost views; σ where an error is gross
-
-
-@dataclass(frozen=True)
-class AdditionalParameters:
-    """What is estimated besides lens and poses: the board's smooth shape, its single points, effects within views (the
-    names of EFFECTS).
-    """
-
-    smooth: bool = True
-    points: bool = True
-    effects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +82,7 @@ def estimate(
     return _Passes(problem, state, additional, start).run(brief=brief)
 
 
-class _Passes(CameraPart):
+class _Passes(CameraPart, Alternation):
     """The alternation; its attributes are what a pass leaves for the next."""
 
     def __init__(
@@ -116,14 +93,12 @@ class _Passes(CameraPart):
         together = additional.points and problem.board.count <= TOGETHER
         known = KnownNoise(start.noise, start.corners, start.posterior.spent) if start else None
         super().__init__(replace(problem, loss=None, offsets=together), state, additional.effects, known)
-        self.additional, self.fresh = additional, start is None
-        self.on_points = 0.0  # degrees of freedom spent on single points
+        self.begin(additional, len(problem.free), fresh=start is None)
         self.effect_scales = EffectScales.start(len(self.present), self.noise.sigma, max(problem.board.extent))
         if start:
             self.board = dict(start.board)
         if start and start.effect_scales:
             self._take_effects(start, start.effect_scales)
-        self.moved = np.zeros(len(problem.free))
 
     def _take_effects(self, start: Estimate, scales: EffectScales) -> None:
         """Begin with the effects of an estimate that has some of them."""
@@ -136,15 +111,7 @@ class _Passes(CameraPart):
         self.place.coefficients[:, known[self.columns.effect]] = start.coefficients
 
     def run(self, *, brief: bool) -> Estimate:
-        number, moved, settled = 0, np.inf, False
-        apart = self.additional.points and not self.problem.offsets and self.problem.board.count <= AT_ALL_TOGETHER
-        while number < (_BRIEF if brief else _MOST) and not settled:
-            number, before = number + 1, moved
-            factors, left, moved = self._pass(first=self.fresh and number == 1)
-            settled = _to_come(moved, before) < _SETTLED and not (self.fresh and number < _LEAST)
-            slow = number > _LEAST and moved > max(_SLOW * before, _CREEP)
-            if apart and self.on_points > _NEGLIGIBLE_DOF and (slow or (settled and not brief)):
-                self.problem, apart, settled = replace(self.problem, offsets=True), False, False
+        number, (factors, left, moved) = self.alternate(brief=brief)
         return Estimate(
             self.problem,
             self.place.state,
@@ -157,7 +124,7 @@ class _Passes(CameraPart):
             factors=factors,
             posterior=left,
             passes=number,
-            converged=moved < _CALM,
+            converged=moved < CALM,
             model_error_px=self.model_error_px,
         )
 
@@ -181,11 +148,7 @@ class _Passes(CameraPart):
         left = replace(left, spent=self.spent)
         free = self.problem.free
         moved = (self.place.state.parameters - before)[free] / np.sqrt(np.diag(left.shared)[: len(free)])
-        if moved @ self.moved < -_BACK * np.linalg.norm(moved) * np.linalg.norm(self.moved):
-            self.share = max(_LESS * self.share, _LEAST_SHARE)
-        if not first:  # the first pass has yet to learn how large everything is
-            self.moved = moved
-        return factors, left, float(np.max(np.abs(moved), initial=0.0))
+        return factors, left, self.note_change(moved, first=first)
 
     def _move_points(self) -> Array:
         """Solve for the offsets of the points, everything else held; return the degrees of freedom (V,) that the
@@ -208,7 +171,7 @@ class _Passes(CameraPart):
         here, effects = self.place, self.columns.values if self.additional.effects else None
         equations = self.problem.equations(here.state, here.derivatives, effects)
         if self.additional.effects:
-            self.effect_scales = fit_effects(equations, self.columns, self.effect_scales)
+            self.effect_scales = fit_effects(equations, self.columns.effect, self.effect_scales)
         std = self.effect_scales.std(self.columns.effect)
         factors = factorise(scaled(equations, std))
         step, cost = factors.solve(), self._cost(here, std)
@@ -222,6 +185,15 @@ class _Passes(CameraPart):
                 break
             share = max(best, _SHORTEST * share)
         return factors, self.problem.retract(here.state, step)
+
+    def point_count(self) -> int:
+        return self.problem.board.count
+
+    def points_together(self) -> bool:
+        return self.problem.offsets
+
+    def solve_points_together(self) -> None:
+        self.problem = replace(self.problem, offsets=True)
 
     def _towards(self, here: Place, step: Step, share: float) -> Place:
         """Return the place a share of the way along a step, whose coefficients of effects are those of its end."""
@@ -249,9 +221,3 @@ class _Passes(CameraPart):
         rotations[views], translations[views] = found.rotations, found.translations
         state = replace(state, rotations=rotations, translations=translations)
         self.place = replace(self.place, state=state, derivatives=self.problem.derivatives(state))
-
-
-def _to_come(moved: float, before: float) -> float:
-    """Return how far a series goes on after a change, of which the one before was `before`; at least the change."""
-    rate = min(moved / before, _SLOWEST) if before > 0 else 0.0
-    return moved * max(rate / (1 - rate), 1.0)

@@ -75,7 +75,7 @@ def evidence_of_effects(plain: Estimate) -> Evidence:
 
     def gain(names: Sequence[str]) -> float:
         columns = columns_at(some, state, derivatives, names)
-        return likelihood_gain(some.equations(state, derivatives, columns.values), columns, start)
+        return likelihood_gain(some.equations(state, derivatives, columns.values), columns.effect, start)
 
     everything = gain(_NAMES)
     share = float(np.clip((everything - _NOTHING) / (_CERTAIN - _NOTHING), 0, 1))

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import EFFECTS, SMOOTH
-from camcal.calibrate.estimator import AdditionalParameters, Estimate, estimate
+from camcal.calibrate.estimator import Estimate, estimate
 from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
 from camcal.calibrate.initialise import (
     apply_symmetries,

@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.estimator import Estimate
-from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
@@ -138,23 +138,11 @@ def _scatter(
         [_weighted_by_evidence(_least_spread(spreads.sum(axis=0) - own, len(spreads) - 1), evidence) for own in spreads]
     )
     moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
-    shared = np.array([_shared(own.problem, own.state) for own in estimates])
+    shared = np.array([own.problem.shared_values(own.state) for own in estimates])
     apart = shared - weights @ shared
-    priors = [own.posterior.shared @ (_precision(own.problem)[:, None] * own.posterior.shared) for own in estimates]
+    priors = [own.posterior.shared @ own.problem.prior_precision() @ own.posterior.shared for own in estimates]
     total = moved.T @ moved + (weights * apart.T) @ apart
     return np.asarray(total + np.tensordot(weights, np.stack(priors), axes=1))
-
-
-def _shared(problem: BoardProblem, state: State) -> Array:
-    """Return the free lens parameters and the terms of the board's shape (D,) of a state."""
-    return np.concatenate([state.parameters[problem.free], state.shape])
-
-
-def _precision(problem: BoardProblem) -> Array:
-    """Return the precision (D,) of the priors of the same parameters."""
-    lens = np.zeros(len(problem.free)) if problem.lens_spread is None else problem.lens_spread[problem.free] ** -2.0
-    terms = np.zeros(len(problem.terms)) if problem.term_std is None else problem.term_std**-2.0
-    return np.concatenate([lens, terms])
 
 
 def averaged(states: Sequence[State], weights: Array) -> State:

@@ -109,6 +109,16 @@ class BoardProblem:
         points = range(self.board.count) if self.offsets else ()
         return lens + self.terms + tuple(f"point {point} {axis}" for point in points for axis in "xyz")
 
+    def shared_values(self, state: State) -> Array:
+        """Return the free lens parameters and the terms of the board's shape (D,) of a state."""
+        return np.concatenate([state.parameters[self.free], state.shape])
+
+    def prior_precision(self) -> Array:
+        """Return the precision (D, D) of the priors of the same parameters."""
+        lens = np.zeros(len(self.free)) if self.lens_spread is None else self.lens_spread[self.free] ** -2.0
+        terms = np.zeros(len(self.terms)) if self.term_std is None else self.term_std**-2.0
+        return np.diag(np.concatenate([lens, terms]))
+
     def board_points(self, state: State) -> Array:
         """Return the points (C, 3) of the board as the state has it."""
         known = self.board.points() if self.points is None else self.points
@@ -240,11 +250,19 @@ class BoardProblem:
 
     def priors(self, state: State) -> list[Block]:
         """Return the priors of the lens, of the board's terms and of the offsets."""
-        start, result = len(self.free), []
-        if self.lens_spread is not None and start:
-            spread = self.lens_spread[self.free]
-            apart = (state.parameters - self.model.prior_mean)[self.free]
-            result.append(_prior(apart / spread, 1 / spread, 0))
+        return self.lens_priors(state) + self.board_priors(state, len(self.free))
+
+    def lens_priors(self, state: State, start: int = 0) -> list[Block]:
+        """Return the priors of the lens, whose free parameters stand from `start` on among those that views share."""
+        if self.lens_spread is None or not len(self.free):
+            return []
+        spread = self.lens_spread[self.free]
+        apart = (state.parameters - self.model.prior_mean)[self.free]
+        return [_prior(apart / spread, 1 / spread, start)]
+
+    def board_priors(self, state: State, start: int) -> list[Block]:
+        """Return the priors of the board's terms and offsets, which stand from `start` on."""
+        result = []
         if self.terms and self.term_std is not None:
             result.append(_prior(state.shape / self.term_std, 1 / self.term_std, start))
         if self.offsets and self.offset_std is not None:

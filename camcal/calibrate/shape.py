@@ -19,7 +19,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
-from camcal.solve.steps import Factors
+from camcal.solve.steps import Block, Factors
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, TERMS, Surface, basis, scale_unit
 
 _POINTS, _REACH = 65, 4.0  # of the grid of scales, and how many standard deviations of their logarithm it holds
@@ -138,12 +138,20 @@ def spent_on_offsets(problem: BoardProblem, state: State, derivatives: Derivativ
 
     derivatives: those at the state where the factors' equations were linearised.
     """
-    block = problem.data(state, derivatives)
+    return spent_by_block(problem.data(state, derivatives), problem.observations.ids, factors.shared_covariance())
+
+
+def spent_by_block(block: Block, ids: Array, covariance: Array) -> Array:
+    """Return the degrees of freedom (V,) of `spent_on_offsets` by the derivatives themselves.
+
+    block: whose last derivatives are by the offsets of points ids (V, P). covariance: (n, n) of what its derivatives
+    are by, in their order, and of the offsets of all points behind.
+    """
     assert block.weights is not None
     *parts, by_offset = (jacobian.values.transpose(1, 2, 0) for jacobian in block.shared)
-    dense, ids = np.concatenate(parts, axis=1), problem.observations.ids
-    covariance, count = factors.shared_covariance(), dense.shape[1]
-    places = count + 3 * np.arange(problem.board.count) + np.arange(3)[:, None]
+    dense = np.concatenate(parts, axis=1)
+    count = dense.shape[1]
+    places = count + 3 * np.arange((len(covariance) - count) // 3) + np.arange(3)[:, None]
     traces = np.zeros(ids.size)
     # of the trace of J C Jᵀ of every corner the parts that the derivatives by its offset have
     for axis in range(3):
@@ -154,21 +162,25 @@ def spent_on_offsets(problem: BoardProblem, state: State, derivatives: Derivativ
     return np.asarray(np.sum((block.weights * traces).reshape(ids.shape), axis=1))
 
 
-def board_scales(problem: BoardProblem, state: State, factors: Factors) -> dict[str, Scale]:
-    """Return the scales of the classes at a minimum, each with everything else following."""
-    result, start, covariance = {}, len(problem.free), factors.shared_covariance()
+def board_scales(problem: BoardProblem, state: State, factors: Factors, start: int | None = None) -> dict[str, Scale]:
+    """Return the scales of the classes at a minimum, each with everything else following.
+
+    start: the place of the board's first term among the shared parameters; None: behind the free lens parameters.
+    """
+    start, result, covariance = len(problem.free) if start is None else start, {}, factors.shared_covariance()
+    precision, value = _priors(problem, state, start)
     if problem.terms:
         for name, own in CLASSES.items():
             chosen = start + np.arange(len(own.terms))
             start += len(own.terms)
             unit = scale_unit(problem.board, own.terms[0])
-            information, vector = _of_data(problem, state, covariance, chosen)
+            information, vector = _of_data(precision, value, covariance, chosen)
             result[name] = scale_of(unit**2 * information, unit * vector, own.median, own.spread)
     if problem.offsets:
         side = max(problem.board.extent)
         for name, axes in _AXES.items():
             chosen = np.sort(np.concatenate([start + axis + 3 * np.arange(problem.board.count) for axis in axes]))
-            information, vector = _of_data(problem, state, covariance, chosen)
+            information, vector = _of_data(precision, value, covariance, chosen)
             prior = CORNER_CLASSES[name]
             result[name] = scale_of(side**2 * information, side * vector, prior.median, prior.spread)
     return result
@@ -177,23 +189,25 @@ def board_scales(problem: BoardProblem, state: State, factors: Factors) -> dict[
 def odd_terms(problem: BoardProblem, state: State, factors: Factors) -> tuple[Array, Array]:
     """Return every view's pull (V, 4) on the cubic terms, and what the data know of them (4, 4)."""
     odd = np.array([index for index, name in enumerate(problem.shared_names) if name in CLASSES["cubic"].terms])
-    return factors.group_scores()[:, odd], _of_data(problem, state, factors.shared_covariance(), odd)[0]
+    known = _priors(problem, state, len(problem.free))
+    return factors.group_scores()[:, odd], _of_data(*known, factors.shared_covariance(), odd)[0]
 
 
-def _of_data(problem: BoardProblem, state: State, covariance: Array, chosen: Array) -> tuple[Array, Array]:
+def _of_data(precision: Array, value: Array, covariance: Array, chosen: Array) -> tuple[Array, Array]:
     """Return the information of the data on some shared parameters, without their prior and everything else following:
-    information Λ (k, k) and vector Λ x, where x is the data's value. covariance: (S, S) of the shared parameters.
+    information Λ (k, k) and vector Λ x, where x is the data's value. precision, value: (S,) of priors and parameters.
+    covariance: (S, S) of the shared parameters.
     """
-    precision, value = _priors(problem, state)
     own = np.linalg.inv(covariance[np.ix_(chosen, chosen)])
     # at a minimum the prior's pull and the data's are equal and opposite
     return (own + own.T) / 2 - np.diag(precision[chosen]), own @ value[chosen]
 
 
-def _priors(problem: BoardProblem, state: State) -> tuple[Array, Array]:
-    """Return the precision of the board's priors on the shared parameters, and the parameters' values."""
-    lens = np.zeros(len(problem.free))
-    precision, value = [lens], [lens]
+def _priors(problem: BoardProblem, state: State, start: int) -> tuple[Array, Array]:
+    """Return the precision of the board's priors on the shared parameters, and the parameters' values; both are 0 for
+    the first `start`.
+    """
+    precision, value = [np.zeros(start)], [np.zeros(start)]
     if problem.terms and problem.term_std is not None:
         precision.append(problem.term_std**-2)
         value.append(state.shape)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.jackknife import covariance_of
-from camcal.calibrate.problem import State
+from camcal.calibrate.problem import BoardProblem, State
 
 LENS = 2
 CLAIMED = np.diag([1.0, 2.0])
@@ -14,7 +14,7 @@ CLAIMED = np.diag([1.0, 2.0])
 
 def covariance(views, believed):
     """Return the covariance by views whose scatter is ten times what is claimed, and that believed in full."""
-    problem = SimpleNamespace(free=np.arange(LENS), terms=(), term_std=None, lens_spread=None)
+    problem = BoardProblem(None, None, None, np.arange(LENS))
     state = State(np.zeros(LENS), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     estimates = [SimpleNamespace(problem=problem, state=state, posterior=SimpleNamespace(shared=CLAIMED))]
     moved = [10 * np.random.default_rng(views).normal(size=(views, LENS))]

@@ -8,8 +8,9 @@ from observed import make_scene
 
 from camcal.calibrate import evidence
 from camcal.calibrate import fit as fitting
+from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import SMOOTH
-from camcal.calibrate.estimator import AdditionalParameters, estimate
+from camcal.calibrate.estimator import estimate
 from camcal.calibrate.evidence import evidence_of_effects
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from camcal.calibrate import evidence
+from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH, EffectScales
-from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
 from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
 from camcal.calibrate.noise import ViewNoise
@@ -47,8 +47,8 @@ def looked_at(monkeypatch, count, gains):
     """The evidence where effects bring these gains, by their names, and what was asked for."""
     asked = []
 
-    def gain(equations, columns, start):
-        names = tuple(NAMES[index] for index in np.unique(columns.effect))
+    def gain(equations, effect, start):
+        names = tuple(NAMES[index] for index in np.unique(effect))
         asked.append((names, equations, start))
         return gains[names]
 

@@ -8,9 +8,9 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
+from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.camera_part import Place
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior
-from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.noise import CornerNoise, ViewNoise
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import point_equations

@@ -8,8 +8,8 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
+from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import Posterior
-from camcal.calibrate.estimator import AdditionalParameters
 from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import first_scales

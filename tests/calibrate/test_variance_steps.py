@@ -52,7 +52,7 @@ def test_scales_move_by_the_exponentials_of_a_change():
 def likeliest(model):
     start = scales()
     for _ in range(20):
-        start = fit_effects(model.equations(), columns_of(model), start)
+        start = fit_effects(model.equations(), columns_of(model).effect, start)
     slope, information = slope_and_information(model, start)
     return moved(start, np.linalg.solve(information, slope))
 
@@ -66,7 +66,7 @@ def promise(model, start):
 def test_a_step_promises_half_of_the_slope_along_it_also_where_it_is_cut():
     model, typical = mixed(), np.full(3, 1e-12)
     far = EffectScales(typical * np.exp(10.0), np.ones((VIEWS, 3)), typical)  # of effects that are not seen
-    search = effects._Search.of(model.equations(), columns_of(model))
+    search = effects._Search.of(model.equations(), columns_of(model).effect)
     for start, cut in ((scales(), False), (far, True)):
         change, promised = search.step(search.at(start))
         assert (np.abs(change).max() == 2.0) == cut
@@ -83,7 +83,7 @@ def test_another_step_is_taken_where_it_promises_a_thousandth_of_a_logarithm():
             size *= np.sqrt(wanted / promise(model, moved(end, size * way)))
         start = moved(end, size * way)
         assert promise(model, start) == pytest.approx(wanted, rel=0.02)
-        found = fit_effects(model.equations(), columns_of(model), start)
+        found = fit_effects(model.equations(), columns_of(model).effect, start)
         assert (found is not start) == taken
 
 
@@ -96,9 +96,9 @@ def test_a_step_that_leads_too_far_is_shortened_and_one_that_leads_astray_is_not
         return factor * change, abs(factor) * promised
 
     monkeypatch.setattr(effects, "_ROUNDS", 1)
-    straight = fit_effects(model.equations(), columns_of(model), start)
+    straight = fit_effects(model.equations(), columns_of(model).effect, start)
     monkeypatch.setattr(effects._Search, "step", too_far)
-    found = fit_effects(model.equations(), columns_of(model), start)
+    found = fit_effects(model.equations(), columns_of(model).effect, start)
     change, whole = (np.log(end.variances / start.variances) for end in (found, straight))
     if factor < 0:
         np.testing.assert_array_equal(change, 0)
@@ -143,11 +143,11 @@ def test_steps_where_there_is_no_likelihood_are_a_fifth_as_long_five_times_over(
 def test_a_linearisation_is_used_for_four_steps(monkeypatch):
     model = mixed(seed=3)
     start = EffectScales(np.full(3, 1e-4), np.ones((VIEWS, 3)), np.full(3, 0.1))
-    found = fit_effects(model.equations(), columns_of(model), start)
+    found = fit_effects(model.equations(), columns_of(model).effect, start)
     monkeypatch.setattr(effects, "_ROUNDS", 1)
     steps = [start]
     for _ in range(5):
-        steps.append(fit_effects(model.equations(), columns_of(model), steps[-1]))
+        steps.append(fit_effects(model.equations(), columns_of(model).effect, steps[-1]))
     np.testing.assert_allclose(found.variances, steps[4].variances, rtol=1e-9)
     assert np.abs(np.log(steps[4].variances / steps[3].variances)).max() > 0.01
     assert np.abs(np.log(steps[5].variances / steps[4].variances)).max() > 0.01
@@ -156,15 +156,15 @@ def test_a_linearisation_is_used_for_four_steps(monkeypatch):
 def test_the_gain_does_not_depend_on_where_the_search_begins():
     model, shares, typical = mixed(seed=3), np.ones((VIEWS, 3)), np.full(3, 0.1)
     starts = [EffectScales(size * typical, shares, typical) for size in (1e-6, 1.0, 1e4)]
-    gains = [likelihood_gain(model.equations(), columns_of(model), start) for start in starts]
+    gains = [likelihood_gain(model.equations(), columns_of(model).effect, start) for start in starts]
     assert np.ptp(gains) < 0.1  # ends where steps promise less than 0.001 of a logarithm, priors included
 
 
 def test_equal_scales_gain_the_same_whatever_their_priors():
     model, typical = mixed(seed=3), np.full(3, 0.1)
     start = EffectScales(typical, np.ones((VIEWS, 3)), typical)
-    search = effects._Search.of(model.equations(), columns_of(model))
+    search = effects._Search.of(model.equations(), columns_of(model).effect)
     best = search.best(start, 100).scales
     nothing = replace(best, variances=1e-14 * best.variances)
     expected = model.restricted(best) - model.restricted(nothing)
-    assert likelihood_gain(model.equations(), columns_of(model), best) == pytest.approx(expected, abs=1e-6)
+    assert likelihood_gain(model.equations(), columns_of(model).effect, best) == pytest.approx(expected, abs=1e-6)

@@ -128,7 +128,7 @@ def test_offsets_of_single_points_widen_the_covariance_of_what_all_rows_share():
 @pytest.mark.parametrize("shared", [0, 4])
 def test_a_step_follows_the_slope_of_the_restricted_likelihood_and_its_information(one_round, shared):
     model, start = mixed(shared=shared), scales()
-    found = fit_effects(model.equations(), columns_of(model), start)
+    found = fit_effects(model.equations(), columns_of(model).effect, start)
     slope, information = slope_and_information(model, start)
     change = np.linalg.solve(information, slope)
     assert np.abs(change).max() < 2.0  # else it is cut
@@ -141,7 +141,7 @@ def test_a_step_is_no_longer_than_two_logarithms(one_round):
     model, typical = mixed(), np.full(3, 1e-12)  # of effects that the data say nothing about
     for offset, expected in ((1.0, -1.0), (-1.0, 1.0), (10.0, -2.0), (-10.0, 2.0)):
         start = EffectScales(typical * np.exp(offset), np.ones((VIEWS, 3)), typical)
-        change = np.log(fit_effects(model.equations(), columns_of(model), start).variances / start.variances)
+        change = np.log(fit_effects(model.equations(), columns_of(model).effect, start).variances / start.variances)
         np.testing.assert_allclose(change, expected, rtol=1e-4)  # of a variance of 1e-8 some 1e-6 is known
 
 
@@ -149,14 +149,14 @@ def test_a_step_that_makes_the_residuals_less_likely_is_cut_short(one_round):
     model = mixed(seed=3)
     for seed in range(8):
         start = scales(seed, spread=3.0)
-        found = fit_effects(model.equations(), columns_of(model), start)
+        found = fit_effects(model.equations(), columns_of(model).effect, start)
         assert unlikeliness(model, found) < unlikeliness(model, start)
 
 
 def settled(model, start, calls=100):
     """The end of many calls, as of a calibration's passes."""
     for _ in range(calls):
-        start = fit_effects(model.equations(), columns_of(model), start)
+        start = fit_effects(model.equations(), columns_of(model).effect, start)
     return start
 
 
@@ -182,13 +182,13 @@ def test_the_gain_is_that_of_the_restricted_likelihood_over_no_effects():
     nothing = replace(best, variances=np.full(3, 1e-14))
     expected = model.restricted(best) - model.restricted(nothing)
     assert expected > 20
-    assert likelihood_gain(model.equations(), columns_of(model), start) == pytest.approx(expected, abs=0.02)
+    assert likelihood_gain(model.equations(), columns_of(model).effect, start) == pytest.approx(expected, abs=0.02)
 
 
 def test_effects_that_are_not_there_gain_nothing():
     start = EffectScales(np.full(3, 0.1), np.ones((VIEWS, 3)), np.full(3, 0.1))
     gains = [
-        likelihood_gain(model.equations(), columns_of(model), start)
+        likelihood_gain(model.equations(), columns_of(model).effect, start)
         for model in (mixed(seed, sizes=(0, 0, 0)) for seed in range(20))
     ]
     assert max(gains) < 3.0
