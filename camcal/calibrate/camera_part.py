@@ -137,14 +137,12 @@ class CameraPart:
         left = 1 - float(np.sum(self.spent)) / float(np.sum(count_of(self.problem.observations.weights)))
         return max(left, _LEAST_DOF)
 
-    def cost(self, place: Place, std: Array) -> float:
-        """Return the cost of a place, effects of standard deviations (V, m) included, without the priors of what views
-        share; inf where corners that count have no image.
-        """
+    def cost(self, place: Place) -> float:
+        """Return the cost of the corners at a place; inf where corners that count have no image."""
         weights = self.problem.observations.weights / self.noise.views[:, None]
         squared = np.nan_to_num(self.problem.distances(self.residuals(place)), nan=np.inf) ** 2
         total = np.sum(weights * np.where(weights > 0, squared, 0.0)) / self.noise.sigma**2
-        return 0.5 * float(total + np.sum((place.coefficients / std) ** 2))
+        return 0.5 * float(total)
 
     @property
     def model_error_px(self) -> float | None:

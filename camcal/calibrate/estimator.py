@@ -65,6 +65,11 @@ class Estimate:
     converged: bool
     model_error_px: float | None = None
 
+    @property
+    def known(self) -> KnownNoise:
+        """The noise, for an estimate that goes on from this one."""
+        return KnownNoise(self.noise, self.corners, self.posterior.spent)
+
 
 def estimate(
     problem: BoardProblem,
@@ -91,7 +96,7 @@ class _Passes(CameraPart, Alternation):
         if additional.smooth:
             problem, state = with_terms(problem, state)
         together = additional.points and problem.board.count <= TOGETHER
-        known = KnownNoise(start.noise, start.corners, start.posterior.spent) if start else None
+        known = start.known if start else None
         super().__init__(replace(problem, loss=None, offsets=together), state, additional.effects, known)
         self.begin(additional, len(problem.free), fresh=start is None)
         self.effect_scales = EffectScales.start(len(self.present), self.noise.sigma, max(problem.board.extent))
@@ -204,7 +209,7 @@ class _Passes(CameraPart, Alternation):
     def _cost(self, place: Place, std: Array) -> float:
         """Return the cost of a place, effects of standard deviations (V, m) and priors included."""
         priors = sum(np.sum(prior.residuals**2) for prior in self.problem.priors(place.state))
-        return self.cost(place, std) + 0.5 * float(priors)
+        return self.cost(place) + 0.5 * float(np.sum((place.coefficients / std) ** 2) + priors)
 
     def _pose_lost_views(self) -> None:
         """Pose the views that have lost most of their corners once more, all corners counting: an old pose under a lens

@@ -151,7 +151,7 @@ def _averaged(
 ) -> CalibrationFit:
     """Return the solution by estimates, in which those that model effects are weighted by the evidence for these."""
     plain = estimates[0]
-    moved = _displacements(plain, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
+    moved = displacements(plain.problem, plain.state, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
     if not len(moved):  # the lens is held, or holds nowhere, as that of a wrong board may
         return CalibrationFit(
             plain.state,
@@ -190,10 +190,9 @@ def _posed_again(problem: BoardProblem, state: State) -> dict[str, Array]:
     return {"rotations": found.rotations, "translations": found.translations}
 
 
-def _displacements(plain: Estimate, image_size: tuple[int, int]) -> Array:
+def displacements(problem: BoardProblem, state: State, image_size: tuple[int, int]) -> Array:
     """Return how the free lens parameters move directions (N, 2, K) over the part of the image that corners cover."""
-    problem = plain.problem
-    camera = Camera(problem.model, image_size, plain.state.parameters)
+    camera = Camera(problem.model, image_size, state.parameters)
     corners = problem.observations.pixels[:, problem.observations.weights >= REJECTED].T
     low, high = corners.min(axis=0), corners.max(axis=0)
     axes = [np.linspace(start, end, count) for start, end, count in zip(low, high, _GRID, strict=True)]

@@ -138,14 +138,14 @@ def renumbered(problem: BoardProblem, turns: Array) -> BoardProblem:
 
 def apply_symmetries(problem: BoardProblem, state: State, turns: Array) -> tuple[BoardProblem, State]:
     """Return problem and state with view v numbered by symmetry turns[v] of the board, the poses turned along."""
-    motions = [_motion(problem.board, permutation) for permutation in problem.board.symmetries()]
+    motions = [symmetry_motion(problem.board, permutation) for permutation in problem.board.symmetries()]
     rotations = np.stack([motion[0] for motion in motions])[turns]
     shifts = np.stack([motion[1] for motion in motions])[turns]
     moved = np.einsum("vij,vj->vi", state.rotations, shifts) + state.translations
     return renumbered(problem, turns), replace(state, rotations=state.rotations @ rotations, translations=moved)
 
 
-def _motion(board: Board, permutation: Array) -> tuple[Array, Array]:
+def symmetry_motion(board: Board, permutation: Array) -> tuple[Array, Array]:
     """Return the rotation (3, 3) and shift (3,) that take the drawn point permutation[id] to the point id."""
     points, centre = board.points(), board.points().mean(axis=0)
     moment = (points - centre).T @ (points[permutation] - centre)
@@ -183,7 +183,7 @@ def best_turns(problem: BoardProblem, state: State) -> tuple[Array, State]:
 
 def _looks_the_same(board: Board, points: Array, permutation: Array) -> bool:
     """Return whether a shape fits itself when turned, so that no view could tell."""
-    rotation, shift = _motion(board, permutation)
+    rotation, shift = symmetry_motion(board, permutation)
     return bool(np.abs(points[permutation] @ rotation.T + shift - points).max() < 1e-9 * max(board.extent))
 
 

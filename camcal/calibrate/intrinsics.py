@@ -103,8 +103,32 @@ class Calibration:
         return tuple(view for view in self.views if view.used)
 
 
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solution with what it was made from: the detections, and why some of them are not used (None: they are)."""
+
+    fit: CalibrationFit
+    detections: tuple[BoardDetection, ...]
+    reasons: tuple[str | None, ...]
+    size: tuple[int, int]
+    cameras: TwoCameras | None
+
+    @property
+    def images(self) -> list[str]:
+        """The names of the views that are used."""
+        return [view.image for view, reason in zip(self.detections, self.reasons, strict=True) if reason is None]
+
+
 def calibrate(detections: Sequence[BoardDetection], board: Board, options: Options) -> Calibration:
-    """Return the camera that saw a board in `detections`.
+    """Return the camera that saw a board in `detections`; raises as `solve` does."""
+    found = solve(detections, board, options)
+    require_plausible(found, options)
+    covariances = _pose_covariances(found.fit)
+    return record(found, covariances, between_views(found.fit.estimates, found.images))
+
+
+def solve(detections: Sequence[BoardDetection], board: Board, options: Options) -> Solved:
+    """Return the solution for the camera that saw a board in `detections`.
 
     Raises InsufficientData when the views cannot hold a calibration (too few, alike, fronto-parallel, too many
     rejected), NotConverged when the solver does not settle, InvalidInput for options that contradict each other.
@@ -128,7 +152,7 @@ def calibrate(detections: Sequence[BoardDetection], board: Board, options: Optio
             f"calibration not converged after {result.plain.passes} passes: use a --model with fewer coefficients, "
             "add views, or give a --guess"
         )
-    return _record(result, detections, reasons=reasons, size=size, options=options, cameras=cameras)
+    return Solved(result, tuple(detections), tuple(reasons), size, cameras)
 
 
 def compare_models(
@@ -215,25 +239,34 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
     return held, start if guess is not None else None
 
 
-def _record(
-    result: CalibrationFit,
-    detections: Sequence[BoardDetection],
-    reasons: list[str | None],
-    size: tuple[int, int],
-    options: Options,
-    cameras: TwoCameras | None,
-) -> Calibration:
-    problem, state, plain = result.problem, result.state, result.plain
+def require_plausible(solved: Solved, options: Options) -> None:
+    """Raise InsufficientData where a solution cannot be one of this board and this lens."""
+    problem, state = solved.fit.problem, solved.fit.state
     residuals = problem.residuals(state)
-    # the solver may pass the edge of the lens's domain; what it leaves beyond has no residual to count
-    kept = (problem.observations.weights >= REJECTED) & np.isfinite(residuals).all(axis=0)
-    used = np.asarray(kept.any(axis=1))
-    images = [view.image for view, reason in zip(detections, reasons, strict=True) if reason is None]
-    found = misfit(problem, state, residuals)
+    used = _kept(problem, residuals).any(axis=1)
     if used.sum() >= MIN_VIEWS:
         require_tilts(state.rotations[used])
-    require_fit(found, images, options.max_rejected, options.model.name, cameras)
-    require_views(int(used.sum()), len(detections), 0)
+    found = misfit(problem, state, residuals)
+    require_fit(found, solved.images, options.max_rejected, options.model.name, solved.cameras)
+    require_views(int(used.sum()), len(solved.detections), 0)
+
+
+def _kept(problem: BoardProblem, residuals: Array) -> Array:
+    """Return the corners (V, P) that count; residuals: (2, V, P) px."""
+    # the solver may pass the edge of the lens's domain; what it leaves beyond has no residual to count
+    return np.asarray((problem.observations.weights >= REJECTED) & np.isfinite(residuals).all(axis=0))
+
+
+def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Calibration:
+    """Return the record of a solution; raises InsufficientData where it leaves the focal length open.
+
+    pose_covariances: (V, 6, 6) of the views that are used.
+    """
+    result, detections, reasons, size = solved.fit, solved.detections, list(solved.reasons), solved.size
+    problem, state, plain = result.problem, result.state, result.plain
+    residuals = problem.residuals(state)
+    kept = _kept(problem, residuals)
+    found = misfit(problem, state, residuals)
     covariance = result.covariance
     camera = _camera(result, size, covariance)
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
@@ -243,7 +276,7 @@ def _record(
         result,
         detections,
         reasons=reasons,
-        covariances=_pose_covariances(result),
+        covariances=pose_covariances,
         residuals=residuals,
         kept=kept,
         medians=found.medians,
@@ -265,8 +298,8 @@ def _record(
         held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
         within_views=result.errors,
-        between_views=between_views(result.estimates, images),
-        two_cameras=cameras,
+        between_views=between,
+        two_cameras=solved.cameras,
     )
 
 

@@ -16,14 +16,17 @@ cost much, but no more than an outlier does.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
+from camcal.calibrate.effects import Posterior
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
+from camcal.solve.steps import Factors
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
 _ALIKE = 10.0  # views that count for estimates of equal scatter
@@ -43,7 +46,27 @@ GAIN = 0.10
 _MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
 
 
-def influence(estimate: Estimate) -> Array:
+class Solution(Protocol):
+    """An estimate, of one camera or of several, as far as averages ask for it."""
+
+    @property
+    def problem(self) -> "SharedParameters": ...
+    @property
+    def state(self) -> Any: ...
+    @property
+    def factors(self) -> Factors: ...
+    @property
+    def posterior(self) -> Posterior: ...
+
+
+class SharedParameters(Protocol):
+    """A problem whose views share parameters (D,) of known precision (D, D) before the data."""
+
+    def shared_values(self, state: Any, /) -> Array: ...
+    def prior_precision(self) -> Array: ...
+
+
+def influence(estimate: Solution) -> Array:
     """Return the changes (G, D) of the parameters that all views share, lens and terms of the board's shape, when each
     of the views is left out, in one step from the last linear solve; scaled so that their squares add up to CR3.
     """
@@ -107,7 +130,7 @@ def _weighted_by_evidence(weights: Array, evidence: float) -> Array:
 
 
 def covariance_of(
-    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float = 1.0
+    estimates: Sequence[Solution], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float = 1.0
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
@@ -127,7 +150,7 @@ def covariance_of(
 
 
 def _scatter(
-    estimates: Sequence[Estimate], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float
+    estimates: Sequence[Solution], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float
 ) -> Array:
     """Return the scatter (D, D) from view to view, each view with the weights that the others give, as weights that
     suit all views make their scatter small; that of the estimates, as what they disagree in is not known better; and

@@ -62,7 +62,7 @@ def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, m
     free = AdditionalParameters(smooth=True, points=True)
     together = estimate(problem, state, free)
     monkeypatch.setattr(alternation, "AT_ALL_TOGETHER", 0)
-    monkeypatch.setattr(estimator, "_SETTLED", 1e-4)
+    monkeypatch.setattr(alternation, "_SETTLED", 1e-4)
     in_turn = estimate(problem, state, free)
     assert together.problem.offsets
     assert not in_turn.problem.offsets

@@ -1,0 +1,117 @@
+"""Effects in the views of a capture, and the motion of the board between the exposures of its cameras.
+
+The effects of calibrate/effects.py belong to a camera's views; but the board that bends is one board, whichever camera
+sees it, so that the coefficients of that effect are those of the capture. The motion of the board is that of a view
+against the first of its capture: a shift of its centre and a rotation about it, whose coefficients move the edge of the
+board by as much, in its unit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.effects import EFFECTS, FLEX, Effect, EffectColumns, EffectScales
+from camcal.calibrate.problem import POSE, Derivatives, State
+from camcal.calibrate.rigs.problem import RigProblem
+from camcal.cameras.reprojection import by_pose
+from camcal.geometry import rotation as so3
+from camcal.targets.board import Board
+
+MOTION = Effect("motion", POSE, of_board=True)
+KINDS = (*EFFECTS, MOTION)
+_FLEX, _MOTION = KINDS.index(FLEX), KINDS.index(MOTION)
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureEffects:
+    """Which coefficients a capture has.
+
+    kinds: the camera (None: all) and the place in KINDS of each kind of coefficient. effect: (m,) which of them each
+    coefficient belongs to. slots: of each camera the coefficients (m_c,) that its columns have.
+    """
+
+    kinds: tuple[tuple[int | None, int], ...]
+    effect: Array
+    slots: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, columns: Sequence[EffectColumns]) -> "CaptureEffects":
+        """Return the coefficients for the columns of cameras, which are numbered by KINDS."""
+        kinds: list[tuple[int | None, int]] = []
+        effect: list[int] = []
+        slots: list[Array] = []
+        of_all: list[int] = []
+        for camera, of_camera in enumerate(columns):
+            own: list[int] = []
+            for kind in np.unique(of_camera.effect).tolist():
+                if kind == _FLEX and of_all:
+                    own += of_all
+                    continue
+                kinds.append((None if kind == _FLEX else camera, kind))
+                places = list(range(len(effect), len(effect) + KINDS[kind].columns))
+                effect += [len(kinds) - 1] * len(places)
+                of_all = places if kind == _FLEX else of_all
+                own += places
+            slots.append(np.array(own, np.intp))
+        return cls(tuple(kinds), np.array(effect, np.intp), tuple(slots))
+
+    def start(self, captures: int, sigmas: Sequence[float], side: float) -> EffectScales:
+        """Return the scales to begin with; sigmas: the noise of each camera, px. side: of the board, the longer one."""
+        typical = [
+            (1e-4 * side) ** 2 if KINDS[kind].of_board else (0.3 * sigmas[camera or 0]) ** 2
+            for camera, kind in self.kinds
+        ]
+        return EffectScales(np.array(typical), np.ones((captures, len(typical))), np.array(typical))
+
+    def of_kind(self, effect: Effect) -> Array:
+        """Return which coefficients (m,) are of an effect, of whichever camera."""
+        chosen = np.array([KINDS[kind] is effect for _, kind in self.kinds], bool)
+        return chosen[self.effect] if len(self.effect) else np.zeros(0, bool)
+
+
+def moved_views(problem: RigProblem) -> tuple[Array, ...]:
+    """Return of each camera which of its views (V,) are not the first of their capture."""
+    taken = np.zeros(problem.count, bool)
+    result = []
+    for captures in problem.captures:
+        result.append(taken[captures])
+        taken[captures] = True
+    return tuple(result)
+
+
+def motion_columns(board: Board, rotations: Array, derivatives: Derivatives, moved: Array, present: Array) -> Array:
+    """Return the columns (2, 6, V, P), px per unit of the board, of the motion of views (V,) that may have any.
+
+    rotations: (V, 3, 3) camera_T_board. present: (V, P) bool.
+    """
+    points = board.points()
+    centre = points.mean(axis=0)
+    shape = len(rotations), -1
+    arms = derivatives.rotated.reshape(3, *shape) - (rotations @ centre).T[:, :, None]
+    columns = by_pose(derivatives.by_point.reshape(2, 3, *shape), arms)
+    columns[:, 3:] /= _radius(points)
+    return np.asarray(columns * (present & moved[:, None]))
+
+
+def moved_poses(board: Board, state: State, coefficients: Array) -> State:
+    """Return the state of a camera whose views moved by coefficients (V, 6) of motion, see `motion_columns`."""
+    points = board.points()
+    centre = state.rotations @ points.mean(axis=0)
+    turns = so3.exp(coefficients[:, 3:] / _radius(points))
+    shifts = coefficients[:, :3] + centre - (turns @ centre[..., None])[..., 0]
+    return replace(state, rotations=turns @ state.rotations, translations=state.translations + shifts)
+
+
+def with_motion(columns: EffectColumns, motion: Array | None) -> EffectColumns:
+    """Return the columns of a camera with those of motion (2, 6, V, P) behind them."""
+    if motion is None:
+        return columns
+    effect = np.concatenate([columns.effect, np.full(motion.shape[1], _MOTION)])
+    return EffectColumns(np.concatenate([columns.values, motion], axis=1), effect)
+
+
+def _radius(points: Array) -> float:
+    """Return the RMS distance of points (C, 3) from their centre."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))

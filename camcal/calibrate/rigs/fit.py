@@ -1,0 +1,277 @@
+"""The rig from start to solution: single cameras, links, estimates of all cameras and their average."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.effects import EFFECTS, SMOOTH, likelihood_gain
+from camcal.calibrate.fit import displacements
+from camcal.calibrate.intrinsics import Solved
+from camcal.calibrate.jackknife import covariance_of, image_metric, influence, weights_of
+from camcal.calibrate.problem import POSE, State
+from camcal.calibrate.rigs.effects import CaptureEffects, motion_columns, moved_poses, moved_views, with_motion
+from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
+from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
+from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
+from camcal.cameras.reprojection import by_pose
+from camcal.geometry import rotation as so3
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import assemble, minimise
+from camcal.solve.losses import Cauchy
+from camcal.solve.steps import SingularError
+
+_LOSS, _ROUGH, _POSING = Cauchy(3.0), Stopping(relative_decrease=1e-6, iterations=30), Stopping(iterations=5)
+_EFFECTS = ((SMOOTH.name,), tuple(effect.name for effect in EFFECTS))
+# Gains of the restricted log likelihood by motion of the board between exposures: of none, few are beyond the first;
+# beyond the second it is certain.
+_NOTHING, _CERTAIN = 3.0, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class RigStart:
+    """A camera to begin with: its solution, and the capture (V,) of each of its views."""
+
+    solved: Solved
+    captures: Array
+
+    @property
+    def poses(self) -> CameraPoses:
+        """The poses of its views."""
+        state = self.solved.fit.state
+        return CameraPoses(self.captures, state.rotations, state.translations)
+
+
+@dataclass(frozen=True, eq=False)
+class RigFit:
+    """A solution: all cameras, captures and the board.
+
+    estimates: one that takes errors within views for noise, first, and those that model them. weights: of the estimates
+    in `state`. covariance, noise_covariance: (D, D) of lenses, camera poses and terms of the board, by the scatter from
+    capture to capture, and by noise alone. poses: of each camera the covariances (V, 6, 6) of camera_T_board. turns: of
+    each camera the symmetries (V,) by which its views were turned. moved: (G, 6) by which the board moved, see
+    `rigs.effects`.
+    """
+
+    state: RigState
+    estimates: tuple[RigEstimate, ...]
+    weights: Array
+    covariance: Array
+    noise_covariance: Array
+    poses: tuple[Array, ...]
+    turns: tuple[Array, ...]
+
+    @property
+    def plain(self) -> RigEstimate:
+        """The estimate that takes errors within views for noise."""
+        return self.estimates[0]
+
+    @property
+    def problem(self) -> RigProblem:
+        return self.plain.problem
+
+    def camera_states(self) -> tuple[State, ...]:
+        """Return the state of each camera, whose poses camera_T_board follow the motion between exposures."""
+        states = [self.problem.of_camera(self.state, camera) for camera in range(len(self.plain.parts))]
+        if not self.plain.motion:
+            return tuple(states)
+        return tuple(
+            moved_poses(self.problem.board, state, self.plain.motion_of(camera)) for camera, state in enumerate(states)
+        )
+
+
+def fit_rig(
+    starts: Sequence[RigStart],
+    placed: Placed,
+    count: int,
+    priors: dict[int, LensPrior],
+    motion: bool | None,
+) -> RigFit:
+    """Return the solution for cameras that are all linked, their places as in `placed`.
+
+    count: of the captures. motion: whether the board may have moved between exposures, None: where the data show it.
+    """
+    problem, state, turns = _start(starts, placed, count, priors)
+    state = minimise(_robust(problem, state), state, _ROUGH).state
+    plains = [start.solved.fit.plain for start in starts]
+    additional = plains[0].additional
+    plain = estimate_rig(problem, state, additional, [own.known for own in plains], plains[0].board)
+    moves = motion_gain(plain) > _CERTAIN if motion is None else motion
+    if moves:
+        plain = estimate_rig(plain.problem, plain.state, additional, plain.known, plain.board, motion=True)
+    share = max(start.solved.fit.errors.share for start in starts)
+    estimates = [plain]
+    for effects in _EFFECTS if share > 0 and plain.converged else ():
+        following = _with_effects(estimates[-1], effects)
+        estimates += [following] if following is not None and following.converged else []
+    return _averaged(tuple(estimates), share, turns, [start.solved.size for start in starts])
+
+
+def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate | None:
+    """Return the estimate that models errors within views as `effects`, None where the data do not hold it."""
+    additional = replace(start.additional, effects=effects)
+    try:
+        return estimate_rig(start.problem, start.state, additional, start.known, start.board, motion=start.motion)
+    except SingularError:
+        return None
+
+
+def _start(
+    starts: Sequence[RigStart], placed: Placed, count: int, priors: dict[int, LensPrior]
+) -> tuple[RigProblem, RigState, tuple[Array, ...]]:
+    """Return problem and state with every view of a symmetric board numbered alike within its capture, and the
+    symmetries by which views were turned for that.
+    """
+    fits = [start.solved.fit for start in starts]
+    board = fits[0].problem.board
+    symmetries = np.stack(board.symmetries())
+    turns, shifts = motions(board)
+    largest = int(np.argmax([len(start.captures) for start in starts]))
+    shape, offsets = fits[largest].state.shape, fits[largest].state.offsets
+    rotations, translations = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    known = np.zeros(count, bool)
+    parts, turned = [], []
+    for camera, (start, fit) in enumerate(zip(starts, fits, strict=True)):
+        back, place = placed.rotations[camera].T, placed.translations[camera]
+        candidates = back @ (fit.state.rotations[:, None] @ turns)
+        moved = fit.state.translations[:, None] + np.einsum("vij,sj->vsi", fit.state.rotations, shifts) - place
+        moved = moved @ back.T
+        first = ~known[start.captures]
+        away = so3.log(rotations[start.captures].transpose(0, 2, 1)[:, None] @ candidates)
+        chosen = np.where(first, 0, np.argmin(np.linalg.norm(away, axis=2), axis=1))
+        rows = np.arange(len(chosen))
+        new = start.captures[first]
+        rotations[new], translations[new] = candidates[rows, chosen][first], moved[rows, chosen][first]
+        known[new] = True
+        observations = fit.problem.observations
+        ids = np.take_along_axis(symmetries[chosen], observations.ids, axis=1)
+        weights = np.where(observations.present, 1.0, 0.0)
+        table = replace(observations, ids=ids, weights=weights)
+        parts.append(replace(fit.problem, observations=table, noise=None, offsets=False, loss=None))
+        turned.append(chosen)
+    lenses = tuple(fit.state.parameters for fit in fits)
+    cameras = range(len(starts))
+    state = RigState(
+        lenses,
+        np.stack([placed.rotations[camera] for camera in cameras]),
+        np.stack([placed.translations[camera] for camera in cameras]),
+        rotations=rotations,
+        translations=translations,
+        shape=shape,
+        offsets=offsets,
+    )
+    problem = RigProblem(tuple(parts), tuple(start.captures for start in starts), count, priors)
+    return problem, state, tuple(turned)
+
+
+def _robust(problem: RigProblem, state: RigState) -> RigProblem:
+    """Return the problem whose wrong corners count for little; those beyond the lens's domain do not count."""
+    parts = []
+    for camera, part in enumerate(problem.parts):
+        own = replace(part, loss=_LOSS).within_domain(problem.of_camera(state, camera))
+        parts.append(own)
+    return problem.with_parts(parts)
+
+
+def motion_gain(plain: RigEstimate) -> float:
+    """Return the gain of the restricted log likelihood that motion of the board between exposures brings."""
+    problem, state = plain.problem, plain.state
+    problem = problem.with_parts([replace(part, offsets=False) for part in problem.parts])
+    moved = moved_views(problem)
+    if not any(views.any() for views in moved):
+        return 0.0
+    found, equations = [], []
+    for camera, (part, views) in enumerate(zip(plain.parts, moved, strict=True)):
+        own = problem.of_camera(state, camera)
+        derivatives = part.place.derivatives
+        motion = motion_columns(problem.board, own.rotations, derivatives, views, part.present)
+        columns = with_motion(part.columns.of([]), motion if views.any() else None)
+        found.append(columns)
+        effects = columns.values if columns.values.shape[1] else None
+        equations.append(problem.equations_of(state, camera, own, derivatives, effects)[1])
+    layout = CaptureEffects.of(found)
+    total = problem.joined(equations, [POSE + own for own in layout.slots], POSE + len(layout.effect))
+    priors = assemble(problem.priors(state), problem.shared, 0, POSE)
+    total = replace(total, shared_shared=total.shared_shared + priors.shared_shared)
+    scales = layout.start(problem.count, [part.noise.sigma for part in plain.parts], max(problem.board.extent))
+    return likelihood_gain(total, layout.effect, scales)
+
+
+def _averaged(
+    estimates: tuple[RigEstimate, ...], share: float, turns: tuple[Array, ...], sizes: Sequence[tuple[int, int]]
+) -> RigFit:
+    """Return the solution by estimates, in which those that model effects are weighted by the evidence for these."""
+    plain = estimates[0]
+    left_out = [influence(own) for own in estimates]
+    metric = _metric(plain, sizes)
+    weights = weights_of(left_out, metric, share)
+    covariance = covariance_of(estimates, left_out, metric, weights, max(share, float(plain.motion)))
+    state = plain.state
+    if len(estimates) > 1:
+        state = _mean([own.state for own in estimates], weights)
+    if not plain.motion:
+        held, bare = plain.problem.captures_only(state)
+        found = minimise(_within_domain(held, bare), bare, _POSING).state
+        state = replace(state, rotations=found.rotations, translations=found.translations)
+    poses = [
+        np.tensordot(weights, np.stack([own.views[camera].poses for own in estimates]), axes=1)
+        for camera in range(len(plain.parts))
+    ]
+    return RigFit(
+        state,
+        estimates,
+        weights=weights,
+        covariance=covariance,
+        noise_covariance=plain.posterior.shared,
+        poses=tuple(poses),
+        turns=turns,
+    )
+
+
+def _within_domain(problem: RigProblem, state: RigState) -> RigProblem:
+    return problem.with_parts(
+        [part.within_domain(problem.of_camera(state, camera)) for camera, part in enumerate(problem.parts)]
+    )
+
+
+def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array:
+    """Return the metric, px², of changes of lenses and camera poses: of directions over the images, and of the board's
+    corners.
+    """
+    problem = plain.problem
+    result = np.zeros((problem.board_start, problem.board_start))
+    for camera, (part, size) in enumerate(zip(plain.parts, sizes, strict=True)):
+        if len(part.problem.free):
+            lens = slice(*problem.lens_starts[camera : camera + 2])
+            result[lens, lens] = image_metric(displacements(part.problem, part.place.state, size))
+        columns = problem.pose_columns(camera)
+        if len(columns):
+            weights = part.problem.observations.weights.ravel()
+            arms = plain.state.translations[problem.captures[camera]] @ plain.state.camera_rotations[camera].T
+            points = part.place.derivatives.rotated.reshape(3, len(arms), -1) + arms.T[:, :, None]
+            slopes = by_pose(part.place.derivatives.by_point, points.reshape(3, -1))
+            own = np.einsum("dim,m,djm->ij", slopes, weights, slopes) / weights.sum()
+            result[np.ix_(columns, columns)] = own
+    return result
+
+
+def _mean(states: Sequence[RigState], weights: Array) -> RigState:
+    """Return the weighted mean of states of one rig; rotations are averaged about the first one's."""
+
+    def mean(values: Sequence[Array]) -> Array:
+        return np.asarray(np.tensordot(weights, np.stack(values), axes=1))
+
+    def turned(values: Sequence[Array]) -> Array:
+        back = values[0].transpose(0, 2, 1)
+        return np.asarray(values[0] @ so3.exp(mean([so3.log(back @ own) for own in values])))
+
+    return RigState(
+        tuple(mean(own) for own in zip(*(state.lenses for state in states), strict=True)),
+        turned([state.camera_rotations for state in states]),
+        mean([state.camera_translations for state in states]),
+        rotations=turned([state.rotations for state in states]),
+        translations=mean([state.translations for state in states]),
+        shape=mean([state.shape for state in states]),
+        offsets=mean([state.offsets for state in states]),
+    )
