@@ -99,7 +99,7 @@ def solved(scene, views, shape=None):
 
 def test_a_lens_that_holds_nowhere_is_that_of_the_plain_estimate(monkeypatch):
     scene = make_scene(count=6)
-    monkeypatch.setattr(fitting, "_displacements", lambda *_: np.zeros((0, 2, len(scene.camera.parameters))))
+    monkeypatch.setattr(fitting, "displacements", lambda *_: np.zeros((0, 2, len(scene.camera.parameters))))
     found = solved(scene, bent(scene, scene.observe(1, noise_px=0.1), 0.2))
     assert found.estimates == (found.plain,)
     np.testing.assert_array_equal(found.state.parameters, found.plain.state.parameters)

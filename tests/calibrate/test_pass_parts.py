@@ -9,7 +9,7 @@ from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
 from camcal.calibrate.alternation import AdditionalParameters
-from camcal.calibrate.camera_part import Place
+from camcal.calibrate.camera_part import KnownNoise, Place
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior
 from camcal.calibrate.noise import CornerNoise, ViewNoise
 from camcal.calibrate.problem import BoardProblem
@@ -173,9 +173,7 @@ def test_an_estimate_goes_on_with_the_effects_that_another_had():
     scales = EffectScales(np.array([4.0, 9.0, 1e-8]), rng.uniform(0.5, 2, (VIEWS, 3)), np.ones(3))
     start = SimpleNamespace(
         additional=AdditionalParameters(effects=("rolling",)),
-        noise=ViewNoise(0.2, np.ones(VIEWS)),
-        posterior=SimpleNamespace(spent=np.full(VIEWS, 9.0)),
-        corners=CornerNoise(0.7),
+        known=KnownNoise(ViewNoise(0.2, np.ones(VIEWS)), CornerNoise(0.7), np.full(VIEWS, 9.0)),
         board={name: replace(scale, effective=0.7) for name, scale in first.board.items()},
         effect_scales=scales,
         coefficients=rng.normal(size=(VIEWS, 6)),
@@ -189,7 +187,7 @@ def test_an_estimate_goes_on_with_the_effects_that_another_had():
     assert not found.place.coefficients[:, :18].any()
     assert not found.place.coefficients[:, 24:].any()
     assert not found.fresh
-    assert (found.noise, found.corners, found.board) == (start.noise, start.corners, start.board)
+    assert (found.noise, found.corners, found.board) == (start.known.views, start.known.corners, start.board)
     start.effect_scales = None
     bare = passes_of(scene, AdditionalParameters(smooth=False, points=False, effects=every), start=start)
     np.testing.assert_allclose(bare.effect_scales.variances, begun.variances)
