@@ -236,7 +236,6 @@ def measured(tmp_path):
         sigma=map_path.with_name("sigma.tiff"),
         confidence=map_path.with_name("confidence.png"),
         searched=(0, 64),
-        camera_R_rectified=so3.about_y(np.pi / 2),
         relative_sigma={"fx": 0.03, "baseline": 0.04},
     )
     disparity_sidecar.write(map_path, sidecar)
@@ -292,8 +291,17 @@ def test_frame_and_unit_are_in_the_file_and_in_its_coordinates(run, tmp_path, me
     assert (report["unit"], report["frame"]) == (turned.unit, turned.frame)
     np.testing.assert_allclose(turned.vertices["x"], plain.vertices["z"] * 1000, rtol=1e-6)  # float32
     np.testing.assert_allclose(turned.vertices["y"], plain.vertices["x"] * -1000, rtol=1e-6)
-    before, _ = cloud_of(run, measured, "--frame", "camera", "-o", tmp_path / "before.ply")
+
+
+def test_a_cloud_of_images_rectified_here_is_in_the_frame_of_the_real_left_camera(run, tmp_path, measured):
+    plain, _ = cloud_of(run, measured, "-o", tmp_path / "plain.ply")
+    turn = so3.about_y(np.pi / 2)
+    disparity_sidecar.write(measured, replace(disparity_sidecar.read(measured), camera_R_rectified=turn))
+    before, _ = cloud_of(run, measured, "-o", tmp_path / "before.ply")
+    optical, _ = cloud_of(run, measured, "--frame", "optical", "-o", tmp_path / "optical.ply")
+    assert before.frame.startswith("left camera before rectification")
     np.testing.assert_allclose(before.vertices["x"], plain.vertices["z"], rtol=1e-6)
+    np.testing.assert_array_equal(optical.vertices, plain.vertices)
 
 
 def test_a_pose_takes_the_cloud_to_the_world(run, tmp_path, measured):

@@ -1,5 +1,6 @@
 """The disparity of a rectified pair with its uncertainty."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -20,7 +21,7 @@ from camcal.stereo.matching.matchers import (
     textured,
 )
 from camcal.stereo.matching.planes import on_planes
-from camcal.stereo.matching.preparation import GrayPair, Prepared, prepare
+from camcal.stereo.matching.preparation import GrayPair, Masks, Prepared, prepare
 from camcal.stereo.matching.pyramid import coarse_to_fine, needs_levels
 from camcal.stereo.matching.uncertainty import (
     FROM_COARSE_TO_FINE,
@@ -38,6 +39,7 @@ from camcal.stereo.options import BACKGROUND, BALANCED, BEST, FAST, NOTHING, Mat
 _WEIGHTS = {FAST: OF_A_SINGLE_PASS, BALANCED: OF_THE_CENSUS, BEST: OF_TWO_MATCHERS}
 # Times smaller: the evidence of the fast quality takes no time, and that of a large pair half of the memory.
 _REDUCED, _REDUCED_LARGE = 4, 2
+_RIM = np.ones((5, 5), np.uint8)  # the window of the census: beyond the rim there is no texture of the scene
 
 
 def match(left: Array, right: Array, options: MatchOptions | None = None, each: Each = one_by_one) -> Disparity:
@@ -66,6 +68,23 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
         confidence = confidence * keep  # Confidence.NONE is 0
     searched = prepared.first, prepared.first + prepared.count - 1
     return Disparity(values, sigma, confidence, searched, _at_ends(estimate.end))
+
+
+def within(disparity: Disparity, valid: Masks) -> Disparity:
+    """Return a disparity without what lies where rectified images show nothing, or leads there.
+
+    valid: masks (H, W) of the left and the right image. Values that were filled in need the left one only.
+    """
+    left, right = (cv2.erode(mask.astype(np.uint8), _RIM, borderValue=1) > 0 for mask in valid)
+    rows, columns = np.nonzero(left & np.isfinite(disparity.values))
+    partners = np.rint(columns - disparity.values[rows, columns]).astype(np.int64)
+    filled = disparity.confidence[rows, columns] <= Confidence.FILLED
+    inside = (partners >= 0) & (partners < right.shape[1])
+    keep = np.zeros(left.shape, bool)
+    keep[rows, columns] = filled | (inside & right[rows, np.clip(partners, 0, right.shape[1] - 1)])
+    nothing = np.float32(np.nan)
+    values, sigma = (np.where(keep, each, nothing) for each in (disparity.values, disparity.sigma))
+    return replace(disparity, values=values, sigma=sigma, confidence=disparity.confidence * keep)
 
 
 def _at_ends(end: Array) -> tuple[float, float]:

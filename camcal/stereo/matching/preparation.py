@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, BoolArray
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
@@ -20,6 +20,9 @@ _LEAST_SPAN = 1e-30  # of brightness; keeps the numbers of float images finite w
 _NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noise is measured
 _FEWEST = 4  # disparities; with fewer there is nothing between them
 _WIDEST = 1 << 14
+
+
+Masks = tuple[BoolArray, BoolArray]  # of the left and of the right image
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +40,11 @@ class GrayPair:
     noise: float
 
 
-def gray_pair(left: Array, right: Array, *, expose: bool = True) -> GrayPair:
+def gray_pair(left: Array, right: Array, *, expose: bool = True, valid: Masks | None = None) -> GrayPair:
     """Return both images (H, W), (H, W, 3) BGR or (H, W, 4), of uint8, uint16 or float32, as matchers take them.
 
     Deep images become 8 bits by one straight line for both. expose: where their exposures differ, bring the right one
-    to the left one's by the curve that makes their histograms equal.
+    to the left one's by the curve that makes their histograms equal, over what is valid.
     Raises InvalidInput for images of different sizes.
     """
     deep_left, deep_right = _gray(left), _gray(right)
@@ -50,7 +53,7 @@ def gray_pair(left: Array, right: Array, *, expose: bool = True) -> GrayPair:
         raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}: sizes must be equal")
     deep_left, deep_right = _whole_numbers(deep_left, deep_right)
     first, second = _eight_bits(deep_left, deep_right)
-    second = _exposed_alike(first, second) if expose else second
+    second = _exposed_alike(first, second, valid) if expose else second
     return GrayPair(first, second, deep_left, deep_right, noise_of(first))
 
 
@@ -100,9 +103,14 @@ def _eight_bits(left: Array, right: Array) -> tuple[Array, Array]:
     return first, second
 
 
-def _exposed_alike(left: Array, right: Array) -> Array:
+def _exposed_alike(left: Array, right: Array, valid: Masks | None) -> Array:
     """Return the right image (H, W) uint8 with the left one's histogram, itself where theirs hardly differ."""
-    here, there = (_quantiles(_sample(image)) for image in (left, right))
+    samples = [_sample(image) for image in (left, right)]
+    if valid is not None:
+        samples = [image[_sample(mask)] for image, mask in zip(samples, valid, strict=True)]
+    if not all(sample.size for sample in samples):
+        return right
+    here, there = (_quantiles(sample) for sample in samples)
     if np.abs(here - there).max() < _DIFFERENT:
         return right
     there += np.arange(len(there)) * 1e-6  # rising, as the interpolation needs it
@@ -150,16 +158,18 @@ def prepare(
     align: bool = True,
     expose: bool = True,
     farthest: float = 0.0,
+    valid: Masks | None = None,
 ) -> Prepared:
     """Return a pair ready to be matched.
 
     left, right: (H, W), (H, W, 3) BGR or (H, W, 4), uint8, uint16 or float32. search: smallest and largest disparity,
     pixels, None for what the images show. align: put the rows right if they are measurably off. expose: bring the
     right image to the left one's exposure. farthest: disparity of what is infinitely far, pixels, by the geometry; left
-    and right are taken for swapped if all lies below it, unless the range begins there.
+    and right are taken for swapped if all lies below it, unless the range begins there. valid: masks (H, W) of what
+    the images show, None for all of it.
     Raises InvalidInput for images of different sizes, and for a range that is empty or wider than any image.
     """
-    pair = gray_pair(left, right, expose=expose)
+    pair = gray_pair(left, right, expose=expose, valid=valid)
     coarse = coarse_map(pair.left, pair.right) if align or search is None else None
     residual = _residual(pair, coarse) if align else None
     warnings, failures = list[Message](), list[Message]()

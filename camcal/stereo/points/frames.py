@@ -97,7 +97,8 @@ def frame_named(
     """Return the frame of a name, or with a pose the world of that pose.
 
     The pose takes points from the frame named to the world: with ros, that of a camera whose x looks forward. With enu
-    it takes them from the optical frame. camera_R_rectified: (3, 3), for the frame `camera`.
+    it takes them from the camera's frame, the optical one where no rotation is known. camera_R_rectified: (3, 3), for
+    the frame `camera`.
     Raises InvalidInput for an unknown name or unit, and where a frame needs what is not given.
     """
     if name not in WORDS:
@@ -108,7 +109,7 @@ def frame_named(
         raise InvalidInput("--frame enu needs the pose of the camera in the world: set --pose")
     if name == CAMERA and camera_R_rectified is None:
         raise InvalidInput("--frame camera needs the rectification of the pair, which no sidecar of the map has")
-    turns = _TURNS if camera_R_rectified is None else {**_TURNS, CAMERA: camera_R_rectified}
+    turns = _TURNS if camera_R_rectified is None else {**_TURNS, CAMERA: camera_R_rectified, ENU: camera_R_rectified}
     named_T_left = Pose(turns.get(name, np.eye(3)), np.zeros(3))
     if world_T_camera is None:
         return Frame(named_T_left, WORDS[name], unit)

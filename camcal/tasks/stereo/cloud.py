@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, FloatArray
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
@@ -16,24 +16,27 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
-from camcal.progress import SILENT, Outcome, Progress, values_of
+from camcal.progress import SILENT, Outcome, Progress, values_of, warn_of
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import place, require_there, split_address
+from camcal.run.paths import find_pairs, place, require_there, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
 from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import UNITS, Frame, VertexStream, frame_named
+from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
 from camcal.tasks.stereo import rectified_pair
 from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
+from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
+from camcal.tasks.stereo.rig_pair import RigPair, rig_pair_of
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
 _FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates are worth a warning
 _SUFFIX = ".ply"
+_NO_GEOMETRY = "unknown geometry: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,14 @@ class CloudReport:
     fields: tuple[str, ...]
 
 
+class PointSource(NamedTuple):
+    """The disparities that points are made of, counts of their file per pixel, and the rotation to the real camera."""
+
+    image: StereoImage
+    scale: float
+    camera_R_rectified: FloatArray | None
+
+
 @writes
 def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudReport:
     """Return what was written to options.output.
@@ -67,23 +78,84 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
     a point and not known; FileError.
     """
     require_there(options.disparity)
+    return _cloud(options, rig_of_cloud(options, progress), progress)
+
+
+def _cloud(options: CloudOptions, rig: RigPair | None, progress: Progress) -> CloudReport:
+    """Return what was written, of a pair rectified by `rig` or of a map; see `stereo_cloud`."""
     pointclouds.require_suffix(options.output, ascii_text=options.vertices.ascii_text)
     if options.vertices.organised and options.output.suffix.lower() not in GRIDS:
         raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
-    image_path, address = _image_and_camera(options.files)
-    found = disparity.read(options.disparity, options.scale)
-    if image_path is None and found.sidecar:
-        image_path = named_file(found.sidecar.image, options.disparity, progress)
-    pair = _pair(options, address, found, progress)
-    image = _stereo_image(options, found, pair, image_path, progress)
-    frame = _frame(options.vertices, found.sidecar, progress)
+    return write_points(options, _source(options, rig, progress), progress)
+
+
+def write_points(options: CloudOptions, source: PointSource, progress: Progress = SILENT) -> CloudReport:
+    """Return what was written of the points of a map to options.output; raises InvalidInput and FileError."""
+    image = source.image
+    frame = _frame(options.vertices, source.camera_R_rectified, progress)
     with over_threads(options.jobs) as each:
         selected = select(image, _selection(options.points), frame, each)
     if not selected.kept.any():
         progress.warn(Message("empty_cloud", f"empty cloud: {_why_empty(selected)}", where=str(options.disparity)))
     stream = _stream(options, image, selected, frame)
     pointclouds.write(options.output, stream, ascii_text=options.vertices.ascii_text)
-    return _report(options, found, image, selected, stream)
+    return _report(options, source.scale, image, selected, stream)
+
+
+def _source(options: CloudOptions, rig: RigPair | None, progress: Progress) -> PointSource:
+    """Return the disparities of a map, or of an unrectified pair that is matched for it."""
+    image_path, address = _image_and_camera(options.files)
+    if rig is not None and image_path is not None:
+        return _of_pair(options, (options.disparity, image_path), rig, progress)
+    found = disparity.read(options.disparity, options.scale)
+    if image_path is None and found.sidecar:
+        image_path = named_file(found.sidecar.image, options.disparity, progress)
+    pair = _pair(options, address, found, progress)
+    return PointSource(_stereo_image(options, found, pair, image_path, progress), found.scale, pair.camera_R_rectified)
+
+
+def rig_of_cloud(options: CloudOptions, progress: Progress) -> RigPair | None:
+    """Return the cameras that a pair has to be rectified by; None where the options name a disparity map."""
+    image, address = _image_and_camera(options.files)
+    if address is None or image is None or options.geometry.numbers() or options.scale is not None:
+        return None
+    rig = rig_pair_of(address, options.geometry.camera, partial(_size_of_first, options.disparity, image))
+    if rig is not None:
+        warn_of(rig.rectification.warnings, progress)
+    return rig
+
+
+def _size_of_first(left: Path, right: Path) -> tuple[int, int]:
+    first = find_pairs([left], [right])[0][0] if left.is_dir() else left
+    height, width = load(first).pixels.shape[:2]
+    return width, height
+
+
+def _of_pair(options: CloudOptions, paths: tuple[Path, Path], rig: RigPair, progress: Progress) -> PointSource:
+    images = read_pair(paths, rig)
+    found = match_images(images, options.matching, jobs=options.jobs)
+    warn_of((each.at(images.paths[0]) for each in (*found.warnings, *found.failures)), progress)
+    return source_of_match(images, found, options.points.sigma_disparity)
+
+
+def source_of_match(images: PairImages, found: Matched, sigma: float | None = None) -> PointSource:
+    """Return the disparities of a pair that was matched; sigma: of all of them, None for what the matcher found.
+
+    Raises InvalidInput if nothing is known of the pair's geometry.
+    """
+    known, values = images.known, found.disparity
+    if known.geometry is None:
+        raise InvalidInput(_NO_GEOMETRY)
+    image = StereoImage(
+        values.values,
+        known.geometry,
+        signed=True,
+        pixels=images.left,
+        sigma=values.sigma if sigma is None else sigma,
+        confidence=values.confidence,
+        calibration=known.calibration_error,
+    )
+    return PointSource(image, 1.0, known.camera_R_rectified)
 
 
 def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
@@ -98,9 +170,7 @@ def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progr
     height, width = found.values.shape
     pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
     if pair.geometry is None:
-        raise InvalidInput(
-            "unknown geometry: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
-        )
+        raise InvalidInput(_NO_GEOMETRY)
     return pair
 
 
@@ -120,10 +190,10 @@ def _stereo_image(
     return stereo_image(found, pair, image, sigma, confidence)
 
 
-def _frame(options: VertexOptions, sidecar: Sidecar | None, progress: Progress) -> Frame:
+def _frame(options: VertexOptions, camera_R_rectified: FloatArray | None, progress: Progress) -> Frame:
     world_T_camera = pose_text.read(options.pose) if options.pose else None
-    turn = sidecar.camera_R_rectified if sidecar else None
-    frame = frame_named(options.frame, turn, world_T_camera, options.unit)
+    name = options.frame or (OPTICAL if camera_R_rectified is None else CAMERA)
+    frame = frame_named(name, camera_R_rectified, world_T_camera, options.unit)
     step = float(np.spacing(np.abs(frame.frame_T_left.translation).max().astype(np.float32)))
     if step > _FINEST:
         text = f"resolution of coordinates this far from the origin {step:.2g} m: subtract an offset from the pose"
@@ -209,17 +279,17 @@ def in_order_on_threads(jobs: int | None) -> Callable[[Callable[[slice], Array],
 
 
 def _report(
-    options: CloudOptions, found: DisparityMap, image: StereoImage, selected: Selected, stream: VertexStream
+    options: CloudOptions, scale: float, image: StereoImage, selected: Selected, stream: VertexStream
 ) -> CloudReport:
     fields = stream.type.names or ()
     appearance = "none" if image.pixels is None else "gray" if image.pixels.ndim == 2 else "colour"
     return CloudReport(
         output=options.output,
         points=int(np.count_nonzero(selected.kept)) if stream.grid else stream.count,
-        pixels=found.values.size,
+        pixels=image.disparity.size,
         matched=selected.matched,
         outliers=selected.outliers,
-        scale=found.scale,
+        scale=scale,
         geometry=image.geometry,
         depth=depth_figures(image, selected.kept),
         appearance=appearance,
@@ -251,22 +321,37 @@ def document(report: CloudReport) -> dict[str, Any]:
 def cloud_folder(options: CloudOptions, progress: Progress = SILENT) -> list[Outcome[Path, CloudReport]]:
     """Return what became of every map in the folder options.disparity; one that fails costs only itself.
 
-    options.output is a folder, an image of options.files a folder of images with the names of the maps.
+    options.output is a folder, an image of options.files a folder of images with the names of the maps. With a rig file
+    both are folders of unrectified images, and there is a cloud for each pair.
     Raises InvalidInput if clouds would overwrite maps or each other, FileError if the folder holds no map.
     """
-    maps = disparity.maps_in(options.disparity)
     suffix = GRIDS[0] if options.vertices.organised else _SUFFIX
-    outputs = place(maps, options.output, suffix, pointclouds.SUFFIXES)
+    rig = rig_of_cloud(options, progress)
+    if rig is not None:
+        pairs = dict(find_pairs([options.disparity], [str(options.image)]))
+        sources = list(pairs)
+    else:
+        pairs, sources = {}, disparity.maps_in(options.disparity)
+    outputs = place(sources, options.output, suffix, pointclouds.SUFFIXES)
     claim(outputs.values())
-    work = partial(_one, options=options, outputs=outputs, progress=progress)
-    return list(fan_out(work, maps, jobs=options.jobs, what="cloud", progress=progress))
+    work = partial(_one, options=options, outputs=outputs, pairs=pairs, rig=rig, progress=progress)
+    return list(fan_out(work, sources, jobs=options.jobs, what="cloud", progress=progress))
 
 
-def _one(path: Path, options: CloudOptions, outputs: Mapping[Path, Path], progress: Progress) -> CloudReport:
+def _one(
+    path: Path,
+    options: CloudOptions,
+    outputs: Mapping[Path, Path],
+    pairs: Mapping[Path, Path],
+    rig: RigPair | None,
+    progress: Progress,
+) -> CloudReport:
+    each = replace(options, disparity=path, output=outputs[path], jobs=1)
+    if rig is not None:
+        return _cloud(replace(each, image=str(pairs[path])), rig, progress)
     named = [_image_of(path, Path(text)) if Path(text).is_dir() else text for text in options.files]
     image, camera_file, *_ = (*named, None, None)
-    each = replace(options, disparity=path, output=outputs[path], image=image, camera_file=camera_file, jobs=1)
-    return stereo_cloud(each, progress)
+    return _cloud(replace(each, image=image, camera_file=camera_file), None, progress)
 
 
 def _image_of(path: Path, folder: Path) -> str:

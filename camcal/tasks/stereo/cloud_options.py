@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord, Written
+from camcal.stereo.options import MatchOptions
 from camcal.tasks.options import Jobs, Overwrite, result_option
 from camcal.tasks.stereo.options import GeometryOptions, PairCamera
 
@@ -81,17 +82,21 @@ class PointOptions(OptionsRecord):
 
 @dataclass(frozen=True)
 class VertexOptions(OptionsRecord):
-    """What is said of a point, and where. frame, unit: see `stereo.points.frames`. pose: file of the camera's place."""
+    """What is said of a point, and where.
+
+    frame: see `stereo.points.frames`, None for the left camera as it was before camcal rectified its images. unit: see
+    there. pose: file of the camera's place.
+    """
 
     frame: Annotated[
-        str,
+        str | None,
         Option(
-            "optical (x right, y down, z forward), camera (before rectification, where the sidecar holds the "
-            "rotation), ros, opengl, enu (with --pose).",
+            "camera (the left camera before rectification: the default where camcal rectified the images), optical "
+            "(the rectified left camera: x right, y down, z forward), ros, opengl, enu (with --pose).",
             metavar="NAME",
             group=POINTS,
         ),
-    ] = "optical"
+    ] = None
     unit: Annotated[str, Option("Unit of the coordinates.", metavar="m|mm", group=POINTS)] = "m"
     pose: Annotated[
         Path | None,
@@ -117,19 +122,27 @@ def _cloud_suffixes() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class CloudOptions(OptionsRecord):
-    """A disparity map, the left image, and where the geometry comes from.
+    """A disparity map, the left image, and where the geometry comes from; or an unrectified pair and its rig.
 
     image, camera_file: the left image and the camera file (FILE or FILE#NAME), either or both, distinguished by the
-    suffix; what is not given is taken from the sidecar of the map. scale: counts of the file per pixel of disparity,
-    None by its type.
+    suffix; what is not given is taken from the sidecar of the map. Where the camera file is of cameras that are not
+    rectified, disparity and image are the left and the right image, matched as `matching` says. scale: counts of the
+    file per pixel of disparity, None by its type.
     """
 
     disparity: Annotated[
         Path,
-        Argument("Disparity map of the left image: PFM, TIFF, PNG, NPY, NPZ, EXR; or a folder.", metavar="DISPARITY"),
+        Argument(
+            "Disparity map of the left image: PFM, TIFF, PNG, NPY, NPZ, EXR; or a folder. Or the left image of an "
+            "unrectified pair: LEFT RIGHT RIG.",
+            metavar="DISPARITY",
+        ),
     ]
     output: Annotated[Path, result_option(Written(_cloud_suffixes, folder=True))]
-    image: Annotated[str | None, Argument("The rectified left image, for colour.", metavar="IMAGE")] = None
+    image: Annotated[
+        str | None,
+        Argument("The rectified left image, for colour; or the right image of an unrectified pair.", metavar="IMAGE"),
+    ] = None
     camera_file: PairCamera = None
     geometry: GeometryOptions = field(default_factory=GeometryOptions)
     scale: Annotated[
@@ -140,6 +153,7 @@ class CloudOptions(OptionsRecord):
             group=INPUT,
         ),
     ] = None
+    matching: MatchOptions = field(default_factory=MatchOptions)
     points: PointOptions = field(default_factory=PointOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     jobs: Jobs = None

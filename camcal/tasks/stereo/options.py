@@ -28,7 +28,10 @@ ONE_SIDE = ValueType(lambda text: (text,), lambda paths: " ".join(map(str, paths
 
 PairCamera = Annotated[
     str | None,
-    Argument("Camera file of the rectified pair, or FILE#NAME; or a calib.txt.", metavar="CAMERA"),
+    Argument(
+        "Camera file of the rectified pair, or FILE#NAME; or a calib.txt. Or a rig file: the pair is rectified first.",
+        metavar="CAMERA",
+    ),
 ]
 
 
@@ -124,18 +127,19 @@ class StereoCheckOptions(OptionsRecord):
 class DisparityOptions(OptionsRecord):
     """Pairs (files, folders, patterns of either side), where their maps go, and how they are matched.
 
-    output: a file for a single pair, otherwise a folder. camera_file: of the rectified pair, FILE or FILE#NAME.
+    output: a file for a single pair, otherwise a folder. camera_file: of the rectified pair, FILE or FILE#NAME; or of
+    two cameras that are not rectified, by which the images are rectified first (FILE#LEFT,RIGHT of more cameras).
     type: of the files in a folder. model: the network of the engine onnx. picture: draw each map. map_only: write no
     uncertainty and no classes beside it. force: a pair that is none, or a map that is worth nothing, is no failure.
     """
 
     left: Annotated[
         tuple[str, ...],
-        Argument("Rectified left image; or a folder, or a quoted glob.", metavar="LEFT", type=ONE_SIDE),
+        Argument(
+            "Left image, rectified or of a rig file; or a folder, or a quoted glob.", metavar="LEFT", type=ONE_SIDE
+        ),
     ]
-    right: Annotated[
-        tuple[str, ...], Argument("Rectified right image, folder or glob.", metavar="RIGHT", type=ONE_SIDE)
-    ]
+    right: Annotated[tuple[str, ...], Argument("Right image, folder or glob.", metavar="RIGHT", type=ONE_SIDE)]
     output: Annotated[Path, result_option(Written(_map_suffixes, folder=True))]
     camera_file: PairCamera = None
     geometry: GeometryOptions = field(default_factory=GeometryOptions)

@@ -114,9 +114,10 @@ def pair_of(
         told = "the camera file has no camera to the right of it: " if address else ""
         raise InvalidInput(f"{told}give {', '.join(missing)}, or a camera file of the rectified pair")
     geometry = StereoGeometry(**{"fy": numbers["fx"], **numbers})
-    if sidecar is None or geometry != sidecar.geometry:
+    if sidecar is None:
         return RectifiedPair(geometry, sigma)
-    return RectifiedPair(geometry, sigma, sidecar.calibration, sidecar.camera_R_rectified)
+    calibration = sidecar.calibration if geometry == sidecar.geometry else None
+    return RectifiedPair(geometry, sigma, calibration, sidecar.camera_R_rectified)
 
 
 def warn_of_file(address: str | None, progress: Progress) -> None:
@@ -181,8 +182,9 @@ def _pair(file: CameraFile, name: str | None) -> tuple[str, str, Transform] | No
     for key, transform in file.transforms.items():
         a, b = key.split("_T_")
         if a in file.cameras and b in file.cameras:
-            left_first = transform.pose.translation[0] < 0
-            # The axes are parallel, so that the deviation of t_x is the same both ways round.
+            along = int(np.argmax(np.abs(transform.pose.translation[:2])))
+            left_first = transform.pose.translation[along] < 0
+            # The axes are parallel, so that the deviation along the baseline is the same both ways round.
             other = Transform(transform.pose.inverse(), transform.covariance)
             pairs.append((b, a, transform) if left_first else (a, b, other))
     fitting = [pair for pair in pairs if name in (None, pair[0])]
@@ -198,7 +200,9 @@ def _sigma(left: Camera, right_T_left: Transform | None = None) -> dict[str, flo
     if fx is not None:
         found["fx"] = fx / float(left.parameters[0])
     if right_T_left is not None and right_T_left.covariance is not None:
-        found["baseline"] = float(np.sqrt(right_T_left.covariance[0, 0]) / abs(right_T_left.pose.translation[0]))
+        translation = right_T_left.pose.translation
+        along = int(np.argmax(np.abs(translation)))
+        found["baseline"] = float(np.sqrt(right_T_left.covariance[along, along]) / abs(translation[along]))
     return found
 
 

@@ -124,7 +124,7 @@ def _pictures(pairs: Sequence[Pair], output: Path | None) -> Mapping[Path, Path]
 def _check_files(pair: Pair, pictures: Mapping[Path, Path]) -> CheckedPair:
     left, right = pair
     try:
-        first, second = _gray_pair(load(left).pixels, load(right).pixels)
+        first, second = gray_pair(load(left).pixels, load(right).pixels)
         check = check_pair(first, second)
     except CamcalError as error:
         raise type(error)(error.message, where=error.where or f"{left}, {right}") from error
@@ -134,7 +134,7 @@ def _check_files(pair: Pair, pictures: Mapping[Path, Path]) -> CheckedPair:
     return CheckedPair(left, right, check, picture)
 
 
-def _gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
+def gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
     """Return two images (H, W) uint8; those of more than 8 bits by one scale, so that their light can be compared."""
     if left.dtype == right.dtype == np.uint8 or left.shape != right.shape:
         return gray_8bit(left), gray_8bit(right)

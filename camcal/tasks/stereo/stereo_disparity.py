@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from camcal import files
-from camcal.arrays import Array
+from camcal.arrays import Array, PixelArray
 from camcal.errors import FileError, GateFailed, InvalidInput
 from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar
@@ -18,21 +18,17 @@ from camcal.images.load import load
 from camcal.images.save import save
 from camcal.messages import Message, as_data
 from camcal.progress import SILENT, Outcome, Progress, warn_of
-from camcal.raw.planes import one_by_one
 from camcal.report.stereo_pictures import disparity_picture, robust_range
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
-from camcal.stereo.acceptance import too_few
 from camcal.stereo.disparity import Confidence, Disparity
-from camcal.stereo.matching.learned import learned_disparity
-from camcal.stereo.matching.match import match_prepared
-from camcal.stereo.matching.preparation import prepare
-from camcal.stereo.options import BEST
 from camcal.tasks.stereo.options import ONNX, OWN, DisparityOptions
-from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_file
+from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
+from camcal.tasks.stereo.rectified_pair import pair_of, warn_of_file
+from camcal.tasks.stereo.rig_pair import RigPair, rig_pair_of
 
-_KINDS = ("sigma.tiff", "confidence.png", "vis.png")
+_KINDS = ("sigma.tiff", "confidence.png", "vis.png", "left.png")
 
 Pair = tuple[Path, Path]
 Limits = tuple[float, float]
@@ -46,12 +42,13 @@ class MapFiles(NamedTuple):
     sigma: Path
     confidence: Path
     picture: Path
+    left: Path
     sidecar: Path
 
     @classmethod
     def beside(cls, path: Path) -> "MapFiles":
-        sigma, confidence, picture = (path.with_name(f"{path.name}.{kind}") for kind in _KINDS)
-        return cls(path, sigma, confidence, picture, disparity_sidecar.path_beside(path))
+        sigma, confidence, picture, left = (path.with_name(f"{path.name}.{kind}") for kind in _KINDS)
+        return cls(path, sigma, confidence, picture, left, disparity_sidecar.path_beside(path))
 
 
 @dataclass(frozen=True)
@@ -74,9 +71,12 @@ class Figures:
     sigma: float | None
 
     @classmethod
-    def of(cls, disparity: Disparity) -> "Figures":
+    def of(cls, disparity: Disparity, pixels: int) -> "Figures":
+        """Return the figures of a map; pixels: how many show something, which the shares are of."""
         height, width = disparity.values.shape
-        shares = np.bincount(disparity.confidence.ravel(), minlength=len(Confidence)) / disparity.values.size
+        counts = np.bincount(disparity.confidence.ravel(), minlength=len(Confidence))
+        counts[Confidence.NONE] -= disparity.values.size - pixels
+        shares = counts / max(pixels, 1)
         return cls(
             size=(width, height),
             searched=disparity.searched,
@@ -121,10 +121,25 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     pairs = find_pairs(options.left, options.right, options.recursive)
     outputs = _places(pairs, options)
     warn_of_file(options.camera_file, progress)
-    work = partial(_match_files, options=options, outputs=outputs)
+    work = partial(_match_files, options=options, outputs=outputs, rig=_rig(pairs, options, progress))
     if len(pairs) == 1:
         return [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
     return list(_all_alike(pairs, work, options, progress))
+
+
+def _rig(pairs: Sequence[Pair], options: DisparityOptions, progress: Progress) -> RigPair | None:
+    """Return the cameras that the pairs are to be rectified by, None if they are rectified."""
+    if options.geometry.numbers():
+        return None
+    rig = rig_pair_of(options.camera_file, options.geometry.camera, partial(_size, pairs[0][0]))
+    if rig is not None:
+        warn_of(rig.rectification.warnings, progress)
+    return rig
+
+
+def _size(path: Path) -> tuple[int, int]:
+    height, width = load(path).pixels.shape[:2]
+    return width, height
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> None:
@@ -164,65 +179,29 @@ def _match_files(
     pair: Pair,
     options: DisparityOptions,
     outputs: Mapping[Path, Path],
+    rig: RigPair | None = None,
     limits: Limits | None = None,
     *,
     alone: bool = False,
 ) -> MatchedPair:
-    left, right = (load(path).pixels for path in pair)
     written = MapFiles.beside(outputs[pair[0]])
+    images = read_pair(pair, rig, partial(pair_of, options.geometry, options.camera_file))
     try:
-        size = left.shape[1], left.shape[0]
-        known = pair_of(options.geometry, options.camera_file, size)
-        found = (
-            _by_network(left, right, options.model)
-            if options.model
-            else _matched(left, right, options, alone, known.farthest)
-        )
+        found = match_images(images, options.matching, options.model, options.jobs if alone else 1)
     except InvalidInput as error:
         raise InvalidInput(error.message, where=error.where or f"{pair[0]} and {pair[1]}") from error
-    return _written(pair, found, known, written, options, limits)
+    return write_map(images, found, written, options, limits)
 
 
-class _Matched(NamedTuple):
-    """A map, by how much the rows were aligned (px RMS), and its warnings and failures."""
-
-    disparity: Disparity
-    rows: float
-    warnings: tuple[Message, ...]
-    failures: tuple[Message, ...]
-
-
-def _matched(left: Array, right: Array, options: DisparityOptions, alone: bool, farthest: float) -> _Matched:
-    matching = options.matching
-    prepared = prepare(
-        left, right, matching.search, align=matching.aligns, expose=matching.expose_alike, farthest=farthest
-    )
-    if alone and matching.quality == BEST:
-        with over_threads(options.jobs) as each:
-            disparity = match_prepared(prepared, matching, each)
-    else:
-        disparity = match_prepared(prepared, matching, one_by_one)
-    few = too_few(float(np.mean(disparity.confidence > Confidence.FILLED)))
-    return _Matched(disparity, prepared.rows, prepared.warnings, prepared.failures + few)
-
-
-def _by_network(left: Array, right: Array, model: Path) -> _Matched:
-    values = learned_disparity(left, right, model)
-    known = np.isfinite(values)
-    confidence = np.where(known, Confidence.SINGLE, Confidence.NONE)
-    ends = (int(np.floor(values[known].min())), int(np.ceil(values[known].max()))) if known.any() else (0, 0)
-    return _Matched(Disparity(values, np.full_like(values, np.nan), confidence, ends), 0.0, (), ())
-
-
-def _written(
-    pair: Pair,
-    found: _Matched,
-    known: RectifiedPair,
+def write_map(
+    images: PairImages,
+    found: Matched,
     places: MapFiles,
     options: DisparityOptions,
     limits: Limits | None,
 ) -> MatchedPair:
     """Return the report of a pair whose files have been written, the map and its sidecar last."""
+    known = images.known
     disparity, warnings = _as_stored(places.map, found)
     _remove_companions(places)
     has_sigma = bool(np.isfinite(disparity.sigma).any()) and not options.map_only
@@ -230,6 +209,8 @@ def _written(
         maps.write(places.sigma, disparity.sigma)
     if not options.map_only:
         save(places.confidence, disparity.confidence)
+    if images.image is None:
+        save(places.left, for_png(images.left))
     limits = limits or robust_range(disparity.values)
     if options.picture:
         save(places.picture, disparity_picture(disparity.values, limits, known.geometry))
@@ -238,19 +219,24 @@ def _written(
         stored.scale,
         stored.invalid,
         geometry=known.geometry,
-        image=pair[0],
+        image=images.image or places.left,
         sigma=places.sigma if has_sigma else None,
         confidence=None if options.map_only else places.confidence,
         searched=disparity.searched,
         matcher=_settings(options) | {"rows_px": found.rows},
-        inputs={name: SourceFile(path, files.sha256(path)) for name, path in zip(("left", "right"), pair, strict=True)},
+        inputs={
+            name: SourceFile(path, files.sha256(path))
+            for name, path in zip(("left", "right"), images.paths, strict=True)
+        },
+        camera_R_rectified=known.camera_R_rectified,
         relative_sigma=known.relative_sigma,
+        calibration=known.calibration,
     )
     disparity_sidecar.write(places.map, sidecar)
     return MatchedPair(
-        *pair,
+        *images.paths,
         output=places.map,
-        figures=Figures.of(disparity),
+        figures=Figures.of(disparity, found.pixels),
         rows=found.rows,
         scale=stored.scale,
         picture=places.picture if options.picture else None,
@@ -261,16 +247,23 @@ def _written(
     )
 
 
+def for_png(pixels: PixelArray) -> PixelArray:
+    """Return an image as a PNG can hold it: floating point, 0 … 1, as 16 bits."""
+    if pixels.dtype != np.float32:
+        return pixels
+    return np.rint(np.clip(np.nan_to_num(pixels), 0, 1) * np.iinfo(np.uint16).max).astype(np.uint16)
+
+
 def _remove_companions(places: MapFiles) -> None:
     """Remove what an earlier run left beside the map: the sidecar first, for it would tell of the map to come."""
-    for path in (places.sidecar, places.sigma, places.confidence, places.picture):
+    for path in (places.sidecar, places.sigma, places.confidence, places.picture, places.left):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
             raise FileError(f"cannot be replaced: {error.strerror}", where=str(path)) from error
 
 
-def _as_stored(path: Path, found: _Matched) -> tuple[Disparity, tuple[Message, ...]]:
+def _as_stored(path: Path, found: Matched) -> tuple[Disparity, tuple[Message, ...]]:
     """Return the map as the type of file can hold it, and its warnings."""
     disparity, warnings = found.disparity, found.warnings + _at_the_ends(found.disparity)
     behind = disparity.values <= 0

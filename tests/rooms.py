@@ -1,0 +1,64 @@
+"""A room with a ball in it, painted in all three dimensions, as any lens sees it, and how far everything is."""
+
+import numpy as np
+
+from camcal.cameras.model import Camera
+from camcal.geometry.pose import Pose
+
+LOW, HIGH = np.array([-2.2, -1.5, -2.0]), np.array([2.0, 1.4, 2.6])  # of the room, m
+BALL, RADIUS = np.array([0.3, 0.2, 1.1]), 0.35
+_HASH = np.array([73856093, 19349663, 83492791], np.uint64)
+_SUBPIXELS = np.array([-0.25, 0.25])
+
+
+def seen(camera: Camera, room_T_camera: Pose, finest: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
+    """Return the picture (H, W) uint8 that a camera takes, and the points (H, W, 3) it sees, in its frame, NaN beyond.
+
+    finest: size of the smallest spots of the paint, m.
+    """
+    width, height = camera.image_size
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    light = np.zeros((height, width))
+    for down in _SUBPIXELS:
+        for across in _SUBPIXELS:
+            points = _hit(camera, room_T_camera, u + across, v + down)
+            light += _paint(points, finest) / _SUBPIXELS.size**2
+    points = room_T_camera.inverse().apply(_hit(camera, room_T_camera, u, v))
+    return np.rint(np.nan_to_num(light) * 255).astype(np.uint8), points
+
+
+def _hit(camera, room_T_camera, u, v):
+    """Return the points (H, W, 3) in the room that pixels see."""
+    rays = camera.unproject(np.column_stack([u.ravel(), v.ravel()])).directions @ room_T_camera.rotation.T
+    eye = room_T_camera.translation
+    with np.errstate(divide="ignore", invalid="ignore"):
+        walls = np.where(rays > 0, HIGH - eye, LOW - eye) / rays
+    distance = np.nanmin(np.where(np.isfinite(walls), walls, np.inf), axis=1)
+    to_ball = rays @ (BALL - eye)
+    inside = to_ball**2 - (BALL - eye) @ (BALL - eye) + RADIUS**2
+    with np.errstate(invalid="ignore"):
+        near = to_ball - np.sqrt(inside)
+    distance = np.where((inside > 0) & (near > 0), near, distance)
+    return (eye + rays * distance[:, None]).reshape(*u.shape, 3)
+
+
+def _paint(points, finest):
+    """Return the brightness 0 … 1 of points: noise of four scales, the coarser the stronger."""
+    total = np.full(points.shape[:-1], 0.5)
+    for octave, strength in enumerate((0.22, 0.3, 0.3, 0.3)):
+        total += strength * (_noise(points / (finest * 2**octave)) - 0.5)
+    return np.clip(total, 0.0, 1.0)
+
+
+def _noise(places):
+    """Return values 0 … 1, random at whole numbers and linear between them."""
+    known = np.nan_to_num(places)
+    corner = np.floor(known)
+    share = known - corner
+    total = np.zeros(places.shape[:-1])
+    for step in np.ndindex(2, 2, 2):
+        weight = np.prod(np.where(step, share, 1 - share), axis=-1)
+        key = ((corner + step).astype(np.int64).astype(np.uint64) * _HASH).sum(axis=-1, dtype=np.uint64)
+        key = (key ^ (key >> np.uint64(13))) * np.uint64(0x9E3779B97F4A7C15)
+        total += weight * ((key >> np.uint64(40)).astype(float) / 2**24)
+    return np.where(np.isfinite(places).all(axis=-1), total, np.nan)
