@@ -1,6 +1,8 @@
 """Calibration of the cameras of a rig from captures of a board."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -10,12 +12,15 @@ from camcal.calibrate.between_views import between_views
 from camcal.calibrate.intrinsics import Calibration, Solved
 from camcal.calibrate.rigs.captures import Captures
 from camcal.calibrate.rigs.effects import MOTION
+from camcal.calibrate.rigs.epipolar import epipolar_rms
 from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig
 from camcal.calibrate.rigs.links import Link, Placed, link, place
+from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
 from camcal.calibrate.rigs.problem import LensPrior
 from camcal.calibrate.rigs.record import FIXED, PRIOR, ExposureMotion, RigCalibration, RigOptions
-from camcal.errors import InsufficientData, InvalidInput, NotConverged
+from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
+from camcal.messages import Message
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board
 
@@ -25,26 +30,23 @@ __all__ = ["Captures", "RigCalibration", "RigOptions", "calibrate_rig"]
 def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigCalibration:
     """Return the cameras that saw a board in `captures` and where they are.
 
-    Raises InsufficientData where no two cameras can be linked or a camera cannot be calibrated, NotConverged,
+    Raises InsufficientData where no two cameras can be linked or captures are put together wrongly, NotConverged,
     InvalidInput.
     """
-    solved = [_alone(captures, camera, board, options) for camera in range(len(captures.cameras))]
-    starts = [RigStart(own, _captures_of(captures, camera, own)) for camera, own in enumerate(solved)]
-    links = _links(starts, board)
-    placed = place(links, len(starts))
-    _require_link(placed, captures)
-    chosen = sorted(placed.rotations)
-    used = np.unique(np.concatenate([starts[camera].captures for camera in chosen]))
-    linked = [replace(starts[camera], captures=np.searchsorted(used, starts[camera].captures)) for camera in chosen]
-    places = Placed(
-        {new: placed.rotations[old] for new, old in enumerate(chosen)},
-        {new: placed.translations[old] for new, old in enumerate(chosen)},
-        {},
-    )
-    names = tuple(captures.cameras[camera] for camera in chosen)
-    priors = _priors(options, names, linked)
+    if len(captures.cameras) < 2:
+        raise InvalidInput("a rig needs two cameras or more")
+    cameras = _alone(captures, board, options)
+    links = cameras.links(board)
+    found = mistakes(cameras.described(), links, board, captures.names)
+    if found.excluded:
+        wrong = {(capture, cameras.places[camera]) for capture, camera in found.excluded}
+        captures = captures.without(wrong, "inconsistent with the other captures")
+        cameras = _alone(captures, board, options)
+        links = cameras.links(board)
+    linked, placed, used = _linked(cameras, links)
+    priors = _priors(options, linked)
     try:
-        result = fit_rig(linked, places, len(used), priors, options.motion)
+        result = fit_rig(linked.starts, placed, len(used), priors, options.motion)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "some parameters of the rig are not determined by the captures: add captures with the board tilted, at "
@@ -52,19 +54,72 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
         ) from error
     if not result.plain.converged:
         raise NotConverged(f"rig calibration not converged after {result.plain.passes} passes: add captures")
-    return _record(result, linked, names, captures, used)
+    return _record(
+        result, linked, tuple(captures.names[index] for index in used), _left_out(captures, cameras, linked), found
+    )
 
 
-def _alone(captures: Captures, camera: int, board: Board, options: RigOptions) -> Solved:
-    """Return the solution of one camera from its own views."""
-    views = [view for view in captures.of(camera) if view is not None]
-    how = _options_of(captures.cameras[camera], options)
-    try:
-        solved = intrinsics.solve(views, board, how)
-        intrinsics.require_plausible(solved, how)
-    except (InsufficientData, NotConverged, InvalidInput) as error:
-        raise type(error)(f"camera {captures.cameras[camera]}: {error.message}") from error
-    return solved
+@dataclass(frozen=True, eq=False)
+class _Cameras:
+    """The cameras that could be calibrated alone: names, places among all cameras, and starts. refused: why the others
+    could not, by their names.
+    """
+
+    names: tuple[str, ...]
+    places: tuple[int, ...]
+    starts: tuple[RigStart, ...]
+    refused: Mapping[str, CamcalError] = field(default_factory=dict)
+
+    def links(self, board: Board) -> dict[tuple[int, int], Link]:
+        """Return the relative poses of all pairs that have captures in common."""
+        result = {}
+        for a, b in combinations(range(len(self.starts)), 2):
+            found = link(self.starts[a].poses, self.starts[b].poses, board)
+            if found is not None:
+                result[a, b] = found
+        return result
+
+    def described(self) -> list[RigCamera]:
+        """Return what is asked of the cameras to find mistakes."""
+        return [
+            RigCamera(name, start.poses, float(start.solved.fit.state.parameters[0]))
+            for name, start in zip(self.names, self.starts, strict=True)
+        ]
+
+
+def _alone(captures: Captures, board: Board, options: RigOptions) -> _Cameras:
+    """Return the cameras calibrated from their own views; raises the first error unless two of them can be."""
+    names, places, starts = [], [], []
+    refused: dict[str, CamcalError] = {}
+    _require_different(captures)
+    for camera, name in enumerate(captures.cameras):
+        how = _options_of(name, options)
+        there = [index for index, row in enumerate(captures.views) if row[camera] is not None]
+        views = [view for view in captures.of(camera) if view is not None]
+        try:
+            solved = intrinsics.solve(views, board, how)
+            intrinsics.require_plausible(solved, how)
+        except (InsufficientData, NotConverged) as error:
+            refused[name] = error
+            continue
+        used = [index for index, reason in zip(there, solved.reasons, strict=True) if reason is None]
+        names.append(name)
+        places.append(camera)
+        starts.append(RigStart(solved, np.array(used, np.intp)))
+    if len(starts) < 2:
+        name, why = next(iter(refused.items()))
+        raise type(why)(f"camera {name}: {why.message}") from why
+    return _Cameras(tuple(names), tuple(places), tuple(starts), refused)
+
+
+def _require_different(captures: Captures) -> None:
+    """Raise InvalidInput if two cameras have the same images."""
+    for a, b in combinations(range(len(captures.cameras)), 2):
+        pairs = [(row[a], row[b]) for row in captures.views]
+        both = [(one, other) for one, other in pairs if one is not None and other is not None and one.found]
+        same = [len(one.ids) == len(other.ids) and np.array_equal(one.pixels, other.pixels) for one, other in both]
+        if both and 2 * sum(same) > len(both):
+            raise InvalidInput(f"{captures.cameras[a]} and {captures.cameras[b]} have the same images")
 
 
 def _options_of(name: str, options: RigOptions) -> intrinsics.Options:
@@ -78,34 +133,47 @@ def _options_of(name: str, options: RigOptions) -> intrinsics.Options:
     )
 
 
-def _captures_of(captures: Captures, camera: int, solved: Solved) -> Array:
-    """Return the capture (V,) of each view that is used."""
-    there = [index for index, view in enumerate(captures.of(camera)) if view is not None]
-    return np.array([index for index, reason in zip(there, solved.reasons, strict=True) if reason is None], np.intp)
-
-
-def _links(starts: list[RigStart], board: Board) -> dict[tuple[int, int], Link]:
-    result = {}
-    for a in range(len(starts)):
-        for b in range(a + 1, len(starts)):
-            found = link(starts[a].poses, starts[b].poses, board)
-            if found is not None:
-                result[a, b] = found
-    return result
-
-
-def _require_link(placed: Placed, captures: Captures) -> None:
-    if len(placed.rotations) < 2:
+def _linked(cameras: _Cameras, links: Mapping[tuple[int, int], Link]) -> tuple[_Cameras, Placed, Array]:
+    """Return the cameras that are linked, where they are, and the captures that they are used of."""
+    placed = place(links, len(cameras.starts))
+    chosen = sorted(placed.rotations)
+    if len(chosen) < 2:
         raise InsufficientData(
-            f"no capture shows the board to two of the cameras {', '.join(captures.cameras)}: images of one capture "
-            "must have been taken at the same time and be matched; see --match"
+            f"no capture shows the board to two of the cameras {', '.join(cameras.names)}: images of one capture "
+            "must be taken at the same time and matched; see --match"
         )
+    used = np.unique(np.concatenate([cameras.starts[camera].captures for camera in chosen]))
+    linked = _Cameras(
+        tuple(cameras.names[camera] for camera in chosen),
+        tuple(cameras.places[camera] for camera in chosen),
+        tuple(
+            replace(cameras.starts[camera], captures=np.searchsorted(used, cameras.starts[camera].captures))
+            for camera in chosen
+        ),
+    )
+    places = Placed(
+        {new: placed.rotations[old] for new, old in enumerate(chosen)},
+        {new: placed.translations[old] for new, old in enumerate(chosen)},
+    )
+    return linked, places, used
 
 
-def _priors(options: RigOptions, names: tuple[str, ...], starts: list[RigStart]) -> dict[int, LensPrior]:
+def _left_out(captures: Captures, cameras: _Cameras, linked: _Cameras) -> dict[str, str]:
+    """Return why cameras are not in the rig, by their names."""
+    others = ", ".join(linked.names)
+    return {
+        name: cameras.refused[name].message
+        if name in cameras.refused
+        else f"no capture shows the board to it and {others}"
+        for name in captures.cameras
+        if name not in linked.names
+    }
+
+
+def _priors(options: RigOptions, cameras: _Cameras) -> dict[int, LensPrior]:
     """Return the priors of lenses that are given with their covariance."""
     result = {}
-    for camera, (name, start) in enumerate(zip(names, starts, strict=True)):
+    for camera, (name, start) in enumerate(zip(cameras.names, cameras.starts, strict=True)):
         given = options.given.get(name)
         if options.lenses != PRIOR or given is None:
             continue
@@ -120,31 +188,36 @@ def _priors(options: RigOptions, names: tuple[str, ...], starts: list[RigStart])
 
 
 def _record(
-    result: RigFit,
-    starts: list[RigStart],
-    names: tuple[str, ...],
-    captures: Captures,
-    used: Array,
+    result: RigFit, cameras: _Cameras, captures: tuple[str, ...], unlinked: Mapping[str, str], found: Mistakes
 ) -> RigCalibration:
-    problem = result.problem
+    problem, names = result.problem, cameras.names
     calibrations = {
         name: _calibration(result, camera, start.solved)
-        for camera, (name, start) in enumerate(zip(names, starts, strict=True))
+        for camera, (name, start) in enumerate(zip(names, cameras.starts, strict=True))
     }
     poses = {
         name: Pose(result.state.camera_rotations[camera], result.state.camera_translations[camera])
         for camera, name in enumerate(names)
     }
-    count = problem.board_start
-    missing = [name for name in captures.cameras if name not in names]
+    count, motion = problem.board_start, _motion(result)
+    warnings = [Message("unlinked_camera", f"not in the rig: {why}", where=name) for name, why in unlinked.items()]
+    if motion is not None:
+        text = (
+            f"board moved {1e3 * motion.median:.2g} mm (median) between the exposures of a capture: synchronise the "
+            "cameras, or hold the board still"
+        )
+        warnings.append(Message("exposure_motion", text, {"median_mm": 1e3 * motion.median}))
     return RigCalibration(
         calibrations,
         poses,
         problem.names(names),
         result.covariance[:count, :count],
-        captures=tuple(captures.names[index] for index in used),
-        motion=_motion(result),
-        unlinked={name: f"no capture shows the board to it and to any of {', '.join(names)}" for name in missing},
+        captures=captures,
+        motion=motion,
+        unlinked=unlinked,
+        epipolar_rms_px=epipolar_rms(result),
+        warnings=(*warnings, *found.warnings),
+        failures=found.failures,
     )
 
 

@@ -1,6 +1,6 @@
 """What the cameras of a rig saw of a board: detections by capture and camera."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from camcal.errors import InvalidInput
@@ -32,6 +32,17 @@ class Captures:
     def of(self, camera: int) -> tuple[BoardDetection | None, ...]:
         """Return the views of one camera, one for each capture."""
         return tuple(row[camera] for row in self.views)
+
+    def without(self, views: Collection[tuple[int, int]], reason: str) -> "Captures":
+        """Return the captures without the points of some views (capture, camera), and why they have none."""
+        rows = [
+            tuple(
+                view.without_points(reason) if view is not None and (capture, camera) in views else view
+                for camera, view in enumerate(row)
+            )
+            for capture, row in enumerate(self.views)
+        ]
+        return replace(self, views=tuple(rows))
 
     def take(self, captures: Sequence[int]) -> "Captures":
         """Return some of the captures."""

@@ -76,7 +76,7 @@ def link(a: CameraPoses, b: CameraPoses, board: Board) -> Link | None:
     relative = rotations @ back
     moved = translations - np.einsum("nsij,nj->nsi", relative, a.translations[of_a])
     tried = np.unique(np.linspace(0, len(common) - 1, min(len(common), _TRIED)).astype(np.intp))
-    points = _outline(board)
+    points = outline(board)
     seen = np.einsum("nij,pj->npi", a.rotations[of_a], points) + a.translations[of_a][:, None]
     target = np.einsum("nsij,pj->nspi", rotations, points) + translations[:, :, None]
     best = None
@@ -95,7 +95,7 @@ def link(a: CameraPoses, b: CameraPoses, board: Board) -> Link | None:
     return Link(rotation, translation, common, errors[rows, chosen], chosen)
 
 
-def _outline(board: Board) -> Array:
+def outline(board: Board) -> Array:
     """Return the corners of the board's outline and its centre (5, 3)."""
     width, height = board.extent
     return np.array(
@@ -118,14 +118,10 @@ def _mean(rotations: Array, translations: Array, errors: Array, start: tuple[Arr
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Poses camera_T_first of the cameras that are linked: rotations and translations by their places.
-
-    path: of each, the camera by which it was placed.
-    """
+    """Poses camera_T_first of the cameras that are linked: rotations and translations by their places."""
 
     rotations: Mapping[int, Array]
     translations: Mapping[int, Array]
-    path: Mapping[int, int]
 
 
 def place(links: Mapping[tuple[int, int], Link], count: int) -> Placed:
@@ -137,7 +133,7 @@ def place(links: Mapping[tuple[int, int], Link], count: int) -> Placed:
     components = _components(links, count)
     chosen = max(components, key=lambda own: (len(own), -own[0]))
     first = chosen[0]
-    rotations, translations, path = {first: np.eye(3)}, {first: np.zeros(3)}, {first: first}
+    rotations, translations = {first: np.eye(3)}, {first: np.zeros(3)}
     variance = {first: 0.0}
     while len(rotations) < len(chosen):
         a, b = min(
@@ -147,8 +143,8 @@ def place(links: Mapping[tuple[int, int], Link], count: int) -> Placed:
         own = both[a, b]
         rotations[b] = own.rotation @ rotations[a]
         translations[b] = own.rotation @ translations[a] + own.translation
-        variance[b], path[b] = variance[a] + own.variance, a
-    return Placed(rotations, translations, path)
+        variance[b] = variance[a] + own.variance
+    return Placed(rotations, translations)
 
 
 def _components(links: Mapping[tuple[int, int], Link], count: int) -> list[list[int]]:
