@@ -85,6 +85,10 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "refinement_failed": "calibration with corners refined by the calibrated lens failed",
         "projection_uncertainty": "the projection uncertainty exceeds --max-uncertainty",
     },
+    "Rigs": {
+        "camera_without_board": "no image of a camera of a rig shows the board",
+        "unmatched_images": "images without a partner of another camera",
+    },
     "Camera files": {
         "untrustworthy": "the calibration in the file is marked as not trustworthy",
         "distortion_not_invertible": "distortion is not invertible in a part of the image",

@@ -25,6 +25,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "calibrate video.mp4 --board target.yaml -o camera.yaml",
             "calibrate detections.csv --model fisheye -o camera.yaml",
         ),
+        "rig": (
+            "rig left=photos/left right=photos/right --board chessboard:9x6:25mm -o rig.yaml",
+            "rig photos/ --board target.yaml -o rig.yaml",
+            "rig a=a.mp4 b=b.mp4 c=c.mp4 --board target.yaml -o rig.yaml",
+        ),
         "undistort": (
             "undistort camera.yaml photos/ -o undistorted",
             "undistort fisheye.yaml photos/ -o wide --projection cylinder",
@@ -49,6 +54,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "sensor flats/ --dark darks/ -o sensor.yaml --plot photon_transfer.png",
             "sensor flats/ --dark darks/ --pattern RGGB --white 4095 -o sensor.yaml",
             "sensor dim/ bright/ --dark night/ --exposure 0.005,0.02 -o sensor.yaml",
+        ),
+        "stereo calibrate": (
+            "stereo calibrate left/ right/ --board chessboard:9x6:25mm -o rig.yaml",
+            "stereo calibrate 'left*.png' 'right*.png' --board target.yaml -o rig.yaml",
+            "stereo calibrate left/ right/ --board target.yaml --lenses fixed --guess lenses.yaml -o rig.yaml",
         ),
         "stereo check": (
             "stereo check left.png right.png",

@@ -12,6 +12,7 @@ from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions
 if TYPE_CHECKING:
     from camcal.tasks.calibration.inspect import Inspection
     from camcal.tasks.raw.inspect_raw import RawInspection
+    from camcal.tasks.rigs.inspect_rig import RigInspection
 
 IMAGE_COLUMNS = (
     Column("image", file=True),
@@ -22,7 +23,8 @@ IMAGE_COLUMNS = (
 
 
 def inspect(options: InspectOptions, call: ImageCall) -> None:
-    """Show a camera file (lens with standard deviations, field of view, quality) or a raw frame (its exposure).
+    """Show a camera file (lens with standard deviations, field of view, quality; of a rig baseline and depth errors) or
+    a raw frame (its exposure).
 
     Errors in a camera file are listed with their lines; implausible values give warnings. For a raw frame: pattern,
     levels, white balance, capture settings, and clipped samples per channel; for a file without a header, the layouts
@@ -46,6 +48,8 @@ def _inspect_raw(options: InspectOptions, call: ImageCall) -> None:
     from camcal.errors import InvalidInput
     from camcal.tasks.raw import inspect_raw as task
 
+    if options.output is not None:
+        raise InvalidInput("-o draws a rig; this is a raw frame", where=options.file)
     if options.get is not None or options.address[1] is not None:
         raise InvalidInput(
             "--get and --camera are for camera files; use --json for one value of a raw frame", where=options.file
@@ -83,7 +87,7 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
             show.value(_one_value(value))
         return
     warn_of(inspection.file.warnings, call.progress)
-    call.give(lambda: document(inspection), lambda: _show(inspection, call.verbose))
+    call.give(lambda: document(inspection), lambda: _show(inspection, options, call.verbose))
 
 
 def _one_value(value: Any) -> str:
@@ -93,7 +97,7 @@ def _one_value(value: Any) -> str:
     return value if isinstance(value, str) else dumps(value)
 
 
-def _show(inspection: "Inspection", verbose: bool) -> None:
+def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> None:
     from camcal.tasks.calibration.inspect import camera_lines, file_lines, image_rows, parameter_rows
 
     for name, field in inspection.fields.items():
@@ -109,5 +113,24 @@ def _show(inspection: "Inspection", verbose: bool) -> None:
             show.verdict(f"{show.DO_NOT_TRUST}{reason}", good=False)
     for line in file_lines(inspection.file):
         show.text(line)
+    if inspection.rig is not None:
+        _show_rig(inspection.rig)
     if verbose and (images := image_rows(inspection.file)):
         show.table("images", IMAGE_COLUMNS, images, verbose=True)
+    if inspection.rig is not None and options.output is not None:
+        from camcal.tasks.rigs.inspect_rig import colour_words
+
+        show.text(f"colours of the cameras: {colour_words(inspection.rig)}; boards gray")
+    show.wrote(options.output)
+
+
+def _show_rig(rig: "RigInspection") -> None:
+    from camcal.quality.rig_geometry import DISPARITY_PX
+    from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
+
+    show.table("pairs of cameras (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs))
+    for pair in rig.pairs:
+        title = f"depth error of {pair.first}, {pair.second} (1 sigma; matching: {DISPARITY_PX:g} px of disparity)"
+        show.table(title, DEPTH_COLUMNS, depth_rows(pair))
+    if isinstance(error := rig.measured.get("epipolar_rms_px"), float):
+        show.text(f"Epipolar error of the calibration images {error:.3f} px RMS")

@@ -188,12 +188,16 @@ def picture(scene: CloudScene, paint: Paint, view: str, size: tuple[int, int], p
     return write_labels(rendered(scene, paint, seen, size, point_size), labels_of(scene, paint, seen, size, view))
 
 
-def montage(scene: CloudScene, paint: Paint, size: tuple[int, int], point_size: float = 1.0) -> Array:
-    """Return four views in one picture of a size: the camera's own, one from the side and above, top and side."""
+def montage(
+    scene: CloudScene, paint: Paint, size: tuple[int, int], point_size: float = 1.0, views: Sequence[str] = MONTAGE
+) -> Array:
+    """Return four views in one picture of a size: the camera's own, one from the side and above, top and side, or
+    others by their names.
+    """
     _require_size(size)
     whole = np.full((size[1], size[0], 3), 200, np.uint8)
     part = ((size[0] - _LINE) // 2, (size[1] - _LINE) // 2)
-    for place, view in enumerate(MONTAGE):
+    for place, view in enumerate(views):
         row, column = (place // 2) * (part[1] + _LINE), (place % 2) * (part[0] + _LINE)
         whole[row : row + part[1], column : column + part[0]] = picture(scene, paint, view, part, point_size)
     return whole

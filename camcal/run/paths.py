@@ -200,7 +200,7 @@ def paired(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str]) 
 
 def _by_name(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]] | None:
     """Return the pairs if some reading of the names gives each image its partner."""
-    for name in _READINGS:
+    for name in NAME_READINGS:
         partners = {name(path): path for path in right}
         names = [name(path) for path in left]
         if len(set(names)) == len(left) and len(partners) == len(right) and set(names) == set(partners):
@@ -221,7 +221,7 @@ def _in_order(left: Sequence[Path], right: Sequence[Path], sides: tuple[str, str
 def _lonely(left: Sequence[Path], right: Sequence[Path]) -> Path | None:
     """Return the first image whose name has no partner in the reading that pairs most; None if none pairs any."""
     best: tuple[int, Path | None] = (0, None)
-    for name in _READINGS:
+    for name in NAME_READINGS:
         sides = {name(path) for path in left}, {name(path) for path in right}
         shared = sides[0] & sides[1]
         if len(shared) > best[0]:
@@ -234,7 +234,7 @@ def _with_folder(path: Path) -> str:
     return "/".join(_NUMBER.sub("", _SIDE.sub("", part)) for part in (path.absolute().parent.name, path.stem))
 
 
-_READINGS: tuple[Callable[[Path], str], ...] = (
+NAME_READINGS: tuple[Callable[[Path], str], ...] = (
     lambda path: path.stem,
     lambda path: _SIDE.sub("", path.stem),
     lambda path: _NUMBER.sub("", path.stem),

@@ -177,7 +177,7 @@ Pattern = Annotated[
 class InspectOptions(OptionsRecord):
     """A camera file, or FILE#NAME for one of its cameras; or a raw frame, its pattern and layout as far as needed.
 
-    get: the path of one value in a camera file.
+    get: the path of one value in a camera file. output: a picture of the rig, or a page that shows it.
     """
 
     file: Annotated[
@@ -194,9 +194,18 @@ class InspectOptions(OptionsRecord):
             "Print one value only, such as cameras.left.intrinsics.fx (lists as JSON).", metavar="KEY", group=OUTPUT
         ),
     ] = None
+    output: Annotated[
+        Path | None,
+        output_option(
+            "Picture of a rig: cameras as frusta, and the boards that they saw. A page (.html) can be turned.",
+            Written((".png", ".html")),
+            metavar="FILE",
+        ),
+    ] = None
     camera: CameraName = None
     pattern: Pattern = None
     layout: GivenLayout = NO_LAYOUT
+    overwrite: Overwrite = False
 
     @property
     def address(self) -> tuple[Path, str | None]:

@@ -37,6 +37,7 @@ from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
+from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
@@ -260,7 +261,24 @@ def camera_file(
 
     circle: the image circle, where there is one.
     """
-    entry = CameraEntry(
+    entry = camera_entry(calibration, uncertainty, assessment, circle, channels)
+    surface = calibration.surface
+    return CameraFile(
+        {options.name: entry},
+        board_shape=surface if is_shaped(surface) else None,
+        provenance=_provenance(calibration, options) | channel_figures(channels),
+    )
+
+
+def camera_entry(
+    calibration: Calibration,
+    uncertainty: ProjectionUncertainty,
+    assessment: Assessment,
+    circle: ImageCircle | None,
+    channels: Mapping[str, Channel] = MappingProxyType({}),
+) -> CameraEntry:
+    """Return the entry of a calibrated camera in a camera file; circle: its image circle, where there is one."""
+    return CameraEntry(
         calibration.camera,
         valid=ValidRegion.of(calibration.camera, circle),
         projection=(ProjectionStd.of(uncertainty),),
@@ -270,13 +288,11 @@ def camera_file(
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,
     )
-    surface = calibration.surface
-    shaped = surface.tiers or surface.terms or surface.classes or surface.offsets is not None
-    return CameraFile(
-        {options.name: entry},
-        board_shape=surface if shaped else None,
-        provenance=_provenance(calibration, options) | channel_figures(channels),
-    )
+
+
+def is_shaped(surface: Surface) -> bool:
+    """Return whether the shape of a board was estimated."""
+    return bool(surface.tiers or surface.terms or surface.classes or surface.offsets is not None)
 
 
 def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
@@ -347,11 +363,12 @@ def quality_figures(calibration: Calibration) -> dict[str, float]:
 
 def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str, Any]:
     return provenance.build(
-        command_line("calibrate", options), calibration.board, [_image(view) for view in calibration.views]
+        command_line("calibrate", options), calibration.board, [image_record(view) for view in calibration.views]
     )
 
 
-def _image(view: View) -> dict[str, Any]:
+def image_record(view: View) -> dict[str, Any]:
+    """Return what the provenance says of an image, with the hash of its file."""
     path = Path(view.image)
     digest = view.sha256 or (files.sha256(path) if path.is_file() else None)
     return view_record(view) | ({} if digest is None else {"sha256": digest})

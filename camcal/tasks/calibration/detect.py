@@ -91,26 +91,18 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     media = _media(options)
     _require_outputs(options, media)
     videos = [survey(video, options.frames, progress) for video in media.videos]
-    material = Material(media.images, videos, options.reading, options.jobs, progress)
-    board = arranged(asked, material) if asked.type == CHARUCO else asked
-    seen, errors = _seen(media.images, board, options, progress)
-    framed, lost = _in_videos(videos, board, options, progress)
-    errors += [*(video.error for video in videos if video.error is not None), *lost]
-    found = [*seen, *framed]
-    _require_readable(found, errors)
-    instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
-    nothing = nothing_found(found, board, parts=options.parts)
-    if error := instead.error(found, asked) if instead else nothing:
-        _drawn(seen, videos, options, progress)  # here the reasons are wanted most
-        raise error
-    size = usual_size(found)
-    records = settled(framed, board, size, options.frames)
-    before = [*seen, *(record.view for record in records if record.taken or options.frames.whole)]
+    found = search_board(asked, media.images, videos, options, progress)
+    board, errors = found.board, found.errors
+    if found.nothing:
+        _drawn(found.views, videos, options, progress)  # here the reasons are wanted most
+        raise found.nothing
+    size = usual_size(found.views)
+    records = settled(found.in_videos, board, size, options.frames)
+    before = [*found.in_images, *(record.view for record in records if record.taken or options.frames.whole)]
     sized = same_size(before, size, board, mixed=options.mixed_sizes)
     views = sized.views
-    mixed = (
-        (DEMOSAICED,) if any(view.colours and not is_raw(Path(view.image), options.reading) for view in seen) else ()
-    )
+    demosaiced = any(view.colours and not is_raw(Path(view.image), options.reading) for view in found.in_images)
+    mixed = (DEMOSAICED,) if demosaiced else ()
     result = Detections(board, views)
     if options.output is not None:
         result = with_circle(result, videos, options.reading)
@@ -130,6 +122,44 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
         videos=tuple(videos),
         pictures=_drawn(sized.in_files(before), videos, options, progress),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBoards:
+    """The board in the arrangement that was found, what images and frames of videos show of it, and failed reads.
+
+    nothing: what to raise where the board is nowhere.
+    """
+
+    board: Board
+    in_images: tuple[BoardDetection, ...]
+    in_videos: tuple[BoardDetection, ...]
+    errors: tuple[CamcalError, ...]
+    nothing: CamcalError | None = None
+
+    @property
+    def views(self) -> tuple[BoardDetection, ...]:
+        """All views, those of images first."""
+        return self.in_images + self.in_videos
+
+
+def search_board(
+    asked: Board, images: Sequence[Path], videos: Sequence[Video], options: DetectOptions, progress: Progress
+) -> FoundBoards:
+    """Return what images, and the chosen frames of videos, show of a board; of the options, how they are read counts.
+
+    Raises FileError if nothing can be read.
+    """
+    material = Material(images, videos, options.reading, options.jobs, progress)
+    board = arranged(asked, material) if asked.type == CHARUCO else asked
+    seen, errors = _seen(images, board, options, progress)
+    framed, lost = _in_videos(videos, board, options, progress)
+    errors += [*(video.error for video in videos if video.error is not None), *lost]
+    found = [*seen, *framed]
+    _require_readable(found, errors)
+    instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
+    nothing = instead.error(found, asked) if instead else nothing_found(found, board, parts=options.parts)
+    return FoundBoards(board, tuple(seen), tuple(framed), tuple(errors), nothing)
 
 
 def _board(options: DetectOptions) -> Board:

@@ -23,13 +23,14 @@ def with_circle(
     reading: ImageReadOptions,
     files: Mapping[str, Path] = MappingProxyType({}),
 ) -> Detections:
-    """Return what was found in images of one camera without a name with its image circle, if the images show one.
+    """Return what was found in images of one camera with its image circle, if the images show one.
 
     videos: the videos that frames among the images are from. files: the images whose names are not their paths. Some
     images are read once more, until it is clear that there is no circle.
     """
     circle = _measured(detections.views, videos, reading, files)
-    return detections if circle is None else replace(detections, circles={"": circle})
+    camera = detections.views[0].camera if len(detections) else ""
+    return detections if circle is None else replace(detections, circles={camera: circle})
 
 
 def known_circle(detections: Detections, guess: CameraEntry | None) -> ImageCircle | None:

@@ -14,25 +14,33 @@ from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
+from camcal.run.outputs import writes
 from camcal.targets.surface import CLASSES, RATIOS, Surface
 from camcal.tasks.calibration.image_circle_of_views import circle_lines
 from camcal.tasks.options import InspectOptions
+from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
+from camcal.tasks.rigs.inspect_rig import as_data as rig_data
 
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
     """A camera file: the document as it stands, the records it makes, the cameras that were asked for.
 
-    fields: horizontal, vertical and diagonal field of view of each camera, degrees.
+    fields: horizontal, vertical and diagonal field of view of each camera, degrees. rig: what the cameras make
+    together, None where they are no rig.
     """
 
     document: documents.Document
     file: CameraFile
     fields: Mapping[str, tuple[float, float, float]]
+    rig: RigInspection | None = None
 
 
+@writes
 def inspect(options: InspectOptions) -> Inspection:
-    """Return what a camera file holds; raises InvalidInput or FileError as `cameras.read` does.
+    """Return what a camera file holds, after drawing the rig to options.output, if that is given.
+
+    Raises InvalidInput or FileError as `cameras.read` does, InvalidInput for a picture of what is no rig.
 
     The document of a file of another program is what camcal would write of it.
     """
@@ -45,7 +53,12 @@ def inspect(options: InspectOptions) -> Inspection:
     if camera is not None:
         cameras.select(file, camera, str(path))
     names = list(file.cameras) if camera is None else [camera]
-    return Inspection(document, file, {name: _field_deg(file.cameras[name]) for name in names})
+    rig = inspect_rig(file, str(path)) if camera is None and options.get is None else None
+    if options.output is not None:
+        if rig is None:
+            raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
+        draw_rig(rig, options.output)
+    return Inspection(document, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
 
 
 def _field_deg(entry: CameraEntry) -> tuple[float, float, float]:
@@ -190,4 +203,5 @@ def document(inspection: Inspection) -> dict[str, Any]:
         "file": inspection.document.where,
         "content": inspection.document.data,
         "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
+        "rig": rig_data(inspection.rig),
     }

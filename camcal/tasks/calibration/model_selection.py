@@ -44,7 +44,7 @@ def select(
 
     Raises InsufficientData, InvalidInput or NotConverged where no model leads to a calibration.
     """
-    candidates = _compared(views, board, options)
+    candidates = compared(views, board, options)
     first = chosen(candidates, DEFAULT_MODEL)
     others = sorted((own for own in candidates if own is not first), key=lambda own: -own.score)
     failure: CamcalError | None = None
@@ -61,7 +61,7 @@ def select(
     raise failure or NotConverged("no lens model converged")
 
 
-def _compared(views: Sequence[BoardDetection], board: Board, options: intrinsics.Options) -> tuple[CandidateModel, ...]:
+def compared(views: Sequence[BoardDetection], board: Board, options: intrinsics.Options) -> tuple[CandidateModel, ...]:
     """Return the candidates, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
     wide = [name for name in CANDIDATES if name not in _CONTAINED]
     found = {own.name: own for own in compare_models(views, board, options, [model_named(name) for name in wide])}

@@ -109,8 +109,33 @@ def require_names(videos: Sequence[Path]) -> None:
             raise InvalidInput(f"frame names would equal those of {other.name}; rename one", where=str(path))
 
 
+@dataclass(frozen=True)
+class SurveyedVideo:
+    """A video read to its end: how many frames it has, the numbers of some and how sharp they are, and what ended it
+    too early.
+    """
+
+    path: Path
+    count: int
+    numbers: tuple[int, ...]
+    sharpness: tuple[float, ...]
+    error: CamcalError | None = None
+
+    def video(self, numbers: Sequence[int]) -> Video:
+        """Return the video with these frames to be searched."""
+        return Video(self.path, self.count, tuple(numbers), self.error)
+
+
 def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
     """Return a video and the frames to search: the sharpest in each of SEARCHED_PER_CHOSEN · most intervals, or all."""
+    found = surveyed(path, options, progress)
+    if options.whole:
+        return found.video(found.numbers)
+    return found.video(sharpest(found.numbers, found.sharpness, SEARCHED_PER_CHOSEN * options.most))
+
+
+def surveyed(path: Path, options: FrameOptions, progress: Progress) -> SurveyedVideo:
+    """Return what every frame of a video is worth, every options.every-th one; nothing where all are taken."""
     progress.start(f"surveying {path.name}", None)
     sharpness: list[float] = []
     numbers: list[int] = []
@@ -126,11 +151,10 @@ def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
         error = failure
     finally:
         progress.finish()
-    kept = numbers if options.whole else _sharpest(numbers, sharpness, SEARCHED_PER_CHOSEN * options.most)
-    return Video(path, count, tuple(kept), error)
+    return SurveyedVideo(path, count, tuple(numbers), tuple(sharpness), error)
 
 
-def _sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int) -> list[int]:
+def sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int) -> list[int]:
     """Return the number of the sharpest frame of each of so many stretches, or all if there are no more frames."""
     if len(numbers) <= stretches:
         return list(numbers)

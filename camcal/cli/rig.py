@@ -1,0 +1,78 @@
+"""`camcal rig` and `camcal stereo calibrate`."""
+
+from typing import TYPE_CHECKING
+
+from camcal.cli import show
+from camcal.cli.command import ImageCall
+from camcal.messages import counted
+from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibrateOptions
+
+if TYPE_CHECKING:
+    from camcal.tasks.rigs.calibrate_rig import RigReport
+
+
+def rig(options: RigTaskOptions, call: ImageCall) -> None:
+    """Calibrate several cameras and where they stand from images of a board, or from detections files.
+
+    Cameras may differ in resolution and lens, and need not all see the board at once: captures that two of them share
+    link them. Lenses, transforms and the shape of the board are estimated together; the rig file has the covariance of
+    all of them.
+    """
+    from camcal.tasks.rigs.calibrate_rig import rig as run
+
+    _finish(run(options, call.progress), options.settings, call)
+
+
+def stereo_calibrate(options: StereoCalibrateOptions, call: ImageCall) -> None:
+    """Calibrate a pair of cameras, left and right, from images of a board: 'camcal rig' for two cameras."""
+    from camcal.tasks.rigs.calibrate_rig import stereo_calibrate as run
+
+    _finish(run(options, call.progress), options.settings, call)
+
+
+def _finish(report: "RigReport", settings: RigSettings, call: ImageCall) -> None:
+    """Show a report, and end as it and the settings say."""
+    from camcal.errors import ItemsFailed
+    from camcal.tasks.rigs.calibrate_rig import document, require_good
+
+    failures = () if settings.require else report.failures  # which end the command with an error then
+    call.give(lambda: document(report, settings), lambda: _show(report, settings, call.verbose), failures)
+    require_good(report, settings)
+    if report.failed:
+        raise ItemsFailed(
+            f"{counted(len(report.failed), 'image')} could not be read: {', '.join(report.failed[: show.LISTED])}"
+        )
+
+
+def _show(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
+    from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
+    from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
+
+    calibration = report.calibration
+    for failure in report.failures:
+        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
+    if report.trustworthy:
+        show.verdict(show.TRUSTWORTHY, good=True)
+    for line in report.lines:
+        show.text(line)
+    show.table("cameras", CAMERA_COLUMNS, camera_rows(calibration), verbose=verbose)
+    show.table("transforms", TRANSFORM_COLUMNS, transform_rows(calibration), verbose=verbose)
+    for line in lines(calibration):
+        show.text(line)
+    for names, candidates in (report.candidates or {}).items() if verbose else ():
+        show.table(f"Lens models of {', '.join(names)}", CANDIDATE_COLUMNS, candidate_rows(candidates))
+    for name, own in calibration.calibrations.items() if verbose else ():
+        show.table(f"{name}: {own.camera.model.name}", ["parameter", "value", "± std"], parameter_rows(own))
+    unmatched = report.views.matched.unmatched
+    _list("Without a partner:", list(unmatched), verbose)
+    unused = [
+        f"{view.image}: {view.reason}" for own in calibration.calibrations.values() for view in own.views if view.reason
+    ]
+    _list("Not used:", unused, verbose)
+    show.wrote(settings.output)
+
+
+def _list(title: str, lines: list[str], verbose: bool) -> None:
+    if lines:
+        show.text(title)
+        show.lines([f"  {line}" for line in lines], verbose)

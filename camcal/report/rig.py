@@ -1,0 +1,145 @@
+"""The calibration of a rig as text and as plain data."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.rigs.record import ExposureMotion, RigCalibration
+from camcal.geometry.pose import Pose
+from camcal.quality.rig_geometry import PairGeometry, baseline, rotation_angle
+from camcal.report.table import Column
+from camcal.report.uncertain import number_text, value_and_std
+
+CAMERA_COLUMNS = (
+    Column("camera"),
+    Column("lens model"),
+    Column("size", priority=3),
+    Column("fx", "px"),
+    Column("± std"),
+    Column("views"),
+    Column("corners", priority=2),
+    Column("RMS", "px"),
+    Column("noise", "px", priority=1),
+)
+TRANSFORM_COLUMNS = (
+    Column("transform"),
+    Column("baseline", "mm"),
+    Column("± std"),
+    Column("rotation", "deg"),
+    Column("± std"),
+)
+PAIR_COLUMNS = (
+    Column("pair"),
+    Column("baseline", "mm"),
+    Column("± std"),
+    Column("rotation", "deg", priority=2),
+    Column("± std", priority=2),
+    Column("vergence", "deg"),
+    Column("common field", "%"),
+    Column("epipolar error", "px", priority=1),
+)
+DEPTH_COLUMNS = (
+    Column("distance", "m"),
+    Column("baselines", priority=1),
+    Column("by matching", "mm"),
+    Column("by calibration", "mm"),
+    Column("common field", "%", priority=2),
+)
+
+
+def camera_rows(calibration: RigCalibration) -> list[list[object]]:
+    """Return what is listed of every camera under CAMERA_COLUMNS."""
+    rows: list[list[object]] = []
+    for name, own in calibration.calibrations.items():
+        camera = own.camera
+        focal = value_and_std(camera.value("fx"), camera.std("fx"))
+        size = "{}x{}".format(*camera.image_size)
+        figures = [len(own.used), len(own.residuals), f"{own.rms_px:.3f}", f"{own.sigma_px:.3f}"]
+        rows.append([name, camera.model.name, size, *focal, *figures])
+    return rows
+
+
+def transform_rows(calibration: RigCalibration) -> list[list[object]]:
+    """Return what is listed of every transform under TRANSFORM_COLUMNS; lengths in mm, angles in degrees."""
+    rows: list[list[object]] = []
+    for name, pose in calibration.poses.items():
+        if name == calibration.first:
+            continue
+        covariance = calibration.pose_covariance(name)
+        length, angle = baseline(pose, covariance), rotation_angle(pose, covariance)
+        degree = float(np.degrees(1.0))
+        cells = [
+            *value_and_std(1e3 * length.value, _times(1e3, length.std)),
+            *value_and_std(degree * angle.value, _times(degree, angle.std)),
+        ]
+        rows.append([calibration.transform_name(name), *cells])
+    return rows
+
+
+def lines(calibration: RigCalibration) -> Iterator[str]:
+    """Yield what is said of a rig beside its tables, a line each."""
+    if calibration.epipolar_rms_px is not None:
+        yield f"Epipolar error {calibration.epipolar_rms_px:.3f} px RMS"
+    if calibration.motion is not None:
+        yield motion_words(calibration.motion)
+    for name, why in calibration.unlinked.items():
+        yield f"not linked: {name}: {why}"
+
+
+def pair_rows(pairs: Sequence[PairGeometry]) -> list[list[object]]:
+    """Return what is listed of pairs of cameras under PAIR_COLUMNS."""
+    rows: list[list[object]] = []
+    for pair in pairs:
+        length = value_and_std(1e3 * pair.baseline.value, _times(1e3, pair.baseline.std))
+        angle = value_and_std(np.degrees(pair.rotation.value), _times(float(np.degrees(1.0)), pair.rotation.std))
+        vergence = f"{'+' if pair.converging else '-'}{np.degrees(pair.vergence):.2f}"
+        common = " / ".join(f"{100 * share:.0f}" for share in pair.common)
+        epipolar = "" if pair.epipolar_px is None else f"{pair.epipolar_px:.2g}"
+        rows.append([f"{pair.first}, {pair.second}", *length, *angle, vergence, common, epipolar])
+    return rows
+
+
+def depth_rows(pair: PairGeometry) -> list[list[object]]:
+    """Return what is listed of the depth errors of a pair under DEPTH_COLUMNS; empty cells where it is not known."""
+    return [
+        [
+            f"{own.distance:.3g}",
+            f"{own.distance / pair.baseline.value:.3g}",
+            *("" if std is None else number_text(1e3 * std, 2) for std in (own.matching, own.calibration)),
+            f"{100 * own.common:.0f}",
+        ]
+        for own in pair.depths
+    ]
+
+
+def _times(factor: float, std: float | None) -> float | None:
+    return None if std is None else factor * std
+
+
+def motion_words(motion: ExposureMotion) -> str:
+    """Return how far the board moved between the exposures of a capture, in words."""
+    median, largest = 1e3 * motion.median, 1e3 * motion.largest
+    return f"The board moved {median:.2g} mm (median) between the exposures of a capture, at most {largest:.2g} mm"
+
+
+def motion_data(motion: ExposureMotion | None) -> dict[str, float] | None:
+    """Return the motion of the board between exposures as plain data, m."""
+    if motion is None:
+        return None
+    return {"std_m": motion.std, "median_m": motion.median, "largest_m": motion.largest}
+
+
+def transform_data(pose: Pose, covariance: Array) -> dict[str, Any]:
+    """Return a transform with its baseline and rotation as plain data; m, degrees."""
+    length, angle = baseline(pose, covariance), rotation_angle(pose, covariance)
+    return {
+        "R": pose.rotation.tolist(),
+        "t": pose.translation.tolist(),
+        "covariance": covariance.tolist(),
+        "baseline_m": length.value,
+        "baseline_std_m": length.std,
+        "rotation_deg": float(np.degrees(angle.value)),
+        "rotation_std_deg": None if angle.std is None else float(np.degrees(angle.std)),
+    }

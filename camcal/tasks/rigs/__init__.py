@@ -1,0 +1,1 @@
+"""Calibration of rigs: which images belong together, the solve, the rig file."""

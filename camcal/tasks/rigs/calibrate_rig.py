@@ -1,0 +1,343 @@
+"""`camcal rig` and `camcal stereo calibrate`: images of several cameras in, one rig file out."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from camcal import messages
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.rigs.calibrate import calibrate_rig
+from camcal.calibrate.rigs.record import RigCalibration, RigOptions
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
+from camcal.formats import detections, native, native_entry, provenance
+from camcal.formats.camera_file import CalibrationVerdict, CameraFile, JointCovariance, Transform
+from camcal.geometry.pose import Pose
+from camcal.messages import Message
+from camcal.options import command_line
+from camcal.progress import SILENT, Progress, warn_of
+from camcal.quality.assess import Assessment, assess
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
+from camcal.report.calibration import as_data, candidates_data, uncertainty_data
+from camcal.report.rig import motion_data, transform_data
+from camcal.run.outputs import writes
+from camcal.tasks.calibration.calibrate import camera_entry, image_record, is_shaped
+from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
+from camcal.tasks.calibration.image_circle_of_views import known_circle
+from camcal.tasks.calibration.video_frames import as_data as frame_data
+from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
+from camcal.tasks.rigs.rig_lenses import GivenLens, given_lenses, require_other_images, rig_models, without_fold
+from camcal.tasks.rigs.rig_views import RigViews, rig_views, with_circles
+
+
+@dataclass(frozen=True, eq=False)
+class CameraResult:
+    """What is said of one camera of a rig beside its calibration; circle: its image circle, where there is one."""
+
+    uncertainty: ProjectionUncertainty
+    assessment: Assessment
+    circle: ImageCircle | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RigReport:
+    """The calibration of a rig, what is said of each of its cameras, the captures, and the file that was written.
+
+    candidates: lens models that were compared, by the cameras of a kind. refinement: what the second pass of corner
+    refinement changed, None without one. warnings: all of them; lines: other lines of the report.
+    """
+
+    calibration: RigCalibration
+    cameras: Mapping[str, CameraResult]
+    views: RigViews
+    file: CameraFile
+    warnings: tuple[Message, ...]
+    lines: tuple[str, ...] = ()
+    refinement: RefinementSummary | None = None
+    candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] | None = None
+
+    @property
+    def failures(self) -> tuple[Message, ...]:
+        """Why the rig, or one of its cameras, must not be trusted."""
+        own = (each.at(name) for name, result in self.cameras.items() for each in result.assessment.failures)
+        return (*self.calibration.failures, *own)
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the rig and all its cameras may be trusted."""
+        return not self.failures
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The images that could not be read."""
+        return self.views.failed
+
+
+@writes
+def rig(options: RigTaskOptions, progress: Progress = SILENT) -> RigReport:
+    """Return the calibration of a rig after writing it to options.settings.output, if that is given.
+
+    Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
+    """
+    settings = options.settings
+    return calibrated(
+        lambda: rig_views(options.inputs, settings, progress), settings, command_line("rig", options), progress
+    )
+
+
+@writes
+def stereo_calibrate(options: StereoCalibrateOptions, progress: Progress = SILENT) -> RigReport:
+    """Return the calibration of two cameras, left and right; raises and writes as `rig` does."""
+    inputs = [options.left] if options.right is None else [f"left={options.left}", f"right={options.right}"]
+    settings, command = options.settings, command_line("stereo calibrate", options)
+    return calibrated(lambda: rig_views(inputs, settings, progress), settings, command, progress)
+
+
+def calibrated(
+    look: Callable[[], RigViews], settings: RigSettings, command: Sequence[str], progress: Progress = SILENT
+) -> RigReport:
+    """Return the calibration from the views that `look` returns; command: the words that the file records.
+
+    What the settings say of the board is not used. Raises and writes as `rig` does.
+    """
+    seen = look()
+    names = seen.captures.cameras
+    given = given_lenses(settings, names, progress)
+    if settings.lenses == PRIOR:
+        require_other_images(given, seen.captures)
+    looks_again = _looks_again(settings, seen)
+    seen = with_circles(seen, settings)
+    circles = {name: circle for name in names if (circle := _circle(seen, name)) is not None}
+    if settings.save_detections:
+        detections.write(settings.save_detections, seen.detections())
+    shape = ShapeOptions(smooth=not settings.flat_board, offsets=settings.free_corners)
+    progress.start("choosing lens models", None)
+    models = rig_models(seen.captures, seen.board, settings, given, shape)
+    progress.finish()
+    how = _solver_options(settings, given, shape, models.models)
+    calibration = _solved(seen, how, progress, "solving")
+    better = without_fold(models, calibration.calibrations, circles, seen.captures, shape)
+    if better is not None:
+        models, how = better, replace(how, models=better.models)
+        calibration = _solved(seen, how, progress, "solving with other lens models")
+    refinement: RefinementSummary | None = None
+    found: tuple[Message, ...] = ()
+    if looks_again:
+        seen, calibration, refinement, found = _refined(seen, calibration, how, settings, progress)
+        if settings.save_detections:
+            detections.write(settings.save_detections, seen.detections())
+    results = {
+        name: CameraResult(
+            projection_uncertainty(own.camera, observed=own.pixels, circle=circles.get(name)),
+            assess(own, circles.get(name)),
+            circles.get(name),
+        )
+        for name, own in calibration.calibrations.items()
+    }
+    file = rig_file(calibration, results, command)
+    if settings.output is not None:
+        native.write(settings.output, file)
+    of_cameras = (each.at(name) for name, result in results.items() for each in result.assessment.warnings)
+    found += (*calibration.warnings, *of_cameras)
+    warn_of(found, progress)
+    return RigReport(
+        calibration,
+        results,
+        views=seen,
+        file=file,
+        warnings=seen.warnings + found,
+        lines=seen.lines + models.lines + ((refinement.line,) if refinement else ()),
+        refinement=refinement,
+        candidates=models.candidates,
+    )
+
+
+def require_good(report: RigReport, settings: RigSettings) -> None:
+    """Raise GateFailed if the result is not what the settings require; the rig file is written all the same."""
+    if settings.require and not report.trustworthy:
+        raise GateFailed.of(report.failures, where=f"--require {settings.require}")
+    failures = []
+    most = np.inf if settings.max_uncertainty is None else settings.max_uncertainty
+    for name, result in report.cameras.items():
+        figures = result.uncertainty.figures()
+        reached = figures.get("inside_rms_px", figures["rms_px"])
+        if not reached <= most:
+            text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
+            values = {"uncertainty_px": reached, "limit_px": most}
+            failures.append(Message("projection_uncertainty", text, values, where=name))
+    if failures:
+        raise GateFailed.of(failures, where="--max-uncertainty")
+
+
+def _looks_again(settings: RigSettings, seen: RigViews) -> bool:
+    """Return whether the images are to be examined once more. Raises InvalidInput if they should and cannot be."""
+    if settings.refine is None:
+        return seen.board.has_saddle_corners and not seen.table
+    if settings.refine and not seen.board.has_saddle_corners:
+        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {seen.board.words}")
+    if settings.refine and seen.table:
+        raise InvalidInput("--refine needs images, not a detections file")
+    return settings.refine
+
+
+def _circle(seen: RigViews, name: str) -> ImageCircle | None:
+    views = tuple(view for view in seen.captures.of(seen.captures.cameras.index(name)) if view is not None)
+    return known_circle(replace(seen.detections(), views=views), None)
+
+
+def _solver_options(
+    settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions, models: Mapping[str, Any]
+) -> RigOptions:
+    return RigOptions(
+        models,
+        settings.lenses,
+        {name: lens.camera for name, lens in given.items()},
+        shape,
+        settings.max_rejected,
+        settings.motion,
+    )
+
+
+def _solved(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> RigCalibration:
+    progress.start(what, None)
+    try:
+        return calibrate_rig(seen.captures, seen.board, how)
+    finally:
+        progress.finish()
+
+
+def _refined(
+    seen: RigViews, calibration: RigCalibration, how: RigOptions, settings: RigSettings, progress: Progress
+) -> tuple[RigViews, RigCalibration, RefinementSummary | None, tuple[Message, ...]]:
+    """Return what a second look at all images shows, the calibration it leads to, what changed, and warnings.
+
+    A second look that a calibration cannot be made from leaves the first one as it is.
+    """
+    views, recovered, lost = {}, 0, 0
+    for index, name in enumerate(seen.captures.cameras):
+        own = [view for view in seen.captures.of(index) if view is not None]
+        views[name] = own
+        if name in calibration.calibrations:
+            look = refine_corners(
+                calibration.calibrations[name], own, seen.videos, settings.reading, settings.jobs, progress, seen.files
+            )
+            views[name], recovered, lost = list(look.views), recovered + look.recovered, lost + look.lost
+    better = seen.with_views(views)
+    try:
+        again = _solved(better, how, progress, "solving again")
+    except (InvalidInput, InsufficientData, NotConverged) as error:
+        text = f"corner refinement with the calibrated lenses skipped, as with --no-refine: {error.message}"
+        return seen, calibration, None, (Message("refinement_failed", text),)
+    return better, again, RefinementSummary(recovered, lost, _noise(calibration), _noise(again)), ()
+
+
+def _noise(calibration: RigCalibration) -> float:
+    """Return the standard deviation of a pixel coordinate of all cameras, root mean square, px."""
+    return float(np.sqrt(np.mean([own.sigma_px**2 for own in calibration.calibrations.values()])))
+
+
+def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], command: Sequence[str]) -> CameraFile:
+    """Return what the rig file says of the cameras that are linked: lenses, transforms, their joint covariance."""
+    failures = tuple(each.text for each in calibration.failures)
+    entries = {}
+    for name in calibration.poses:
+        result = results[name]
+        entry = camera_entry(calibration.calibrations[name], result.uncertainty, result.assessment, result.circle)
+        verdict = entry.verdict or CalibrationVerdict(True)
+        entries[name] = replace(
+            entry, verdict=CalibrationVerdict(verdict.trustworthy and not failures, verdict.reasons + failures)
+        )
+    others = [name for name in calibration.poses if name != calibration.first]
+    transforms = {
+        calibration.transform_name(name): Transform(calibration.poses[name], calibration.pose_covariance(name))
+        for name in others
+    }
+    kept = {*entries, *transforms}
+    names = tuple(name for name in calibration.names if name.rpartition(".")[0] in kept)
+    surface = calibration.calibrations[calibration.first].surface
+    board = calibration.calibrations[calibration.first].board
+    return CameraFile(
+        entries,
+        transforms,
+        JointCovariance(names, calibration.covariance_of(names)),
+        board_shape=surface if is_shaped(surface) else None,
+        provenance=provenance.build(command, board, _image_records(calibration)) | {"rig": _figures(calibration)},
+    )
+
+
+def _figures(calibration: RigCalibration) -> dict[str, Any]:
+    """Return the figures of the rig as a whole that the provenance keeps; px, m."""
+    motion = motion_data(calibration.motion) or {}
+    figures = {
+        "epipolar_rms_px": calibration.epipolar_rms_px,
+        **{f"motion_{key}": value for key, value in motion.items()},
+    }
+    return {key: value for key, value in figures.items() if value is not None}
+
+
+def _image_records(calibration: RigCalibration) -> list[dict[str, Any]]:
+    """Return what the provenance says of all images, each with its camera and where that saw the board."""
+    return [
+        image_record(view) | {"camera": name} | _pose_record(view.camera_T_board)
+        for name, own in calibration.calibrations.items()
+        for view in own.views
+    ]
+
+
+def _pose_record(pose: Pose | None) -> dict[str, Any]:
+    if pose is None:
+        return {}
+    return {"camera_T_board": {"t": pose.translation.tolist(), "rotation_vector": pose.vector().tolist()}}
+
+
+def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    calibration, captures = report.calibration, report.views.captures
+    return {
+        "output": settings.output,
+        "lenses": settings.lenses,
+        "first": calibration.first,
+        "cameras": {name: _camera_data(report, name) for name in calibration.calibrations},
+        "transforms": {
+            calibration.transform_name(name): transform_data(pose, calibration.pose_covariance(name))
+            for name, pose in calibration.poses.items()
+            if name != calibration.first
+        },
+        "epipolar_rms_px": calibration.epipolar_rms_px,
+        "motion": motion_data(calibration.motion),
+        "unlinked": dict(calibration.unlinked),
+        "matched_by": report.views.matched.by,
+        "largest_time_difference_s": report.views.matched.largest,
+        "captures": [
+            {
+                "name": capture,
+                "images": {
+                    name: view.image for name, view in zip(captures.cameras, row, strict=True) if view is not None
+                },
+            }
+            for capture, row in zip(captures.names, captures.views, strict=True)
+        ],
+        "unmatched": list(report.views.matched.unmatched),
+        "refinement": None if report.refinement is None else vars(report.refinement),
+        "candidates": [
+            {"cameras": list(names), "models": candidates_data(candidates)}
+            for names, candidates in (report.candidates or {}).items()
+        ],
+        "trustworthy": report.trustworthy,
+        "failures": messages.as_data(report.failures),
+        "frames": [frame_data(record) for record in report.views.frames],
+        "failed": report.failed,
+    }
+
+
+def _camera_data(report: RigReport, name: str) -> dict[str, Any]:
+    result = report.cameras[name]
+    return {
+        **as_data(report.calibration.calibrations[name]),
+        "uncertainty": uncertainty_data(result.uncertainty),
+        "image_circle": native_entry.circle_block(result.circle),
+        "trustworthy": result.assessment.trustworthy,
+    }

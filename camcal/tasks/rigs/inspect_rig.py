@@ -1,0 +1,137 @@
+"""What `camcal inspect` says of the cameras of a rig together, and the picture of them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.cameras.model import Rig
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import InvalidInput
+from camcal.formats import boards
+from camcal.formats.camera_file import CameraFile, rig_of
+from camcal.formats.schema import items, mapping, number
+from camcal.geometry.pose import Pose
+from camcal.images.image_circle import evenly_spaced
+from camcal.quality.rig_geometry import PairGeometry, pair_geometry
+from camcal.report.rig_scene import colour_name, rig_scene
+from camcal.targets.board import Board
+
+SUFFIXES = (".png", ".html")
+_POSE = mapping({"t": items(number(), 3), "rotation_vector": items(number(), 3)})
+_SIZE = (1280, 960)
+_VIEWS = ("35,25", "front", "top", "side")  # degrees to the right and up: cameras and boards are seen side by side
+_MOST_BOARDS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class RigInspection:
+    """The cameras of a file as a rig, its frame, what pairs of them make, and the boards in its frame.
+
+    pairs: every camera with the first one. board: None where the file does not say it. measured: figures of the
+    calibration that the file's provenance has under `rig`. circles: image circles of cameras.
+    """
+
+    rig: Rig
+    frame: str
+    pairs: tuple[PairGeometry, ...]
+    boards: tuple[Pose, ...] = ()
+    board: Board | None = None
+    measured: Mapping[str, object] = field(default_factory=dict)
+    circles: Mapping[str, ImageCircle] = field(default_factory=dict)
+
+
+def inspect_rig(file: CameraFile, where: str) -> RigInspection | None:
+    """Return what the cameras of a file make together, None for a single one or if transforms do not join them."""
+    if len(file.cameras) < 2:
+        return None
+    try:
+        rig, frame = rig_of(file, where)
+    except InvalidInput:
+        return None
+    first, *others = rig.cameras
+    circles = {name: entry.image_circle for name, entry in file.cameras.items() if entry.image_circle is not None}
+    pairs = tuple(pair_geometry(rig, first, other, circles=circles) for other in others)
+    measured = file.provenance.get("rig")
+    return RigInspection(
+        rig,
+        frame,
+        pairs,
+        tuple(_boards(file, rig)),
+        _board(file.provenance.get("board")),
+        measured if isinstance(measured, Mapping) else {},
+        circles,
+    )
+
+
+def _board(data: object) -> Board | None:
+    """Return the board that a provenance names, None unless it is one."""
+    return boards.from_block(data) if isinstance(data, dict) and not any(boards.check(data, "board")) else None
+
+
+def _boards(file: CameraFile, rig: Rig) -> Iterator[Pose]:
+    """Yield rig_T_board of the images that say where the board was."""
+    images = file.provenance.get("images")
+    for image in images if isinstance(images, list) else []:
+        if not isinstance(image, Mapping) or image.get("camera") not in rig.cameras:
+            continue
+        pose = image.get("camera_T_board")
+        if isinstance(pose, dict) and not any(_POSE(pose, "camera_T_board")):
+            camera_T_board = Pose.from_vector(np.array(pose["rotation_vector"]), np.array(pose["t"]))
+            yield rig.rig_T_camera[str(image["camera"])] @ camera_T_board
+
+
+def draw_rig(found: RigInspection, output: Path) -> None:
+    """Write the picture of a rig, or the page that shows it from all sides; raises FileError."""
+    from camcal.report.cloud_pictures import montage
+    from camcal.report.cloud_view import Start, page
+    from camcal.report.colour_scale import paint_of
+
+    chosen = evenly_spaced(len(found.boards), _MOST_BOARDS)
+    scene = rig_scene(found.rig, [found.boards[index] for index in chosen], found.board, found.circles)
+    if output.suffix.lower() == ".html":
+        files.write_text(output, page(scene, output.stem, Start("image", _VIEWS[0])))
+    else:
+        from camcal.images.save import save
+
+        save(output, montage(scene, paint_of(scene), _SIZE, views=_VIEWS)[:, :, ::-1])
+
+
+def colour_words(found: RigInspection) -> str:
+    """Return which camera has which colour in the picture."""
+    return ", ".join(f"{name} {colour_name(index)}" for index, name in enumerate(found.rig.cameras))
+
+
+def as_data(found: RigInspection | None) -> dict[str, Any] | None:
+    """Return what a rig can measure as plain data; m, degrees, px."""
+    if found is None:
+        return None
+    pairs = [_pair_data(pair) for pair in found.pairs]
+    return {"frame": found.frame, "pairs": pairs, "measured": dict(found.measured)}
+
+
+def _pair_data(pair: PairGeometry) -> dict[str, Any]:
+    degrees = None if pair.rotation.std is None else float(np.degrees(pair.rotation.std))
+    return {
+        "cameras": [pair.first, pair.second],
+        "baseline_m": pair.baseline.value,
+        "baseline_std_m": pair.baseline.std,
+        "rotation_deg": float(np.degrees(pair.rotation.value)),
+        "rotation_std_deg": degrees,
+        "vergence_deg": float(np.degrees(pair.vergence)),
+        "converging": pair.converging,
+        "common_field": list(pair.common),
+        "epipolar_px": pair.epipolar_px,
+        "depth": [
+            {
+                "distance_m": own.distance,
+                "matching_std_m": own.matching,
+                "calibration_std_m": own.calibration,
+                "common_field": own.common,
+            }
+            for own in pair.depths
+        ],
+    }

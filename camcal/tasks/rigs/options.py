@@ -1,0 +1,225 @@
+"""The options of `camcal rig` and `camcal stereo calibrate`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from camcal.errors import InvalidInput
+from camcal.options import (
+    BOARD,
+    CHECKS,
+    INPUT,
+    LENS,
+    METHOD,
+    MILLISECONDS,
+    OUTPUT,
+    PERCENT,
+    SIZE,
+    Argument,
+    Option,
+    OptionsRecord,
+    Without,
+)
+from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.tasks.calibration.options import BEST_FRAMES, TRUSTWORTHY, FrameOptions, MixedSizes, Parts
+from camcal.tasks.options import (
+    BOARD_OPTION,
+    CAMERA_FILE,
+    DETECTIONS,
+    Jobs,
+    Overwrite,
+    Recursive,
+    lens_models,
+    result_option,
+)
+from camcal.tasks.poses.track_options import Timing
+
+if TYPE_CHECKING:
+    from camcal.targets.board import Board
+
+AUTO, NAME, INDEX, TIME = "auto", "name", "index", "time"
+MATCHES = (AUTO, NAME, INDEX, TIME)
+JOINT, FIXED, PRIOR = "joint", "fixed", "prior"
+_WRITTEN = "The rig file is written all the same."
+
+
+@dataclass(frozen=True)
+class RigSettings(OptionsRecord):
+    """How the cameras of a rig are calibrated; see `camcal rig --help`.
+
+    board: None where a detections file names it. match: how images of one capture are found. tolerance: s, None for
+    half of the shortest usual interval. models: a lens model, or NAME=MODEL for single cameras; none for those that
+    predict views best. guess: camera files, or NAME=FILE for single cameras. lenses: joint estimates them with the rig,
+    starting at a guess if there is one; fixed and prior need one. The other options are those of `calibrate`.
+    """
+
+    output: Annotated[Path | None, result_option(CAMERA_FILE)] = None
+    board: Annotated["Board | str | None", BOARD_OPTION] = None
+    match: Annotated[
+        str,
+        Option(
+            "What images of one capture have in common: their name without the part that names the camera, their "
+            "index, or their time. By default the name, for videos the time, else the index if the counts agree.",
+            metavar="|".join(MATCHES),
+            group=INPUT,
+            choices=MATCHES,
+        ),
+    ] = AUTO
+    tolerance: Annotated[
+        float | None,
+        Option(
+            "Largest time difference within a capture; by default half of the shortest frame interval.",
+            metavar="MS",
+            group=INPUT,
+            names="--time-tolerance",
+            type=MILLISECONDS,
+            least=0,
+        ),
+    ] = None
+    timing: Annotated[Timing, Without(("fps",))] = field(default_factory=Timing)
+    models: Annotated[
+        tuple[str, ...],
+        Option(
+            lambda: (
+                f"Lens model of all cameras, or NAME=MODEL for one, repeated: {lens_models()}. Default: chosen for "
+                "all cameras of a kind by how well it predicts views."
+            ),
+            metavar="MODEL|NAME=MODEL",
+            group=LENS,
+            names="--model",
+        ),
+    ] = ()
+    lenses: Annotated[
+        str,
+        Option(
+            "Lenses are estimated jointly with the rig (joint), held at the guess (fixed), or start at it with its "
+            "covariance as prior (prior), which needs a calibration from other images.",
+            metavar="joint|fixed|prior",
+            group=LENS,
+            choices=(JOINT, FIXED, PRIOR),
+        ),
+    ] = JOINT
+    guess: Annotated[
+        tuple[str, ...],
+        Option(
+            "Camera file with the lenses of all cameras by their names, or NAME=FILE for one, repeated.",
+            metavar="FILE|NAME=FILE",
+            group=LENS,
+        ),
+    ] = ()
+    flat_board: Annotated[
+        bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
+    ] = False
+    free_corners: Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)] = True
+    max_rejected: Annotated[
+        float,
+        Option(
+            "Fail if a larger share of corners has residuals above 4 % of a square.",
+            metavar="PERCENT",
+            group=CHECKS,
+            type=PERCENT,
+            least=0,
+            most=1,
+        ),
+    ] = 0.1
+    image_size: Annotated[
+        tuple[int, int] | None,
+        Option("Image size for .vnl files, which do not contain it.", metavar="WxH", group=INPUT, type=SIZE),
+    ] = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+    reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    parts: Parts = False
+    refine: Annotated[
+        bool | None,
+        Option(
+            "Refine the corners with the calibrated lenses, add missed ones, and calibrate again; by default if there "
+            "are images.",
+        ),
+    ] = None
+    motion: Annotated[
+        bool | None,
+        Option(
+            "Estimate how far the board moved between the exposures of a capture; by default where the residuals call "
+            "for it.",
+            group=METHOD,
+        ),
+    ] = None
+    mixed_sizes: MixedSizes = False
+    save_detections: Annotated[
+        Path | None,
+        Option(
+            "Also write the detections of all cameras, so that another calibration needs no images.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=DETECTIONS,
+        ),
+    ] = None
+    require: Annotated[
+        str | None,
+        Option(
+            f"Exit with 7 if the rig or one of its cameras is not trustworthy. {_WRITTEN}",
+            metavar=TRUSTWORTHY,
+            group=CHECKS,
+            choices=(TRUSTWORTHY,),
+            recorded=False,
+        ),
+    ] = None
+    max_uncertainty: Annotated[
+        float | None,
+        Option(
+            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) of a camera is "
+            f"larger. {_WRITTEN}",
+            metavar="PX",
+            group=CHECKS,
+            recorded=False,
+        ),
+    ] = None
+    overwrite: Overwrite = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_uncertainty is not None and not self.max_uncertainty > 0:
+            raise InvalidInput(f"--max-uncertainty {self.max_uncertainty:g} is not above 0")
+        if self.lenses != JOINT and not self.guess:
+            raise InvalidInput(f"--lenses {self.lenses} needs the lenses: give --guess FILE, or --guess NAME=FILE")
+        if self.tolerance is not None and self.match in (NAME, INDEX):
+            raise InvalidInput(f"--time-tolerance goes with --match {TIME}, not with --match {self.match}")
+
+
+DEFAULTS = RigSettings()
+
+
+@dataclass(frozen=True)
+class RigTaskOptions(OptionsRecord):
+    """The inputs of every camera (NAME=PATH, or PATH named by its folder or pattern), and how they are calibrated."""
+
+    inputs: Annotated[
+        tuple[str, ...],
+        Argument(
+            "NAME=PATH for each camera, such as left=photos/left right=photos/right: images, a folder, a quoted glob, "
+            "a video or a detections file. Or one folder or detections file with the images of all cameras.",
+            metavar="NAME=PATH…",
+            required=True,
+        ),
+    ] = ()
+    settings: RigSettings = DEFAULTS
+
+
+@dataclass(frozen=True)
+class StereoCalibrateOptions(OptionsRecord):
+    """The inputs of the left and the right camera, and how they are calibrated; right: None where left has both."""
+
+    left: Annotated[
+        str,
+        Argument(
+            "Images of the left camera: a folder, a quoted glob, a video or a detections file; or a folder with those "
+            "of both.",
+            metavar="LEFT",
+            required=True,
+        ),
+    ] = ""
+    right: Annotated[str | None, Argument("Images of the right camera.", metavar="RIGHT")] = None
+    settings: RigSettings = DEFAULTS

@@ -1,0 +1,299 @@
+"""What is known of the lenses of a rig before the solve: models, given cameras and where these come from."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from camcal import files
+from camcal.calibrate import intrinsics
+from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.jackknife import GAIN, CandidateModel, chosen
+from camcal.calibrate.rigs.captures import Captures
+from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.validity import ImageCircle, folds_inside
+from camcal.errors import InsufficientData, InvalidInput, NotConverged
+from camcal.formats import cameras
+from camcal.formats.camera_file import CameraFile
+from camcal.messages import counted
+from camcal.parsing import did_you_mean
+from camcal.progress import Progress
+from camcal.run.paths import split_address
+from camcal.targets.board import Board
+from camcal.targets.detection import BoardDetection
+from camcal.tasks.calibration.mixed_sizes import usual_size
+from camcal.tasks.calibration.model_selection import compared
+from camcal.tasks.rigs.options import JOINT, PRIOR, RigSettings
+
+
+@dataclass(frozen=True, eq=False)
+class GivenLens:
+    """The lens of a camera as a file gives it, and the hashes of the images that it was calibrated from."""
+
+    camera: Camera
+    where: str
+    images: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, eq=False)
+class RigModels:
+    """The lens model of every camera, and the models that were compared for cameras of a kind, by its cameras."""
+
+    models: Mapping[str, CameraModel]
+    candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+
+
+def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress) -> dict[str, GivenLens]:
+    """Return the lenses that --guess gives, by the names of cameras.
+
+    Raises InvalidInput where a camera lacks one that --lenses needs, or its covariance; FileError.
+    """
+    found: dict[str, GivenLens] = {}
+    for text in settings.guess:
+        name, mark, address = text.partition("=")
+        if mark and not Path(text).exists():
+            _require_camera(name, names, text)
+            path, own = split_address(address)
+            file = _read(path, settings, progress)
+            found[name] = _lens(file, own or (name if name in file.cameras else None), path)
+        else:
+            path, own = split_address(text)
+            if own is not None:
+                raise InvalidInput("one camera of a file is given as NAME=FILE#CAMERA", where=text)
+            file = _read(path, settings, progress)
+            known = [each for each in names if each in file.cameras]
+            if not known:
+                raise InvalidInput(
+                    f"has the cameras {', '.join(file.cameras)}, the rig {', '.join(names)}: use --guess NAME=FILE",
+                    where=str(path),
+                )
+            found |= {each: _lens(file, each, path) for each in known}
+    _require_enough(found, settings, names)
+    return found
+
+
+def _read(path: Path, settings: RigSettings, progress: Progress) -> CameraFile:
+    # a start may be poor; what is held at its value may not
+    return cameras.read(path) if settings.lenses == JOINT else cameras.read(path, progress)
+
+
+def _require_camera(name: str, names: Sequence[str], where: str) -> None:
+    if name not in names:
+        raise InvalidInput(f"no camera {name!r} in the rig{did_you_mean(name, list(names))}", where=where)
+
+
+def _lens(file: CameraFile, name: str | None, path: Path) -> GivenLens:
+    entry = cameras.select(file, name, str(path))
+    images = file.provenance.get("images")
+    listed = [image for image in images if isinstance(image, Mapping)] if isinstance(images, list) else []
+    own = [image for image in listed if image.get("camera", name) in (None, name) or len(file.cameras) == 1]
+    return GivenLens(entry.camera, str(path), frozenset(str(each["sha256"]) for each in own if "sha256" in each))
+
+
+def _require_enough(found: Mapping[str, GivenLens], settings: RigSettings, names: Sequence[str]) -> None:
+    if settings.lenses == JOINT:
+        return
+    without = [name for name in names if name not in found]
+    if without:
+        raise InvalidInput(
+            f"--lenses {settings.lenses}: no lens of camera {without[0]!r}: add --guess {without[0]}=FILE"
+        )
+    uncertain = [name for name, lens in found.items() if lens.camera.covariance is None]
+    if settings.lenses == PRIOR and uncertain:
+        where = found[uncertain[0]].where
+        raise InvalidInput(
+            f"the lens has no covariance: use --lenses fixed, or joint (camera {uncertain[0]})", where=where
+        )
+
+
+def require_other_images(given: Mapping[str, GivenLens], captures: Captures) -> None:
+    """Raise InvalidInput if a lens was calibrated from images that the rig is calibrated from: as a prior it would
+    count them twice.
+    """
+    for index, name in enumerate(captures.cameras):
+        lens = given.get(name)
+        if lens is None:
+            continue
+        views = [view for view in captures.of(index) if view is not None]
+        same = [view.image for view in views if (digest := _digest(view)) is not None and digest in lens.images]
+        if same:
+            raise InvalidInput(
+                f"{counted(len(same), 'image')} of camera {name} ({Path(same[0]).name}, …) also made this calibration, "
+                "and as a prior would count twice: use --lenses joint, or a calibration from other images",
+                where=lens.where,
+            )
+
+
+def _digest(view: BoardDetection) -> str | None:
+    if view.sha256 is None and Path(view.image).is_file():
+        return files.sha256(Path(view.image))
+    return view.sha256
+
+
+def rig_models(
+    captures: Captures, board: Board, settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions
+) -> RigModels:
+    """Return the lens models: those of given lenses that are not estimated anew, those asked for, and for all other
+    cameras what predicts their views best.
+
+    Raises InvalidInput for a model that does not exist, or not that of a lens that is held.
+    """
+    asked = _asked(settings.models, captures.cameras)
+    models: dict[str, CameraModel] = {}
+    for name, lens in given.items():
+        if settings.lenses == JOINT:
+            continue
+        if name in asked and asked[name] != lens.camera.model.name:
+            raise InvalidInput(
+                f"--model {asked[name]}: --lenses {settings.lenses} has {lens.camera.model.name}", where=lens.where
+            )
+        models[name] = lens.camera.model
+    models = {name: model_named(model) for name, model in asked.items()} | models
+    open_ = [name for name in captures.cameras if name not in models]
+    found = _chosen_for(captures, board, open_, shape)
+    return RigModels(
+        {name: {**models, **found.models}[name] for name in captures.cameras}, found.candidates, found.lines
+    )
+
+
+def _asked(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Return the names of the models that are asked for, by cameras."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, mark, model = text.partition("=")
+        if not mark:
+            found = {each: model_named(text).name for each in names} | found
+        else:
+            _require_camera(name, names, f"--model {text}")
+            found[name] = model_named(model).name
+    return found
+
+
+def _views(captures: Captures, name: str) -> list[BoardDetection]:
+    index = captures.cameras.index(name)
+    return [view for view in captures.of(index) if view is not None]
+
+
+def _chosen_for(captures: Captures, board: Board, names: Sequence[str], shape: ShapeOptions) -> RigModels:
+    """Return the models that predict the views of cameras best, one for all cameras of a kind.
+
+    Of a kind are cameras with images of one size for which one model does. A camera whose views do not hold a lens gets
+    the usual one.
+    """
+    options = intrinsics.Options(model_named(DEFAULT_MODEL), shape=shape)
+    found: dict[str, tuple[CandidateModel, ...]] = {}
+    by_size: dict[tuple[int, int], list[str]] = defaultdict(list)
+    for name in names:
+        views = _views(captures, name)
+        with suppress(InsufficientData, InvalidInput):
+            found[name] = compared(views, board, options)
+            by_size[usual_size(views)].append(name)
+    kinds = [kind for group in by_size.values() for kind in _kinds(group, found)]
+    models = dict.fromkeys(names, model_named(DEFAULT_MODEL))
+    models |= {name: model_named(kind.model) for kind in kinds for name in kind.names}
+    lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
+    return RigModels(models, {kind.names: kind.candidates for kind in kinds}, lines)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Cameras with one lens model, and the models that were compared for them."""
+
+    names: tuple[str, ...]
+    candidates: tuple[CandidateModel, ...]
+    model: str
+
+    @property
+    def line(self) -> str:
+        """The line of the report on another model than the usual one."""
+        scores = {own.name: own for own in self.candidates}
+        default, taken = scores.get(DEFAULT_MODEL), scores[self.model]
+        words = f"lens model of {', '.join(self.names)}: {self.model}"
+        if default is None or default.scores is None:
+            return f"{words}; {DEFAULT_MODEL} failed"
+        errors = f"{taken.sigma_px:.2g} px, {DEFAULT_MODEL} {default.sigma_px:.2g} px"
+        return f"{words}; prediction error of left-out views {errors}"
+
+
+def _kinds(names: Sequence[str], found: Mapping[str, tuple[CandidateModel, ...]]) -> list[_Kind]:
+    """Return cameras by their kinds: one for which another model than the common one predicts clearly better, such as a
+    fisheye beside a narrow lens, is of another kind.
+    """
+    joint = together([found[name] for name in names])
+    model = chosen(joint, DEFAULT_MODEL).name
+    others = [name for name in names if chosen(found[name], model).name != model]
+    if not others or len(names) == 1:
+        return [_Kind(tuple(names), joint, model)]
+    same = [name for name in names if name not in others]
+    parts = [same, others] if same else [[name] for name in names]
+    return [kind for part in parts for kind in _kinds(part, found)]
+
+
+def together(candidates: Sequence[Sequence[CandidateModel]]) -> tuple[CandidateModel, ...]:
+    """Return the models that were compared for every one of some cameras, with the scores of all their views."""
+    by_name = [{own.name: own for own in each} for each in candidates]
+    names = [name for name in by_name[0] if all(name in each for each in by_name)]
+    return tuple(_joined([each[name] for each in by_name]) for name in names)
+
+
+def _joined(candidates: Sequence[CandidateModel]) -> CandidateModel:
+    """Return a model with its scores of all cameras, without any where it failed for one of them."""
+    failed = next((own for own in candidates if own.scores is None), None)
+    if failed is not None:
+        return CandidateModel(failed.name, reason=failed.reason)
+    corners = [own.corners for own in candidates]
+    variances = np.array([own.sigma_px or 0.0 for own in candidates]) ** 2
+    return CandidateModel(
+        candidates[0].name,
+        np.concatenate([own.scores for own in candidates if own.scores is not None]),
+        sum(corners),
+        float(np.sqrt(np.average(variances, weights=corners))),
+    )
+
+
+def without_fold(
+    found: RigModels,
+    calibrations: Mapping[str, Calibration],
+    circles: Mapping[str, ImageCircle],
+    views: Captures,
+    shape: ShapeOptions,
+) -> RigModels | None:
+    """Return models that are invertible in the whole image, or image circle, where such ones predict about as well as
+    those in use; None where nothing is to be changed.
+    """
+    changed: dict[str, CameraModel] = {}
+    lines: list[str] = []
+    for group, candidates in found.candidates.items():
+        folded = [name for name in group if name in calibrations and _folds(calibrations[name], circles.get(name))]
+        taken, best = found.models[group[0]].name, max(own.score for own in candidates)
+        near = [own for own in candidates if own.score >= best - GAIN and own.name != taken]
+        for own in sorted(near, key=lambda own: -own.score) if folded else ():
+            if not any(
+                _folds_alone(own.name, views, calibrations[name].board, name, circles, shape) for name in folded
+            ):
+                changed |= {name: model_named(own.name) for name in group}
+                why = f"{taken} predicts as well, but is not invertible in the whole image"
+                lines.append(f"lens model of {', '.join(group)}: {own.name}; {why}")
+                break
+    return replace(found, models={**found.models, **changed}, lines=tuple(lines)) if changed else None
+
+
+def _folds_alone(
+    model: str, captures: Captures, board: Board, name: str, circles: Mapping[str, ImageCircle], shape: ShapeOptions
+) -> bool:
+    """Return whether the lens of a camera that is calibrated alone is not invertible with a model."""
+    try:
+        options = intrinsics.Options(model_named(model), shape=shape)
+        return _folds(intrinsics.calibrate(_views(captures, name), board, options), circles.get(name))
+    except (InvalidInput, InsufficientData, NotConverged):
+        return True
+
+
+def _folds(calibration: Calibration, circle: ImageCircle | None) -> bool:
+    return folds_inside(calibration.camera, circle).folds

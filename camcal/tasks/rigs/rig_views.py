@@ -1,0 +1,248 @@
+"""What the images of several cameras show of a board: searched once for all cameras, matched to captures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from camcal.calibrate.rigs.captures import Captures
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.formats import boards
+from camcal.messages import Message
+from camcal.options import given_words
+from camcal.progress import Progress, warn_of
+from camcal.raw.options import AS_IMAGES
+from camcal.targets.board import Board
+from camcal.targets.detect import require_findable
+from camcal.targets.detection import BoardDetection, Detections
+from camcal.tasks.calibration.board_views import board_views
+from camcal.tasks.calibration.detect import search_board
+from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
+from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
+from camcal.tasks.calibration.options import DetectOptions
+from camcal.tasks.calibration.video_frames import FrameRecord, Video, summary
+from camcal.tasks.calibration.which_board import board_warnings, pattern_lines, require_colours
+from camcal.tasks.poses.frame_times import frame_times
+from camcal.tasks.rigs.camera_inputs import SYNTAX, CameraInputs, cameras_of, split_by_name
+from camcal.tasks.rigs.matching import Matched, matched, unmatched_words
+from camcal.tasks.rigs.options import AUTO, TIME, RigSettings
+from camcal.tasks.rigs.rig_videos import settled_together, survey_rig
+
+
+@dataclass(frozen=True, eq=False)
+class RigViews:
+    """The board, the captures of it and how they were matched, image circles by camera, and the images that failed.
+
+    warnings, lines: of the report. frames: what became of the frames of videos; videos: these. table: whether all comes
+    from detections files. files: the images whose names are not their paths.
+    """
+
+    board: Board
+    matched: Matched
+    circles: Mapping[str, ImageCircle] = field(default_factory=dict)
+    warnings: tuple[Message, ...] = ()
+    lines: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+    frames: tuple[FrameRecord, ...] = ()
+    videos: tuple[Video, ...] = ()
+    table: bool = False
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+    @property
+    def captures(self) -> Captures:
+        """The captures."""
+        return self.matched.captures
+
+    def detections(self) -> Detections:
+        """Return all views, one camera after another."""
+        every = [self.captures.of(index) for index in range(len(self.captures.cameras))]
+        views = tuple(view for own in every for view in own if view is not None)
+        return Detections(self.board, views, self.circles)
+
+    def with_views(self, views: Mapping[str, Sequence[BoardDetection]]) -> "RigViews":
+        """Return the same with other views in the place of every camera's, in their order."""
+        left = {name: iter(own) for name, own in views.items()}
+        cameras = self.captures.cameras
+        rows = tuple(
+            tuple(None if view is None else next(left[name]) for name, view in zip(cameras, row, strict=True))
+            for row in self.captures.views
+        )
+        return replace(self, matched=replace(self.matched, captures=replace(self.captures, views=rows)))
+
+
+def rig_views(inputs: Sequence[str], settings: RigSettings, progress: Progress) -> RigViews:
+    """Return what the inputs of all cameras show of a board.
+
+    Raises InvalidInput where cameras or captures cannot be told apart, FileError if nothing can be read,
+    InsufficientData if fewer than two cameras see the board.
+    """
+    cameras, lines = cameras_of(inputs, settings.recursive, settings.reading.suffixes)
+    tables = [camera for camera in cameras if camera.tables]
+    if tables and any(camera.images or camera.videos or len(camera.tables) > 1 for camera in cameras):
+        raise InvalidInput("detections files cannot be combined with other inputs", where=tables[0].tables[0])
+    if len(tables) not in (0, len(cameras)):
+        raise InvalidInput("detections files cannot be combined with images", where=tables[0].tables[0])
+    found = _from_tables(cameras, settings, progress) if tables else _from_media(cameras, settings, progress)
+    return replace(found, lines=lines + found.lines)
+
+
+def captured(
+    board: Board, views: Mapping[str, Sequence[BoardDetection]], settings: RigSettings, progress: Progress
+) -> RigViews:
+    """Return the captures of views of every camera; warns of images without a partner and cameras without the board."""
+    named = {name: [replace(view, camera=name) for view in own] for name, own in views.items()}
+    blind = [name for name, own in named.items() if not any(view.found for view in own)]
+    seeing = {name: own for name, own in named.items() if name not in blind}
+    if len(seeing) < 2:
+        raise InsufficientData(
+            f"no image of camera {', '.join(blind)} shows the board: a rig needs two cameras that see it"
+            if seeing
+            else "no image shows the board"
+        )
+    result = matched(seeing, settings.match, settings.tolerance)
+    warnings = [
+        Message("camera_without_board", f"camera {name}: none of {len(named[name])} images shows the board: left out")
+        for name in blind
+    ]
+    if result.unmatched:
+        values = {"images": tuple(result.unmatched)}
+        warnings.append(Message("unmatched_images", unmatched_words(result.unmatched), values))
+    warn_of(warnings, progress)
+    return RigViews(board, result, warnings=tuple(warnings), lines=(result.line,))
+
+
+def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
+    if settings.board is None:
+        raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
+    asked = boards.load_board(settings.board) if isinstance(settings.board, str) else settings.board
+    options = DetectOptions(
+        board=asked,
+        jobs=settings.jobs,
+        reading=settings.reading,
+        frames=settings.frames,
+        parts=settings.parts,
+        mixed_sizes=settings.mixed_sizes,
+    )
+    require_findable(asked, partial=settings.parts)
+    require_colours(asked, settings.reading)
+    videos = None
+    if any(camera.videos for camera in cameras):
+        videos = survey_rig(cameras, settings.frames, settings.tolerance, progress)
+    images = [path for camera in cameras for path in camera.images]
+    found = search_board(asked, images, list(videos.videos.values()) if videos else [], options, progress)
+    if found.nothing:
+        raise found.nothing
+    by_name = {view.image: view for view in found.views}
+    taken = _of_images(cameras, by_name, settings, progress)
+    records: tuple[FrameRecord, ...] = ()
+    if videos is not None:
+        own = {
+            name: [by_name[each] for each in video.names if each in by_name] for name, video in videos.videos.items()
+        }
+        settled = settled_together(videos, own, found.board, settings.frames)
+        taken = {
+            name: [
+                replace(record.view, time=videos.time_of(name, record.view.image)) for record in each if record.taken
+            ]
+            for name, each in settled.items()
+        }
+        records = tuple(record for each in settled.values() for record in each)
+    sized = {
+        name: same_size(views, usual_size(views), found.board, mixed=settings.mixed_sizes)
+        for name, views in taken.items()
+    }
+    if videos is not None:  # their frames were chosen by the time
+        settings = replace(settings, match=TIME, tolerance=videos.tolerance)
+    result = captured(found.board, {name: each.views for name, each in sized.items()}, settings, progress)
+    warnings = (
+        *board_warnings(found.views, found.board, asked),
+        *(warning for each in sized.values() for warning in each.warnings),
+    )
+    warn_of(warnings, progress)
+    in_videos = tuple(videos.videos.values()) if videos else ()
+    lines = (*pattern_lines(found.board, asked), *(summary(video, records) for video in in_videos))
+    return replace(
+        result,
+        warnings=warnings + result.warnings,
+        lines=lines + result.lines,
+        failed=tuple(map(str, found.errors)),
+        frames=records,
+        videos=in_videos,
+    )
+
+
+def _of_images(
+    cameras: Sequence[CameraInputs], by_name: Mapping[str, BoardDetection], settings: RigSettings, progress: Progress
+) -> dict[str, list[BoardDetection]]:
+    """Return the views of the images of every camera, with their times where these are to be used."""
+    views = {
+        camera.name: [by_name[name] for path in camera.images if (name := path.as_posix()) in by_name]
+        for camera in cameras
+    }
+    if settings.timing.source is None or settings.match not in (AUTO, TIME):
+        return views
+    for name, own in views.items():
+        times = frame_times([view.image for view in own], [], settings.timing, progress)
+        views[name] = [replace(view, time=time) for view, time in zip(own, times.tolist(), strict=True)]
+    return views
+
+
+def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
+    """Return the captures of detections files: one for each camera, or one with the views of all."""
+    if settings.reading != AS_IMAGES:
+        raise InvalidInput(f"{given_words(settings.reading)[0]} applies to images, not to a detections file")
+    found = {
+        camera.name: board_views(
+            camera.tables,
+            settings.board,
+            settings.recursive,
+            settings.jobs,
+            progress,
+            image_size=settings.image_size,
+            mixed_sizes=settings.mixed_sizes if camera.name else None,
+        )
+        for camera in cameras
+    }
+    known = {each.board for each in found.values()}
+    if len(known) > 1:
+        words = " and ".join(sorted({board.words for board in known}))
+        raise InvalidInput(f"the detections are of several boards: {words}")
+    circles: dict[str, ImageCircle] = {}
+    views: dict[str, list[BoardDetection]] = {}
+    for camera in cameras:
+        table = found[camera.name].detections
+        own = _by_camera(table, camera)
+        views.update(own)
+        circles |= {name: circle for name in own if (circle := table.circles.get(name, table.circles.get("")))}
+    result = captured(known.pop(), views, settings, progress)
+    warnings = tuple(warning for each in found.values() for warning in each.warnings)
+    return replace(result, circles=circles, warnings=warnings + result.warnings, table=True)
+
+
+def _by_camera(table: Detections, camera: CameraInputs) -> dict[str, list[BoardDetection]]:
+    """Return the views of a detections file that are of a camera; of one without a name, those of all cameras."""
+    where, names = camera.tables[0], list(dict.fromkeys(view.camera for view in table.views))
+    if camera.name:
+        if len(names) > 1 and camera.name not in names:
+            raise InvalidInput(f"no camera {camera.name!r}; it has {', '.join(names)}", where=where)
+        return {camera.name: [view for view in table.views if len(names) == 1 or view.camera == camera.name]}
+    if len(names) > 1:
+        return {name or "camera": [view for view in table.views if view.camera == name] for name in names}
+    groups = split_by_name([Path(view.image) for view in table.views])
+    if groups is None:
+        raise InvalidInput(f"names one camera only: {SYNTAX}", where=where)
+    by_path = {Path(view.image): view for view in table.views}
+    return {name: [by_path[path] for path in paths] for name, paths in groups.items()}
+
+
+def with_circles(views: RigViews, settings: RigSettings) -> RigViews:
+    """Return the same with the image circles that the images of the cameras show; read from files as they are."""
+    if views.table:
+        return views
+    circles: dict[str, ImageCircle] = {}
+    lines: list[str] = []
+    for index, name in enumerate(views.captures.cameras):
+        own = Detections(views.board, tuple(view for view in views.captures.of(index) if view is not None))
+        circles |= with_circle(own, views.videos, settings.reading, views.files).circles
+        lines += [f"{name}: {line}" for line in circle_lines(circles.get(name))]
+    return replace(views, circles=circles, lines=(*views.lines, *lines))
