@@ -1,6 +1,8 @@
 # The public names of camcal and where they are: the one list, for type checkers and for `import camcal`.
 
 from camcal.calibrate.intrinsics import Calibration as Calibration
+from camcal.calibrate.rigs.captures import Captures as Captures
+from camcal.calibrate.rigs.record import RigCalibration as RigCalibration
 from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named
 from camcal.cameras.model import Camera as Camera
@@ -87,6 +89,7 @@ from camcal.tasks.calibration.options import DetectOptions as DetectOptions
 from camcal.tasks.library import PointCloud as PointCloud
 from camcal.tasks.library import Undistorted as Undistorted
 from camcal.tasks.library import calibrate_camera as calibrate_camera
+from camcal.tasks.library import calibrate_rig as calibrate_rig
 from camcal.tasks.library import detect_board as detect_board
 from camcal.tasks.library import point_cloud as point_cloud
 from camcal.tasks.library import undistort_image as undistort_image
@@ -187,3 +190,5 @@ __all__ = [
 ]
 
 __version__: str
+from camcal.tasks.rigs.calibrate_rig import RigReport as RigReport
+from camcal.tasks.rigs.options import RigSettings as RigSettings

@@ -5,7 +5,7 @@ on them, so that an array and a file with the same pixels give the same numbers.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
+from camcal.calibrate.rigs.captures import Captures
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
@@ -34,11 +35,16 @@ from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.calibrate import CalibrateReport, calibrated, seen_of
 from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
+from camcal.tasks.rigs.calibrate_rig import RigReport
+from camcal.tasks.rigs.calibrate_rig import calibrated as calibrated_rig
+from camcal.tasks.rigs.matching import Matched
+from camcal.tasks.rigs.options import RigSettings
+from camcal.tasks.rigs.rig_views import RigViews, captured, rig_views
 
 File = str | Path
 Images = File | Array | Sequence[File] | Sequence[Array]
 
-_CALIBRATE, _DETECT, _VIEW = CalibrateOptions(), DetectOptions(), ViewOptions()
+_CALIBRATE, _DETECT, _VIEW, _RIG = CalibrateOptions(), DetectOptions(), ViewOptions(), RigSettings()
 
 
 def detect_board(
@@ -83,6 +89,41 @@ def calibrate_camera(
             return replace(seen, detections=replace(seen.detections, views=views), files=inputs.files)
 
         return calibrated(look, options, progress)
+
+
+def calibrate_rig(
+    images: Mapping[str, Images] | Detections | Captures,
+    board: Board | File | None = None,
+    options: RigSettings = _RIG,
+    progress: Progress = SILENT,
+) -> RigReport:
+    """Return the calibration of several cameras and where they stand.
+
+    images: of every camera by its name, as for `detect_board`; or what was detected, with the cameras' names; or
+    captures, which need no matching. board: a board, its file or its short form; None where the detections name it.
+    options: without board; nothing is written unless they name an output. Raises InvalidInput, FileError,
+    InsufficientData or NotConverged. A calibration that is not trustworthy is no error: `trustworthy` says so.
+    """
+    known = None if board is None else _board(board)
+    with ExitStack() as folders:
+        if isinstance(images, Captures):
+            if known is None:
+                raise InvalidInput("captures name no board: give one, such as 'chessboard:9x6:25mm'")
+            seen = RigViews(known, Matched(images, "given"), table=True)
+        elif isinstance(images, Detections):
+            table = _views(images, known)
+            by_camera: dict[str, list[BoardDetection]] = {}
+            for view in images.views:
+                by_camera.setdefault(view.camera, []).append(view)
+            seen = replace(captured(table.board, by_camera, options, progress), circles=images.circles, table=True)
+        else:
+            inputs = {name: folders.enter_context(_inputs(own, name)) for name, own in images.items()}
+            texts = [f"{name}={path}" for name, own in inputs.items() for path in own.paths]
+            seen = rig_views(texts, replace(options, board=known), progress)
+            views = {name: own.renamed(seen.of(name)) for name, own in inputs.items() if name in seen.captures.cameras}
+            files = {name: path for own in inputs.values() for name, path in own.files.items()}
+            seen = replace(seen.with_views(views), files=files)
+        return calibrated_rig(lambda: seen, options, ["rig"], progress)
 
 
 def write_camera_file(path: File, camera: Camera | CameraFile, kind: str = cameras.OWN) -> None:
@@ -167,8 +208,8 @@ class _Inputs:
 
 
 @contextmanager
-def _inputs(images: Images | Sequence[BoardDetection]) -> Iterator[_Inputs]:
-    """Yield images as paths; arrays are written into a folder that is there for the block.
+def _inputs(images: Images | Sequence[BoardDetection], name: str = "images") -> Iterator[_Inputs]:
+    """Yield images as paths; arrays are written into a folder that is there for the block, as name[0], name[1] …
 
     Raises InvalidInput if they are not all files or all arrays.
     """
@@ -181,10 +222,10 @@ def _inputs(images: Images | Sequence[BoardDetection]) -> Iterator[_Inputs]:
         yield _Inputs(tuple(paths))
     else:
         with TemporaryDirectory(prefix="camcal-") as folder:
-            files = {f"images[{index}]": Path(folder) / f"{index}.npy" for index in range(len(arrays))}
-            for (name, path), pixels in zip(files.items(), arrays, strict=True):
+            files = {f"{name}[{index}]": Path(folder) / f"{index}.npy" for index in range(len(arrays))}
+            for (array, path), pixels in zip(files.items(), arrays, strict=True):
                 if pixels.dtype not in (np.uint8, np.uint16):
-                    raise InvalidInput(f"{name}: images are uint8 or uint16, found {pixels.dtype}")
+                    raise InvalidInput(f"{array}: images are uint8 or uint16, found {pixels.dtype}")
                 np.save(path, pixels)
             yield _Inputs(tuple(map(str, files.values())), files)
 

@@ -159,7 +159,7 @@ def test_an_unknown_key_names_the_nearest(camcal, rig, key, words):
 
 def test_json_holds_the_file_and_what_follows_from_it(camcal, rig):
     payload = json.loads(camcal(rig, "--json").out)
-    assert list(payload) == ["schema", "file", "content", "field_of_view_deg", "warnings"]
+    assert list(payload) == ["schema", "file", "content", "field_of_view_deg", "rig", "warnings"]
     assert payload["schema"] == "camcal/inspect/1"
     assert payload["content"]["cameras"]["left"]["intrinsics"]["fx"] == 512.0625
     assert [len(angles) for angles in payload["field_of_view_deg"].values()] == [3, 3]

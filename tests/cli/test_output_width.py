@@ -3,7 +3,7 @@
 Each command runs once; the tables and lines that it printed are then laid out again at every width.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from camcal.report.table import cells, table_lines, wrapped
 from camcal.simulate.options import Sensor
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
+from camcal.targets.detection import Detections
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate
 
@@ -41,6 +42,7 @@ RUNS = {
     "detect": "detect boards tags/b --board chessboard:5x5:40mm -o corners.csv --draw drawn -j 1",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
+    "rig": "rig two.csv --model opencv4 --flat-board --no-free-corners -o two.yaml",
     "undistort": "undistort pair.yaml#left tags/a -o straight --mask -j 1",
     "undistort --points": "undistort pair.yaml#left --points points.csv -o straight.csv",
     "inspect": "inspect rig.yaml",
@@ -48,6 +50,7 @@ RUNS = {
     "inspect a dump": "inspect dump.raw",
     "demosaic": "demosaic mosaics --pattern RGGB -o developed --trust-pattern -j 1",
     "sensor": "sensor raw/flats --dark raw/darks --pattern RGGB -o sensor.yaml --plot sensor.png -j 1",
+    "stereo calibrate": "stereo calibrate two.csv two.csv --model opencv4 --flat-board --no-free-corners -o both.yaml",
     "stereo check": "stereo check left right -j 1",
     "stereo disparity": "stereo disparity left right pair.yaml -o maps --range 0:16 --quality fast -j 1",
     "stereo cloud": "stereo cloud flat pair.yaml -o clouds -j 1",
@@ -101,10 +104,22 @@ def folder(tmp_path_factory):
     detections.write(
         folder / "seen.csv", observe(WIDE, BOARD, views(WIDE, BOARD, 8, rng=rng), rng=rng, noise_px=0.1)[0]
     )
+    _pair_of_views(folder, rng)
     _tables(folder, rng)
     raw = RawOptions("RGGB", Sensor(0.25, 4.0, 15000.0, 64.0, 12), flats=6, darks=4)
     simulate(SimulateOptions(folder / "raw", "chessboard:5x4:20mm", size=(96, 72), views=1, jobs=1, raw=raw))
     return folder
+
+
+def _pair_of_views(folder, rng):
+    poses, moved = views(WIDE, BOARD, 8, rng=rng), Pose(np.eye(3), np.array([-0.02, 0.0, 0.0]))
+    placed = {"left": poses, "right": [moved @ pose for pose in poses]}
+    found = [
+        replace(view, camera=name, image=f"{name}/{LONG}{index}.png")
+        for name, own in placed.items()
+        for index, view in enumerate(observe(WIDE, BOARD, own, rng=rng, noise_px=0.1)[0])
+    ]
+    detections.write(folder / "two.csv", Detections(BOARD, tuple(found)))
 
 
 def _images(folder):

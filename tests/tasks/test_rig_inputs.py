@@ -144,7 +144,7 @@ def test_images_without_a_partner_are_captures_of_their_own_and_listed():
     assert rows(found) == [("1.png", "1.png"), ("2.png", None), ("3.png", "3.png"), (None, "4.png")]
     assert found.unmatched == ("2.png", "x/4.png")
     assert found.captures.names == ("1", "2", "3", "4")
-    assert "2 captures of 2 cameras, matched by name; 2 images unmatched" == found.line
+    assert found.line == "2 captures of 2 cameras, matched by name; 2 images unmatched"
 
 
 def test_counts_that_agree_are_matched_by_index_where_names_say_nothing():

@@ -11,6 +11,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.jackknife import CandidateModel
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
+from camcal.cameras.model import CameraModel
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry, provenance
@@ -24,12 +25,20 @@ from camcal.quality.projection_uncertainty import ProjectionUncertainty, project
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.outputs import writes
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.calibrate import camera_entry, image_record, is_shaped
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import known_circle
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
-from camcal.tasks.rigs.rig_lenses import GivenLens, given_lenses, require_other_images, rig_models, without_fold
+from camcal.tasks.rigs.rig_lenses import (
+    GivenLens,
+    given_lenses,
+    require_other_images,
+    rig_models,
+    starting,
+    without_fold,
+)
 from camcal.tasks.rigs.rig_views import RigViews, rig_views, with_circles
 
 
@@ -121,7 +130,7 @@ def calibrated(
     calibration = _solved(seen, how, progress, "solving")
     better = without_fold(models, calibration.calibrations, circles, seen.captures, shape)
     if better is not None:
-        models, how = better, replace(how, models=better.models)
+        models, how = better, _solver_options(settings, given, shape, better.models)
         calibration = _solved(seen, how, progress, "solving with other lens models")
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
@@ -184,21 +193,14 @@ def _looks_again(settings: RigSettings, seen: RigViews) -> bool:
 
 
 def _circle(seen: RigViews, name: str) -> ImageCircle | None:
-    views = tuple(view for view in seen.captures.of(seen.captures.cameras.index(name)) if view is not None)
-    return known_circle(replace(seen.detections(), views=views), None)
+    return known_circle(replace(seen.detections(), views=tuple(seen.of(name))), None)
 
 
 def _solver_options(
-    settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions, models: Mapping[str, Any]
+    settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions, models: Mapping[str, CameraModel]
 ) -> RigOptions:
-    return RigOptions(
-        models,
-        settings.lenses,
-        {name: lens.camera for name, lens in given.items()},
-        shape,
-        settings.max_rejected,
-        settings.motion,
-    )
+    lenses = {name: starting(lens.camera, models[name]) for name, lens in given.items()}
+    return RigOptions(models, settings.lenses, lenses, shape, settings.max_rejected, settings.motion)
 
 
 def _solved(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> RigCalibration:
@@ -216,15 +218,15 @@ def _refined(
 
     A second look that a calibration cannot be made from leaves the first one as it is.
     """
-    views, recovered, lost = {}, 0, 0
-    for index, name in enumerate(seen.captures.cameras):
-        own = [view for view in seen.captures.of(index) if view is not None]
-        views[name] = own
+    views: dict[str, Sequence[BoardDetection]] = {}
+    recovered = lost = 0
+    for name in seen.captures.cameras:
+        views[name] = own = seen.of(name)
         if name in calibration.calibrations:
             look = refine_corners(
                 calibration.calibrations[name], own, seen.videos, settings.reading, settings.jobs, progress, seen.files
             )
-            views[name], recovered, lost = list(look.views), recovered + look.recovered, lost + look.lost
+            views[name], recovered, lost = look.views, recovered + look.recovered, lost + look.lost
     better = seen.with_views(views)
     try:
         again = _solved(better, how, progress, "solving again")

@@ -76,7 +76,7 @@ class RigSettings(OptionsRecord):
             least=0,
         ),
     ] = None
-    timing: Annotated[Timing, Without(("fps",))] = field(default_factory=Timing)
+    timing: Timing = field(default_factory=Timing)
     models: Annotated[
         tuple[str, ...],
         Option(

@@ -112,6 +112,17 @@ def _require_enough(found: Mapping[str, GivenLens], settings: RigSettings, names
         )
 
 
+def starting(lens: Camera, model: CameraModel) -> Camera:
+    """Return a lens as a start for a lens model: what the two have in common, other coefficients as they start."""
+    if lens.model.name == model.name:
+        return lens
+    start = model.start(lens.image_size, lens.value("fx"))
+    for index, name in enumerate(model.parameter_names):
+        if name in lens.model.parameter_names:
+            start[index] = lens.value(name)
+    return Camera(model, lens.image_size, start)
+
+
 def require_other_images(given: Mapping[str, GivenLens], captures: Captures) -> None:
     """Raise InvalidInput if a lens was calibrated from images that the rig is calibrated from: as a prior it would
     count them twice.

@@ -53,10 +53,13 @@ class RigViews:
         """The captures."""
         return self.matched.captures
 
+    def of(self, camera: str) -> list[BoardDetection]:
+        """Return the views of a camera."""
+        return [view for view in self.captures.of(self.captures.cameras.index(camera)) if view is not None]
+
     def detections(self) -> Detections:
         """Return all views, one camera after another."""
-        every = [self.captures.of(index) for index in range(len(self.captures.cameras))]
-        views = tuple(view for own in every for view in own if view is not None)
+        views = tuple(view for name in self.captures.cameras for view in self.of(name))
         return Detections(self.board, views, self.circles)
 
     def with_views(self, views: Mapping[str, Sequence[BoardDetection]]) -> "RigViews":
@@ -155,7 +158,8 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
         settings = replace(settings, match=TIME, tolerance=videos.tolerance)
     result = captured(found.board, {name: each.views for name, each in sized.items()}, settings, progress)
     warnings = (
-        *board_warnings(found.views, found.board, asked),
+        # which way round a symmetric board was is settled by what all cameras saw of it
+        *(each for each in board_warnings(found.views, found.board, asked) if each.code != "symmetric_board"),
         *(warning for each in sized.values() for warning in each.warnings),
     )
     warn_of(warnings, progress)
@@ -179,10 +183,11 @@ def _of_images(
         camera.name: [by_name[name] for path in camera.images if (name := path.as_posix()) in by_name]
         for camera in cameras
     }
-    if settings.timing.source is None or settings.match not in (AUTO, TIME):
+    timing = settings.timing
+    if (timing.source is None and timing.fps is None) or settings.match not in (AUTO, TIME):
         return views
     for name, own in views.items():
-        times = frame_times([view.image for view in own], [], settings.timing, progress)
+        times = frame_times([view.image for view in own], [], timing, progress)
         views[name] = [replace(view, time=time) for view, time in zip(own, times.tolist(), strict=True)]
     return views
 
@@ -241,8 +246,8 @@ def with_circles(views: RigViews, settings: RigSettings) -> RigViews:
         return views
     circles: dict[str, ImageCircle] = {}
     lines: list[str] = []
-    for index, name in enumerate(views.captures.cameras):
-        own = Detections(views.board, tuple(view for view in views.captures.of(index) if view is not None))
+    for name in views.captures.cameras:
+        own = Detections(views.board, tuple(views.of(name)))
         circles |= with_circle(own, views.videos, settings.reading, views.files).circles
         lines += [f"{name}: {line}" for line in circle_lines(circles.get(name))]
     return replace(views, circles=circles, lines=(*views.lines, *lines))
