@@ -79,6 +79,11 @@ from camcal.stereo.matching.match import match as match_pair
 from camcal.stereo.options import MatchOptions as MatchOptions
 from camcal.stereo.points.cloud import CloudMaker as CloudMaker
 from camcal.stereo.points.depth import StereoImage as StereoImage
+from camcal.stereo.rectify.maps import PairMaps as PairMaps
+from camcal.stereo.rectify.maps import build_pair_maps as build_pair_maps
+from camcal.stereo.rectify.options import RectifiedViewOptions as RectifiedViewOptions
+from camcal.stereo.rectify.plan import plan_rectification as plan_rectification
+from camcal.stereo.rectify.record import Rectification as Rectification
 from camcal.targets.board import Board as Board
 from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
@@ -87,11 +92,13 @@ from camcal.tasks.calibration.calibrate import CalibrateReport as CalibrateRepor
 from camcal.tasks.calibration.options import CalibrateOptions as CalibrateOptions
 from camcal.tasks.calibration.options import DetectOptions as DetectOptions
 from camcal.tasks.library import PointCloud as PointCloud
+from camcal.tasks.library import RectifiedImages as RectifiedImages
 from camcal.tasks.library import Undistorted as Undistorted
 from camcal.tasks.library import calibrate_camera as calibrate_camera
 from camcal.tasks.library import calibrate_rig as calibrate_rig
 from camcal.tasks.library import detect_board as detect_board
 from camcal.tasks.library import point_cloud as point_cloud
+from camcal.tasks.library import rectify_pair as rectify_pair
 from camcal.tasks.library import undistort_image as undistort_image
 from camcal.tasks.library import write_camera_file as write_camera_file
 
@@ -127,6 +134,7 @@ __all__ = [
     "Mosaic",
     "NamedTransform",
     "NotConverged",
+    "PairMaps",
     "PointCloud",
     "Pose",
     "PoseEstimate",
@@ -135,6 +143,9 @@ __all__ = [
     "PosesOptions",
     "Projection",
     "Rays",
+    "Rectification",
+    "RectifiedImages",
+    "RectifiedViewOptions",
     "Rig",
     "SearchOptions",
     "Series",
@@ -147,6 +158,7 @@ __all__ = [
     "ViewOptions",
     "average_poses",
     "build_maps",
+    "build_pair_maps",
     "calibrate_camera",
     "demosaic",
     "detect_board",
@@ -163,6 +175,7 @@ __all__ = [
     "make_view",
     "match_pair",
     "model_named",
+    "plan_rectification",
     "point_cloud",
     "read_camera",
     "read_camera_file",
@@ -173,6 +186,7 @@ __all__ = [
     "read_point_cloud",
     "read_poses",
     "read_trajectory",
+    "rectify_pair",
     "resized",
     "smooth_poses",
     "smooth_series",

@@ -65,6 +65,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "stereo check left.png right.png -o check.png",
             "stereo check left/ right/ --max-rms 0.5",
         ),
+        "stereo rectify": (
+            "stereo rectify rig.yaml left/ right/ -o rectified",
+            "stereo rectify rig.yaml left.mp4 right.mp4 -o rectified --scale 0.5",
+            "stereo rectify rig.yaml -o maps --maps --opencv --projection pinhole",
+        ),
         "stereo disparity": (
             "stereo disparity left.png right.png rig.yaml -o disparity.pfm",
             "stereo disparity left/ right/ rig.yaml -o maps --vis",

@@ -1,4 +1,4 @@
-"""`camcal stereo check`, `disparity`, `cloud` and `eval`, and `camcal view`."""
+"""`camcal stereo rectify`, `check`, `disparity`, `cloud` and `eval`, and `camcal view`."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,10 +10,12 @@ from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
+from camcal.tasks.stereo.rectify_options import RectifyOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
     from camcal.tasks.stereo.cloud import CloudReport
+    from camcal.tasks.stereo.rectify import RectifyReport
     from camcal.tasks.stereo.stereo_check import CheckedPair, Pair
     from camcal.tasks.stereo.stereo_disparity import MatchedPair
     from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
@@ -29,6 +31,41 @@ MAP_COLUMNS = (
     Column("rows aligned by", "px", priority=4),
 )
 CLOUD_COLUMNS = (Column("cloud", file=True), Column("points"), Column("pixels"))
+
+
+def rectify(options: RectifyOptions, call: ImageCall) -> None:
+    """Rectify the images of two cameras of a rig: corresponding points come to lie in one row (one column, if one
+    camera is above the other).
+
+    Lenses of any model and field of view, mixed too; projection, field of view, size and focal length follow from what
+    both cameras see. rectified.yaml in the output folder describes the rectified pair for 'camcal stereo disparity' and
+    'cloud'; masks show which pixels have a source. Without images only these files are written.
+    """
+    from camcal.errors import ItemsFailed
+    from camcal.tasks.stereo.rectify import document
+    from camcal.tasks.stereo.rectify import rectify as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_rectified(report))
+    show.failed(report.failed)
+    if report.failed:
+        raise ItemsFailed(f"{len(report.failed)} of {len(report.images)} images failed, the rest is written")
+
+
+def _show_rectified(report: "RectifyReport") -> None:
+    found = report.rectification
+    width, height = found.size
+    unit = "px" if found.projection == "pinhole" else "px/rad"
+    common = "rows" if found.axis == "x" else "columns"
+    show.text(f"{found.projection}, {width}x{height}, f = {found.focal:.6g} {unit}; corresponding {common}")
+    order = ("left", "right") if found.axis == "x" else ("top", "bottom")
+    cameras = f"{order[0]} {found.left}, {order[1]} {found.right}"
+    show.text(f"{cameras}; baseline {found.baseline:.6g} m, doffs {found.doffs:.6g} px")
+    empty = ", ".join(f"{name} {100 * (1 - share):.1f} %" for name, share in report.valid.items())
+    show.text(f"{100 * found.kept:.1f} % of the common field of view kept; pixels without source: {empty}")
+    written = [outcome.value.output for outcome in report.images if outcome.value is not None]
+    beside = report.beside
+    show.wrote(*beside.all[:1], *beside.all[3:], *beside.masks, show.several(written, "image"))
 
 
 def check(options: StereoCheckOptions, call: ImageCall) -> None:

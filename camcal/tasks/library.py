@@ -29,6 +29,10 @@ from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.depth import StereoImage
 from camcal.stereo.points.frames import COLOUR, POSITION
+from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
+from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.rectify.plan import plan_rectification
+from camcal.stereo.rectify.record import Rectification
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_views import BoardViews
@@ -40,11 +44,13 @@ from camcal.tasks.rigs.calibrate_rig import calibrated as calibrated_rig
 from camcal.tasks.rigs.matching import Matched
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import RigViews, captured, rig_views
+from camcal.tasks.stereo.given_rig import read_rig
 
 File = str | Path
 Images = File | Array | Sequence[File] | Sequence[Array]
 
 _CALIBRATE, _DETECT, _VIEW, _RIG = CalibrateOptions(), DetectOptions(), ViewOptions(), RigSettings()
+_RECTIFIED = RectifiedViewOptions()
 
 
 def detect_board(
@@ -165,6 +171,43 @@ def undistort_image(
         )
     view = make_view(camera, options)
     return Undistorted(build_maps(camera, view, interpolation).apply(pixels), view)
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedImages:
+    """A rectified pair: images of the left (or upper) and of the right camera, and how they were made.
+
+    maps: for more images of the same two cameras, `maps.apply(left, right)`.
+    """
+
+    left: PixelArray
+    right: PixelArray
+    rectification: Rectification
+    maps: PairMaps
+
+
+def rectify_pair(
+    left: File | Array,
+    right: File | Array,
+    rig: File,
+    options: RectifiedViewOptions = _RECTIFIED,
+    interpolation: str = "linear",
+) -> RectifiedImages:
+    """Return the rectified images of two cameras of a rig file, FILE or FILE#LEFT,RIGHT.
+
+    left, right: files, or pixels (H, W) or (H, W, 3), of the two cameras in this order. If the first one stands on the
+    right of the second, they exchange places in the result (`rectification.swapped`). For many pairs, `maps.apply` of
+    the first result, in the order of the result.
+    Raises InvalidInput for images of another size and cameras without a transform, InsufficientData for a pair that has
+    no common field or looks along its baseline, FileError.
+    """
+    first, second = (image if isinstance(image, np.ndarray) else load(Path(image)).pixels for image in (left, right))
+    size = first.shape[1], first.shape[0]
+    pair = read_rig(str(rig), None, lambda: size)
+    found = plan_rectification(pair.cameras, pair.second_T_first, options, pair.circles)
+    maps = build_pair_maps(pair.cameras, found, interpolation, pair.circles)
+    images = maps.apply(second, first) if found.swapped else maps.apply(first, second)
+    return RectifiedImages(images.left, images.right, found, maps)
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,7 @@ RUNS = {
     "demosaic": "demosaic mosaics --pattern RGGB -o developed --trust-pattern -j 1",
     "sensor": "sensor raw/flats --dark raw/darks --pattern RGGB -o sensor.yaml --plot sensor.png -j 1",
     "stereo calibrate": "stereo calibrate two.csv two.csv --model opencv4 --flat-board --no-free-corners -o both.yaml",
+    "stereo rectify": "stereo rectify pair.yaml left right -o rows --maps --opencv --ros -j 1",
     "stereo check": "stereo check left right -j 1",
     "stereo disparity": "stereo disparity left right pair.yaml -o maps --range 0:16 --quality fast -j 1",
     "stereo cloud": "stereo cloud flat pair.yaml -o clouds -j 1",

@@ -27,6 +27,7 @@ _TURNED = 0.05  # of an image, whose content may be turned by more than 90°
 _CHECKED, _STEP = 24, 0.5  # places a side where that is checked, and pixels to the next ones
 _ALL_AROUND = np.radians(250)  # of φ, beyond which images are turned in a part
 _FAINT = (0.05, 0.1, 0.2, 0.4)
+_BEHIND = np.radians(100)  # φ of lenses that see behind them all around, to both sides
 _OFF_AXIS = np.radians(5)  # of the middle of the field from the mean optical axis, beyond which it becomes the axis
 
 DEFAULTS = RectifiedViewOptions()
@@ -56,7 +57,7 @@ class _Frame:
     def described(self) -> str:
         """What kind of pair it is, for one that looks along its baseline or obliquely to it."""
         kind = "axial" if self.view_angle < _AXIAL else "oblique"
-        first, second = self.names
+        first, second = self.names[::-1] if self.swapped else self.names
         return f"{kind} pair: {first} and {second} look {np.degrees(self.view_angle):.0f}° off their baseline"
 
     def axial(self) -> InsufficientData:
@@ -211,6 +212,8 @@ def _rows(field: CommonField, frame: _Frame) -> Interval:
     """
     if not field.around:
         return extent(field.rows, field.left.about)
+    if frame.view_angle >= _OBLIQUE:
+        return arc(field.rows, field.left.about).within(Interval(-_BEHIND, _BEHIND))
     for faint in _FAINT:
         rows = arc(field.rows, field.left.about, faint)
         if rows.width <= _ALL_AROUND:

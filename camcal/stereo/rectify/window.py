@@ -179,9 +179,10 @@ def _sized(window: Window, native: float, viewers: tuple[Viewer, Viewer], option
         focal = min((sides[0] - 1) / length, (sides[1] - 1) / breadth)
         return replace(window, focal=focal, size=options.size)
     pixels = _LARGEST * max(viewer.camera.image_size[0] * viewer.camera.image_size[1] for viewer in viewers)
-    focal = min(native, float(np.sqrt(pixels / (length * breadth)))) * (options.scale or 1.0)
-    focal = min(focal, (LONGEST_SIDE - 1) / max(length, breadth))
-    sides = max(2, round(focal * length) + 1), max(2, round(focal * breadth) + 1)
+    focal = min(native, float(np.sqrt(pixels / (length * breadth))), (LONGEST_SIDE - 1) / max(length, breadth))
+    scale = options.scale or 1.0
+    sides = max(2, round(scale * (focal * length + 1))), max(2, round(scale * (focal * breadth + 1)))
+    focal *= scale
     return replace(window, focal=focal, size=sides[::-1] if window.along else sides)
 
 

@@ -133,7 +133,7 @@ def _places(options: UndistortOptions, media: Media) -> tuple[dict[Path, Path], 
     """
     output = options.output
     if not names_file(output, tuple(KINDS)):
-        outputs = {path: output / f"{path.stem}{_suffix(path, options.format)}" for path in media.images}
+        outputs = {path: output / f"{path.stem}{suffix_of(path, options.format)}" for path in media.images}
         refuse_collisions(outputs)
         return outputs, output / CAMERA_FILE, output / MASK_FILE
     if media.videos:
@@ -155,7 +155,8 @@ def _drawn(
         yield from drawing.video(video, options.output / f"{video.stem}{suffix}", options.jobs, progress)
 
 
-def _suffix(source: Path, kind: str | None) -> str:
+def suffix_of(source: Path, kind: str | None) -> str:
+    """Return the suffix of the image that is written for a source: that of the format asked for, or its own."""
     if kind is not None:
         return f".{kind}"
     suffix = source.suffix.lower()

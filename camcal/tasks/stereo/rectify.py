@@ -1,0 +1,264 @@
+"""`camcal stereo rectify`: rectified pairs of images and videos, their camera file, masks and maps."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.errors import CamcalError, InvalidInput
+from camcal.formats import native, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats.cameras import rectified_pair, ros
+from camcal.geometry.pose import JOINT
+from camcal.images.load import load
+from camcal.images.save import save
+from camcal.images.video import frames
+from camcal.messages import as_data
+from camcal.options import command_line
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import find_media, paired, refuse_collisions, split_address
+from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
+from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.rectify.plan import plan_rectification
+from camcal.stereo.rectify.record import Rectification
+from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success
+from camcal.tasks.calibration.undistort import suffix_of
+from camcal.tasks.given_camera import require_no_image
+from camcal.tasks.stereo.given_rig import GivenRig, read_rig
+from camcal.tasks.stereo.rectify_options import RectifyOptions
+
+CAMERA_FILE, MAPS_FILE, OPENCV_FILE, ROS_FOLDER = "rectified.yaml", "maps.npz", "opencv.yml", "ros"
+_FRAME_SUFFIX = ".jpg"
+
+Pair = tuple[Path, Path]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Images and videos that belong together, of the first and the second camera."""
+
+    images: tuple[Pair, ...] = ()
+    videos: tuple[Pair, ...] = ()
+
+
+@dataclass(frozen=True)
+class Beside:
+    """The files beside the images; None and nothing for those that are not asked for."""
+
+    camera_file: Path
+    masks: tuple[Path, Path]
+    maps: Path | None
+    opencv: Path | None
+    ros: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, options: RectifyOptions, found: Rectification) -> "Beside":
+        """Return the files that the options ask for."""
+        folder, names = options.output, (found.left, found.right)
+        return cls(
+            folder / CAMERA_FILE,
+            (folder / f"{names[0]}_mask.png", folder / f"{names[1]}_mask.png"),
+            folder / MAPS_FILE if options.maps else None,
+            folder / OPENCV_FILE if options.opencv else None,
+            tuple(folder / ROS_FOLDER / f"{name}.yaml" for name in names) if options.ros else (),
+        )
+
+    @property
+    def all(self) -> tuple[Path, ...]:
+        """All of them."""
+        some = (path for path in (self.maps, self.opencv) if path is not None)
+        return (self.camera_file, *self.masks, *some, *self.ros)
+
+
+@dataclass(frozen=True, eq=False)
+class RectifyReport:
+    """How a pair was rectified, what became of every image, and the files beside the images.
+
+    outcomes: by the names of cameras. valid: shares of the pixels that have a source, likewise.
+    """
+
+    rectification: Rectification
+    outcomes: Mapping[str, tuple[Outcome[Path, Drawn], ...]]
+    beside: Beside
+    valid: Mapping[str, float]
+
+    @property
+    def images(self) -> tuple[Outcome[Path, Drawn], ...]:
+        """What became of the images of both cameras."""
+        return tuple(outcome for each in self.outcomes.values() for outcome in each)
+
+    @property
+    def failed(self) -> tuple[Outcome[Path, Drawn], ...]:
+        return tuple(outcome for outcome in self.images if outcome.error is not None)
+
+
+@writes
+def rectify(options: RectifyOptions, progress: Progress = SILENT) -> RectifyReport:
+    """Return what became of every image after writing what can be written to options.output.
+
+    Raises InvalidInput for cameras that no transform joins, InsufficientData for a pair that cannot be rectified,
+    FileError; and the first image's error when there is none that could be written.
+    """
+    require_no_image(split_address(options.rig)[0])
+    pairs = _pairs(options)
+    rig = read_rig(
+        options.rig, options.cameras, lambda: _first_size(pairs), options.second, options.given.model, progress
+    )
+    found = _planned(options, rig, progress)
+    outputs = _places(options, pairs, rig.names)
+    beside = Beside.of(options, found)
+    claim([*(path for each in outputs.values() for path in each.values()), *beside.all])
+    maps = build_pair_maps(rig.cameras, found, options.interpolation, rig.circles)
+    outcomes = {}
+    for side, name in enumerate(rig.names):
+        drawing = Drawing(maps.left if name == found.left else maps.right, quality=options.quality)
+        videos = [pair[side] for pair in pairs.videos]
+        outcomes[name] = tuple(_drawn(drawing, outputs[name], videos, options, name, progress))
+    every = [outcome for each in outcomes.values() for outcome in each]
+    if every:
+        require_success(every)
+    _write_beside(beside, options, rig, found, maps)
+    valid = dict(zip((found.left, found.right), (float(mask.mean()) for mask in maps.valid), strict=True))
+    return RectifyReport(found, outcomes, beside, valid)
+
+
+def _planned(options: RectifyOptions, rig: GivenRig, progress: Progress) -> Rectification:
+    """Return how the pair is rectified, after giving its warnings; of images for ROS in the size of the camera's."""
+    view = _view_for_ros(options.view, rig) if options.ros else options.view
+    try:
+        found = plan_rectification(rig.cameras, rig.second_T_first, view, rig.circles)
+    except CamcalError as error:
+        raise type(error)(error.message, where=error.where or options.rig) from error
+    for warning in found.warnings:
+        progress.warn(warning.at(options.rig))
+    if options.opencv:
+        rectified_pair.require_pinhole(found, "--opencv")
+    if options.ros:
+        rectified_pair.require_pinhole(found, "--ros")
+    return found
+
+
+def _view_for_ros(view: RectifiedViewOptions, rig: GivenRig) -> RectifiedViewOptions:
+    sizes = {camera.image_size for camera in rig.cameras.values()}
+    if len(sizes) > 1 or view.size not in (None, *sizes) or view.scale is not None:
+        raise InvalidInput("--ros: rectified images have the size of the camera's, the same for both", where="--ros")
+    return replace(view, size=sizes.pop())
+
+
+def _pairs(options: RectifyOptions) -> _Pairs:
+    """Return what belongs together of both sides; nothing where no images are given."""
+    if not options.left:
+        return _Pairs()
+    left, right = (find_media(side, options.recursive) for side in (options.left, options.right))
+    images = paired(left.images, right.images, ("left", "right images"))
+    if len(left.videos) != len(right.videos):
+        raise InvalidInput(f"{len(left.videos)} left and {len(right.videos)} right videos differ")
+    found = _Pairs(tuple(images), tuple(zip(left.videos, right.videos, strict=True)))
+    for first, second in (*found.images, *found.videos):
+        if first.resolve() == second.resolve():
+            raise InvalidInput("is given as the left and as the right image", where=str(first))
+    return found
+
+
+def _first_size(pairs: _Pairs) -> tuple[int, int] | None:
+    for path, _ in pairs.images:
+        return load(path).size
+    for path, _ in pairs.videos:
+        return next(frames(path)).size
+    return None
+
+
+def _places(options: RectifyOptions, pairs: _Pairs, names: tuple[str, str]) -> dict[str, dict[Path, Path]]:
+    """Return the file for every image, in a folder for each camera."""
+    found = {}
+    for side, name in enumerate(names):
+        sources = [pair[side] for pair in pairs.images]
+        found[name] = {
+            path: options.output / name / f"{path.stem}{suffix_of(path, options.format)}" for path in sources
+        }
+        refuse_collisions(found[name])
+    return found
+
+
+def _drawn(
+    drawing: Drawing,
+    outputs: Mapping[Path, Path],
+    videos: Sequence[Path],
+    options: RectifyOptions,
+    name: str,
+    progress: Progress,
+) -> Iterator[Outcome[Path, Drawn]]:
+    """Yield what became of every image and every frame of one camera."""
+    if outputs:
+        yield from drawing.images(outputs, options.jobs, progress)
+    suffix = f".{options.format}" if options.format else _FRAME_SUFFIX
+    for video in videos:
+        yield from drawing.video(video, options.output / name / f"{video.stem}{suffix}", options.jobs, progress)
+
+
+def _write_beside(beside: Beside, options: RectifyOptions, rig: GivenRig, found: Rectification, maps: PairMaps) -> None:
+    """Write the camera file, the masks and what else is asked for."""
+    for path, mask in zip(beside.masks, maps.valid, strict=True):
+        save(path, np.where(mask, 255, 0).astype(np.uint8))
+    if beside.maps is not None:
+        arrays: dict[str, Any] = dict(maps.arrays((found.left, found.right)))
+        masks = zip((found.left, found.right), maps.valid, strict=True)
+        arrays |= {f"{name}_valid": mask for name, mask in masks}
+        with files.replacing(beside.maps) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **arrays)
+    if beside.opencv is not None:
+        rectified_pair.write_opencv(beside.opencv, found)
+    if beside.ros:
+        pose = rig.pose(found.right, found.left)
+        ros.write(beside.ros[0].parent, rectified_pair.as_ros(rig.file, found, pose))
+    native.write(beside.camera_file, _camera_file(options, rig, found))
+
+
+def _camera_file(options: RectifyOptions, rig: GivenRig, found: Rectification) -> CameraFile:
+    """Return the file of the rectified cameras, with the verdicts on their lenses."""
+    origin = {"file": rig.path.as_posix(), "sha256": files.sha256(rig.path), "cameras": list(rig.names)}
+    entries = {
+        name: CameraEntry(camera, verdict=rig.file.cameras[name].verdict)
+        for name, camera in ((found.left, found.left_camera), (found.right, found.right_camera))
+    }
+    transform = Transform(found.right_T_left)
+    block = provenance.build(command_line("stereo rectify", options), None) | {"rig": origin}
+    return CameraFile(entries, {f"{found.right}{JOINT}{found.left}": transform}, provenance=block)
+
+
+def document(report: RectifyReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    found = report.rectification
+    return {
+        "camera_file": report.beside.camera_file,
+        "masks": list(report.beside.masks),
+        "maps": report.beside.maps,
+        "opencv": report.beside.opencv,
+        "ros": list(report.beside.ros),
+        "projection": found.projection,
+        "axis": found.axis,
+        "left": found.left,
+        "right": found.right,
+        "swapped": found.swapped,
+        "image_size": found.size,
+        "focal": found.focal,
+        "left_centre": found.left_centre,
+        "right_centre": found.right_centre,
+        "baseline": found.baseline,
+        "kept": found.kept,
+        "rect_R_left": np.asarray(found.rect_R_left).tolist(),
+        "rect_R_right": np.asarray(found.rect_R_right).tolist(),
+        "valid": dict(report.valid),
+        "warnings": as_data(found.warnings),
+        "images": [
+            {"camera": name, "source": outcome.item, "frame": drawn.frame, "output": drawn.output}
+            for name, each in report.outcomes.items()
+            for outcome in each
+            if (drawn := outcome.value) is not None
+        ],
+        "failed": [{"source": outcome.item, "message": str(outcome.error)} for outcome in report.failed],
+    }
