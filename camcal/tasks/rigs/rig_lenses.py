@@ -11,11 +11,13 @@ import numpy as np
 from camcal import files
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.jackknife import GAIN, CandidateModel, chosen
 from camcal.calibrate.rigs.captures import Captures
-from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.formats import cameras
@@ -29,6 +31,8 @@ from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.mixed_sizes import usual_size
 from camcal.tasks.calibration.model_selection import compared
 from camcal.tasks.rigs.options import JOINT, PRIOR, RigSettings
+
+_SIMILAR = 1.3  # ratio of rough focal lengths, up to which two cameras may be of a kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +198,8 @@ def _views(captures: Captures, name: str) -> list[BoardDetection]:
 def _chosen_for(captures: Captures, board: Board, names: Sequence[str], shape: ShapeOptions) -> RigModels:
     """Return the models that predict the views of cameras best, one for all cameras of a kind.
 
-    Of a kind are cameras with images of one size for which one model does. A camera whose views do not hold a lens gets
-    the usual one.
+    Of a kind are cameras with images of one size and similar focal lengths for which one model does. A camera whose
+    views do not hold a lens gets the usual one.
     """
     options = intrinsics.Options(model_named(DEFAULT_MODEL), shape=shape)
     found: dict[str, tuple[CandidateModel, ...]] = {}
@@ -205,11 +209,31 @@ def _chosen_for(captures: Captures, board: Board, names: Sequence[str], shape: S
         with suppress(InsufficientData, InvalidInput):
             found[name] = compared(views, board, options)
             by_size[usual_size(views)].append(name)
-    kinds = [kind for group in by_size.values() for kind in _kinds(group, found)]
+    focals = {name: _focal(_views(captures, name), board) for name in found}
+    groups = [group for names in by_size.values() for group in _similar(names, focals)]
+    kinds = [kind for group in groups for kind in _kinds(group, found)]
     models = dict.fromkeys(names, model_named(DEFAULT_MODEL))
     models |= {name: model_named(kind.model) for kind in kinds for name in kind.names}
     lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
     return RigModels(models, {kind.names: kind.candidates for kind in kinds}, lines)
+
+
+def _focal(views: Sequence[BoardDetection], board: Board) -> float:
+    """Return a rough focal length, px, whatever the lens; 0 where there is none."""
+    usable = [view for view in views if view.found and view.size == usual_size(views)]
+    state = sweep_focal(model_named(WIDE_MODEL), board, Observations.of(usable), usable[0].size)
+    return 0.0 if state is None else float(state.parameters[0])
+
+
+def _similar(names: Sequence[str], focals: Mapping[str, float]) -> list[list[str]]:
+    """Return cameras in groups of similar focal lengths, in the order of the cameras."""
+    groups: list[list[str]] = []
+    for name in sorted(names, key=lambda name: focals[name]):
+        if groups and focals[name] <= _SIMILAR * focals[groups[-1][-1]]:
+            groups[-1].append(name)
+        else:
+            groups.append([name])
+    return [[name for name in names if name in group] for group in groups]
 
 
 @dataclass(frozen=True, eq=False)
