@@ -144,6 +144,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "periodic_texture": "disparities are ambiguous by a period of the texture",
         "row_differences": "row differences exceed --max-rms",
         "rows_not_aligned": "row differences are too large to be corrected",
+        "rows_not_checked": "too little of a pair could be matched to measure its row differences",
         "few_matches": "too few pixels were matched",
         "unknown_range": "the disparity range could not be measured",
         "range_too_narrow": "many matches at the end of the disparity range",

@@ -1,8 +1,12 @@
 """A room with a ball in it, painted in all three dimensions, as any lens sees it, and how far everything is."""
 
+import cv2
 import numpy as np
 
+from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.formats import native
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 
 LOW, HIGH = np.array([-2.2, -1.5, -2.0]), np.array([2.0, 1.4, 2.6])  # of the room, m
@@ -62,3 +66,46 @@ def _noise(places):
         key = (key ^ (key >> np.uint64(13))) * np.uint64(0x9E3779B97F4A7C15)
         total += weight * ((key >> np.uint64(40)).astype(float) / 2**24)
     return np.where(np.isfinite(places).all(axis=-1), total, np.nan)
+
+
+SIZE = (160, 120)
+CENTRE = [80.3, 58.9]
+LENSES = {
+    "pinhole": ("opencv5", [170.0, 171.0, *CENTRE, -0.2, 0.06, 1e-3, -5e-4, 0.0]),
+    "cylindrical": ("kannala_brandt4", [82.0, 82.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
+    "latlon": ("kannala_brandt4", [54.0, 54.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
+}
+BESIDE = Pose.from_vector(np.array([0.01, -0.03, 0.005]), np.array([-0.3, 0.005, 0.01]))
+BELOW = Pose.from_vector(np.array([0.02, 0.01, -0.005]), np.array([0.004, -0.3, 0.01]))
+ROOM_T_LEFT = Pose.from_vector(np.array([0.02, 0.1, 0.01]), np.array([-0.3, 0.0, -1.0]))
+
+
+class RoomRig:
+    """A rig in a room: its file, its pictures, and the points (H, W, 3) that the left one shows."""
+
+    def __init__(self, folder, kind, right_T_left, names=("left", "right")):
+        model, values = LENSES[kind]
+        scales = 1.0, 1.004
+        cameras = [Camera(model_named(model), SIZE, np.array(values) * scale) for scale in scales]
+        std = np.abs(values) * 3e-4 + 1e-6
+        entries = [CameraEntry(Camera(each.model, SIZE, each.parameters, np.diag(std**2))) for each in cameras]
+        transform = Transform(right_T_left, np.diag(np.array([1e-4, 1e-4, 2e-4, 2e-4, 2e-4, 1e-4]) ** 2))
+        self.file = folder / "rig.yaml"
+        self.left, self.right = (folder / f"{name}.png" for name in names)
+        native.write(
+            self.file, CameraFile(dict(zip(names, entries, strict=True)), {f"{names[1]}_T_{names[0]}": transform})
+        )
+        first, self.points = seen(cameras[0], ROOM_T_LEFT, finest=0.06)
+        second, self.points_right = seen(cameras[1], ROOM_T_LEFT @ right_T_left.inverse(), finest=0.06)
+        cv2.imwrite(str(self.left), first)
+        cv2.imwrite(str(self.right), second)
+        self.camera = cameras[0]
+
+
+def errors(cloud, camera, truth):
+    """Return the relative errors of the distances of a cloud's points from the camera, whose picture shows `truth`."""
+    points = np.column_stack([cloud.vertices[name] for name in "xyz"]).astype(float)
+    columns, rows = np.rint(camera.project(points).pixels).astype(int).T
+    inside = (columns >= 0) & (columns < SIZE[0]) & (rows >= 0) & (rows < SIZE[1])
+    there = np.linalg.norm(truth[rows[inside], columns[inside]], axis=1)
+    return np.linalg.norm(points[inside], axis=1) / there - 1

@@ -309,6 +309,7 @@ sensor raw_scene/flats --dark raw_scene/darks --pattern RGGB -o sensor.yaml --jo
 simulate --stereo -o pairs --size 160x120 --objects 3 --jobs 1
 stereo check pairs/left/000.png pairs/right/000.png --jobs 1
 stereo disparity pairs/left/000.png pairs/right/000.png pairs/rig.yaml -o disparity.pfm --jobs 1
+stereo run pairs/rig.yaml pairs/left pairs/right -o result --quality fast --jobs 1
 stereo cloud disparity.pfm -o cloud.ply
 stereo eval disparity.pfm pairs/disparity/000.pfm --jobs 1
 view cloud.ply -o cloud.html

@@ -60,6 +60,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "stereo calibrate 'left*.png' 'right*.png' --board target.yaml -o rig.yaml",
             "stereo calibrate left/ right/ --board target.yaml --lenses fixed --guess lenses.yaml -o rig.yaml",
         ),
+        "stereo run": (
+            "stereo run rig.yaml left/ right/ -o result",
+            "stereo run left/ right/ --board chessboard:9x6:25mm -o result",
+            "stereo run board/left board/right --board target.yaml --scene left.mp4 right.mp4 --every 10 -o result",
+        ),
         "stereo check": (
             "stereo check left.png right.png",
             "stereo check left.png right.png -o check.png",
@@ -78,6 +83,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "stereo cloud": (
             "stereo cloud disparity.pfm -o cloud.ply",
             "stereo cloud disparity.png left.png rig.yaml -o cloud.ply --max-depth 40",
+            "stereo cloud left.png right.png rig.yaml -o cloud.ply --sigma",
             "stereo cloud maps/ left/ rig.yaml -o clouds",
         ),
         "stereo eval": (

@@ -1,4 +1,4 @@
-"""`camcal stereo rectify`, `check`, `disparity`, `cloud` and `eval`, and `camcal view`."""
+"""`camcal stereo rectify`, `check`, `disparity`, `cloud`, `run` and `eval`, and `camcal view`."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,6 +11,7 @@ from camcal.report.table import Column
 from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
 from camcal.tasks.stereo.rectify_options import RectifyOptions
+from camcal.tasks.stereo.run_options import RunOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from camcal.tasks.stereo.stereo_check import CheckedPair, Pair
     from camcal.tasks.stereo.stereo_disparity import MatchedPair
     from camcal.tasks.stereo.stereo_eval import EvalReport, PairReport
+    from camcal.tasks.stereo.stereo_run import RunReport
     from camcal.tasks.stereo.view import ViewReport
 
 MAP_COLUMNS = (
@@ -29,6 +31,13 @@ MAP_COLUMNS = (
     Column("median", "px", priority=2),
     Column("sigma", "px"),
     Column("rows aligned by", "px", priority=4),
+)
+RUN_COLUMNS = (
+    Column("pair", file=True),
+    Column("row offsets", "px RMS", priority=1),
+    Column("matched", "%"),
+    Column("points"),
+    Column("median depth", "m"),
 )
 CLOUD_COLUMNS = (Column("cloud", file=True), Column("points"), Column("pixels"))
 
@@ -117,8 +126,9 @@ def _show_together(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bo
 
 
 def disparity(options: DisparityOptions, call: ImageCall) -> None:
-    """Compute the disparity map of a rectified pair, with uncertainty and confidence class of every pixel.
+    """Compute the disparity map of a pair, with uncertainty and confidence class of every pixel.
 
+    With a rig file in the place of CAMERA the images are rectified first, and MAP.left.png is the rectified left image.
     Disparity is the column in the left image minus the column in the right image, in pixels. Beside the map are written
     its standard deviation, the confidence class (1 filled, 2 single, 3 apart, 4 near, 5 agreed) and a JSON sidecar with
     scale, invalid value and geometry, so that 'camcal stereo cloud' and 'camcal view' need no options. Exit 7 if left
@@ -156,8 +166,9 @@ def _show_matched(pairs: "Sequence[MatchedPair]", verbose: bool) -> None:
 
 
 def cloud(options: CloudOptions, call: ImageCall) -> None:
-    """Compute a point cloud from a disparity map: z = f b / (d + doffs).
+    """Compute a point cloud from a disparity map, or from an unrectified pair and its rig file: z = f b / (d + doffs).
 
+    A cloud of images that camcal rectified is in the frame of the left camera before rectification (--frame camera).
     Missing options are taken from the sidecar that 'camcal stereo disparity' writes beside a map. Invalid disparities
     (zero, negative, NaN, infinite) give no points. Gray images give a colour and an intensity from 0 to 1.
     """
@@ -198,6 +209,42 @@ def _show_cloud(report: "CloudReport") -> None:
         show.text(f"depth {nearest:.3f} … {farthest:.3f} m, median {median:.3f} m")
     show.text(f"{' '.join(report.fields)} in {report.unit}; {report.frame}")
     show.wrote(report.output)
+
+
+def run(options: RunOptions, call: ImageCall) -> None:
+    """Rectify, check and match pairs, and make a point cloud and a page to view it of each; calibrate first if needed.
+
+    With a rig file LEFT and RIGHT are the scene. Without one they show a board, the cameras are calibrated with them,
+    and the scene is what is behind the board, or the images of --scene. The folder holds rig.yaml (if it was
+    calibrated), rectified.yaml, rectified/, disparity/, clouds/ and views/; views/NAME.html opens in any browser.
+    """
+    from camcal.tasks.stereo.stereo_run import document, require_good, stereo_run
+
+    report = stereo_run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_run(report, call.verbose), report.doubts)
+    show.failed(report.outcomes)
+    require_good(report, options)
+
+
+def _show_run(report: "RunReport", verbose: bool) -> None:
+    rectified = report.rectification
+    for doubt in report.doubts:
+        show.verdict(f"{show.DO_NOT_TRUST}{doubt}", good=False)
+    where = "above each other" if rectified.axis == "y" else "beside each other"
+    size = "{}x{}".format(*rectified.size)
+    show.text(f"{rectified.left} and {rectified.right} {where}, baseline {1000 * rectified.baseline:.1f} mm")
+    show.text(f"rectified to {rectified.projection} views of {size} pixels")
+    rows = []
+    for pair in report.pairs:
+        depth = None if pair.cloud.depth is None else f"{pair.cloud.depth[1]:.3f}"
+        row_offsets = None if pair.check is None else f"{pair.check.residual.rms:.2f}"
+        matched = f"{100 * pair.figures.matched:.1f}"
+        rows.append([pair.capture.name, row_offsets, matched, pair.cloud.points, depth])
+    show.table(counted(len(rows), "pair"), RUN_COLUMNS, rows, verbose=verbose, most=show.LISTED)
+    own = None if report.calibration is None else report.rig_file
+    pages = [pair.page for pair in report.pairs if pair.page is not None]
+    clouds = [pair.files.cloud for pair in report.pairs]
+    show.wrote(own, report.rectified_file, show.several(clouds, "cloud"), show.several(pages, "page"))
 
 
 def evaluate(options: EvalOptions, call: ImageCall) -> None:

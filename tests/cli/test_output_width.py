@@ -52,6 +52,7 @@ RUNS = {
     "sensor": "sensor raw/flats --dark raw/darks --pattern RGGB -o sensor.yaml --plot sensor.png -j 1",
     "stereo calibrate": "stereo calibrate two.csv two.csv --model opencv4 --flat-board --no-free-corners -o both.yaml",
     "stereo rectify": "stereo rectify pair.yaml left right -o rows --maps --opencv --ros -j 1",
+    "stereo run": "stereo run pair.yaml left right -o run --quality fast -j 1",
     "stereo check": "stereo check left right -j 1",
     "stereo disparity": "stereo disparity left right pair.yaml -o maps --range 0:16 --quality fast -j 1",
     "stereo cloud": "stereo cloud flat pair.yaml -o clouds -j 1",

@@ -6,61 +6,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rooms import seen
+from rooms import BELOW, BESIDE, LENSES, SIZE, RoomRig, errors
 
-from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import disparity_sidecar, native, pointclouds
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
-from camcal.geometry.pose import Pose
-
-SIZE = (160, 120)
-CENTRE = [80.3, 58.9]
-LENSES = {
-    "pinhole": ("opencv5", [170.0, 171.0, *CENTRE, -0.2, 0.06, 1e-3, -5e-4, 0.0]),
-    "cylindrical": ("kannala_brandt4", [82.0, 82.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
-    "latlon": ("kannala_brandt4", [54.0, 54.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
-}
-BESIDE = Pose.from_vector(np.array([0.01, -0.03, 0.005]), np.array([-0.3, 0.005, 0.01]))
-BELOW = Pose.from_vector(np.array([0.02, 0.01, -0.005]), np.array([0.004, -0.3, 0.01]))
-ROOM_T_LEFT = Pose.from_vector(np.array([0.02, 0.1, 0.01]), np.array([-0.3, 0.0, -1.0]))
-
-
-class Rig:
-    """A rig in a room: its file, its pictures, and the points (H, W, 3) that the left one shows."""
-
-    def __init__(self, folder, kind, right_T_left, names=("left", "right")):
-        model, values = LENSES[kind]
-        scales = 1.0, 1.004
-        cameras = [Camera(model_named(model), SIZE, np.array(values) * scale) for scale in scales]
-        std = np.abs(values) * 3e-4 + 1e-6
-        entries = [CameraEntry(Camera(each.model, SIZE, each.parameters, np.diag(std**2))) for each in cameras]
-        transform = Transform(right_T_left, np.diag(np.array([1e-4, 1e-4, 2e-4, 2e-4, 2e-4, 1e-4]) ** 2))
-        self.file = folder / "rig.yaml"
-        self.left, self.right = (folder / f"{name}.png" for name in names)
-        native.write(
-            self.file, CameraFile(dict(zip(names, entries, strict=True)), {f"{names[1]}_T_{names[0]}": transform})
-        )
-        first, self.points = seen(cameras[0], ROOM_T_LEFT, finest=0.06)
-        second, self.points_right = seen(cameras[1], ROOM_T_LEFT @ right_T_left.inverse(), finest=0.06)
-        cv2.imwrite(str(self.left), first)
-        cv2.imwrite(str(self.right), second)
-        self.camera = cameras[0]
-
-
-def errors(cloud, camera, truth):
-    """Return the relative errors of the distances of a cloud's points from the camera, whose picture shows `truth`."""
-    points = np.column_stack([cloud.vertices[name] for name in "xyz"]).astype(float)
-    columns, rows = np.rint(camera.project(points).pixels).astype(int).T
-    inside = (columns >= 0) & (columns < SIZE[0]) & (rows >= 0) & (rows < SIZE[1])
-    there = np.linalg.norm(truth[rows[inside], columns[inside]], axis=1)
-    return np.linalg.norm(points[inside], axis=1) / there - 1
 
 
 @pytest.fixture(scope="module")
 def beside(tmp_path_factory):
     """A rig of ordinary lenses beside each other."""
-    return Rig(tmp_path_factory.mktemp("beside"), "pinhole", BESIDE)
+    return RoomRig(tmp_path_factory.mktemp("beside"), "pinhole", BESIDE)
 
 
 def test_a_cloud_of_an_unrectified_pair_is_in_the_real_left_camera(run, tmp_path, beside):
@@ -123,7 +79,7 @@ def test_swapped_cameras_are_put_in_order_and_named(run, tmp_path, beside):
     cloud = tmp_path / "cloud.ply"
     code, _, err = run("stereo", "cloud", beside.right, beside.left, path, "-o", cloud)
     assert code == 0, err
-    assert "left" in err and "right" in err
+    assert "left is left of right: the pair is written in this order" in err
     error = errors(pointclouds.read(cloud), beside.camera, beside.points)
     assert np.quantile(np.abs(error), 0.68) < 0.015
 
@@ -132,7 +88,7 @@ def test_swapped_cameras_are_put_in_order_and_named(run, tmp_path, beside):
 @pytest.mark.parametrize("right_T_left", [BESIDE, BELOW], ids=["beside", "below"])
 @pytest.mark.parametrize("kind", list(LENSES))
 def test_every_view_gives_the_distances_of_the_room(run, tmp_path, kind, right_T_left):
-    rig = Rig(tmp_path, kind, right_T_left)
+    rig = RoomRig(tmp_path, kind, right_T_left)
     path, cloud = tmp_path / "map.tiff", tmp_path / "cloud.ply"
     code, _, err = run("stereo", "disparity", rig.left, rig.right, rig.file, "-o", path)
     assert code == 0, err

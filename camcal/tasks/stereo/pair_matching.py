@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import floor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,12 +18,13 @@ from camcal.stereo.acceptance import too_few
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
-from camcal.stereo.matching.preparation import Masks, prepare
+from camcal.stereo.matching.preparation import Masks, Prepared, prepare
 from camcal.stereo.options import BEST, MatchOptions
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
 from camcal.tasks.stereo.rig_pair import RigPair
 
 _ADVICE = "an unrectified pair needs a rig file: camcal stereo calibrate LEFT RIGHT --board BOARD -o rig.yaml"
+_BEHIND = 4  # pixels behind what is infinitely far, so that its matches are not at the end of the range
 _UNRECTIFIED = ("rows_not_aligned", "swapped_images")  # failures that a rig file may mend
 
 
@@ -96,7 +98,10 @@ def match_images(
         found = Matched(_by_network(left, right, model), 0.0, pixels, (), ())
     else:
         found = _matched(left, right, matching, jobs, valid, images)
-    disparity = within(found.disparity, valid) if valid else found.disparity
+    disparity = found.disparity
+    if valid is not None:
+        # that the range ends at what is infinitely far is no fault of the range
+        disparity = replace(within(disparity, valid), at_ends=(0.0, disparity.at_ends[1]))
     if model is None:
         share = np.count_nonzero(disparity.confidence > Confidence.FILLED) / max(pixels, 1)
         found = found._replace(failures=found.failures + too_few(float(share)))
@@ -123,6 +128,8 @@ def _matched(
         farthest=images.known.farthest,
         valid=valid,
     )
+    if images.valid is not None and matching.search is None:
+        prepared = _before_the_cameras(prepared, images.known.farthest)
     if jobs != 1 and matching.quality == BEST:
         with over_threads(jobs) as each:
             disparity = match_prepared(prepared, matching, each)
@@ -130,6 +137,12 @@ def _matched(
         disparity = match_prepared(prepared, matching, one_by_one)
     failures = prepared.failures if images.known.geometry else tuple(map(_with_advice, prepared.failures))
     return Matched(disparity, prepared.rows, 0, prepared.warnings, failures)
+
+
+def _before_the_cameras(prepared: Prepared, farthest: float) -> Prepared:
+    """Return the same with a range that ends at what is infinitely far: in images rectified here nothing is behind."""
+    first = max(prepared.first, floor(farthest) - _BEHIND)
+    return replace(prepared, first=first, count=max(prepared.first + prepared.count - first, _BEHIND))
 
 
 def _with_advice(failure: Message) -> Message:

@@ -84,12 +84,15 @@ def rig_pair_of(
     size_of_images: Callable[[], Size | None],
     view: RectifiedViewOptions = DEFAULTS,
     progress: Progress = SILENT,
+    *,
+    even_rectified: bool = False,
 ) -> RigPair | None:
     """Return two cameras of a camera file that are no rectified pair and how they are rectified.
 
     address: FILE, FILE#LEFT, or FILE#LEFT,RIGHT where it has several pairs; camera: the same in place of what follows
     the #. size_of_images: asked where the file says none. view: what the rectified images show. None if the file is not
-    of two cameras joined by transforms, or if they are a rectified pair.
+    of two cameras joined by transforms, or if they are a rectified pair, unless
+    even_rectified.
     Raises InvalidInput for cameras that are not there or remain to be chosen, and what cannot be rectified; FileError.
     """
     if address is None:
@@ -104,7 +107,7 @@ def rig_pair_of(
         return None
     first, second = (file.cameras[name].camera for name in names)
     second_T_first = graph.along(graph.path(names[1], names[0])).pose
-    if why_not_rectified(first, second, second_T_first) is None:
+    if not even_rectified and why_not_rectified(first, second, second_T_first) is None:
         return None
     circles = {name: file.cameras[name].image_circle for name in names}
     try:

@@ -1,0 +1,233 @@
+"""`camcal stereo run`: (calibrate →) rectify → check → disparity → cloud → view, for all pairs of two cameras."""
+
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from camcal import messages
+from camcal.errors import GateFailed, InvalidInput, ItemsFailed
+from camcal.formats import native, provenance
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.images import video
+from camcal.images.load import load
+from camcal.messages import Message
+from camcal.options import command_line
+from camcal.progress import SILENT, Outcome, Progress, warn_of
+from camcal.report import stereo_words
+from camcal.run.fanout import fan_out
+from camcal.run.outputs import claim, writes
+from camcal.run.paths import find_media, find_pairs, place
+from camcal.stereo.rectify.record import Rectification
+from camcal.tasks.rigs.calibrate_rig import RigReport, calibrated
+from camcal.tasks.rigs.rig_views import rig_views
+from camcal.tasks.stereo.rig_pair import RigPair, rig_pair_of
+from camcal.tasks.stereo.run_options import RunOptions
+from camcal.tasks.stereo.run_pair import Capture, PairRun, RunFiles, RunPair
+
+RIG, RECTIFIED = "rig.yaml", "rectified.yaml"
+
+_LARGE = 4_000_000  # pixels; of larger pairs one at a time is matched, for the memory that each takes
+
+
+@dataclass(frozen=True, eq=False)
+class RunReport:
+    """What became of every pair, the rig file and how the images were rectified; calibration: None with a rig given."""
+
+    rig_file: Path
+    rectified_file: Path
+    rectification: Rectification
+    outcomes: Sequence[Outcome[Capture, RunPair]]
+    calibration: RigReport | None = None
+
+    @property
+    def pairs(self) -> list[RunPair]:
+        """The pairs that were run."""
+        return [outcome.value for outcome in self.outcomes if outcome.value is not None]
+
+    @property
+    def failures(self) -> list[Message]:
+        """Why pairs or their maps cannot be used."""
+        return [failure.at(pair.capture.left) for pair in self.pairs for failure in pair.failures]
+
+    @property
+    def doubts(self) -> list[Message]:
+        """Why the calibration must not be trusted."""
+        return [] if self.calibration is None else [each.at(self.rig_file) for each in self.calibration.failures]
+
+
+@writes
+def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
+    """Return what became of every pair after writing to the folder options.output; one that fails costs only itself.
+
+    Raises InvalidInput and FileError for inputs that are no pairs or no rig, what kept the cameras from being
+    calibrated or rectified, and the first pair's error when none could be run.
+    """
+    scene = _Scene.of(options)
+    folder = options.output
+    rectified_file = folder / RECTIFIED
+    outputs = [path for name in scene.names for path in RunFiles.of(folder, name, options.clouds).every()]
+    claim([*outputs, rectified_file, *([] if options.rig else [folder / RIG])])
+    calibration = None if options.rig else _calibrated(options, folder / RIG, progress)
+    address = options.rig or str(folder / RIG)
+    rig = rig_pair_of(address, options.camera, scene.size, options.view, progress, even_rectified=True)
+    if rig is None:
+        raise InvalidInput(
+            "is no rig: a file with two cameras and the transform between them is needed, as 'camcal stereo calibrate "
+            "LEFT RIGHT --board BOARD -o rig.yaml' writes it",
+            where=address,
+        )
+    warn_of((each.at(address) for each in rig.rectification.warnings), progress)
+    native.write(rectified_file, _rectified_file(rig, options))
+    outcomes = list(_outcomes(scene, rig, options, progress))
+    done = [outcome.value for outcome in outcomes if outcome.value is not None]
+    if not done:
+        raise next(outcome.error for outcome in outcomes if outcome.error is not None)
+    for pair in done:
+        warn_of((warning.at(pair.capture.left) for warning in pair.warnings), progress)
+    report = RunReport(Path(address), rectified_file, rig.rectification, outcomes, calibration)
+    if options.force:
+        warn_of(report.failures, progress)
+    return report
+
+
+def require_good(report: RunReport, options: RunOptions) -> None:
+    """Raise GateFailed with the failures of all pairs, ItemsFailed for pairs that could not be run; files are written.
+
+    With options.force failures are warnings.
+    """
+    if report.failures and not options.force:
+        raise GateFailed.of(report.failures)
+    failed = [outcome for outcome in report.outcomes if outcome.error is not None]
+    if failed:
+        raise ItemsFailed(f"{len(failed)} of {len(report.outcomes)} pairs failed, the rest is written")
+
+
+def _calibrated(options: RunOptions, path: Path, progress: Progress) -> RigReport:
+    settings = replace(options.settings, output=path, recursive=options.recursive, jobs=options.jobs)
+    inputs = [f"{name}={images}" for name, images in zip(("left", "right"), options.inputs, strict=True)]
+    command = command_line("stereo run", options)
+    return calibrated(lambda: rig_views(inputs, settings, progress), settings, command, progress)
+
+
+def _outcomes(
+    scene: "_Scene", rig: RigPair, options: RunOptions, progress: Progress
+) -> Iterator[Outcome[Capture, RunPair]]:
+    """Yield what becomes of the pairs in their order: small ones in processes, large ones by threads for each."""
+    width, height = rig.rectification.size
+    alone = len(scene.names) == 1 or width * height > _LARGE
+    run = PairRun(rig, options, options.jobs if alone else 1)
+    jobs = 1 if alone else options.jobs
+    with closing(scene.captures()) as captures:
+        yield from fan_out(run, captures, jobs=jobs, processes=not alone, what="stereo run", progress=progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """The pairs of a scene: of images, or of the frames of two videos.
+
+    names: of their outputs; of videos as many as the shorter one has frames.
+    """
+
+    pairs: Sequence[tuple[Path, Path]]
+    names: Sequence[str]
+    videos: tuple[Path, Path] | None = None
+    every: int = 1
+
+    @classmethod
+    def of(cls, options: RunOptions) -> "_Scene":
+        """Return the scene that the options name. Raises InvalidInput and FileError for inputs that are no pairs."""
+        left, right = (find_media([text], options.recursive) for text in options.pairs)
+        if left.videos or right.videos:
+            if left.images or right.images or len(left.videos) != 1 or len(right.videos) != 1:
+                raise InvalidInput("a video of one camera goes with one video of the other", where=options.pairs[0])
+            pair = left.videos[0], right.videos[0]
+            count = min(_count(path) for path in pair)
+            names = [video.frame_name(pair[0], index) for index in range(0, count, options.every)]
+            return cls([], [Path(name).name for name in names], pair, options.every)
+        pairs = find_pairs([options.pairs[0]], [options.pairs[1]], options.recursive)[:: options.every]
+        outputs = place([first for first, _ in pairs], options.output, "", ())
+        return cls(pairs, [path.name for path in outputs.values()])
+
+    def size(self) -> tuple[int, int]:
+        """Return width and height of the left images."""
+        frame = next(iter(video.frames(self.videos[0]))).pixels if self.videos else load(self.pairs[0][0]).pixels
+        return frame.shape[1], frame.shape[0]
+
+    def captures(self) -> Generator[Capture]:
+        """Yield the pairs in their order; the frames of videos as they are decoded."""
+        if self.videos is None:
+            for (left, right), name in zip(self.pairs, self.names, strict=True):
+                yield Capture(left, right, name)
+            return
+        both = zip(*(video.frames(path) for path in self.videos), strict=False)
+        for name, (left, right) in zip(self.names, islice(both, 0, None, self.every), strict=False):
+            yield Capture(*self.videos, name, (left.pixels, right.pixels))
+
+
+def _count(path: Path) -> int:
+    """Return how many frames a video has."""
+    times = video.stamps(path)
+    return sum(1 for _ in video.frames(path)) if times is None else len(times)
+
+
+def _rectified_file(rig: RigPair, options: RunOptions) -> CameraFile:
+    """Return the camera file of the rectified images."""
+    rectified = rig.rectification
+    cameras = {rectified.left: rectified.left_camera, rectified.right: rectified.right_camera}
+    return CameraFile(
+        {name: CameraEntry(camera) for name, camera in cameras.items()},
+        {f"{rectified.right}_T_{rectified.left}": Transform(rectified.right_T_left)},
+        provenance=provenance.build(command_line("stereo run", options), None),
+    )
+
+
+def document(report: RunReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    rectified = report.rectification
+    return {
+        "rig": report.rig_file.as_posix(),
+        "rectified": report.rectified_file.as_posix(),
+        "calibrated": report.calibration is not None,
+        "trustworthy": None if report.calibration is None else report.calibration.trustworthy,
+        "projection": rectified.projection,
+        "axis": rectified.axis,
+        "image_size": list(rectified.size),
+        "baseline_m": rectified.baseline,
+        "left": rectified.left,
+        "right": rectified.right,
+        "pairs": [_plain(pair) for pair in report.pairs],
+        "failures": messages.as_data(report.failures),
+        "failed": [
+            {
+                "left": outcome.item.left.as_posix(),
+                "right": outcome.item.right.as_posix(),
+                "message": str(outcome.error),
+            }
+            for outcome in report.outcomes
+            if outcome.error is not None
+        ],
+    }
+
+
+def _plain(pair: RunPair) -> dict[str, Any]:
+    names = ("min", "median", "max")
+    return {
+        "name": pair.capture.name,
+        "left": pair.capture.left.as_posix(),
+        "right": pair.capture.right.as_posix(),
+        "rectified": [pair.files.left.as_posix(), pair.files.right.as_posix()],
+        "disparity": pair.files.map.as_posix(),
+        "cloud": pair.files.cloud.as_posix(),
+        "page": None if pair.page is None else pair.page.as_posix(),
+        "check": None if pair.check is None else stereo_words.plain(pair.check),
+        "matched": pair.figures.matched,
+        "median_px": pair.figures.median,
+        "sigma_px": pair.figures.sigma,
+        "points": pair.cloud.points,
+        "depth_m": dict(zip(names, pair.cloud.depth, strict=True)) if pair.cloud.depth else None,
+        "frame": pair.cloud.frame,
+        "warnings": messages.as_data(pair.warnings),
+    }
