@@ -261,6 +261,26 @@ def test_the_picture_of_a_rig_shows_its_cameras_and_boards(run, rig_file, tmp_pa
         assert (np.abs(picture - colour).max(axis=2) < 12).sum() > 200
 
 
+@pytest.mark.parametrize(
+    "provenance",
+    [
+        {"images": [{"file": "a", "camera": "left", "camera_T_board": {"t": [1.0], "rotation_vector": "x"}}]},
+        {
+            "images": [
+                {"file": "a", "camera": "left", "camera_T_board": {"t": [1e300] * 3, "rotation_vector": [1e300] * 3}}
+            ]
+        },
+        {"images": [{"file": "a", "camera": "top", "camera_T_board": 3}], "board": {"type": "chessboard"}},
+        {"board": {"type": "nonsense"}, "rig": ["x"]},
+        {"rig": {"epipolar_rms_px": "large"}},
+    ],
+)
+def test_a_provenance_that_says_nothing_of_use_is_passed_over(run, rig_file, tmp_path, provenance):
+    native.write(tmp_path / "rig.yaml", replace(native.read(rig_file), provenance=provenance))
+    code, out, _ = run("inspect", tmp_path / "rig.yaml", "-o", tmp_path / "rig.html")
+    assert (code, "pairs of cameras" in out) == (0, True)
+
+
 def test_the_page_of_a_rig_is_a_page_and_a_single_camera_has_no_picture(run, rig_file, tmp_path):
     assert run("inspect", rig_file, "-o", tmp_path / "rig.html", "-q")[0] == 0
     assert (tmp_path / "rig.html").read_text().startswith("<!doctype html>")

@@ -17,7 +17,7 @@ from camcal.progress import SILENT
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.tasks.rigs.options import RigSettings
-from camcal.tasks.rigs.rig_lenses import given_lenses, rig_models, starting, together
+from camcal.tasks.rigs.rig_lenses import given_lenses, require_sizes, rig_models, starting, together
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 NARROW = Camera(model_named("opencv5"), (640, 480), [600.0, 600, 320, 240, -0.1, 0.05, 1e-4, -1e-4, 0.0])
@@ -106,6 +106,14 @@ def test_lenses_that_are_not_enough_are_refused(tmp_path, lenses, guess, message
     settings = RigSettings(lenses=lenses, guess=(guess.format(tmp_path),))
     with pytest.raises(InvalidInput, match=message):
         given_lenses(settings, ("left", "right"), SILENT)
+
+
+def test_a_lens_for_images_of_another_size_is_named(tmp_path):
+    half = replace(NARROW, image_size=(320, 240))
+    path = lens_file(tmp_path / "both.yaml", left=NARROW, right=half)
+    given = given_lenses(RigSettings(guess=(str(path),)), ("left", "right"), SILENT)
+    with pytest.raises(InvalidInput, match="the lens is for 320x240 images, those of camera right are 640x480"):
+        require_sizes(given, captures(left=NARROW, right=NARROW))
 
 
 def test_a_held_lens_keeps_its_model(tmp_path):

@@ -35,6 +35,7 @@ from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
     given_lenses,
     require_other_images,
+    require_sizes,
     rig_models,
     starting,
     without_fold,
@@ -115,6 +116,7 @@ def calibrated(
     seen = look()
     names = seen.captures.cameras
     given = given_lenses(settings, names, progress)
+    require_sizes(given, seen.captures)
     if settings.lenses == PRIOR:
         require_other_images(given, seen.captures)
     looks_again = _looks_again(settings, seen)

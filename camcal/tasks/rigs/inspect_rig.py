@@ -21,7 +21,8 @@ from camcal.report.rig_scene import colour_name, rig_scene
 from camcal.targets.board import Board
 
 SUFFIXES = (".png", ".html")
-_POSE = mapping({"t": items(number(), 3), "rotation_vector": items(number(), 3)})
+_FAR = 1e4  # m, rad: no board is farther
+_POSE = mapping({"t": items(number(-_FAR, _FAR), 3), "rotation_vector": items(number(-_FAR, _FAR), 3)})
 _SIZE = (1280, 960)
 _VIEWS = ("35,25", "front", "top", "side")  # degrees to the right and up: cameras and boards are seen side by side
 _MOST_BOARDS = 60

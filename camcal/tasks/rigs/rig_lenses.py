@@ -127,15 +127,21 @@ def starting(lens: Camera, model: CameraModel) -> Camera:
     return Camera(model, lens.image_size, start)
 
 
+def require_sizes(given: Mapping[str, GivenLens], captures: Captures) -> None:
+    """Raise InvalidInput if a lens is for images of another size than those of its camera."""
+    for name, lens in given.items():
+        size = usual_size(_views(captures, name)) if name in captures.cameras else lens.camera.image_size
+        if size != lens.camera.image_size:
+            wrong, right = ("{}x{}".format(*each) for each in (lens.camera.image_size, size))
+            raise InvalidInput(f"the lens is for {wrong} images, those of camera {name} are {right}", where=lens.where)
+
+
 def require_other_images(given: Mapping[str, GivenLens], captures: Captures) -> None:
     """Raise InvalidInput if a lens was calibrated from images that the rig is calibrated from: as a prior it would
     count them twice.
     """
-    for index, name in enumerate(captures.cameras):
-        lens = given.get(name)
-        if lens is None:
-            continue
-        views = [view for view in captures.of(index) if view is not None]
+    for name, lens in given.items():
+        views = _views(captures, name) if name in captures.cameras else []
         same = [view.image for view in views if (digest := _digest(view)) is not None and digest in lens.images]
         if same:
             raise InvalidInput(
