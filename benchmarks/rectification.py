@@ -1,12 +1,15 @@
 """Rectification of random pairs beside cv2.stereoRectify, rows of rendered pairs, and the rate of remapping.
 
-Pairs have lenses of 5° to 200°; the judge is in rectified_rigs.py and shares no formula with camcal. A pair is right if
-its images are neither empty, turned nor mirrored and hold 85 % of the points that both cameras see at several
+rigs: pairs have lenses of 5° to 200°; the judge is in rectified_rigs.py and shares no formula with camcal. A pair is
+right if its images are neither empty, turned nor mirrored and hold 85 % of the points that both cameras see at several
 distances. OpenCV is called with alpha = 1 and with its default (of fisheye: balance 1 and 0), and the better result
 counts.
+rows: both images are rendered by formulas of their own (a solid texture on a tilted plane, or on a sphere around the
+cameras), rectified, and matched in two dimensions by OpenCV's optical flow.
+speed: 12 MP colour images through the maps of a pair, and through cv2.remap with the same maps.
 
     python benchmarks/rectification.py [rigs] [--rigs 2000] [--seed 1]
-    python benchmarks/rectification.py rows
+    python benchmarks/rectification.py rows [--folder FOLDER]
     python benchmarks/rectification.py speed [--repeats 15]
 """
 
@@ -18,16 +21,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import statistics
 import time
 from collections import Counter
+from pathlib import Path
 
 import cv2
 import numpy as np
-from rectified_rigs import FISHEYE, KINDS, Image, Lens, RandomRig, Rectified, RigVerdict, judge, random_rigs
+from rectified_rigs import BROWN, FISHEYE, KINDS, Image, Lens, RandomRig, Rectified, RigVerdict, judge, random_rigs
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.geometry.pose import Pose
+from camcal.images.image import Scratch
+from camcal.stereo.rectify.maps import build_pair_maps
 from camcal.stereo.rectify.plan import plan_rectification
 from camcal.stereo.rectify.record import Rectification
 
@@ -40,10 +46,15 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--folder", type=Path, help="where rows writes its pairs")
     parser.add_argument("--list", action="store_true", help="print every pair that is not right")
     arguments = parser.parse_args()
     if arguments.table == "rigs":
         print_rigs(arguments.rigs, arguments.seed, listed=arguments.list)
+    elif arguments.table == "rows":
+        print_rows(arguments.folder)
+    else:
+        print_speed(arguments.repeats)
 
 
 def print_rigs(count: int, seed: int, *, listed: bool) -> None:
@@ -192,6 +203,149 @@ def _pinhole_image(size, rotation, projection) -> Image:
         return np.column_stack([where, np.ones(len(where))]) @ np.linalg.inv(matrix).T
 
     return Image(size, rotation, pixels, rays)
+
+
+def print_rows(folder: Path | None) -> None:
+    """Print by how much rows (columns) of rectified rendered pairs differ."""
+    size = (960, 720)
+    narrow = Lens(BROWN, size, (800.0, 801.0, 476.0, 362.0), (-0.15, 0.03, 5e-4, -3e-4, 0.0), np.radians(40))
+    other = Lens(BROWN, size, (806.0, 806.0, 484.0, 357.0), (-0.14, 0.02, -3e-4, 4e-4, 0.0), np.radians(40))
+    wide = Lens(FISHEYE, size, (560.0, 560.0, 478.0, 361.0), (-0.02, 0.002, 0.0, 0.0), np.radians(62))
+    fish = Lens(FISHEYE, size, (300.0, 300.0, 481.0, 358.0), (-0.01, 0.001, 0.0, 0.0), np.radians(110))
+    turn = cv2.Rodrigues(np.radians([1.0, 2.0, -1.5]))[0]
+    toed = cv2.Rodrigues(np.radians([0.5, 12.0, 1.0]))[0]
+    beside, above = np.array([-0.12, 0.003, 0.004]), np.array([0.002, -0.12, 0.003])
+    pairs = {
+        "pinhole, 65°": (RandomRig("", (narrow, other), turn, turn @ beside), PLANE),
+        "pinhole, above each other": (RandomRig("", (narrow, other), turn, turn @ above), PLANE),
+        "pinhole, toed-in by 12°": (RandomRig("", (narrow, other), toed, toed @ np.array([-0.25, 0.0, -0.03])), PLANE),
+        "fisheye, 120°": (RandomRig("", (wide, wide), turn, turn @ beside), SPHERE),
+        "fisheye, 180°": (RandomRig("", (fish, fish), turn, turn @ beside), SPHERE),
+        "fisheye, 180°, above each other": (RandomRig("", (fish, fish), turn, turn @ above), SPHERE),
+        "fisheye 180° beside pinhole 65°": (RandomRig("", (fish, narrow), turn, turn @ beside), SPHERE),
+    }
+    print("| pair | projection | size | points | median | RMS | largest median of 4 x 4 parts |")
+    print("|---" * 7 + "|")
+    for name, (rig, surface) in pairs.items():
+        plan, apart, where, images = rows_of(rig, surface)
+        cells = (where / np.array(plan.size) * 4).astype(int).clip(0, 3) @ [1, 4]
+        medians = [np.median(apart[cells == cell]) for cell in range(16) if (cells == cell).sum() > 20]
+        print(
+            f"| {name} | {plan.projection} {plan.axis} | {plan.size[0]}x{plan.size[1]} | {len(apart)} | "
+            f"{np.median(apart):+.4f} | {np.sqrt(np.mean(apart**2)):.4f} | {max(medians, key=abs):+.4f} |",
+            flush=True,
+        )
+        if folder is not None:
+            folder.mkdir(exist_ok=True)
+            cv2.imwrite(str(folder / f"{name}.png"), np.concatenate(images, axis=1 - "xy".index(plan.axis)))
+
+
+PLANE, SPHERE = "plane", "sphere"
+
+
+def rows_of(rig: RandomRig, surface: str, points: int = 3000):
+    """Return a plan, the differences (N,) px across its axis of matched points, where, and the two images."""
+    names = ("first", "second")
+    cameras = {name: camera_of(lens) for name, lens in zip(names, rig.lenses, strict=True)}
+    plan = plan_rectification(cameras, Pose(rig.rotation, rig.translation))
+    maps = build_pair_maps(cameras, plan)
+    pictures = [rendered(rig, side, surface) for side in (0, 1)]
+    images = maps.apply(*pictures[:: -1 if plan.swapped else 1])
+    found = rectified(plan, names)
+    order = (1, 0) if plan.swapped else (0, 1)
+    rng = np.random.default_rng(5)
+    pixels = rng.uniform(0.03, 0.97, (points, 2)) * np.array(plan.size)
+    poses = [(np.eye(3), np.zeros(3)), (rig.rotation, rig.translation)]
+    turn, shift = poses[order[0]]
+    rays = found.images[order[0]].rays(pixels) @ found.images[order[0]].rotation
+    first = met(-turn.T @ shift, rays @ turn, surface)
+    turn, shift = poses[order[1]]
+    guess = found.images[order[1]].pixels((first @ turn.T + shift) @ found.images[order[1]].rotation.T)
+    valid = [cv2.erode(mask.astype(np.uint8), np.ones((41, 41))) > 0 for mask in maps.valid]
+    good = np.isfinite(guess).all(axis=1)
+    for mask, where in zip(valid, (pixels, np.where(good[:, None], guess, -1)), strict=True):
+        at = np.rint(where).astype(int)
+        inside = ((at >= 0) & (at < np.array(plan.size))).all(axis=1)
+        good &= inside
+        good[inside] &= mask[at[inside, 1], at[inside, 0]]
+    start, end = pixels[good].astype(np.float32)[:, None], guess[good].astype(np.float32)[:, None]
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+    flow, status, _ = cv2.calcOpticalFlowPyrLK(
+        images.left, images.right, start, end.copy(), winSize=(25, 25), maxLevel=0, criteria=criteria,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    known = (status[:, 0] > 0) & (np.abs(flow - end).max(axis=(1, 2)) < 2)
+    across = 1 - "xy".index(plan.axis)
+    return plan, (flow - start)[known, 0, across], start[known, 0], images
+
+
+def rendered(rig: RandomRig, side: int, surface: str) -> np.ndarray:
+    """Return the image of a solid texture on a surface, four rays to a pixel."""
+    lens = rig.lenses[side]
+    turn, shift = (np.eye(3), np.zeros(3)) if side == 0 else (rig.rotation, rig.translation)
+    width, height = lens.size
+    grid = np.meshgrid(np.arange(width), np.arange(height))
+    pixels = np.column_stack([axis.ravel() for axis in grid]).astype(float)
+    light = 0
+    for step in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
+        light = light + texture(met(-turn.T @ shift, lens.rays(pixels + step) @ turn, surface))
+    image = np.clip(128 + 22 * light.reshape(height, width) / 4, 0, 255)
+    return np.rint(np.nan_to_num(image)).astype(np.uint8)
+
+
+def met(centre: np.ndarray, rays: np.ndarray, surface: str) -> np.ndarray:
+    """Return where rays (N, 3) from a place meet a tilted plane 1.2 m away, or a sphere of 1.5 m; NaN where nowhere."""
+    if surface == PLANE:
+        normal = np.array([0.25, -0.15, 1.0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (1.2 - normal @ centre) / (rays @ normal)
+        return centre + np.where(distance > 0, distance, np.nan)[:, None] * rays
+    middle = np.array([0.1, 0.05, 0.2])
+    along = rays @ (centre - middle)
+    return centre + (np.sqrt(along**2 + 1.5**2 - np.sum((centre - middle) ** 2)) - along)[:, None] * rays
+
+
+def texture(points: np.ndarray) -> np.ndarray:
+    """Return a sum of waves (N,) of 12 mm to 60 mm in all directions of space."""
+    rng = np.random.default_rng(9)
+    total = np.zeros(len(points))
+    for length in np.geomspace(0.02, 0.08, 24):
+        direction = rng.standard_normal(3)
+        total += np.sin(points @ (direction / np.linalg.norm(direction)) * 2 * np.pi / length + rng.uniform(0, 6.28))
+    return total / 2
+
+
+def print_speed(repeats: int) -> None:
+    """Print the rate of remapping a pair beside cv2.remap with the same maps, by all threads and by one."""
+    size = (4000, 3000)
+    lens = Lens(BROWN, size, (3000.0, 3004.0, 1990.5, 1505.2), (-0.2, 0.06, 1e-4, 2e-4, -0.01), np.radians(50))
+    turn = cv2.Rodrigues(np.radians([0.3, 1.0, -0.5]))[0]
+    cameras = {"left": camera_of(lens), "right": camera_of(lens)}
+    plan = plan_rectification(cameras, Pose(turn, turn @ np.array([-0.12, 0.001, 0.002])))
+    maps = build_pair_maps(cameras, plan)
+    rng = np.random.default_rng(1)
+    picture = cv2.resize(rng.integers(0, 256, (300, 400, 3), np.uint8), size, interpolation=cv2.INTER_CUBIC)
+    scratch, target = Scratch(), np.empty((*plan.size[::-1], 3), np.uint8)
+    print(
+        f"OpenCV {cv2.__version__}; {size[0]}x{size[1]} to {plan.size[0]}x{plan.size[1]}, colour; medians of {repeats}"
+    )
+    for threads in (cv2.getNumThreads(), 1):
+        cv2.setNumThreads(threads)
+        works = {
+            "cv2.remap": lambda: cv2.remap(picture, maps.left.x, maps.left.y, cv2.INTER_LINEAR, target),
+            "camcal": lambda: maps.left.apply(picture, scratch=scratch),
+        }
+        rounds = []
+        for number in range(repeats + 1):
+            rounds.append({})
+            for name in sorted(works, reverse=bool(number % 2)):
+                started = time.perf_counter()
+                works[name]()
+                rounds[-1][name] = time.perf_counter() - started
+        medians = {name: 1e3 * statistics.median(each[name] for each in rounds[1:]) for name in works}
+        ratio = statistics.median(each["cv2.remap"] / each["camcal"] for each in rounds[1:])
+        print(f"{threads} threads: " + ", ".join(f"{name} {value:.1f} ms" for name, value in medians.items())
+              + f"; rate of camcal {ratio:.2f} x")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ The judge draws points at several distances that both cameras see, and counts ho
 hold; it looks for empty, turned and mirrored images and for points that are not in one row.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -64,6 +64,33 @@ class Lens:
         if self.circle_radius is not None:
             seen &= np.hypot(*(pixels - (cx, cy)).T) <= self.circle_radius
         return pixels, seen
+
+    def rays(self, pixels: Array) -> Array:
+        """Return the unit rays (N, 3) of pixels (N, 2): the inverse of `project`, by iteration."""
+        fx, fy, cx, cy = self.core
+        x_d, y_d = ((pixels - (cx, cy)) / (fx, fy)).T
+        if self.model == FISHEYE:
+            radius = np.hypot(x_d, y_d)
+            angle = radius.copy()
+            for _ in range(20):
+                square = angle**2
+                powers = angle[:, None] ** (2 * np.arange(5))
+                value = angle * (1 + square * np.polyval(self.coefficients[::-1], square))
+                slope = powers @ (np.array([1, *self.coefficients]) * (2 * np.arange(5) + 1))
+                angle = angle - (value - radius) / slope
+            share = np.sin(angle) / np.where(radius > 0, radius, 1)
+            return np.column_stack([x_d * share, y_d * share, np.cos(angle)])
+        k1, k2, p1, p2, k3 = self.coefficients
+        x, y = x_d, y_d
+        for _ in range(60):
+            square = x * x + y * y
+            radial = 1 + square * (k1 + square * (k2 + square * k3))
+            x, y = (
+                (x_d - 2 * p1 * x * y - p2 * (square + 2 * x * x)) / radial,
+                (y_d - p1 * (square + 2 * y * y) - 2 * p2 * x * y) / radial,
+            )
+        rays = np.column_stack([x, y, np.ones_like(x)])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
@@ -157,11 +184,11 @@ def _sibling(lens: Lens, rng: np.random.Generator) -> Lens:
 
 def has_common_field(rig: RandomRig, rng: np.random.Generator) -> bool:
     """Return whether a twentieth of what the narrower camera sees is common at some distance."""
-    return max(share for _, _, share in _common_points(rig, rng, 600)) > 0.05
+    return max(share for _, share in _common_points(rig, rng, 600)) > 0.05
 
 
-def _common_points(rig: RandomRig, rng: np.random.Generator, count: int = POINTS):
-    """Yield points (N, 3) in the frame of the first camera that both see, their weights, and their share, by distance.
+def _common_points(rig: RandomRig, rng: np.random.Generator, count: int = POINTS) -> Iterator[tuple[Array, float]]:
+    """Yield points (N, 3) in the frame of the first camera that both see, and their share, by distance.
 
     Rays are of the narrower camera's field, alike over the sphere. Besides fixed distances there are those around where
     the optical axes meet.
@@ -177,7 +204,7 @@ def _common_points(rig: RandomRig, rng: np.random.Generator, count: int = POINTS
         second = first @ rig.rotation.T + rig.translation
         seen_by_own = lens.project(own)[1]
         seen = rig.lenses[0].project(first)[1] & rig.lenses[1].project(second)[1]
-        yield first[seen], np.ones(seen.sum()), float(seen.sum() / max(1, seen_by_own.sum()))
+        yield first[seen], float(seen.sum() / max(1, seen_by_own.sum()))
 
 
 def _meeting(rig: RandomRig) -> list[float]:
@@ -211,7 +238,7 @@ class Rectified:
 
 @dataclass(frozen=True)
 class RigVerdict:
-    """What the judge found; kept: the least and the whole share of common points over the distances."""
+    """What the judge found; kept: of the points that both cameras see, over all distances. row_error: px."""
 
     kept: float
     problems: tuple[str, ...]
@@ -238,7 +265,7 @@ def judge(rig: RandomRig, found: Rectified, seed: int) -> RigVerdict:
         if mirrored > WRONG:
             faults.append("mirrored")
     held, count, error = 0.0, 0.0, 0.0
-    for points, _, share in _common_points(rig, rng):
+    for points, share in _common_points(rig, rng):
         if share == 0:
             continue
         second = points @ rig.rotation.T + rig.translation

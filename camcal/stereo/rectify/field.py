@@ -84,6 +84,11 @@ class Viewer:
         pixels = self.pixels(Directions(grid[0].ravel(), grid[1].ravel()))
         return np.asarray(np.isfinite(pixels[:, 0])).reshape(grid[0].shape)
 
+    @property
+    def axis(self) -> float:
+        """The λ (rad) of the optical axis."""
+        return float(directions_of(self.rect_R_camera[None, :, 2], self.along).off[0])
+
     def outline(self) -> Directions:
         """Return the directions of pixels around all that is seen."""
         return self._seen_at(rim(self.camera, _PER_EDGE, self.circle)[0])
@@ -138,11 +143,15 @@ class Useful:
 
 @dataclass(frozen=True, eq=False)
 class CommonField:
-    """What is useful of both cameras; around: whether its φ go all around the baseline."""
+    """What is useful of both cameras.
+
+    around: whether its φ go all around the baseline. near: baseline by distance of the nearest points.
+    """
 
     left: Useful
     right: Useful
     around: bool
+    near: float
 
     @property
     def rows(self) -> Array:
@@ -161,7 +170,7 @@ def common_field(left: Viewer, right: Viewer) -> CommonField:
     low, high = (low, high) if low < high else (-np.pi, np.pi)  # one is beyond the seam
     around = high - low > 2 * np.pi * (1 - 4 / CELLS)
     about = _centres(-np.pi, np.pi) if around else _centres(low, high)
-    near = _nearest(float(seen[0].off.mean()), float(seen[1].off.mean()))
+    near = _nearest(left.axis, right.axis)
     ends = [Interval(each.off.min(), each.off.max()) for each in seen]
     offs = [_centres(part.low, part.high) for part in _reached(ends[0], ends[1], near)]
     masks = [viewer.sees(off, about) for viewer, off in zip((left, right), offs, strict=True)]
@@ -169,7 +178,7 @@ def common_field(left: Viewer, right: Viewer) -> CommonField:
     useful = [mask & part.holds(off) for off, mask, part in zip(offs, masks, reached, strict=True)]
     both = np.any(useful[0], axis=1, keepdims=True) & np.any(useful[1], axis=1, keepdims=True)
     first, second = (Useful(off, about, mask & both) for off, mask in zip(offs, useful, strict=True))
-    return CommonField(first, second, around)
+    return CommonField(first, second, around, near)
 
 
 def _ends(off: Array, mask: Array) -> Interval:
@@ -181,10 +190,10 @@ def _ends(off: Array, mask: Array) -> Interval:
 
 
 def _nearest(left_off: float, right_off: float) -> float:
-    """Return baseline by distance of the nearest points: three baselines, or half way to where the axes meet."""
+    """Return baseline by distance of the nearest points: at three baselines, or at 2/3 of where the axes meet."""
     farthest = np.radians(80)
     meeting = np.tan(np.clip(left_off, -farthest, farthest)) - np.tan(np.clip(right_off, -farthest, farthest))
-    return max(1 / 3, 2 * float(meeting))
+    return max(1 / 3, 1.5 * float(meeting))
 
 
 def _reached(left: Interval, right: Interval, near: float) -> tuple[Interval, Interval]:

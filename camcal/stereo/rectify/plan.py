@@ -21,6 +21,7 @@ from camcal.stereo.rectify.record import AXES, CYLINDRICAL, LATLON, PINHOLE, Rec
 from camcal.stereo.rectify.window import Region, Window, window_of
 
 KEPT = 0.85  # share of the common field that is to be kept
+_KEPT_OBLIQUE = 0.87  # by pairs that may look along their baseline; the grid is coarse near it
 _WIDEST = {PINHOLE: np.radians(52), CYLINDRICAL: np.radians(58)}  # from the middle, where the projection is chosen
 _AXIAL, _OBLIQUE = np.radians(15), np.radians(65)  # of the mean view from the baseline
 _TURNED = 0.05  # of an image, whose content may be turned by more than 90°
@@ -106,7 +107,7 @@ def plan_rectification(
     window = window_of((frame.left, frame.right), field, region, projection, options)
     found = _record(frame, window)
     by_user = options.fov_deg is not None or options.alpha < 1 or options.projection != AUTO
-    if window.kept < KEPT and frame.view_angle < _OBLIQUE and not by_user:
+    if window.kept < _KEPT_OBLIQUE and frame.view_angle < _OBLIQUE and not by_user:
         raise InsufficientData(
             f"{frame.described}: rectified images would hold {100 * window.kept:.0f} % of the common field, as it "
             "reaches to the baseline itself; give --fov HxV for a part of it"

@@ -21,6 +21,8 @@ _LARGEST = 2.0  # times the pixels of the larger camera
 _TOGETHER = 1.15  # times the wider image, that one window for both may take
 _NEAR = 2.5  # cells, from which an end found on the grid is the exact one of the outline
 _SHARES = 400  # cells that tell the resolution of a camera
+_THINNED = 3  # every so many cells along either angle tell what is kept
+_PARALLAXES = (0.0, 0.01, 0.1, 1 / 3)  # baseline by distance of the points that tell it
 _CHECKED = 160  # places a side that tell where both images are valid
 
 
@@ -118,7 +120,7 @@ def window_of(
     if options.alpha < 1:
         window = _cropped(window, viewers, options.alpha)
     window = _sized(window, _native_focal(viewers, field, shown, projection), viewers, options)
-    return _judged(window, field, options)
+    return _judged(window, viewers, field, options)
 
 
 def _rows(viewers: tuple[Viewer, Viewer], field: CommonField, shown: Region, projection: str) -> Interval:
@@ -224,24 +226,45 @@ def _largest_rectangle(valid: BoolArray) -> tuple[tuple[int, int], tuple[int, in
     return found
 
 
-def _judged(window: Window, field: CommonField, options: RectifiedViewOptions) -> Window:
-    """Return the window with the share of the common field that it keeps, and why it is not all of it."""
-    kept, lost_far = [], 0.0
-    farthest = FARTHEST[window.projection]
-    for useful, centre in zip((field.left, field.right), window.centres, strict=True):
-        cells, weights = useful.cells(), useful.weights
-        with np.errstate(all="ignore"):
-            place = to_plane(window.projection, cells)
-        near = np.abs(cells.off) <= farthest
-        if window.projection == PINHOLE:
-            near &= np.abs(cells.about) <= farthest
-        held = near.copy()
-        for values, side in zip(place, (window.along, 1 - window.along), strict=True):
-            pixels = window.focal * values + centre[side]
-            held &= (pixels >= -0.5) & (pixels <= window.size[side] - 0.5)
-        kept.append(float(weights[held].sum() / weights.sum()))
-        lost_far = max(lost_far, float(weights[~near].sum() / weights.sum()))
-    return replace(window, kept=min(kept), reason=_reason(window.projection, 1 - min(kept), lost_far, options))
+def _judged(
+    window: Window, viewers: tuple[Viewer, Viewer], field: CommonField, options: RectifiedViewOptions
+) -> Window:
+    """Return the window with the share of the common field that it keeps, and why it is not all of it.
+
+    Points along rays of the left camera are counted at several distances, if both cameras see them.
+    """
+    mask, cells = field.left.mask[::_THINNED, ::_THINNED], field.left.cells()
+    weights = field.left.weights[::_THINNED, ::_THINNED][mask]
+    left = Directions(*(angles[::_THINNED, ::_THINNED][mask] for angles in cells))
+    in_left = _held(window, 0, left), _is_far(window.projection, left)
+    common = kept = far = 0.0
+    for parallax in (*_PARALLAXES, field.near):
+        right = Directions(np.arctan(np.tan(left.off) - parallax), left.about)
+        seen = np.isfinite(viewers[1].pixels(right)[:, 0])
+        common += float(weights[seen].sum())
+        kept += float(weights[seen & in_left[0] & _held(window, 1, right)].sum())
+        far += float(weights[seen & (in_left[1] | _is_far(window.projection, right))].sum())
+    if not common:
+        return replace(window, kept=0.0, reason=_reason(window.projection, 1.0, 0.0, options))
+    reason = _reason(window.projection, 1 - kept / common, far / common, options)
+    return replace(window, kept=kept / common, reason=reason)
+
+
+def _held(window: Window, side: int, where: Directions) -> BoolArray:
+    """Return the mask (N,) of directions (N,) that lie in the left (0) or right (1) image."""
+    held = ~_is_far(window.projection, where)
+    with np.errstate(all="ignore"):
+        place = to_plane(window.projection, where)
+        for values, axis in zip(place, (window.along, 1 - window.along), strict=True):
+            pixels = window.focal * values + window.centres[side][axis]
+            held &= (pixels >= -0.5) & (pixels <= window.size[axis] - 0.5)
+    return held
+
+
+def _is_far(projection: str, where: Directions) -> BoolArray:
+    """Return the mask (N,) of directions (N,) farther from the middle than a projection is used."""
+    far = np.abs(where.off) > FARTHEST[projection]
+    return np.asarray(far | (np.abs(where.about) > FARTHEST[projection]) if projection == PINHOLE else far)
 
 
 def _reason(projection: str, lost: float, far: float, options: RectifiedViewOptions) -> str:
