@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, resized
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
@@ -81,25 +81,30 @@ ROOM_T_LEFT = Pose.from_vector(np.array([0.02, 0.1, 0.01]), np.array([-0.3, 0.0,
 
 
 class RoomRig:
-    """A rig in a room: its file, its pictures, and the points (H, W, 3) that the left one shows."""
+    """A rig in a room: its file, its pictures, and the points (H, W, 3) that the left one shows.
 
-    def __init__(self, folder, kind, right_T_left, names=("left", "right")):
+    scale: of its pictures, which have 160 x 120 pixels at 1. coarse: render so many times smaller, and enlarge.
+    """
+
+    def __init__(self, folder, kind, right_T_left, scale=1.0, coarse=1):
         model, values = LENSES[kind]
-        scales = 1.0, 1.004
-        cameras = [Camera(model_named(model), SIZE, np.array(values) * scale) for scale in scales]
+        size = round(SIZE[0] * scale), round(SIZE[1] * scale)
+        small = size[0] // coarse, size[1] // coarse
         std = np.abs(values) * 3e-4 + 1e-6
-        entries = [CameraEntry(Camera(each.model, SIZE, each.parameters, np.diag(std**2))) for each in cameras]
+        cameras = [resized(Camera(model_named(model), SIZE, np.array(values) * each), size) for each in (1.0, 1.004)]
+        entries = [CameraEntry(Camera(each.model, size, each.parameters, np.diag(std**2))) for each in cameras]
         transform = Transform(right_T_left, np.diag(np.array([1e-4, 1e-4, 2e-4, 2e-4, 2e-4, 1e-4]) ** 2))
-        self.file = folder / "rig.yaml"
-        self.left, self.right = (folder / f"{name}.png" for name in names)
-        native.write(
-            self.file, CameraFile(dict(zip(names, entries, strict=True)), {f"{names[1]}_T_{names[0]}": transform})
-        )
-        first, self.points = seen(cameras[0], ROOM_T_LEFT, finest=0.06)
-        second, self.points_right = seen(cameras[1], ROOM_T_LEFT @ right_T_left.inverse(), finest=0.06)
-        cv2.imwrite(str(self.left), first)
-        cv2.imwrite(str(self.right), second)
         self.camera = cameras[0]
+        self.file, self.left, self.right = folder / "rig.yaml", folder / "left.png", folder / "right.png"
+        file = CameraFile(dict(zip(("left", "right"), entries, strict=True)), {"right_T_left": transform})
+        native.write(self.file, file)
+        finest = 0.06 * coarse / scale
+        poses = ROOM_T_LEFT, ROOM_T_LEFT @ right_T_left.inverse()
+        for path, camera, pose in zip((self.right, self.left), cameras[::-1], poses[::-1], strict=True):
+            picture, self.points = seen(resized(camera, small), pose, finest)
+            if coarse > 1:
+                picture = cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC)
+            cv2.imwrite(str(path), picture)
 
 
 def errors(cloud, camera, truth):
