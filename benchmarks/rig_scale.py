@@ -3,10 +3,11 @@
 A row: cameras, captures, views with the board; CPU seconds of camcal, over the sum of the separate calibrations of all
 cameras (5 at most wanted), over those of the row before by captures (near 1 if the time is linear); the errors of all
 transforms: the largest in its standard deviation, and the RMS of all of them; the largest true error of a camera's
-position in mm and of its rotation in degrees. --peer: cv2.calibrateMultiview (OpenCV 5) on the same corners, the
-cameras calibrated by cv2.calibrateCamera first: CPU seconds of both, and its errors.
+position in mm and of its rotation in degrees. --peers: cv2.calibrateMultiview (OpenCV 5), the cameras calibrated by
+cv2.calibrateCamera first, from the views that have all corners; --multical: in an interpreter that has it, from all
+corners. CPU seconds of the whole, and the errors.
 
-    python benchmarks/rig_scale.py [--cameras 8] [--captures 37 75 150 300] [--hidden 0.5] [--peer]
+    python benchmarks/rig_scale.py [--cameras 8] [--captures 37 75 150 300] [--hidden 0.5] [--peers] [--multical PYTHON]
     python benchmarks/rig_scale.py --cameras 4 --captures 1495 --hidden 0
 """
 
@@ -15,8 +16,12 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import json
 import resource
+import subprocess
+import tempfile
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -32,6 +37,7 @@ from camcal.targets.board import Board
 BOARD = Board("chessboard", 9, 6, 0.04)
 MODEL = model_named("opencv5")
 SIZE = (1280, 960)
+PEERS = Path(__file__).resolve().parent / "peers"
 
 
 def ring(cameras: int) -> SimulatedRig:
@@ -50,7 +56,9 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, default=8)
     parser.add_argument("--captures", type=int, nargs="+", default=[37, 75, 150, 300])
     parser.add_argument("--hidden", type=float, default=0.5)
-    parser.add_argument("--peer", action="store_true")
+    parser.add_argument("--peers", action="store_true", help="cv2.calibrateMultiview as well")
+    parser.add_argument("--multical", help="interpreter that has multical")
+    parser.add_argument("--alone", action="store_true", help="the peers without camcal")
     arguments = parser.parse_args()
     print(f"OpenCV {cv2.__version__}, numpy {np.__version__}; CPU seconds")
     print(
@@ -61,9 +69,12 @@ def main() -> None:
     for count in arguments.captures:
         rig = ring(arguments.cameras)
         captures = observed(scene(rig, count, count), Errors(0.1, hidden=arguments.hidden), count)
-        before = row(rig, captures, before)
-        if arguments.peer:
-            peer_row(rig, captures)
+        if not arguments.alone:
+            before = row(rig, captures, before)
+        if arguments.peers:
+            opencv_row(rig, captures)
+        if arguments.multical:
+            multical_row(arguments.multical, rig, captures)
 
 
 def row(rig: SimulatedRig, captures: Captures, before: float | None) -> float:
@@ -104,7 +115,7 @@ def transform_errors(rig: SimulatedRig, poses: dict[str, tuple[np.ndarray, np.nd
     return np.array(rows)
 
 
-def peer_row(rig: SimulatedRig, captures: Captures) -> None:
+def opencv_row(rig: SimulatedRig, captures: Captures) -> None:
     """Print what cv2.calibrateMultiview makes of the same corners."""
     if not hasattr(cv2, "calibrateMultiview"):
         print("  cv2.calibrateMultiview: not in this OpenCV")
@@ -149,6 +160,28 @@ def peer_row(rig: SimulatedRig, captures: Captures) -> None:
         f"{words_of(errors)}, RMS {found[0]:.3f} px",
         flush=True,
     )
+
+
+def multical_row(interpreter: str, rig: SimulatedRig, captures: Captures) -> None:
+    """Print what multical makes of the same corners."""
+    pixels = np.full((len(rig.lenses), len(captures), rig.board.count, 2), np.nan)
+    for index, row_of in enumerate(captures.views):
+        for camera, view in enumerate(row_of):
+            if view is not None:
+                pixels[camera, index, view.ids] = view.pixels
+    shape = (rig.board.columns, rig.board.rows)
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "data.npz", pixels=pixels, shape=shape, square=rig.board.spacing, size=SIZE)
+        command = [interpreter, PEERS / "multical_solve.py", folder]
+        own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        result = subprocess.run(command, check=False, capture_output=True, text=True, env=own)
+    if result.returncode:
+        print(f"  multical: {(result.stderr.strip().splitlines() or ['no message'])[-1]}")
+        return
+    seconds, poses = map(json.loads, result.stdout.splitlines()[-2:])
+    named = {name: (pose[:3, :3], pose[:3, 3]) for name, pose in zip(rig.cameras, np.array(poses), strict=True)}
+    errors = transform_errors(rig, named)
+    print(f"  multical: {seconds:.2f} s, largest errors in mm and degrees {words_of(errors)}", flush=True)
 
 
 if __name__ == "__main__":
