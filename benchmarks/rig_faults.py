@@ -14,14 +14,24 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import cv2
 import numpy as np
 from rig_programs import camcal_rig
+
+from camcal.calibrate.rigs.captures import Captures
+from camcal.cameras.catalogue import model_named
+from camcal.errors import CamcalError
+from camcal.run.fanout import fan_out
+from camcal.targets.board import Board
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from rig_scenes import (
     Errors,
     Scene,
@@ -37,12 +47,6 @@ from rig_scenes import (
     slipped,
     unrelated,
 )
-
-from camcal.calibrate.rigs.captures import Captures
-from camcal.cameras.catalogue import model_named
-from camcal.errors import CamcalError
-from camcal.run.fanout import fan_out
-from camcal.targets.board import Board
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,13 +30,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from rig_programs import camcal_rig
-from rig_scenes import Errors, Scene, SimulatedRig, Transform, narrow_lens, observed, scene, wide_lens
 from scipy.stats import chi2
 
 from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from rig_scenes import Errors, Scene, SimulatedRig, Transform, narrow_lens, observed, scene, wide_lens
 
 BOARD = Board("chessboard", 9, 6, 0.025)
 _SIZE = (1280, 960)

@@ -19,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import json
 import resource
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -26,13 +27,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from rig_programs import camcal_rig, matrix_of, opencv_lens
-from rig_scenes import Errors, SimulatedRig, Transform, narrow_lens, observed, scene
 
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.rigs.captures import Captures
 from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from rig_scenes import Errors, SimulatedRig, Transform, narrow_lens, observed, scene
 
 BOARD = Board("chessboard", 9, 6, 0.04)
 MODEL = model_named("opencv5")
