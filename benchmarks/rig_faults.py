@@ -89,7 +89,10 @@ def slip(given: Given) -> Made:
 
 
 def late_slip(given: Given) -> Made:
-    return slipped(given.captures, given.camera, given.capture), (_camera(given), *_at(given, given.capture))
+    """Return captures of which one image was not written, in the middle half of them."""
+    count = len(given.captures)
+    start = count // 4 + given.capture % (count // 2)
+    return slipped(given.captures, given.camera, start), (_camera(given), *_at(given, start))
 
 
 def swapped_images(given: Given) -> Made:
@@ -120,7 +123,7 @@ def larger_squares(given: Given) -> Made:
 
 
 def slightly_larger_squares(given: Given) -> Made:
-    return given.again(other=(given.camera, 1.02)), (_camera(given),)
+    return given.again(other=(given.camera, 1.04)), (_camera(given),)
 
 
 def other_board(given: Given) -> Made:
@@ -159,14 +162,28 @@ FAULTS: dict[str, Callable[[Given], Made]] = {
     "one image mirrored": mirrored_image,
     "a camera mirrored": mirrored_camera,
     "squares 20 % larger": larger_squares,
-    "squares 2 % larger": slightly_larger_squares,
+    "squares 4 % larger": slightly_larger_squares,
     "another pattern": other_board,
     "another session": other_session,
     "turned by 1°, moved 5 %": partial(rig_changed, turn=np.radians(1), share=0.05),
     "turned by 0.3°": partial(rig_changed, turn=np.radians(0.3), share=0.0),
 }
 # codes, or words of a refusal, that name a mistake
-NAMES: dict[str, tuple[str, ...]] = {}
+NAMES: dict[str, tuple[str, ...]] = {
+    "slipped by one": ("shifted_captures",),
+    "slipped from one on": ("shifted_captures",),
+    "images of two captures swapped": ("exchanged_images",),
+    "cameras of one capture swapped": ("swapped_images",),
+    "left and right swapped": ("swapped_cameras",),
+    "one image mirrored": ("mirrored_images",),
+    "a camera mirrored": ("mirrored_images",),
+    "squares 20 % larger": ("boards_of_two_sizes",),
+    "squares 4 % larger": ("boards_of_two_sizes",),
+    "another pattern": ("another board", "other board"),
+    "another session": ("do not belong together", "not of the same"),
+    "turned by 1°, moved 5 %": ("rig_changed",),
+    "turned by 0.3°": ("rig_changed",),
+}
 CLEAN: dict[str, Callable[[Errors], Errors]] = {
     "clean": lambda errors: errors,
     "correlated errors": partial(replace, smooth=0.1),
@@ -182,9 +199,13 @@ def given(seed: int, change: Callable[[Errors], Errors], *, symmetric: bool = Fa
     errors = change(Errors(float(0.05 * 6 ** rng.random()), hidden=float(rng.choice([0.0, 0.1])), stated=seed % 3 > 0))
     own = scene(rig, captures, seed)
     found = observed(own, errors, seed)
-    camera = int(rng.integers(1, len(rig.lenses)))
-    both = [g for g, row in enumerate(found.views) if row[0] is not None and row[camera] is not None]
-    return Given(own, errors, found, camera, int(rng.choice(both[1:-1])), seed)
+    common = [
+        [g for g, row in enumerate(found.views) if row[0] is not None and row[camera] is not None]
+        for camera in range(1, len(rig.lenses))
+    ]
+    best = max(map(len, common))
+    camera = int(rng.choice([1 + index for index, both in enumerate(common) if 2 * len(both) >= best]))
+    return Given(own, errors, found, camera, int(rng.choice(common[camera - 1][1:-1])), seed)
 
 
 @dataclass(frozen=True)
@@ -204,7 +225,10 @@ def said_of(captures: Captures, rig: SimulatedRig) -> Said:
     try:
         result = camcal_rig(captures, rig.board, model_named(rig.lenses[0].model))
     except CamcalError as error:
-        return Said((type(error).__name__,), str(error), failed=True)
+        codes = tuple(own.code for own in error.failures) or (type(error).__name__,)
+        return Said(codes, str(error), failed=True)
+    except (ArithmeticError, ValueError, IndexError) as error:
+        return Said((f"crash: {type(error).__name__}",), str(error), failed=True)
     messages = (*result.warnings, *result.failures)
     words = " | ".join([*map(str, messages), *(f"{name}: {why}" for name, why in result.unlinked.items())])
     unlinked = ("unlinked",) * bool(result.unlinked)

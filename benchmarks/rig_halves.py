@@ -16,7 +16,8 @@ Then: whether the three pairs of the trinocular rig close (second_T_third and so
 in standard deviations: all six numbers, their χ² and the largest), and whether the rig in one solve agrees with each;
 and the length of the baseline against the published one.
 
-    CAMCAL_TEST_DATA=FOLDER python benchmarks/rig_halves.py [--rigs NAME …] [--splits 20] [--cache FOLDER] [--seed 0]
+    CAMCAL_TEST_DATA=FOLDER python benchmarks/rig_halves.py [--rigs NAME …] [--splits 20] [--without 20] [--seed 0]
+        [--cache FOLDER]
 """
 
 import argparse
@@ -82,6 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", nargs="+", choices=RIGS, default=list(RIGS), metavar="NAME")
     parser.add_argument("--splits", type=int, default=20)
+    parser.add_argument("--without", type=int, default=20, help="splits that are solved without motion as well")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder that keeps the corners")
     arguments = parser.parse_args()
@@ -111,10 +113,12 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
         motion: {camera: Differences() for camera in rig.cameras[1:]} for motion in (None, False)
     }
     failed, seconds = 0, []
-    for _ in range(arguments.splits):
+    for split in range(arguments.splits):
         order = rng.permutation(len(captures))
         halves = [captures.take(np.sort(part)) for part in np.split(order, [len(captures) // 2])]
         for motion, differences in found.items():
+            if motion is False and split >= arguments.without:
+                continue
             start = time.process_time()
             try:
                 results = [camcal_rig(half, rig.target, rig.lens, motion=motion, max_rejected=1.0) for half in halves]
@@ -129,12 +133,14 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
     moved = f"{1e3 * whole.motion.median:6.2f}" if whole.motion else f"{'-':>6}"
     for camera in rig.cameras[1:]:
         own, without = found[None][camera], found[False][camera]
+        both = np.sqrt(np.mean(own.observed[: arguments.without], axis=0))[0] if without.observed else np.nan
+        alone = without.rms[0] if without.observed else np.nan
         label = f"{name} ({camera})" if len(rig.cameras) > 2 else name
         (length, shift, turn), claimed = own.rms, own.ratios
         print(
             f"{label:22} {len(captures) // 2:4d} {failed:6d} {1e3 * length:8.3f} {claimed[0]:8.2f} {1e3 * shift:11.3f} "
-            f"{claimed[1]:8.2f} {np.degrees(turn):8.4f} {claimed[2]:8.2f}  {1e3 * without.rms[0]:8.3f} "
-            f"{length / without.rms[0]:6.2f} {between_within(name, arguments.cache):14.2f} {moved} "
+            f"{claimed[1]:8.2f} {np.degrees(turn):8.4f} {claimed[2]:8.2f}  {1e3 * alone:8.3f} "
+            f"{both / alone:6.2f} {between_within(name, arguments.cache):14.2f} {moved} "
             f"{np.median(seconds):5.1f}",
             flush=True,
         )
