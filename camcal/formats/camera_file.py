@@ -186,6 +186,20 @@ def parameters_covariance(file: CameraFile) -> JointCovariance:
     return JointCovariance(names, result)
 
 
+def pair_covariance(file: CameraFile, first: str, second: str) -> FloatArray:
+    """Return the covariance (N, N) of the lens parameters of two cameras and the step of second_T_first, with
+    cross-terms; zero for what has none. Raises InvalidInput if no transforms join the two.
+    """
+    graph, known, transforms = _graph(file), parameters_covariance(file), list(file.transforms)
+    index = {name: place for place, name in enumerate(known.names)}
+    lenses = [f"{name}.{each}" for name in (first, second) for each in file.cameras[name].camera.model.parameter_names]
+    jacobian = np.zeros((len(lenses) + 6, len(known.names)))
+    jacobian[np.arange(len(lenses)), [index[name] for name in lenses]] = 1.0
+    for place, by in graph.along(graph.path(second, first)).by.items():
+        jacobian[len(lenses) :, [index[f"{transforms[place]}.{step}"] for step in STEP]] = by
+    return np.asarray(jacobian @ known.matrix @ jacobian.T)
+
+
 def transform_covariances(file: CameraFile, transform: str) -> dict[str, FloatArray]:
     """Return the covariances (6, 6) of the step of a transform with those of others in a file by their names, its own
     among them, as far as they are known.

@@ -63,6 +63,19 @@ def test_folders_become_rectified_pairs_with_camera_file_and_masks(run, folder):
     assert file.provenance["rig"]["cameras"] == ["left", "right"]
 
 
+def test_the_covariance_of_the_rig_goes_to_the_rectified_cameras(run, folder):
+    spread = np.diag(np.array([0.3, 0.3, 0.2, 0.2, 1e-3, 1e-3, 1e-5, 1e-5, 1e-3]) ** 2)
+    entry = CameraEntry(Camera(LENS.model, SIZE, LENS.parameters, spread))
+    transform = Transform(POSE, np.diag(np.array([1e-4, 1e-4, 2e-4, 1e-4, 3e-4, 1e-4]) ** 2))
+    native.write(folder / "rig.yaml", CameraFile({"left": entry, "right": entry}, {"right_T_left": transform}))
+    assert run("stereo", "rectify", "rig.yaml", "-o", "out")[0] == 0
+    file = native.read(folder / "out/rectified.yaml")
+    assert 0.1 < file.cameras["left"].camera.std("fx") < 1.0
+    std = np.sqrt(np.diag(file.transforms["right_T_left"].covariance))
+    assert std[0] == pytest.approx(1e-4, rel=0.05)  # along the baseline, which is nearly x
+    assert file.joint_covariance.names[::9] == ("left.fx", "right_T_left.ty")
+
+
 def test_maps_and_files_for_other_programs_need_no_images(run, folder):
     command = ("stereo", "rectify", "rig.yaml", "-o", "out", "--maps", "--opencv", "--ros", "--json")
     code, out, _ = run(*command)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats.camera_file import STEP, CameraEntry, CameraFile, JointCovariance, Transform, pair_covariance
 from camcal.formats.cameras import rectified_pair, ros
 from camcal.geometry.pose import JOINT
 from camcal.images.load import load
@@ -21,6 +22,7 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
+from camcal.stereo.rectify.covariance import rectified_covariance
 from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import plan_rectification
@@ -219,15 +221,37 @@ def _write_beside(beside: Beside, options: RectifyOptions, rig: GivenRig, found:
 
 
 def _camera_file(options: RectifyOptions, rig: GivenRig, found: Rectification) -> CameraFile:
-    """Return the file of the rectified cameras, with the verdicts on their lenses."""
+    """Return the file of the rectified cameras, with the verdicts on their lenses and the covariance of the rig."""
     origin = {"file": rig.path.as_posix(), "sha256": files.sha256(rig.path), "cameras": list(rig.names)}
-    entries = {
-        name: CameraEntry(camera, verdict=rig.file.cameras[name].verdict)
-        for name, camera in ((found.left, found.left_camera), (found.right, found.right_camera))
-    }
-    transform = Transform(found.right_T_left)
     block = provenance.build(command_line("stereo rectify", options), None) | {"rig": origin}
-    return CameraFile(entries, {f"{found.right}{JOINT}{found.left}": transform}, provenance=block)
+    views = {found.left: found.left_camera, found.right: found.right_camera}
+    name, pose = f"{found.right}{JOINT}{found.left}", found.right_T_left
+    joint = _covariance(rig, found, views, name)
+    if joint is None:
+        transform = Transform(pose)
+    else:
+        views = {
+            own: Camera(view.model, view.image_size, view.parameters, joint.matrix[part, part])
+            for (own, view), part in zip(views.items(), (slice(0, 4), slice(4, 8)), strict=True)
+        }
+        transform = Transform(pose, joint.matrix[8:, 8:])
+    entries = {own: CameraEntry(view, verdict=rig.file.cameras[own].verdict) for own, view in views.items()}
+    return CameraFile(entries, {name: transform}, joint, provenance=block)
+
+
+def _covariance(
+    rig: GivenRig, found: Rectification, views: Mapping[str, Camera], transform: str
+) -> JointCovariance | None:
+    """Return the covariance of the rectified cameras and of their transform, None where the rig's is not known."""
+    known = pair_covariance(rig.file, found.left, found.right)
+    sources = [rig.cameras[name] for name in views]
+    counts = np.cumsum([len(source.parameters) for source in sources])
+    blocks = np.split(np.diag(known), counts)
+    matrix = rectified_covariance(found, sources[0], sources[1], known) if all(each.any() for each in blocks) else None
+    if matrix is None:
+        return None
+    names = tuple(f"{name}.{each}" for name, view in views.items() for each in view.model.parameter_names)
+    return JointCovariance((*names, *(f"{transform}.{step}" for step in STEP)), matrix)
 
 
 def document(report: RectifyReport) -> dict[str, Any]:

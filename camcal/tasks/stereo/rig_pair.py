@@ -6,15 +6,13 @@ from functools import cached_property
 from itertools import permutations
 from pathlib import Path
 
-import numpy as np
-
-from camcal.arrays import Array, BoolArray, FloatArray, PixelArray
+from camcal.arrays import Array, BoolArray, PixelArray
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats.camera_file import STEP, CameraFile, parameters_covariance
+from camcal.formats.camera_file import CameraFile, pair_covariance
 from camcal.geometry.frame_graph import FrameGraph
-from camcal.geometry.pose import Derived, NamedTransform, frames_of
+from camcal.geometry.pose import NamedTransform, frames_of
 from camcal.images.remap import Maps, build_maps
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
@@ -153,23 +151,10 @@ def _rig_pair(file: CameraFile, graph: FrameGraph, rectification: Rectification)
     left, right = (Lens(file.cameras[name].camera, file.cameras[name].image_circle) for name in names)
     right_T_left = graph.along(graph.path(names[1], names[0]))
     geometry = of_rectification(rectification)
-    covariance = _covariance(file, names, right_T_left)
+    covariance = pair_covariance(file, *names)
     calibration = None
     if covariance.any():
         turns = rectification.rect_R_left, rectification.rect_R_right
         pair = CalibratedPair(left.camera, right.camera, right_T_left.pose, covariance, *turns)
         calibration = calibration_error(pair, geometry, rectification.size)
     return RigPair(left, right, rectification, RectifiedPair(geometry, {}, calibration, rectification.rect_R_left.T))
-
-
-def _covariance(file: CameraFile, names: tuple[str, str], right_T_left: Derived[int]) -> FloatArray:
-    """Return the covariance of the parameters of both lenses and of the step of right_T_left, with cross-terms."""
-    known = parameters_covariance(file)
-    index = {name: place for place, name in enumerate(known.names)}
-    lenses = [f"{name}.{each}" for name in names for each in file.cameras[name].camera.model.parameter_names]
-    jacobian = np.zeros((len(lenses) + 6, len(known.names)))
-    jacobian[np.arange(len(lenses)), [index[name] for name in lenses]] = 1.0
-    transforms = list(file.transforms)
-    for place, by in right_T_left.by.items():
-        jacobian[len(lenses) :, [index[f"{transforms[place]}.{each}"] for each in STEP]] = by
-    return np.asarray(jacobian @ known.matrix @ jacobian.T)
