@@ -26,6 +26,7 @@ def test_every_critical_package_has_faults() -> None:
         "quality",
         "solve",
         "stereo_matching",
+        "stereo_rectify",
         "targets_corners",
     ]
     assert all(len(tomllib.loads(path.read_text(encoding="utf-8"))) >= 12 for path in LISTS)
