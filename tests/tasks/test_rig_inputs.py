@@ -147,6 +147,12 @@ def test_images_without_a_partner_are_captures_of_their_own_and_listed():
     assert found.line == "2 captures of 2 cameras, matched by name; 2 images unmatched"
 
 
+def test_numbers_of_sessions_are_no_numbers_of_images():
+    found = matched({"a": views("a", "a/s1_01.png", "a/s1_02.png"), "b": views("b", "b/s1_01.png", "b/s2_01.png")})
+    assert rows(found)[0] == ("s1_01.png", "s1_01.png")
+    assert len(found.unmatched) == 2
+
+
 def test_counts_that_agree_are_matched_by_index_where_names_say_nothing():
     found = matched({"a": views("a", "dsc1.png", "dsc5.png"), "b": views("b", "p17.png", "p23.png")})
     assert found.by == "index"

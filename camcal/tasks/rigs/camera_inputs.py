@@ -239,12 +239,25 @@ def tokens(stem: str) -> tuple[str, ...]:
     return tuple(_TOKENS.findall(stem))
 
 
-def varying(stems: Sequence[str]) -> Iterator[tuple[int | str, ...]]:
-    """Yield the parts of names that are not the same in all of them, numbers as such."""
-    parts = [tokens(stem) for stem in stems]
-    length = {len(part) for part in parts}
-    kept = range(max(length, default=0))
-    if len(length) == 1:
-        kept = [place for place in kept if len({part[place] for part in parts}) > 1]  # type: ignore[assignment]
-    for part in parts:
-        yield tuple(int(part[place]) if part[place].isdigit() else part[place] for place in kept if place < len(part))
+def varying(stems: Sequence[Sequence[str]]) -> Iterator[list[tuple[int | str, ...]]]:
+    """Yield for every camera the parts of its names that are not the same in all names of each camera, numbers as such.
+
+    Where all names have equally many parts, a part that varies for one camera is kept for all.
+    """
+    parts = [[tokens(stem) for stem in own] for own in stems]
+    kept = [_differing(own) for own in parts]
+    if len({len(part) for own in parts for part in own}) == 1:
+        kept = [sorted(set().union(*kept))] * len(parts)
+    for own, places in zip(parts, kept, strict=True):
+        yield [tuple(_number_or_word(part[place]) for place in places if place < len(part)) for part in own]
+
+
+def _differing(parts: Sequence[Sequence[str]]) -> list[int]:
+    """Return the places at which parts of names differ, all of them where names have different numbers of parts."""
+    lengths = {len(part) for part in parts}
+    places = range(max(lengths, default=0))
+    return [place for place in places if len(lengths) > 1 or len({part[place] for part in parts}) > 1]
+
+
+def _number_or_word(part: str) -> int | str:
+    return int(part) if part.isdigit() else part

@@ -17,6 +17,8 @@ from camcal.tasks.rigs.camera_inputs import varying
 from camcal.tasks.rigs.options import AUTO, INDEX, NAME, TIME
 
 Views = Mapping[str, Sequence[BoardDetection]]  # of every camera, in the order of its images
+Paths = Mapping[str, Sequence[Path]]
+Keys = Mapping[str, Sequence[Hashable]]
 
 _ENOUGH = 0.5  # of the images of the camera with fewest: so many names agree, or they are no common names
 _NAMED = 3  # images in a message
@@ -83,9 +85,10 @@ def _shared(found: Matched) -> int:
 
 def _by_name(views: Views) -> Matched | None:
     """Return the captures by the reading of the names under which most images have a partner, None if none has."""
-    best: tuple[int, dict[str, list[Hashable]]] | None = None
-    for reading in (*map(_each, NAME_READINGS[:1]), _without_camera, _varying, *map(_each, NAME_READINGS[1:])):
-        keys = {name: reading(name, [Path(view.image) for view in own]) for name, own in views.items()}
+    best: tuple[int, Keys] | None = None
+    stems = {name: [Path(view.image) for view in own] for name, own in views.items()}
+    for reading in (_each(NAME_READINGS[0]), _without_camera, _varying, *map(_each, NAME_READINGS[1:])):
+        keys = reading(stems)
         if any(len(set(own)) < len(own) for own in keys.values()):
             continue
         counts = Counter(key for own in keys.values() for key in own)
@@ -97,18 +100,19 @@ def _by_name(views: Views) -> Matched | None:
     return _collected(views, best[1], NAME, _words)
 
 
-def _each(reading: Callable[[Path], str]) -> Callable[[str, Sequence[Path]], list[Hashable]]:
-    return lambda _, paths: [reading(path) for path in paths]
+def _each(reading: Callable[[Path], str]) -> Callable[[Paths], Keys]:
+    return lambda paths: {name: [reading(path) for path in own] for name, own in paths.items()}
 
 
-def _without_camera(camera: str, paths: Sequence[Path]) -> list[Hashable]:
+def _without_camera(paths: Paths) -> Keys:
     """Return the names of images without that of the camera: left01 of left, cam0_01 of cam0."""
-    return [path.stem.replace(camera, "", 1).strip("_-. ") for path in paths]
+    return {name: [path.stem.replace(name, "", 1).strip("_-. ") for path in own] for name, own in paths.items()}
 
 
-def _varying(_: str, paths: Sequence[Path]) -> list[Hashable]:
-    """Return what differs between the names of a camera's images."""
-    return list(varying([path.stem for path in paths]))
+def _varying(paths: Paths) -> Keys:
+    """Return what differs between the names of any camera's images."""
+    found = varying([[path.stem for path in own] for own in paths.values()])
+    return {name: list(own) for name, own in zip(paths, found, strict=True)}
 
 
 def _words(key: Hashable) -> str:
@@ -116,7 +120,7 @@ def _words(key: Hashable) -> str:
 
 
 def _by_index(views: Views) -> Matched:
-    keys: dict[str, list[Hashable]] = {name: list(range(1, len(own) + 1)) for name, own in views.items()}
+    keys = {name: range(1, len(own) + 1) for name, own in views.items()}
     return _collected(views, keys, INDEX, str)
 
 
@@ -153,7 +157,7 @@ def _usual_tolerance(times: Mapping[str, np.ndarray]) -> float:
     return 0.5 * min(steps, default=0.0)
 
 
-def _collected(views: Views, keys: Mapping[str, Sequence[Hashable]], by: str, words: Callable[..., str]) -> Matched:
+def _collected(views: Views, keys: Keys, by: str, words: Callable[..., str]) -> Matched:
     """Return the captures of views by their keys, in the natural order of these."""
     cameras = tuple(views)
     rows: dict[Hashable, dict[str, BoardDetection]] = {}
