@@ -154,6 +154,14 @@ def test_stereo_calibrate_is_the_same_for_two_cameras(run, seen, tmp_path, rig_f
     assert found.provenance["command"].startswith("camcal stereo calibrate")
 
 
+def test_a_pair_has_two_cameras(run, tmp_path):
+    for name in ("left", "middle", "right"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "1.png").write_bytes(b"x")
+    code, _, err = run("stereo", "calibrate", tmp_path, "-b", "chessboard:7x6:40mm", "-o", tmp_path / "rig.yaml")
+    assert (code, "3 cameras (left, middle, right): use 'camcal rig'" in err) == (2, True)
+
+
 def test_lenses_may_be_held_or_be_a_prior(run, seen, table, tmp_path, rig_file):
     given = native.read(rig_file).cameras["left"].camera
     for lenses in ("fixed", "prior"):

@@ -103,7 +103,7 @@ def stereo_calibrate(options: StereoCalibrateOptions, progress: Progress = SILEN
     """Return the calibration of two cameras, left and right; raises and writes as `rig` does."""
     inputs = [options.left] if options.right is None else [f"left={options.left}", f"right={options.right}"]
     settings, command = options.settings, command_line("stereo calibrate", options)
-    return calibrated(lambda: rig_views(inputs, settings, progress), settings, command, progress)
+    return calibrated(lambda: rig_views(inputs, settings, progress, pair=True), settings, command, progress)
 
 
 def calibrated(

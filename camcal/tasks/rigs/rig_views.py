@@ -73,13 +73,16 @@ class RigViews:
         return replace(self, matched=replace(self.matched, captures=replace(self.captures, views=rows)))
 
 
-def rig_views(inputs: Sequence[str], settings: RigSettings, progress: Progress) -> RigViews:
-    """Return what the inputs of all cameras show of a board.
+def rig_views(inputs: Sequence[str], settings: RigSettings, progress: Progress, *, pair: bool = False) -> RigViews:
+    """Return what the inputs of all cameras show of a board; pair: these have to be two.
 
     Raises InvalidInput where cameras or captures cannot be told apart, FileError if nothing can be read,
     InsufficientData if fewer than two cameras see the board.
     """
     cameras, lines = cameras_of(inputs, settings.recursive, settings.reading.suffixes)
+    if pair and len(cameras) > 2:
+        names = ", ".join(camera.name for camera in cameras)
+        raise InvalidInput(f"{len(cameras)} cameras ({names}): use 'camcal rig'", where=inputs[0])
     tables = [camera for camera in cameras if camera.tables]
     if tables and any(camera.images or camera.videos or len(camera.tables) > 1 for camera in cameras):
         raise InvalidInput("detections files cannot be combined with other inputs", where=tables[0].tables[0])
