@@ -11,7 +11,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.between_views import between_views
 from camcal.calibrate.intrinsics import Calibration, Solved
 from camcal.calibrate.rigs.captures import Captures
-from camcal.calibrate.rigs.effects import MOTION
+from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_rms
 from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig
 from camcal.calibrate.rigs.links import Link, Placed, link, place
@@ -23,6 +23,9 @@ from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board
+
+_SEEN = 3.0  # times the noise of a corner: motion that is worth a message
+_LEFT_OUT = 0.25  # of a camera's views, which fit no other camera
 
 __all__ = ["Captures", "RigCalibration", "RigOptions", "calibrate_rig"]
 
@@ -100,7 +103,9 @@ def _alone(captures: Captures, board: Board, options: RigOptions) -> _Cameras:
             solved = intrinsics.solve(views, board, how)
             intrinsics.require_plausible(solved, how)
         except (InsufficientData, NotConverged) as error:
-            refused[name] = error
+            other = next((view.other for view in views if view.other is not None), None)
+            hint = f"; its images show a {other.words}" if other is not None else ""
+            refused[name] = type(error)(error.message + hint)
             continue
         used = [index for index, reason in zip(there, solved.reasons, strict=True) if reason is None]
         names.append(name)
@@ -201,7 +206,7 @@ def _record(
     }
     count, motion = problem.board_start, _motion(result)
     warnings = [Message("unlinked_camera", f"not in the rig: {why}", where=name) for name, why in unlinked.items()]
-    if motion is not None:
+    if motion is not None and _shows(result, motion):
         text = (
             f"board moved {1e3 * motion.median:.2g} mm (median) between the exposures of a capture: synchronise the "
             "cameras, or hold the board still"
@@ -217,8 +222,19 @@ def _record(
         unlinked=unlinked,
         epipolar_rms_px=epipolar_rms(result),
         warnings=(*warnings, *found.warnings),
-        failures=found.failures,
+        failures=(*found.failures, *_misfits(calibrations, cameras)),
     )
+
+
+def _misfits(calibrations: Mapping[str, Calibration], cameras: _Cameras) -> list[Message]:
+    """Return the failures of cameras many of whose views fit the rig less well than themselves."""
+    result = []
+    for name, start in zip(cameras.names, cameras.starts, strict=True):
+        wrong, count = sum(view.rejected for view in calibrations[name].views), len(start.captures)
+        if wrong > _LEFT_OUT * count:
+            text = f"{wrong} of {count} views of {name} do not fit the other cameras: check that images are matched"
+            result.append(Message("inconsistent_captures", text, {"views": wrong}))
+    return result
 
 
 def _calibration(result: RigFit, camera: int, solved: Solved) -> Calibration:
@@ -260,14 +276,20 @@ def _turned(first: Array, then: Array, board: Board) -> Array:
     return np.array([int(np.flatnonzero((table == row).all(axis=1))[0]) for row in composed], np.intp)
 
 
+def _shows(result: RigFit, motion: ExposureMotion) -> bool:
+    """Return whether the motion of a capture is far above the noise of its corners."""
+    part = result.plain.parts[-1]
+    depth = float(np.median(part.place.state.translations[:, 2]))
+    return motion.median * float(part.place.state.parameters[0]) / depth > _SEEN * part.noise.sigma
+
+
 def _motion(result: RigFit) -> ExposureMotion | None:
     """Return how far the board moved between the exposures of captures."""
     plain = result.plain
     if not plain.motion:
         return None
-    chosen = plain.effects.of_kind(MOTION)
-    std = plain.effect_scales.std(plain.effects.effect)
-    moved = plain.coefficients[:, chosen].reshape(len(std), -1, 6)[:, :, :3]
+    chosen = plain.effects.of_kinds(SHIFT)
+    moved = plain.coefficients[:, chosen].reshape(len(plain.coefficients), -1, 3)
     distances = np.linalg.norm(moved, axis=2)
     seen = distances[distances > 0]
     kinds = np.unique(plain.effects.effect[chosen])

@@ -19,9 +19,9 @@ from camcal.cameras.reprojection import by_pose
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 
-MOTION = Effect("motion", POSE, of_board=True)
-KINDS = (*EFFECTS, MOTION)
-_FLEX, _MOTION = KINDS.index(FLEX), KINDS.index(MOTION)
+SHIFT, TURN = Effect("shift", 3, of_board=True), Effect("turn", 3, of_board=True)
+KINDS = (*EFFECTS, SHIFT, TURN)
+_FLEX, _SHIFT, _TURN = KINDS.index(FLEX), KINDS.index(SHIFT), KINDS.index(TURN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +65,9 @@ class CaptureEffects:
         ]
         return EffectScales(np.array(typical), np.ones((captures, len(typical))), np.array(typical))
 
-    def of_kind(self, effect: Effect) -> Array:
-        """Return which coefficients (m,) are of an effect, of whichever camera."""
-        chosen = np.array([KINDS[kind] is effect for _, kind in self.kinds], bool)
+    def of_kinds(self, *effects: Effect) -> Array:
+        """Return which coefficients (m,) are of some effects, of whichever camera."""
+        chosen = np.array([KINDS[kind] in effects for _, kind in self.kinds], bool)
         return chosen[self.effect] if len(self.effect) else np.zeros(0, bool)
 
 
@@ -108,7 +108,7 @@ def with_motion(columns: EffectColumns, motion: Array | None) -> EffectColumns:
     """Return the columns of a camera with those of motion (2, 6, V, P) behind them."""
     if motion is None:
         return columns
-    effect = np.concatenate([columns.effect, np.full(motion.shape[1], _MOTION)])
+    effect = np.concatenate([columns.effect, np.repeat([_SHIFT, _TURN], POSE // 2)])
     return EffectColumns(np.concatenate([columns.values, motion], axis=1), effect)
 
 

@@ -15,7 +15,7 @@ from camcal.calibrate.camera_part import CameraPart, KnownNoise, Place
 from camcal.calibrate.effects import EffectScales, Posterior, fit_effects, scaled
 from camcal.calibrate.noise import count_of
 from camcal.calibrate.problem import POSE
-from camcal.calibrate.rigs.effects import MOTION, CaptureEffects, motion_columns, moved_views, with_motion
+from camcal.calibrate.rigs.effects import SHIFT, TURN, CaptureEffects, motion_columns, moved_views, with_motion
 from camcal.calibrate.rigs.posterior import PartPosterior, part_posteriors
 from camcal.calibrate.rigs.problem import RigProblem, RigState
 from camcal.calibrate.shape import (
@@ -60,7 +60,7 @@ class RigEstimate:
     def motion_of(self, camera: int) -> Array:
         """Return the coefficients (V, 6) of the motion of a camera's views, 0 where there is none."""
         captures, slots = self.problem.captures[camera], self.effects.slots[camera]
-        own = slots[self.effects.of_kind(MOTION)[slots]]
+        own = slots[self.effects.of_kinds(SHIFT, TURN)[slots]]
         return self.coefficients[captures][:, own] if len(own) else np.zeros((len(captures), POSE))
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, SMOOTH, likelihood_gain
+from camcal.calibrate.effects import EFFECTS, SMOOTH, EffectColumns, columns_at, likelihood_gain
 from camcal.calibrate.fit import displacements
 from camcal.calibrate.intrinsics import Solved
 from camcal.calibrate.jackknife import covariance_of, image_metric, influence, weights_of
@@ -24,9 +24,7 @@ from camcal.solve.steps import SingularError
 
 _LOSS, _ROUGH, _POSING = Cauchy(3.0), Stopping(relative_decrease=1e-6, iterations=30), Stopping(iterations=5)
 _EFFECTS = ((SMOOTH.name,), tuple(effect.name for effect in EFFECTS))
-# Gains of the restricted log likelihood by motion of the board between exposures: of none, few are beyond the first;
-# beyond the second it is certain.
-_NOTHING, _CERTAIN = 3.0, 10.0
+_CERTAIN = 10.0  # gain of the restricted log likelihood by motion of the board between exposures that is used
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +97,9 @@ def fit_rig(
     plain = estimate_rig(problem, state, additional, [own.known for own in plains], plains[0].board)
     moves = motion_gain(plain) > _CERTAIN if motion is None else motion
     if moves:
-        plain = estimate_rig(plain.problem, plain.state, additional, plain.known, plain.board, motion=True)
+        # from the noise of single cameras: to a rig without motion, views whose board moved look noisy
+        known = [own.known for own in plains]
+        plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=True)
     share = max(start.solved.fit.errors.share for start in starts)
     estimates = [plain]
     for effects in _EFFECTS if share > 0 and plain.converged else ():
@@ -175,22 +175,32 @@ def _robust(problem: RigProblem, state: RigState) -> RigProblem:
 
 
 def motion_gain(plain: RigEstimate) -> float:
-    """Return the gain of the restricted log likelihood that motion of the board between exposures brings."""
-    problem, state = plain.problem, plain.state
+    """Return the gain of the restricted log likelihood that motion of the board between exposures brings beside smooth
+    errors within views, which could look like it.
+    """
+    problem = plain.problem
     problem = problem.with_parts([replace(part, offsets=False) for part in problem.parts])
     moved = moved_views(problem)
     if not any(views.any() for views in moved):
         return 0.0
-    found, equations = [], []
+    smooth, both = [], []
     for camera, (part, views) in enumerate(zip(plain.parts, moved, strict=True)):
-        own = problem.of_camera(state, camera)
-        derivatives = part.place.derivatives
+        own, derivatives = problem.of_camera(plain.state, camera), part.place.derivatives
+        smooth.append(columns_at(part.problem, own, derivatives, (SMOOTH.name,)))
         motion = motion_columns(problem.board, own.rotations, derivatives, views, part.present)
-        columns = with_motion(part.columns.of([]), motion if views.any() else None)
-        found.append(columns)
-        effects = columns.values if columns.values.shape[1] else None
-        equations.append(problem.equations_of(state, camera, own, derivatives, effects)[1])
-    layout = CaptureEffects.of(found)
+        both.append(with_motion(smooth[-1], motion if views.any() else None))
+    return _gain(plain, problem, both) - _gain(plain, problem, smooth)
+
+
+def _gain(plain: RigEstimate, problem: RigProblem, columns: Sequence[EffectColumns]) -> float:
+    """Return the gain of the restricted log likelihood that effects with these columns of the cameras bring."""
+    layout, state = CaptureEffects.of(columns), plain.state
+    equations = [
+        problem.equations_of(
+            state, camera, problem.of_camera(state, camera), part.place.derivatives, columns[camera].values
+        )[1]
+        for camera, part in enumerate(plain.parts)
+    ]
     total = problem.joined(equations, [POSE + own for own in layout.slots], POSE + len(layout.effect))
     priors = assemble(problem.priors(state), problem.shared, 0, POSE)
     total = replace(total, shared_shared=total.shared_shared + priors.shared_shared)
@@ -203,8 +213,11 @@ def _averaged(
 ) -> RigFit:
     """Return the solution by estimates, in which those that model effects are weighted by the evidence for these."""
     plain = estimates[0]
-    left_out = [influence(own) for own in estimates]
     metric = _metric(plain, sizes)
+    if metric is None:  # a lens that holds nowhere, as that of a wrong board may
+        estimates, share = (plain,), 0.0
+        metric = np.eye(plain.problem.board_start)
+    left_out = [influence(own) for own in estimates]
     weights = weights_of(left_out, metric, share)
     covariance = covariance_of(estimates, left_out, metric, weights, max(share, float(plain.motion)))
     state = plain.state
@@ -235,16 +248,19 @@ def _within_domain(problem: RigProblem, state: RigState) -> RigProblem:
     )
 
 
-def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array:
+def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array | None:
     """Return the metric, px², of changes of lenses and camera poses: of directions over the images, and of the board's
-    corners.
+    corners. None where no direction of an image is determined.
     """
     problem = plain.problem
     result = np.zeros((problem.board_start, problem.board_start))
     for camera, (part, size) in enumerate(zip(plain.parts, sizes, strict=True)):
         if len(part.problem.free):
             lens = slice(*problem.lens_starts[camera : camera + 2])
-            result[lens, lens] = image_metric(displacements(part.problem, part.place.state, size))
+            found = displacements(part.problem, part.place.state, size)
+            if not len(found):
+                return None
+            result[lens, lens] = image_metric(found)
         columns = problem.pose_columns(camera)
         if len(columns):
             weights = part.problem.observations.weights.ravel()

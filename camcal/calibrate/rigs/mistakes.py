@@ -26,6 +26,8 @@ _SCALE = 0.03  # by which the size of the board in one camera differs that is na
 _SEVERAL = 3  # captures in a row that may be those after a change
 _CLEAR, _CLEAR_PX = 7.0, 0.4  # standard deviations and pixels of a change of the relative pose
 _NAMED = 5  # captures in a sentence
+_ROUNDS = 10  # of reweighting
+_UNKNOWN = 3.0  # captures
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +129,9 @@ class _Pair:
         return float(np.median(self.errors(_some(a, rows_a), _some(b, rows_b), known)))
 
     def require_order(self) -> None:
-        """Raise InsufficientData if all captures fit another way of putting them together much better."""
+        """Raise InsufficientData if all captures fit another way of putting them together much better, or most of them
+        do not fit at all.
+        """
         a, b = self.a.poses, self.b.poses
         typical = max(self.typical(self.known, a, b), _LEAST_PX)
         for shift in _SHIFTS:
@@ -135,30 +139,50 @@ class _Pair:
             found = link(a, moved, self.board)
             enough = found is not None and len(found.captures) >= max(_SEVERAL, len(self.known.captures) // 2)
             if found is not None and enough and self.typical(found, a, moved) < _BETTER * typical:
-                frames = counted(abs(shift), "capture")
-                later = self.b.name if shift < 0 else self.a.name
+                late, early = (self.b, self.a) if shift < 0 else (self.a, self.b)
                 text = (
-                    f"captures of {self.a.name} and {self.b.name} are shifted: those of {later} belong to the "
-                    f"images {frames} earlier of the other; check for a missing image, or use --match"
+                    f"images of {late.name} are {counted(abs(shift), 'capture')} late against those of {early.name}: "
+                    "check for a missing image, or use --match"
                 )
                 raise _refused("shifted_captures", text, {"captures": shift})
-        for camera, poses in ((self.b, _mirrored(b, self.board)), (self.a, _mirrored(a, self.board))):
-            pair = (a, poses) if camera is self.b else (poses, b)
+        for camera, pair in self._mirrorings(a, b):
             found = link(*pair, self.board)
             if found is not None and self.typical(found, *pair) < _BETTER * typical:
                 text = f"images of {camera.name} are mirrored: calibrate with the images as the sensor gives them"
                 raise _refused("mirrored_images", text, {})
         self._require_size()
+        errors = self.errors(*self.common(), self.known)
+        fitting = errors < max(_FAR * float(np.quantile(errors, 0.2)), _FAR_PX)
+        if 2 * fitting.sum() <= len(errors):
+            text = (
+                f"captures of {self.a.name} and {self.b.name} do not belong together: {np.sum(~fitting)} of "
+                f"{len(errors)} do not fit the relative pose of the others, by {np.median(errors[~fitting]):.2g} px"
+            )
+            raise _refused("inconsistent_captures", text, {"captures": int(np.sum(~fitting))})
+
+    def common(self) -> tuple[CameraPoses, CameraPoses]:
+        """Return the poses of both cameras in their common captures."""
+        rows_a, rows_b = self.rows()
+        return _some(self.a.poses, rows_a), _some(self.b.poses, rows_b)
+
+    def _mirrorings(
+        self, a: CameraPoses, b: CameraPoses
+    ) -> Iterator[tuple[RigCamera, tuple[CameraPoses, CameraPoses]]]:
+        """Yield the camera whose images may be mirrored, and the poses as they would be without."""
+        for own in _mirrored(b, self.board):
+            yield self.b, (a, own)
+        for own in _mirrored(a, self.board):
+            yield self.a, (own, b)
 
     def _require_size(self) -> None:
         """Raise InsufficientData if the board is of another size in the images of b."""
-        rows_a, rows_b = self.rows()
-        a, b = _some(self.a.poses, rows_a), _some(self.b.poses, rows_b)
+        a, b = self.common()
+        turns = b.rotations @ a.rotations.transpose(0, 2, 1)
+        away = np.linalg.norm(so3.log(turns[:, None] @ turns.transpose(0, 2, 1)), axis=2)
+        turn = turns[int(np.argmin(np.median(away, axis=1)))]  # sizes do not change rotations
         centre = outline(self.board)[-1]
-        seen = (a.rotations @ centre + a.translations) @ self.known.rotation.T
-        there = b.rotations @ centre + b.translations
-        # there · scale = seen + translation, with the rotation as it is
-        found = _scale(seen, there)
+        seen = (a.rotations @ centre + a.translations) @ turn.T
+        found = _scale(seen, b.rotations @ centre + b.translations)
         if found is None:
             return
         scale, before, after = found
@@ -173,8 +197,7 @@ class _Pair:
 
     def of_captures(self, captures: Sequence[str]) -> tuple[list[Message], list[int]]:
         """Return warnings about the captures that do not fit, and which they are."""
-        rows_a, rows_b = self.rows()
-        a, b = _some(self.a.poses, rows_a), _some(self.b.poses, rows_b)
+        a, b = self.common()
         errors = self.errors(a, b, self.known)
         limit = max(_FAR * float(np.median(errors)), _FAR_PX)
         wrong = np.flatnonzero(errors > limit)
@@ -195,7 +218,7 @@ class _Pair:
                         result.append(Message("exchanged_images", text, {"captures": tuple(names)}))
                         left = [each for each in left if each not in (one, other)]
         for one in list(left):
-            how = self._explanation(_some(a, [one]), _some(b, [one]), max(_BETTER * float(errors[one]), limit / _FAR))
+            how = self._explanation(_some(a, [one]), _some(b, [one]), _BETTER * float(errors[one]))
             if how:
                 name = captures[self.known.captures[one]]
                 result.append(Message(how[0], f"capture {name}: {how[1]}", {"capture": name}))
@@ -211,16 +234,17 @@ class _Pair:
         return result, [int(self.known.captures[one]) for one in wrong]
 
     def _explanation(self, a: CameraPoses, b: CameraPoses, limit: float) -> tuple[str, str] | None:
-        """Return the code and the words of what makes one capture fit, None if nothing does."""
-        if self.errors(b, a, self.known)[0] < max(limit, _FAR_PX):
-            return "swapped_images", f"images of {self.a.name} and {self.b.name} swapped"
-        for camera, pair in (
-            (self.b, (a, _mirrored(b, self.board))),
-            (self.a, (_mirrored(a, self.board), b)),
-        ):
-            if self.errors(*pair, self.known)[0] < max(limit, _FAR_PX):
-                return "mirrored_images", f"image of {camera.name} mirrored"
-        return None
+        """Return the code and the words of what makes one capture fit best, None if nothing brings it below a limit."""
+        swapped = float(self.errors(b, a, self.known)[0]), "swapped_images", "swapped"
+        tried = [
+            (float(self.errors(*pair, self.known)[0]), "mirrored_images", f"{camera.name} mirrored")
+            for camera, pair in self._mirrorings(a, b)
+        ]
+        error, code, words = min([swapped, *tried])
+        if error > limit:
+            return None
+        both = f"{self.a.name} and {self.b.name} swapped"
+        return code, f"images of {both}" if words == "swapped" else f"image of {words}"
 
     def _is_change(self, wrong: Array, count: int) -> bool:
         """Return whether the captures that do not fit are all those before or after one of them."""
@@ -288,30 +312,34 @@ def _of(poses: CameraPoses, captures: Array) -> CameraPoses:
     return _some(poses, np.flatnonzero(np.isin(poses.captures, captures)))
 
 
-def _mirrored(poses: CameraPoses, board: Board) -> CameraPoses:
-    """Return the poses of views of mirrored images, as they would be without mirroring: the image is mirrored left to
-    right, and so is the order in which a chessboard's corners are numbered.
+def _mirrored(poses: CameraPoses, board: Board) -> Iterator[CameraPoses]:
+    """Yield the poses of views of mirrored images as they would be without mirroring: the image is mirrored left to
+    right, and the detector numbers the columns of the board the other way, or its rows.
     """
     image = np.diag([-1.0, 1.0, 1.0])
-    _, height = board.extent
-    own = np.diag([1.0, -1.0, 1.0])  # rows of the board are numbered upwards; half a turn away from its columns
-    rotations = image @ poses.rotations @ own
-    shift = poses.rotations @ np.array([0.0, height, 0.0])
-    return CameraPoses(poses.captures, rotations, (poses.translations + shift) @ image)
+    width, height = board.extent
+    for own, end in ((np.diag([-1.0, 1.0, 1.0]), [width, 0.0, 0.0]), (np.diag([1.0, -1.0, 1.0]), [0.0, height, 0.0])):
+        shift = poses.rotations @ np.array(end)
+        yield CameraPoses(poses.captures, image @ poses.rotations @ own, (poses.translations + shift) @ image)
 
 
 def _scale(seen: Array, there: Array) -> tuple[float, float, float] | None:
     """Return the scale s under which s · there (n, 3) is a shift away from `seen`, and the typical distance of what is
     left without the scale and with it; None where that is undetermined.
     """
-    one, other = seen - np.median(seen, axis=0), there - np.median(there, axis=0)
-    if np.sum(other**2) < 1e-6 * np.sum(there**2):
-        return None
-    scale = float(np.sum(one * other) / np.sum(other**2))
-    if scale <= 0:
-        return None
-    before, after = (float(np.median(np.linalg.norm(one - size * other, axis=1))) for size in (1.0, scale))
-    return scale, before, after
+    weights, scale, left = np.ones(len(seen)), 1.0, []
+    for free in (False, True):
+        for _ in range(_ROUNDS):
+            share = weights / weights.sum()
+            one, other = seen - share @ seen, there - share @ there
+            spread = float(share @ np.sum(other**2, axis=1))
+            if spread < 1e-6 * float(share @ np.sum(there**2, axis=1)):
+                return None
+            scale = float(share @ np.sum(one * other, axis=1)) / spread if free else 1.0
+            distances = np.linalg.norm(one - scale * other, axis=1)
+            weights = 1 / (1 + (distances / max(3 * float(np.median(distances)), 1e-12)) ** 2)
+        left.append(float(np.median(distances)))
+    return (scale, left[0], left[1]) if scale > 0 else None
 
 
 def _step(values: Array) -> tuple[int, float, float]:
@@ -319,13 +347,16 @@ def _step(values: Array) -> tuple[int, float, float]:
     what is left beside it.
     """
     count, best = len(values), (0, 0.0, 0.0)
+    if count < 2 * _SEVERAL:
+        return best
     for place in range(_SEVERAL, count - _SEVERAL + 1):
         before, after = values[:place], values[place:]
         means = np.median(before, axis=0), np.median(after, axis=0)
         left = np.concatenate([before - means[0], after - means[1]])
         noise = float(np.sqrt(np.mean(np.median(np.abs(left), axis=0) ** 2))) / 0.6745
         size = float(np.linalg.norm(means[1] - means[0]))
-        clear = size / max(1.2533 * noise * np.sqrt(1 / place + 1 / (count - place)), 1e-12)
+        few = 1 + _UNKNOWN / min(place, count - place)  # the noise of few captures is not known well
+        clear = size / max(few * noise * np.sqrt(np.pi / 2 * (1 / place + 1 / (count - place))), 1e-12)
         if clear > best[2]:
             best = (place, size, clear)
     return best
