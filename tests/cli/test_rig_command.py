@@ -140,6 +140,7 @@ def test_the_json_document(run, table, tmp_path):
     assert {"model", "parameters", "std", "uncertainty", "trustworthy"} < set(found["cameras"]["left"])
 
 
+@pytest.mark.slow
 def test_stereo_calibrate_is_the_same_for_two_cameras(run, seen, tmp_path, rig_file):
     for name in ("left", "right"):
         own = replace(seen, views=tuple(replace(view, camera="") for view in seen.views if view.camera == name))
@@ -162,6 +163,7 @@ def test_a_pair_has_two_cameras(run, tmp_path):
     assert (code, "3 cameras (left, middle, right): use 'camcal rig'" in err) == (2, True)
 
 
+@pytest.mark.slow
 def test_lenses_may_be_held_or_be_a_prior(run, seen, table, tmp_path, rig_file):
     given = native.read(rig_file).cameras["left"].camera
     for lenses in ("fixed", "prior"):
@@ -218,6 +220,7 @@ def test_a_prior_from_the_same_images_is_refused(run, seen, rig_file, pictures):
         (("--model", "left=nonsense"), "nonsense"),
         (("--match", "time"), "has no time: set --timestamps"),
         (("--match", "name", "--time-tolerance", "5"), "--time-tolerance goes with --match time"),
+        (("--board", "chessboard:7x6"), "of unknown size gives no distances between cameras"),
         (("--refine",), "--refine needs images, not a detections file"),
     ],
 )
@@ -296,6 +299,7 @@ def test_the_page_of_a_rig_is_a_page_and_a_single_camera_has_no_picture(run, rig
     assert (code, "needs a file of several cameras that transforms join" in err) == (2, True)
 
 
+@pytest.mark.slow
 def test_poses_by_the_rig_count_the_uncertainty_of_its_transform(run, rig_file, seen, tmp_path):
     detections.write(tmp_path / "corners.csv", seen)
     certain = native.read(rig_file)
@@ -321,6 +325,7 @@ def test_poses_by_the_rig_count_the_uncertainty_of_its_transform(run, rig_file, 
     assert spreads[0] != pytest.approx(spreads[1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_programs_calibrate_a_rig_from_detections_or_captures(seen, rig_file):
     settings = camcal.RigSettings(models=("opencv4",), flat_board=True, free_corners=False)
     report = camcal.calibrate_rig(seen, options=settings)

@@ -40,7 +40,7 @@ from camcal.tasks.rigs.rig_lenses import (
     starting,
     without_fold,
 )
-from camcal.tasks.rigs.rig_views import RigViews, rig_views, with_circles
+from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_circles
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +114,7 @@ def calibrated(
     What the settings say of the board is not used. Raises and writes as `rig` does.
     """
     seen = look()
+    require_size(seen.board)
     names = seen.captures.cameras
     given = given_lenses(settings, names, progress)
     require_sizes(given, seen.captures)

@@ -92,6 +92,15 @@ def rig_views(inputs: Sequence[str], settings: RigSettings, progress: Progress, 
     return replace(found, lines=lines + found.lines)
 
 
+def require_size(board: Board) -> None:
+    """Raise InvalidInput for a board without a metric size: distances between cameras would have no scale."""
+    if board.unit != "m":
+        raise InvalidInput(
+            f"a {board.words} of unknown size gives no distances between cameras: give it in --board, such as "
+            "chessboard:9x6:25mm"
+        )
+
+
 def captured(
     board: Board, views: Mapping[str, Sequence[BoardDetection]], settings: RigSettings, progress: Progress
 ) -> RigViews:
@@ -121,6 +130,7 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     if settings.board is None:
         raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
     asked = boards.load_board(settings.board) if isinstance(settings.board, str) else settings.board
+    require_size(asked)
     options = DetectOptions(
         board=asked,
         jobs=settings.jobs,
