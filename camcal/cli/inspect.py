@@ -131,6 +131,7 @@ def _show_rig(rig: "RigInspection") -> None:
     show.table("pairs of cameras (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs))
     for pair in rig.pairs:
         title = f"depth error of {pair.first}, {pair.second} (1 sigma; matching: {DISPARITY_PX:g} px of disparity)"
-        show.table(title, DEPTH_COLUMNS, depth_rows(pair))
+        if rows := depth_rows(pair):
+            show.table(title, DEPTH_COLUMNS, rows)
     if isinstance(error := rig.measured.get("epipolar_rms_px"), float):
         show.text(f"Epipolar error of the calibration images {error:.3f} px RMS")

@@ -102,7 +102,9 @@ def pair_rows(pairs: Sequence[PairGeometry]) -> list[list[object]]:
 
 
 def depth_rows(pair: PairGeometry) -> list[list[object]]:
-    """Return what is listed of the depth errors of a pair under DEPTH_COLUMNS; empty cells where it is not known."""
+    """Return what is listed of the depth errors of a pair under DEPTH_COLUMNS, of distances with points in both images;
+    empty cells where the calibration has no covariance.
+    """
     return [
         [
             f"{own.distance:.3g}",
@@ -111,6 +113,7 @@ def depth_rows(pair: PairGeometry) -> list[list[object]]:
             f"{100 * own.common:.0f}",
         ]
         for own in pair.depths
+        if own.matching is not None
     ]
 
 

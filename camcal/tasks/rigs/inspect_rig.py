@@ -1,6 +1,6 @@
 """What `camcal inspect` says of the cameras of a rig together, and the picture of them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,14 +26,15 @@ _POSE = mapping({"t": items(number(-_FAR, _FAR), 3), "rotation_vector": items(nu
 _SIZE = (1280, 960)
 _VIEWS = ("35,25", "front", "top", "side")  # degrees to the right and up: cameras and boards are seen side by side
 _MOST_BOARDS = 60
+_LEAST_COMMON = 0.05  # of the images: what two cameras see together
 
 
 @dataclass(frozen=True, eq=False)
 class RigInspection:
     """The cameras of a file as a rig, its frame, what pairs of them make, and the boards in its frame.
 
-    pairs: every camera with the first one. board: None where the file does not say it. measured: figures of the
-    calibration that the file's provenance has under `rig`. circles: image circles of cameras.
+    pairs: every camera with the first one, or one with which it sees more. board: None where the file does not say it.
+    measured: figures of the calibration that the file's provenance has under `rig`. circles: image circles of cameras.
     """
 
     rig: Rig
@@ -53,9 +54,9 @@ def inspect_rig(file: CameraFile, where: str) -> RigInspection | None:
         rig, frame = rig_of(file, where)
     except InvalidInput:
         return None
-    first, *others = rig.cameras
+    names = list(rig.cameras)
     circles = {name: entry.image_circle for name, entry in file.cameras.items() if entry.image_circle is not None}
-    pairs = tuple(pair_geometry(rig, first, other, circles=circles) for other in others)
+    pairs = tuple(_pair(rig, names[: index + 1], other, circles) for index, other in enumerate(names[1:]))
     measured = file.provenance.get("rig")
     return RigInspection(
         rig,
@@ -66,6 +67,18 @@ def inspect_rig(file: CameraFile, where: str) -> RigInspection | None:
         measured if isinstance(measured, Mapping) else {},
         circles,
     )
+
+
+def _pair(rig: Rig, before: Sequence[str], camera: str, circles: Mapping[str, ImageCircle]) -> PairGeometry:
+    """Return what a camera makes with the first one, or if they see hardly anything together, with the camera before it
+    that sees most of the same.
+    """
+    pairs = []
+    for other in before:
+        pairs.append(pair_geometry(rig, other, camera, circles=circles))
+        if min(pairs[0].common) >= _LEAST_COMMON:
+            break
+    return max(pairs, key=lambda pair: min(pair.common))
 
 
 def _board(data: object) -> Board | None:
