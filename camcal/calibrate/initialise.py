@@ -31,7 +31,7 @@ _SWEPT_VIEWS = 20
 _UNLIKE = 4.0  # times the typical view's error: more than this is not held against a lens
 _FOCALS = np.geomspace(0.2, 8.0, 13)  # in image sides: 136° to 7° for a pinhole
 
-_MARGIN = 9.0  # a fall of χ² by 3σ turns a view; less is noise
+MARGIN = 9.0  # a fall of χ² by 3σ turns a view; less is noise
 _POSES = Stopping(relative_decrease=1e-6, iterations=20)
 
 
@@ -164,30 +164,30 @@ def best_turns(problem: BoardProblem, state: State) -> tuple[Array, State]:
     present = problem.observations.present
     observations = replace(poses.observations, weights=present.astype(float))
     poses = replace(poses, observations=observations, loss=Cauchy(CUT))
-    states, costs = [bare], [_view_costs(poses, bare)]
+    states, costs = [bare], [view_costs(poses, bare)]
     for index, permutation in enumerate(problem.board.symmetries()[1:], start=1):
-        if _looks_the_same(problem.board, problem.board_points(state), permutation):
+        if looks_the_same(problem.board, problem.board_points(state), permutation):
             states.append(bare)
             costs.append(costs[0])
             continue
         trial, start = apply_symmetries(poses, bare, np.full(len(present), index))
         states.append(minimise(trial.within_domain(start), start, _POSES).state)
-        costs.append(_view_costs(trial, states[-1]))
+        costs.append(view_costs(trial, states[-1]))
     gains = costs[0] - np.stack(costs)
     views, best = np.arange(len(present)), np.argmax(gains, axis=0)
-    turns = np.where(gains[best, views] > _MARGIN, best, 0)
+    turns = np.where(gains[best, views] > MARGIN, best, 0)
     rotations = np.stack([trial.rotations for trial in states])[turns, views]
     translations = np.stack([trial.translations for trial in states])[turns, views]
     return turns, replace(state, rotations=rotations, translations=translations)
 
 
-def _looks_the_same(board: Board, points: Array, permutation: Array) -> bool:
+def looks_the_same(board: Board, points: Array, permutation: Array) -> bool:
     """Return whether a shape fits itself when turned, so that no view could tell."""
     rotation, shift = symmetry_motion(board, permutation)
     return bool(np.abs(points[permutation] @ rotation.T + shift - points).max() < 1e-9 * max(board.extent))
 
 
-def _view_costs(problem: BoardProblem, state: State) -> Array:
+def view_costs(problem: BoardProblem, state: State) -> Array:
     """Return χ² of each view (V,), every point counted up to the cut of outliers."""
     squared = np.nan_to_num(problem.distances(problem.residuals(state)) / problem.sigma, nan=np.inf) ** 2
     present = problem.observations.weights > 0
@@ -206,6 +206,6 @@ def opposed_views(scores: Array, information: Array) -> Array:
     signs = np.where(axis @ pulls < 0, -1.0, 1.0)
     gain = np.sum((pulls @ signs) ** 2) - np.sum(pulls.sum(axis=1) ** 2)
     # signs chosen on noise alone would raise χ² by some 0.6 to 0.9 per view
-    if gain < _MARGIN + 1.5 * len(signs):
+    if gain < MARGIN + 1.5 * len(signs):
         return np.zeros(len(signs), np.intp)
     return np.asarray(signs * np.sign(signs.sum() or 1.0) < 0, dtype=np.intp)

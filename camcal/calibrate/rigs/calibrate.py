@@ -16,6 +16,7 @@ from camcal.calibrate.rigs.epipolar import epipolar_rms
 from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig
 from camcal.calibrate.rigs.links import Link, Placed, link, place
 from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
+from camcal.calibrate.rigs.orientation import composed
 from camcal.calibrate.rigs.problem import LensPrior
 from camcal.calibrate.rigs.record import FIXED, PRIOR, ExposureMotion, RigCalibration, RigOptions
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
@@ -261,19 +262,12 @@ def _calibration(result: RigFit, camera: int, solved: Solved) -> Calibration:
         fit,
         state=state,
         estimates=(estimate, *fit.estimates[1:]),
-        turns=_turned(fit.turns, result.turns[camera], rig.board),
+        turns=composed(fit.turns, result.turns[camera], rig.board),
         covariance=result.covariance[np.ix_(own, own)],
         noise_covariance=result.noise_covariance[np.ix_(own, own)],
     )
     between = between_views(solved.fit.estimates, solved.images)
     return intrinsics.record(replace(solved, fit=fit), result.poses[camera], between)
-
-
-def _turned(first: Array, then: Array, board: Board) -> Array:
-    """Return the symmetries (V,) by which views are turned in the end, of the board's list of them."""
-    table = np.stack(board.symmetries())
-    composed = np.take_along_axis(table[then], table[first], axis=1)
-    return np.array([int(np.flatnonzero((table == row).all(axis=1))[0]) for row in composed], np.intp)
 
 
 def _shows(result: RigFit, motion: ExposureMotion) -> bool:

@@ -14,6 +14,7 @@ from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.effects import CaptureEffects, motion_columns, moved_poses, moved_views, with_motion
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
+from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.cameras.reprojection import by_pose
 from camcal.geometry import rotation as so3
@@ -23,6 +24,7 @@ from camcal.solve.losses import Cauchy
 from camcal.solve.steps import SingularError
 
 _LOSS, _ROUGH, _POSING = Cauchy(3.0), Stopping(relative_decrease=1e-6, iterations=30), Stopping(iterations=5)
+_ROUNDS = 4
 _EFFECTS = ((SMOOTH.name,), tuple(effect.name for effect in EFFECTS))
 _CERTAIN = 10.0  # gain of the restricted log likelihood by motion of the board between exposures that is used
 
@@ -94,11 +96,21 @@ def fit_rig(
     state = minimise(_robust(problem, state), state, _ROUGH).state
     plains = [start.solved.fit.plain for start in starts]
     additional = plains[0].additional
-    plain = estimate_rig(problem, state, additional, [own.known for own in plains], plains[0].board)
+    known = [own.known for own in plains]
+    plain = estimate_rig(problem, state, additional, known, plains[0].board)
+    for _ in range(_ROUNDS if additional.smooth and len(problem.board.symmetries()) > 1 else 0):
+        better = best_turns_of_captures(plain.problem, plain.state)
+        if not better.any():
+            break
+        problem, state = turned(problem, replace(plain.state, offsets=0 * plain.state.offsets), better)
+        turns = tuple(
+            composed(own, better[captures], problem.board)
+            for own, captures in zip(turns, problem.captures, strict=True)
+        )
+        plain = estimate_rig(problem, state, additional, known, plains[0].board)
     moves = motion_gain(plain) > _CERTAIN if motion is None else motion
     if moves:
         # from the noise of single cameras: to a rig without motion, views whose board moved look noisy
-        known = [own.known for own in plains]
         plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=True)
     share = max(start.solved.fit.errors.share for start in starts)
     estimates = [plain]
@@ -139,7 +151,10 @@ def _start(
         moved = moved @ back.T
         first = ~known[start.captures]
         away = so3.log(rotations[start.captures].transpose(0, 2, 1)[:, None] @ candidates)
-        chosen = np.where(first, 0, np.argmin(np.linalg.norm(away, axis=2), axis=1))
+        chosen = np.argmin(np.linalg.norm(away, axis=2), axis=1)
+        # alone, each camera numbers its views alike: most others say how
+        usual = np.argmax(np.bincount(chosen[~first], minlength=len(turns))) if not first.all() else 0
+        chosen = np.where(first, usual, chosen)
         rows = np.arange(len(chosen))
         new = start.captures[first]
         rotations[new], translations[new] = candidates[rows, chosen][first], moved[rows, chosen][first]
