@@ -163,6 +163,17 @@ def test_a_pair_has_two_cameras(run, tmp_path):
     assert (code, "3 cameras (left, middle, right): use 'camcal rig'" in err) == (2, True)
 
 
+def test_cameras_of_a_table_without_their_names_are_those_of_its_images(run, seen, tmp_path):
+    table = replace(seen, views=tuple(replace(view, camera="") for view in seen.views))
+    detections.write(tmp_path / "corners.vnl", table)
+    code, _, err = run("rig", tmp_path / "corners.vnl", "-o", tmp_path / "rig.yaml", "-b", "chessboard:7x6:40mm")
+    assert (code, "left/00.png was not found: set --image-size" in err) == (2, True)
+    named = replace(table, views=tuple(replace(view, image=view.image.replace("/", "_")) for view in table.views))
+    detections.write(tmp_path / "named.csv", named)
+    code, out, _ = run("rig", tmp_path / "named.csv", "-o", tmp_path / "rig.yaml", *QUICK)
+    assert (code, "12 captures of 2 cameras, matched by name" in out) == (0, True)
+
+
 @pytest.mark.slow
 def test_lenses_may_be_held_or_be_a_prior(run, seen, table, tmp_path, rig_file):
     given = native.read(rig_file).cameras["left"].camera

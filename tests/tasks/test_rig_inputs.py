@@ -107,6 +107,21 @@ def test_inputs_that_leave_the_cameras_open_are_refused(tmp_path, inputs, messag
         cameras_of([text.format(tmp_path) for text in inputs])
 
 
+def test_a_pattern_over_folders_has_a_camera_in_each(tmp_path):
+    made(tmp_path, "one/1.png", "one/2.png", "two/1.png")
+    cameras, _ = cameras_of([f"{tmp_path}/*/*.png"])
+    assert names_of(cameras) == {"one": ["1.png", "2.png"], "two": ["1.png"]}
+
+
+def test_folders_of_sessions_are_no_cameras_where_the_names_tell_them(tmp_path):
+    made(tmp_path, "mon/left1.png", "mon/right1.png", "tue/left1.png", "tue/right1.png")
+    cameras, _ = cameras_of([f"{tmp_path}/*/*.png"])
+    assert names_of(cameras) == {"left": ["left1.png"] * 2, "right": ["right1.png"] * 2}
+    found = matched({camera.name: views(camera.name, *map(str, camera.images)) for camera in cameras})
+    assert rows(found) == [("left1.png", "right1.png")] * 2
+    assert all(len({Path(view.image).parent for view in row}) == 1 for row in found.captures.views)
+
+
 def test_a_folder_of_videos_has_a_camera_for_each(tmp_path):
     made(tmp_path, "front.mp4", "gopro.mp4")
     cameras, _ = cameras_of([str(tmp_path)])

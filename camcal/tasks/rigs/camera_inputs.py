@@ -180,17 +180,24 @@ def split_by_name(paths: Sequence[Path]) -> dict[str, tuple[Path, ...]] | None:
     """Return images by the names of their cameras, None where their names do not tell them.
 
     Names of two cameras are alike but for one part: left and right, l and r, cam0 and cam1, a and b. A part that is
-    known to name cameras is preferred, then words, then the fewest cameras.
+    known to name cameras is preferred, then folders, then words, then the fewest cameras.
     """
     names = [_TOKENS.findall(path.stem) for path in paths]
     longest = max(map(len, names), default=0)
     splits = [split for place in range(-longest, longest) if (split := _split(paths, names, place)) is not None]
     # names that differ in one part alone may be of one camera's images
     good = [own for own in splits if own.shared >= _LEAST_SHARED and (own.named or len(paths) >= 2 * len(own.groups))]
-    if not good:
-        return None
-    best = min(good, key=lambda own: (not own.named, -round(own.shared, 1), _is_counted(own), len(own.groups)))
-    return dict(best.groups)
+    best = min(
+        good, key=lambda own: (not own.named, -round(own.shared, 1), _is_counted(own), len(own.groups)), default=None
+    )
+    if best is not None and best.named:
+        return dict(best.groups)
+    folders: dict[str, list[Path]] = defaultdict(list)
+    for path in paths:
+        folders[_tidy(path.parent.name)].append(path)
+    if len(folders) > 1:
+        return {name: tuple(group) for name, group in folders.items()} if all(map(NAME.match, folders)) else None
+    return None if best is None else dict(best.groups)
 
 
 def _is_counted(split: _Split) -> bool:
@@ -206,7 +213,8 @@ def _split(paths: Sequence[Path], names: Sequence[Sequence[str]], place: int) ->
     if not 1 < len(set(values)) <= _MOST_CAMERAS:
         return None
     positions = [place % len(name) for name in names]
-    rests = [(*name[:at], "", *name[at + 1 :]) for name, at in zip(names, positions, strict=True)]
+    parts = zip(paths, names, positions, strict=True)
+    rests = [(path.parent, *name[:at], "", *name[at + 1 :]) for path, name, at in parts]
     if len(set(zip(values, rests, strict=True))) < len(paths):
         return None
     counts = Counter(rests)
