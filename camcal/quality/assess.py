@@ -98,7 +98,8 @@ def _cameras(calibration: Calibration) -> Iterator[Message]:
         return
     code = "several_cameras_by_name" if found.by_name else "several_cameras"
     if found.ratio > _limit(code) and found.other_px > CRITERIA[code].minimum_px:
-        yield message(code, found.words, found.ratio, found.groups[1])
+        together = ", or both together with 'camcal rig'" if found.by_name else ""
+        yield message(code, f"{found.words}{together}", found.ratio, found.groups[1])
 
 
 def _lens_model(calibration: Calibration) -> Iterator[Message]:
