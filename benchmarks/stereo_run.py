@@ -119,7 +119,7 @@ def print_memory(folder: Path, megapixels: float) -> None:
 def print_rooms(folder: Path, height: int) -> None:
     bands = ", ".join("{}–{}°".format(*band) for band in BANDS)
     print("relative error of distances, %: median, 68 % and 95 % of its size")
-    print(f"{'view':12} {'axis':4} {'points':>8} {'median':>6} {'68 %':>6} {'95 %':>6}  68 % at {bands}")
+    print(f"{'across':>6} {'view':12} {'axis':4} {'points':>8} {'median':>6} {'68 %':>6} {'95 %':>6}  68 % at {bands}")
     for kind, (axis, pose) in product(rooms.LENSES, (("x", rooms.BESIDE), ("y", rooms.BELOW))):
         own = folder / f"{kind}-{axis}"
         own.mkdir()
@@ -133,7 +133,8 @@ def print_rooms(folder: Path, height: int) -> None:
         size = np.abs(error)
         figures = np.median(error), np.quantile(size, 0.68), np.quantile(size, 0.95)
         numbers = " ".join(f"{100 * each:6.2f}" for each in figures)
-        print(f"{geometry.projection:12} {axis:4} {len(error):8} {numbers}  {' '.join(shown)}")
+        seen = f"{np.degrees(2 * rig.widest):.0f}"
+        print(f"{seen:>6} {geometry.projection:12} {axis:4} {len(error):8} {numbers}  {' '.join(shown)}")
 
 
 def compared(vertices: np.ndarray, rig: rooms.RoomRig) -> tuple[np.ndarray, np.ndarray]:

@@ -70,10 +70,11 @@ def _noise(places):
 
 SIZE = (160, 120)
 CENTRE = [80.3, 58.9]
-LENSES = {
+LENSES = {  # by the view that their images are rectified to, or by their field of view
     "pinhole": ("opencv5", [170.0, 171.0, *CENTRE, -0.2, 0.06, 1e-3, -5e-4, 0.0]),
+    "120 degrees": ("kannala_brandt4", [76.2, 76.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
     "cylindrical": ("kannala_brandt4", [82.0, 82.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
-    "latlon": ("kannala_brandt4", [54.0, 54.5, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
+    "latlon": ("kannala_brandt4", [50.8, 51.0, *CENTRE, 0.02, -0.005, 0.001, 0.0]),
 }
 BESIDE = Pose.from_vector(np.array([0.01, -0.03, 0.005]), np.array([-0.3, 0.005, 0.01]))
 BELOW = Pose.from_vector(np.array([0.02, 0.01, -0.005]), np.array([0.004, -0.3, 0.01]))
@@ -82,6 +83,8 @@ ROOM_T_LEFT = Pose.from_vector(np.array([0.02, 0.1, 0.01]), np.array([-0.3, 0.0,
 
 class RoomRig:
     """A rig in a room: its file, its pictures, and the points (H, W, 3) that the left one shows.
+
+    widest: half of the field of view across, rad.
 
     scale: of its pictures, which have 160 x 120 pixels at 1. coarse: render so many times smaller, and enlarge.
     """
@@ -95,6 +98,8 @@ class RoomRig:
         entries = [CameraEntry(Camera(each.model, size, each.parameters, np.diag(std**2))) for each in cameras]
         transform = Transform(right_T_left, np.diag(np.array([1e-4, 1e-4, 2e-4, 2e-4, 2e-4, 1e-4]) ** 2))
         self.camera = cameras[0]
+        edge = self.camera.unproject(np.array([[0.0, size[1] / 2]])).directions[0]
+        self.widest = float(np.arctan2(np.hypot(edge[0], edge[1]), edge[2]))
         self.file, self.left, self.right = folder / "rig.yaml", folder / "left.png", folder / "right.png"
         file = CameraFile(dict(zip(("left", "right"), entries, strict=True)), {"right_T_left": transform})
         native.write(self.file, file)

@@ -134,6 +134,7 @@ def evaluate(
     _require_size("truth", truth, disparity)
     for name, image in (("mask", visible), ("sigma", prediction.sigma), ("confidence", prediction.confidence)):
         _require_size(name, image, disparity)
+    depths = None if geometry is None else _depths(disparity, truth, geometry)
     known = np.isfinite(truth)
     regions = {ALL: known} if visible is None else {NON_OCCLUDED: known & visible, ALL: known}
     figures: dict[str, Mapping[str, float]] = {}
@@ -142,25 +143,29 @@ def evaluate(
     for region, counted in regions.items():
         if not counted.any():
             raise InsufficientData(f"no pixel of {region} has a truth")
-        pairs = _Pixels.of(disparity, truth, prediction, counted)
+        pairs = _Pixels.of(disparity, truth, prediction, counted, depths)
         valid = pairs.valid()
         curves = None if valid.sigma is None else sparsify(valid.error, valid.sigma)
-        figures |= {region: _all_figures(pairs), region + AMONG_VALID: _valid_figures(valid, geometry, curves)}
+        figures |= {region: _all_figures(pairs), region + AMONG_VALID: _valid_figures(valid, curves)}
         pixels |= {region: len(pairs.error), region + AMONG_VALID: len(valid.error)}
     return Evaluation(figures, pixels, _by_class(valid), curves)
 
 
 class _Pixels(NamedTuple):
-    """The pixels of a region: (N,) each. error: pixels, infinite without a disparity."""
+    """The pixels of a region: (N,) each. error: pixels, infinite without a disparity.
+
+    depths: (2, N) m, by the map and by the truth, NaN where there is none; None without a geometry.
+    """
 
     error: Array
     disparity: Array
     truth: Array
     sigma: Array | None
     confidence: Array | None
+    depths: Array | None
 
     @staticmethod
-    def of(disparity: Array, truth: Array, prediction: Prediction, counted: Array) -> "_Pixels":
+    def of(disparity: Array, truth: Array, prediction: Prediction, counted: Array, depths: Array | None) -> "_Pixels":
         found, true = disparity[counted], truth[counted]
         error = np.abs(found - true)
         return _Pixels(
@@ -169,17 +174,23 @@ class _Pixels(NamedTuple):
             true,
             _chosen(prediction.sigma, counted),
             _chosen(prediction.confidence, counted),
+            _chosen(depths, (slice(None), counted)),
         )
 
     def where(self, chosen: Array) -> "_Pixels":
         error, disparity, truth = self.error[chosen], self.disparity[chosen], self.truth[chosen]
-        return _Pixels(error, disparity, truth, _chosen(self.sigma, chosen), _chosen(self.confidence, chosen))
+        known = (
+            _chosen(self.sigma, chosen),
+            _chosen(self.confidence, chosen),
+            _chosen(self.depths, (slice(None), chosen)),
+        )
+        return _Pixels(error, disparity, truth, *known)
 
     def valid(self) -> "_Pixels":
         return self.where(np.isfinite(self.error))
 
 
-def _chosen(values: Array | None, chosen: Array) -> Array | None:
+def _chosen(values: Array | None, chosen: Any) -> Array | None:
     return None if values is None else np.asarray(values[chosen])
 
 
@@ -227,10 +238,10 @@ def _all_figures(pixels: _Pixels) -> dict[str, float]:
     return {"density": _percent(np.isfinite(pixels.error)), **_shares(pixels)}
 
 
-def _valid_figures(pixels: _Pixels, geometry: StereoGeometry | None, curves: Sparsification | None) -> dict[str, float]:
+def _valid_figures(pixels: _Pixels, curves: Sparsification | None) -> dict[str, float]:
     figures = {**_averages(pixels.error), **_shares(pixels)}
-    if geometry is not None:
-        figures |= _depth_errors(pixels, geometry)
+    if pixels.depths is not None:
+        figures |= _depth_errors(*pixels.depths)
     if curves is not None:
         figures |= _within(pixels) | {"ause": curves.area}
     return figures
@@ -254,12 +265,14 @@ def _averages(error: Array) -> dict[str, float]:
     return {"avg": float(wide.mean()), "rms": float(np.sqrt(np.mean(wide**2)))}
 
 
-def _depth_errors(pixels: _Pixels, geometry: StereoGeometry) -> dict[str, float]:
-    """Return errors of the depth where both disparities have one."""
-    depth, true_depth = (
-        StereoImage(values[None], geometry, signed=True).depth(slice(None))[0]
-        for values in (pixels.disparity, pixels.truth)
-    )
+def _depths(disparity: Array, truth: Array, geometry: StereoGeometry) -> Array:
+    """Return the depths (2, H, W) of a map and of its truth, m, NaN where there is none."""
+    rows = slice(0, len(disparity))
+    return np.stack([StereoImage(values, geometry, signed=True).depth(rows) for values in (disparity, truth)])
+
+
+def _depth_errors(depth: Array, true_depth: Array) -> dict[str, float]:
+    """Return errors of the depth (N,) where both disparities have one."""
     error = np.abs(depth - true_depth)
     there = np.isfinite(error)
     figures: dict[str, float] = {}

@@ -6,11 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rooms import BELOW, BESIDE, LENSES, SIZE, RoomRig, errors
+from rooms import BELOW, BESIDE, SIZE, RoomRig, errors
 
 from camcal.cameras.model import Camera
 from camcal.formats import disparity_sidecar, native, pointclouds
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.stereo.rectify.record import PROJECTIONS
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,7 @@ def test_swapped_cameras_are_put_in_order_and_named(run, tmp_path, beside):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("right_T_left", [BESIDE, BELOW], ids=["beside", "below"])
-@pytest.mark.parametrize("kind", list(LENSES))
+@pytest.mark.parametrize("kind", PROJECTIONS)
 def test_every_view_gives_the_distances_of_the_room(run, tmp_path, kind, right_T_left):
     rig = RoomRig(tmp_path, kind, right_T_left)
     path, cloud = tmp_path / "map.tiff", tmp_path / "cloud.ply"

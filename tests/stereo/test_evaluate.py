@@ -194,3 +194,14 @@ def test_a_mask_of_another_size_is_refused():
 def test_nothing_to_count_is_said():
     with pytest.raises(InsufficientData, match="nocc"):
         evaluate(DISPARITY, TRUTH, np.zeros_like(VISIBLE))
+
+
+def test_depth_errors_of_angular_views_depend_on_where_the_pixel_is():
+    for axis in ("x", "y"):
+        geometry = StereoGeometry(100.0, 100.0, 5.0, 3.0, 0.1, projection="latlon", axis=axis)
+        truth = np.full((7, 11), 20.0, np.float32)
+        found = evaluate(truth + 0.5, truth, None, geometry)
+        row, column = np.mgrid[:7, :11]
+        left = ((row - 3) if axis == "y" else (column - 5)) / 100
+        distance, there = (0.1 / (np.tan(left) - np.tan(left - d / 100)) for d in (20.0, 20.5))
+        assert found.figures["all-valid"]["z_avg_m"] == pytest.approx(np.mean(distance - there), rel=1e-4)
