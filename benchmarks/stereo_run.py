@@ -1,11 +1,11 @@
-"""`stereo run` beside the sum of its parts, its memory, and the distances of rendered rooms.
+"""`stereo run` beside the sum of its parts, its memory, and the distances of rendered scenes.
 
     python benchmarks/stereo_run.py parts LEFT RIGHT BOARD [--pairs 6] [--repeats 3]
     python benchmarks/stereo_run.py memory [--pixels 12]
-    python benchmarks/stereo_run.py rooms [--height 480]
+    python benchmarks/stereo_run.py scenes [--height 480]
 
-parts: LEFT and RIGHT are globs of images of a board. memory: one pair of so many megapixels. rooms: tests/rooms.py
-renders what two lenses see of a room with a ball, and the cloud is compared with where its pixels look.
+parts: LEFT and RIGHT are globs of images of a board. memory: one pair of so many megapixels. scenes: what two lenses
+see of a room with a ball (tests/room_scene.py); the cloud is compared with where its pixels look.
 """
 
 import argparse
@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-import rooms
+import room_scene
 
 from camcal.formats import disparity_sidecar, pointclouds
 
@@ -46,7 +46,7 @@ def main() -> None:
     parts.add_argument("--pairs", type=int, default=6)
     parts.add_argument("--repeats", type=int, default=3)
     tables.add_parser("memory").add_argument("--pixels", type=float, default=12.0)
-    tables.add_parser("rooms").add_argument("--height", type=int, default=480)
+    tables.add_parser("scenes").add_argument("--height", type=int, default=480)
     arguments = parser.parse_args()
     print(f"OpenCV {cv2.__version__}, numpy {np.__version__}")
     with tempfile.TemporaryDirectory() as name:
@@ -56,7 +56,7 @@ def main() -> None:
         elif arguments.table == "memory":
             print_memory(folder, arguments.pixels)
         else:
-            print_rooms(folder, arguments.height)
+            print_scenes(folder, arguments.height)
 
 
 def print_parts(folder: Path, arguments: argparse.Namespace) -> None:
@@ -110,20 +110,20 @@ def called(*arguments: object) -> None:
 def print_memory(folder: Path, megapixels: float) -> None:
     height = round(np.sqrt(megapixels * 0.75e6))
     width = round(height * 4 / 3)
-    rig = rooms.RoomRig(folder, "pinhole", rooms.BESIDE, scale=width / rooms.SIZE[0], coarse=8)
+    rig = room_scene.RoomRig(folder, "pinhole", room_scene.BESIDE, scale=width / room_scene.SIZE[0], coarse=8)
     called("stereo", "run", rig.file, rig.left, rig.right, "-o", folder / "run")
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024**2
     print(f"{width}x{height}: {peak:.2f} GB at the peak")
 
 
-def print_rooms(folder: Path, height: int) -> None:
+def print_scenes(folder: Path, height: int) -> None:
     bands = ", ".join("{}–{}°".format(*band) for band in BANDS)
     print("relative error of distances, %: median, 68 % and 95 % of its size")
     print(f"{'across':>6} {'view':12} {'axis':4} {'points':>8} {'median':>6} {'68 %':>6} {'95 %':>6}  68 % at {bands}")
-    for kind, (axis, pose) in product(rooms.LENSES, (("x", rooms.BESIDE), ("y", rooms.BELOW))):
+    for kind, (axis, pose) in product(room_scene.LENSES, (("x", room_scene.BESIDE), ("y", room_scene.BELOW))):
         own = folder / f"{kind}-{axis}"
         own.mkdir()
-        rig = rooms.RoomRig(own, kind, pose, scale=height / rooms.SIZE[1])
+        rig = room_scene.RoomRig(own, kind, pose, scale=height / room_scene.SIZE[1])
         called("stereo", "run", rig.file, rig.left, rig.right, "-o", own / "run")
         cloud = pointclouds.read(own / "run" / "clouds" / "left.ply")
         geometry = disparity_sidecar.read(own / "run" / "disparity" / "left.tiff").geometry
@@ -137,7 +137,7 @@ def print_rooms(folder: Path, height: int) -> None:
         print(f"{seen:>6} {geometry.projection:12} {axis:4} {len(error):8} {numbers}  {' '.join(shown)}")
 
 
-def compared(vertices: np.ndarray, rig: rooms.RoomRig) -> tuple[np.ndarray, np.ndarray]:
+def compared(vertices: np.ndarray, rig: room_scene.RoomRig) -> tuple[np.ndarray, np.ndarray]:
     """Return relative errors of the distances of points, and their angles from the optical axis, degrees."""
     points = np.column_stack([vertices[name] for name in "xyz"]).astype(float)
     columns, rows = np.rint(rig.camera.project(points).pixels).astype(int).T

@@ -6,7 +6,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from rooms import BELOW, BESIDE, SIZE, RoomRig, errors
+from room_scene import BELOW, BESIDE, SIZE, RoomRig, errors
 
 from camcal.formats import disparity_sidecar, native, pointclouds
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rooms import BELOW, BESIDE, SIZE, RoomRig, errors
+from room_scene import BELOW, BESIDE, SIZE, RoomRig, errors
 
 from camcal.cameras.model import Camera
 from camcal.formats import disparity_sidecar, native, pointclouds
