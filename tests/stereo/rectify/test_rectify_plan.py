@@ -121,6 +121,28 @@ def test_q_takes_pixel_and_disparity_to_the_point():
     np.testing.assert_allclose(homogeneous[:, :3] / homogeneous[:, 3:], points @ plan.rect_R_left.T, rtol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["toed-in", "swapped", "above", "wide", "wide above"])
+def test_both_cameras_of_a_plan_see_a_point_of_its_left_frame(kind):
+    first, second, pose, *_ = KINDS[kind]
+    plan = planned(first, second, pose)
+    points = common_points(first, second, pose, 3.0)[:50]
+    own = points if plan.left == NAMES[0] else pose.apply(points)
+    left, right = plan.pixels(own @ plan.rect_R_left.T)
+    expected = rectified_pixels(plan, NAMES, points, pose)
+    np.testing.assert_allclose(left.pixels, expected[0], atol=1e-9)
+    np.testing.assert_allclose(right.pixels, expected[1], atol=1e-9)
+    rays = plan.rays(left.pixels, right.pixels)[0].directions
+    np.testing.assert_allclose(np.cross(rays, own @ plan.rect_R_left.T), 0, atol=1e-9)
+
+
+def test_the_finer_camera_keeps_its_resolution_within_twice_the_pixels():
+    fine = camera(size=(640, 480), focal=1000.0)
+    assert planned(PLAIN, fine, placed((0.1, 0, 0))).focal == pytest.approx(1000.0, rel=1e-3)
+    plan = planned(camera(focal=4000.0), PLAIN, placed((0.1, 0, 0)))
+    assert plan.focal < 4000
+    assert plan.size[0] * plan.size[1] == pytest.approx(2 * 640 * 480, rel=0.01)
+
+
 def test_exchanged_cameras_are_named_in_the_order_of_positive_disparities():
     plan = planned(*KINDS["swapped"][:3])
     assert (plan.left, plan.right, plan.swapped) == ("two", "one", True)
