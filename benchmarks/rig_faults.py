@@ -179,8 +179,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     "a camera mirrored": ("mirrored_images",),
     "squares 20 % larger": ("boards_of_two_sizes",),
     "squares 4 % larger": ("boards_of_two_sizes",),
-    "another pattern": ("another board", "other board"),
-    "another session": ("do not belong together", "not of the same"),
+    "another pattern": ("its images show",),
+    "another session": ("do not belong together",),
     "turned by 1°, moved 5 %": ("rig_changed",),
     "turned by 0.3°": ("rig_changed",),
 }
