@@ -211,8 +211,8 @@ def test_claimed_standard_deviations_are_those_of_repeated_measurements(rig):
 MISTAKES = {
     "shifted_captures": lambda seen, rig: scenes.slipped(seen, 1, 7),
     "exchanged_images": lambda seen, rig: scenes.exchanged(seen, 1, 3, 9),
-    "swapped_images": lambda seen, rig: scenes.sides_exchanged(seen, [5]),
-    "swapped_cameras": lambda seen, rig: scenes.sides_exchanged(seen, range(len(seen))),
+    "swapped_views": lambda seen, rig: scenes.sides_exchanged(seen, [5]),
+    "left_right_swapped": lambda seen, rig: scenes.sides_exchanged(seen, range(len(seen))),
     "mirrored_images": lambda seen, rig: scenes.mirrored(seen, 1, rig.board),
 }
 

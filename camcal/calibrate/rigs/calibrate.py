@@ -86,7 +86,7 @@ class _Cameras:
     def described(self) -> list[RigCamera]:
         """Return what is asked of the cameras to find mistakes."""
         return [
-            RigCamera(name, start.poses, float(start.solved.fit.state.parameters[0]))
+            RigCamera(name, start.poses, start.solved.fit.problem, start.solved.fit.state.parameters)
             for name, start in zip(self.names, self.starts, strict=True)
         ]
 
@@ -119,13 +119,14 @@ def _alone(captures: Captures, board: Board, options: RigOptions) -> _Cameras:
 
 
 def _require_different(captures: Captures) -> None:
-    """Raise InvalidInput if two cameras have the same images."""
+    """Raise InsufficientData if two cameras have the same images."""
     for a, b in combinations(range(len(captures.cameras)), 2):
         pairs = [(row[a], row[b]) for row in captures.views]
         both = [(one, other) for one, other in pairs if one is not None and other is not None and one.found]
         same = [len(one.ids) == len(other.ids) and np.array_equal(one.pixels, other.pixels) for one, other in both]
         if both and 2 * sum(same) > len(both):
-            raise InvalidInput(f"{captures.cameras[a]} and {captures.cameras[b]} have the same images")
+            text = f"{captures.cameras[a]} and {captures.cameras[b]} have the same images"
+            raise InsufficientData(text, failures=[Message("same_images", text)])
 
 
 def _options_of(name: str, options: RigOptions) -> intrinsics.Options:

@@ -8,14 +8,18 @@ A change of the relative pose itself is looked for in the order of the captures.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.calibrate.initialise import poses_from_pixels, thinned
+from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.rigs.links import CameraPoses, Link, link, motions, outline
+from camcal.calibrate.rigs.series import SEVERAL, largest_step, mirrored, robust_scale
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
-from camcal.messages import Message, counted
+from camcal.messages import Message, Value, counted
 from camcal.targets.board import Board
 
 _SHIFTS = (1, -1, 2, -2)  # captures by which one camera may lag behind another
@@ -23,20 +27,29 @@ _BETTER = 0.3  # of the typical error: what an explanation must bring it to
 _FAR, _FAR_PX = 6.0, 2.0  # times the typical error, and pixels: beyond both a capture does not fit
 _LEAST_PX = 0.3  # of the typical error, however small it is
 _SCALE = 0.03  # by which the size of the board in one camera differs that is named
-_SEVERAL = 3  # captures in a row that may be those after a change
 _CLEAR, _CLEAR_PX = 7.0, 0.4  # standard deviations and pixels of a change of the relative pose
 _NAMED = 5  # captures in a sentence
-_ROUNDS = 10  # of reweighting
-_UNKNOWN = 3.0  # captures
 
 
 @dataclass(frozen=True, eq=False)
 class RigCamera:
-    """What is asked of a camera here: its name, the poses of its views, and its focal length in pixels."""
+    """What is asked of a camera here: its name, the poses of its views, and its problem and lens."""
 
     name: str
     poses: CameraPoses
-    focal: float
+    problem: BoardProblem
+    lens: Array
+
+    @property
+    def focal(self) -> float:
+        """The focal length in pixels."""
+        return float(self.lens[0])
+
+    def of_view(self, other: "RigCamera", row: int) -> CameraPoses | None:
+        """Return the pose of a view of another camera if this one had taken its image, None where it could not have."""
+        table = thinned(other.problem.observations.take(np.array([row])).alike())
+        found = poses_from_pixels(self.problem.model, self.lens, self.problem.board, table)
+        return None if found is None else CameraPoses(other.poses.captures[[row]], *found)
 
 
 @dataclass(frozen=True)
@@ -60,21 +73,55 @@ def mistakes(
     warnings: list[Message] = []
     failures: list[Message] = []
     excluded: dict[tuple[int, int], int] = {}
+    findings: list[_Finding] = []
     for (a, b), known in sorted(links.items()):
         pair = _Pair(cameras[a], cameras[b], board, known)
-        if len(known.captures) >= _SEVERAL:
+        if len(known.captures) >= SEVERAL:
             pair.require_order()
-        found, wrong = pair.of_captures(captures)
-        warnings += found
+        found = pair.of_captures(captures)
+        findings += found
+        wrong = [each.capture for each in found]
         for capture in wrong:
             for camera in (a, b):
                 excluded[capture, camera] = excluded.get((capture, camera), 0) + 1
         failures += pair.changes(captures, wrong)
+    warnings += _summed_up(findings, captures)
     warnings += _sides(cameras, links)
     # where several cameras saw a capture, the one at fault does not fit any of the others
     worst = {capture: max(count for (own, _), count in excluded.items() if own == capture) for capture, _ in excluded}
     chosen = frozenset(key for key, count in excluded.items() if count == worst[key[0]])
     return Mistakes(tuple(_once(warnings)), tuple(_once(failures)), chosen)
+
+
+@dataclass(frozen=True)
+class _Finding:
+    """A capture that does not fit the relative pose of two cameras, by how many pixels; or what makes it fit, and by
+    how many pixels it is off then.
+    """
+
+    capture: int
+    error: float
+    message: Message | None = None
+
+
+def _summed_up(findings: Sequence[_Finding], captures: Sequence[str]) -> list[Message]:
+    """Return one message for each capture that something makes fit, and one for all others."""
+    explained: dict[int, _Finding] = {}
+    for each in findings:
+        if each.message and (each.capture not in explained or each.error < explained[each.capture].error):
+            explained[each.capture] = each
+    result = [each.message for _, each in sorted(explained.items()) if each.message]
+    left = [each for each in findings if each.capture not in explained]
+    if left:
+        names = [captures[capture] for capture in sorted({each.capture for each in left})]
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        error = float(np.median([each.error for each in left]))
+        text = (
+            f"{counted(len(names), 'capture')} inconsistent with the others, by {error:.2g} px: "
+            f"{', '.join(names[:_NAMED])}{more}; not used"
+        )
+        result.append(Message("inconsistent_captures", text, {"captures": tuple(names), "px": error}))
+    return list(_once(result))
 
 
 def _once(messages: Sequence[Message]) -> Iterator[Message]:
@@ -137,7 +184,7 @@ class _Pair:
         for shift in _SHIFTS:
             moved = replace(b, captures=b.captures + shift)
             found = link(a, moved, self.board)
-            enough = found is not None and len(found.captures) >= max(_SEVERAL, len(self.known.captures) // 2)
+            enough = found is not None and len(found.captures) >= max(SEVERAL, len(self.known.captures) // 2)
             if found is not None and enough and self.typical(found, a, moved) < _BETTER * typical:
                 late, early = (self.b, self.a) if shift < 0 else (self.a, self.b)
                 text = (
@@ -169,9 +216,9 @@ class _Pair:
         self, a: CameraPoses, b: CameraPoses
     ) -> Iterator[tuple[RigCamera, tuple[CameraPoses, CameraPoses]]]:
         """Yield the camera whose images may be mirrored, and the poses as they would be without."""
-        for own in _mirrored(b, self.board):
+        for own in mirrored(b, self.board):
             yield self.b, (a, own)
-        for own in _mirrored(a, self.board):
+        for own in mirrored(a, self.board):
             yield self.a, (own, b)
 
     def _require_size(self) -> None:
@@ -182,7 +229,7 @@ class _Pair:
         turn = turns[int(np.argmin(np.median(away, axis=1)))]  # sizes do not change rotations
         centre = outline(self.board)[-1]
         seen = (a.rotations @ centre + a.translations) @ turn.T
-        found = _scale(seen, b.rotations @ centre + b.translations)
+        found = robust_scale(seen, b.rotations @ centre + b.translations)
         if found is None:
             return
         scale, before, after = found
@@ -195,60 +242,51 @@ class _Pair:
             )
             raise _refused("boards_of_two_sizes", text, {"ratio": scale})
 
-    def of_captures(self, captures: Sequence[str]) -> tuple[list[Message], list[int]]:
-        """Return warnings about the captures that do not fit, and which they are."""
+    def of_captures(self, captures: Sequence[str]) -> list[_Finding]:
+        """Return what is found about the captures that do not fit."""
         a, b = self.common()
         errors = self.errors(a, b, self.known)
         limit = max(_FAR * float(np.median(errors)), _FAR_PX)
         wrong = np.flatnonzero(errors > limit)
-        if not len(wrong) or 2 * len(wrong) > len(errors):
-            return [], []
-        if self._is_change(wrong, len(errors)):
-            return [], []
+        if not len(wrong) or 2 * len(wrong) > len(errors) or self._is_change(wrong, len(errors)):
+            return []
         result, left = [], wrong.tolist()
-        for one in wrong.tolist():
-            for other in wrong.tolist():
-                if one < other and {one, other} <= set(left):
-                    crossed = self.errors(_some(a, [one, other]), _some(b, [other, one]), self.known)
-                    if (crossed < np.maximum(_BETTER * errors[[one, other]], limit / _FAR)).all():
-                        names = [captures[self.known.captures[each]] for each in (one, other)]
-                        text = (
-                            f"images of {self.a.name} or {self.b.name} exchanged between captures {' and '.join(names)}"
-                        )
-                        result.append(Message("exchanged_images", text, {"captures": tuple(names)}))
-                        left = [each for each in left if each not in (one, other)]
-        for one in list(left):
-            how = self._explanation(_some(a, [one]), _some(b, [one]), _BETTER * float(errors[one]))
-            if how:
-                name = captures[self.known.captures[one]]
-                result.append(Message(how[0], f"capture {name}: {how[1]}", {"capture": name}))
-                left.remove(one)
-        if left:
-            names = [captures[self.known.captures[one]] for one in left]
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            text = (
-                f"{counted(len(left), 'capture')} of {self.a.name} and {self.b.name} inconsistent with the others, by "
-                f"{np.median(errors[left]):.2g} px: {', '.join(names[:_NAMED])}{more}; not used"
-            )
-            result.append(Message("inconsistent_captures", text, {"captures": tuple(names)}))
-        return result, [int(self.known.captures[one]) for one in wrong]
+        for one, other in combinations(wrong.tolist(), 2):
+            crossed = self.errors(_some(a, [one, other]), _some(b, [other, one]), self.known)
+            if {one, other} <= set(left) and (crossed < np.maximum(_BETTER * errors[[one, other]], limit / _FAR)).all():
+                names = [captures[self.known.captures[each]] for each in (one, other)]
+                text = f"images of {self.a.name} or {self.b.name} exchanged between captures {' and '.join(names)}"
+                message = Message("exchanged_images", text, {"captures": tuple(names)})
+                result += [
+                    _Finding(int(self.known.captures[each]), float(crossed.max()), message) for each in (one, other)
+                ]
+                left = [each for each in left if each not in (one, other)]
+        return result + [self._of_capture(one, float(errors[one]), captures) for one in left]
 
-    def _explanation(self, a: CameraPoses, b: CameraPoses, limit: float) -> tuple[str, str] | None:
-        """Return the code and the words of what makes one capture fit best, None if nothing brings it below a limit."""
-        swapped = float(self.errors(b, a, self.known)[0]), "swapped_images", "swapped"
+    def _of_capture(self, row: int, error: float, captures: Sequence[str]) -> _Finding:
+        """Return what makes one of the common captures fit best, or by how much it does not."""
+        capture = int(self.known.captures[row])
+        rows_a, rows_b = (int(rows[row]) for rows in self.rows())
+        a, b = _some(self.a.poses, [rows_a]), _some(self.b.poses, [rows_b])
+        values: dict[str, Value] = {"capture": captures[capture]}
+        where = f"capture {captures[capture]}"
         tried = [
-            (float(self.errors(*pair, self.known)[0]), "mirrored_images", f"{camera.name} mirrored")
+            (
+                float(self.errors(*pair, self.known)[0]),
+                Message("mirrored_images", f"{where}: image of {camera.name} mirrored", values),
+            )
             for camera, pair in self._mirrorings(a, b)
         ]
-        error, code, words = min([swapped, *tried])
-        if error > limit:
-            return None
-        both = f"{self.a.name} and {self.b.name} swapped"
-        return code, f"images of {both}" if words == "swapped" else f"image of {words}"
+        as_a, as_b = self.a.of_view(self.b, rows_b), self.b.of_view(self.a, rows_a)
+        if as_a is not None and as_b is not None:
+            message = Message("swapped_views", f"{where}: images of {self.a.name} and {self.b.name} swapped", values)
+            tried.append((float(self.errors(as_a, as_b, self.known)[0]), message))
+        left, message = min(tried, key=lambda each: each[0])
+        return _Finding(capture, left, message) if left < _BETTER * error else _Finding(capture, error)
 
     def _is_change(self, wrong: Array, count: int) -> bool:
         """Return whether the captures that do not fit are all those before or after one of them."""
-        together = len(wrong) >= _SEVERAL and int(wrong[-1] - wrong[0]) == len(wrong) - 1
+        together = len(wrong) >= SEVERAL and int(wrong[-1] - wrong[0]) == len(wrong) - 1
         return together and (wrong[0] == 0 or wrong[-1] == count - 1)
 
     def changes(self, captures: Sequence[str], excluded: Sequence[int]) -> list[Message]:
@@ -257,10 +295,10 @@ class _Pair:
         used = ~np.isin(self.known.captures, excluded)
         a, b = _some(self.a.poses, rows_a[used]), _some(self.b.poses, rows_b[used])
         numbers = self.known.captures[used]
-        if len(numbers) < 2 * _SEVERAL:
+        if len(numbers) < 2 * SEVERAL:
             return []
         beside = self.offsets(a, b, self.known)[:, -1]  # of the board's centre
-        place, size, clear = _step(beside)
+        place, size, clear = largest_step(beside)
         if clear < _CLEAR or size < _CLEAR_PX:
             return []
         shifted = self._shift_from(numbers, place)
@@ -280,7 +318,7 @@ class _Pair:
     def _shift_from(self, numbers: Array, place: int) -> int:
         """Return by how many captures b is shifted from a place on, or up to it; 0 if that does not explain it."""
         for part, rest in ((numbers[place:], numbers[:place]), (numbers[:place], numbers[place:])):
-            if len(rest) < _SEVERAL:
+            if len(rest) < SEVERAL:
                 continue
             a, b = self.a.poses, self.b.poses
             whole = link(_of(a, rest), _of(b, rest), self.board)
@@ -312,56 +350,6 @@ def _of(poses: CameraPoses, captures: Array) -> CameraPoses:
     return _some(poses, np.flatnonzero(np.isin(poses.captures, captures)))
 
 
-def _mirrored(poses: CameraPoses, board: Board) -> Iterator[CameraPoses]:
-    """Yield the poses of views of mirrored images as they would be without mirroring: the image is mirrored left to
-    right, and the detector numbers the columns of the board the other way, or its rows.
-    """
-    image = np.diag([-1.0, 1.0, 1.0])
-    width, height = board.extent
-    for own, end in ((np.diag([-1.0, 1.0, 1.0]), [width, 0.0, 0.0]), (np.diag([1.0, -1.0, 1.0]), [0.0, height, 0.0])):
-        shift = poses.rotations @ np.array(end)
-        yield CameraPoses(poses.captures, image @ poses.rotations @ own, (poses.translations + shift) @ image)
-
-
-def _scale(seen: Array, there: Array) -> tuple[float, float, float] | None:
-    """Return the scale s under which s · there (n, 3) is a shift away from `seen`, and the typical distance of what is
-    left without the scale and with it; None where that is undetermined.
-    """
-    weights, scale, left = np.ones(len(seen)), 1.0, []
-    for free in (False, True):
-        for _ in range(_ROUNDS):
-            share = weights / weights.sum()
-            one, other = seen - share @ seen, there - share @ there
-            spread = float(share @ np.sum(other**2, axis=1))
-            if spread < 1e-6 * float(share @ np.sum(there**2, axis=1)):
-                return None
-            scale = float(share @ np.sum(one * other, axis=1)) / spread if free else 1.0
-            distances = np.linalg.norm(one - scale * other, axis=1)
-            weights = 1 / (1 + (distances / max(3 * float(np.median(distances)), 1e-12)) ** 2)
-        left.append(float(np.median(distances)))
-    return (scale, left[0], left[1]) if scale > 0 else None
-
-
-def _step(values: Array) -> tuple[int, float, float]:
-    """Return the place of the largest step in a series (n, D), its size, and how clear it is, in standard deviations of
-    what is left beside it.
-    """
-    count, best = len(values), (0, 0.0, 0.0)
-    if count < 2 * _SEVERAL:
-        return best
-    for place in range(_SEVERAL, count - _SEVERAL + 1):
-        before, after = values[:place], values[place:]
-        means = np.median(before, axis=0), np.median(after, axis=0)
-        left = np.concatenate([before - means[0], after - means[1]])
-        noise = float(np.sqrt(np.mean(np.median(np.abs(left), axis=0) ** 2))) / 0.6745
-        size = float(np.linalg.norm(means[1] - means[0]))
-        few = 1 + _UNKNOWN / min(place, count - place)  # the noise of few captures is not known well
-        clear = size / max(few * noise * np.sqrt(np.pi / 2 * (1 / place + 1 / (count - place))), 1e-12)
-        if clear > best[2]:
-            best = (place, size, clear)
-    return best
-
-
 def _sides(cameras: Sequence[RigCamera], links: Mapping[tuple[int, int], Link]) -> list[Message]:
     """Return the warning that cameras called left and right are the other way round."""
     result = []
@@ -374,7 +362,7 @@ def _sides(cameras: Sequence[RigCamera], links: Mapping[tuple[int, int], Link]) 
         for left, right, sign in ((0, 1, 1.0), (1, 0, -1.0)):
             if "left" in names[left] and "right" in names[right] and sign * known.translation[0] > 0:
                 text = f"{cameras[(a, b)[right]].name} is left of {cameras[(a, b)[left]].name}: swapped, or upside down"
-                result.append(Message("swapped_cameras", text, {}))
+                result.append(Message("left_right_swapped", text))
     return result
 
 

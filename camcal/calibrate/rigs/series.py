@@ -1,0 +1,63 @@
+"""What could be wrong with poses of views: mirrored images, boards of another size, a step in a series."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.rigs.links import CameraPoses
+from camcal.targets.board import Board
+
+SEVERAL = 3  # captures in a row that may be those after a change
+_ROUNDS = 10  # of reweighting
+_UNKNOWN = 3.0  # captures
+
+
+def mirrored(poses: CameraPoses, board: Board) -> Iterator[CameraPoses]:
+    """Yield the poses of views of mirrored images as they would be without mirroring: the image is mirrored left to
+    right, and the detector numbers the columns of the board the other way, or its rows.
+    """
+    image = np.diag([-1.0, 1.0, 1.0])
+    width, height = board.extent
+    for own, end in ((np.diag([-1.0, 1.0, 1.0]), [width, 0.0, 0.0]), (np.diag([1.0, -1.0, 1.0]), [0.0, height, 0.0])):
+        shift = poses.rotations @ np.array(end)
+        yield CameraPoses(poses.captures, image @ poses.rotations @ own, (poses.translations + shift) @ image)
+
+
+def robust_scale(seen: Array, there: Array) -> tuple[float, float, float] | None:
+    """Return the scale s under which s · there (n, 3) is a shift away from `seen`, and the typical distance of what is
+    left without the scale and with it; None where that is undetermined.
+    """
+    weights, scale, left = np.ones(len(seen)), 1.0, []
+    for free in (False, True):
+        for _ in range(_ROUNDS):
+            share = weights / weights.sum()
+            one, other = seen - share @ seen, there - share @ there
+            spread = float(share @ np.sum(other**2, axis=1))
+            if spread < 1e-6 * float(share @ np.sum(there**2, axis=1)):
+                return None
+            scale = float(share @ np.sum(one * other, axis=1)) / spread if free else 1.0
+            distances = np.linalg.norm(one - scale * other, axis=1)
+            weights = 1 / (1 + (distances / max(3 * float(np.median(distances)), 1e-12)) ** 2)
+        left.append(float(np.median(distances)))
+    return (scale, left[0], left[1]) if scale > 0 else None
+
+
+def largest_step(values: Array) -> tuple[int, float, float]:
+    """Return the place of the largest step in a series (n, D), its size, and how clear it is, in standard deviations of
+    what is left beside it.
+    """
+    count, best = len(values), (0, 0.0, 0.0)
+    if count < 2 * SEVERAL:
+        return best
+    for place in range(SEVERAL, count - SEVERAL + 1):
+        before, after = values[:place], values[place:]
+        means = np.median(before, axis=0), np.median(after, axis=0)
+        left = np.concatenate([before - means[0], after - means[1]])
+        noise = float(np.sqrt(np.mean(np.median(np.abs(left), axis=0) ** 2))) / 0.6745
+        size = float(np.linalg.norm(means[1] - means[0]))
+        few = 1 + _UNKNOWN / min(place, count - place)  # the noise of few captures is not known well
+        clear = size / max(few * noise * np.sqrt(np.pi / 2 * (1 / place + 1 / (count - place))), 1e-12)
+        if clear > best[2]:
+            best = (place, size, clear)
+    return best
