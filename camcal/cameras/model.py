@@ -258,7 +258,7 @@ class Rig:
         object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
         object.__setattr__(self, "rig_T_camera", MappingProxyType(dict(self.rig_T_camera)))
 
-    def rows(self, camera: str) -> slice:
+    def rows(self, camera: str) -> "slice[int, int, None]":
         """Return where a camera's parameters, and then its pose, stand in the covariance."""
         names = list(self.cameras)
         before = names[: names.index(camera)]

@@ -84,7 +84,6 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "stereo cloud disparity.pfm -o cloud.ply",
             "stereo cloud disparity.png left.png rig.yaml -o cloud.ply --max-depth 40",
             "stereo cloud left.png right.png rig.yaml -o cloud.ply --sigma",
-            "stereo cloud maps/ left/ rig.yaml -o clouds",
         ),
         "stereo eval": (
             "stereo eval disparity.pfm truth.pfm",

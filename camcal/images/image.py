@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import DTypeLike
 
-from camcal.arrays import Array
+from camcal.arrays import Array, PixelArray
 from camcal.errors import InvalidInput
 
 DTYPES = (np.uint8, np.uint16, np.float32)
@@ -61,7 +61,7 @@ class Image:
     exif: the EXIF block as it stood in the file, empty without one.
     """
 
-    pixels: Array
+    pixels: PixelArray
     orientation: int = 1
     exif: bytes = b""
 

@@ -77,7 +77,7 @@ def _read(path: Path, capture: cv2.VideoCapture) -> Iterator[Image]:
         if not there:
             break
         count += 1
-        yield Image(pixels, turned)
+        yield Image(np.asarray(pixels, np.uint8), turned)
     if count == 0 or count < _LEAST * announced:
         raise FileError(f"ends after {count} of {max(announced, 0)} frames; the file may be truncated", where=str(path))
 

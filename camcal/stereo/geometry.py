@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.arrays import Array
+from camcal.arrays import Array, Float32Array, FloatArray
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
@@ -68,7 +68,7 @@ class StereoGeometry:
         """What a parallax of one pixel is divided into, metres times pixels: focal length times baseline."""
         return self.focal * self.baseline
 
-    def rays(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+    def rays(self, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return the parts by column (3, W) and by row (3, H) of the points at distance 1, for a picture of (H, W).
 
         A pixel's point at distance 1 is the sum of both, in the frame of the rectified left camera. The distance is z
@@ -77,7 +77,7 @@ class StereoGeometry:
         height, width = shape
         return self.rays_of(np.arange(width), np.arange(height))
 
-    def rays_of(self, u: Array, v: Array) -> tuple[Array, Array]:
+    def rays_of(self, u: Array, v: Array) -> tuple[FloatArray, FloatArray]:
         """Return the same for some columns u (W,) and rows v (H,), pixels."""
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         columns, rows = np.zeros((3, len(u))), np.zeros((3, len(v)))
@@ -91,7 +91,7 @@ class StereoGeometry:
             second[1 - index], second[2] = np.sin(across), np.cos(across)
         return columns, rows
 
-    def parallax(self, shifted: Array, rows: slice) -> Array:
+    def parallax(self, shifted: Array, rows: "slice[int, int, None]") -> Float32Array:
         """Return focal length times baseline / distance, pixels, of d + doffs (N, W) of some rows, pixels.
 
         Both are the same but for latlon, where ρ = b / (tan λ_L - tan λ_R) = b cos λ_L cos λ_R / sin(λ_L - λ_R); where
@@ -102,7 +102,7 @@ class StereoGeometry:
         left, between = self._latitude(shifted.shape[1], rows), shifted / np.float32(self.focal)
         return np.asarray(np.float32(self.focal) * np.sin(between) / (np.cos(left) * np.cos(left - between)))
 
-    def effective(self, shifted: Array, rows: slice) -> Array:
+    def effective(self, shifted: Array, rows: "slice[int, int, None]") -> Float32Array:
         """Return what a change of d + doffs (N, W) is divided by to give the relative change of the distance, pixels.
 
         That is d + doffs itself, for latlon the parallax divided by its derivative, f sin(λ_L - λ_R) cos λ_R / cos λ_L.

@@ -227,9 +227,7 @@ class _Pair:
         turns = b.rotations @ a.rotations.transpose(0, 2, 1)
         away = np.linalg.norm(so3.log(turns[:, None] @ turns.transpose(0, 2, 1)), axis=2)
         turn = turns[int(np.argmin(np.median(away, axis=1)))]  # sizes do not change rotations
-        centre = outline(self.board)[-1]
-        seen = (a.rotations @ centre + a.translations) @ turn.T
-        found = robust_scale(seen, b.rotations @ centre + b.translations)
+        found = robust_scale(a.translations @ turn.T, b.rotations, b.translations)
         if found is None:
             return
         scale, before, after = found

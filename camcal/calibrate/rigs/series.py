@@ -24,22 +24,31 @@ def mirrored(poses: CameraPoses, board: Board) -> Iterator[CameraPoses]:
         yield CameraPoses(poses.captures, image @ poses.rotations @ own, (poses.translations + shift) @ image)
 
 
-def robust_scale(seen: Array, there: Array) -> tuple[float, float, float] | None:
-    """Return the scale s under which s · there (n, 3) is a shift away from `seen`, and the typical distance of what is
-    left without the scale and with it; None where that is undetermined.
+def robust_scale(seen: Array, rotations: Array, translations: Array) -> tuple[float, float, float] | None:
+    """Return the scale s for which, with an offset y and a shift t, R_g y + s T_g + t is `seen` (n, 3), and the typical
+    distance of what is left with s = 1 and with s; None where that is undetermined.
+
+    rotations: R (n, 3, 3), translations: T (n, 3) of a board. y: where the other board's origin is on it.
     """
-    weights, scale, left = np.ones(len(seen)), 1.0, []
+    count = len(seen)
+    if 3 * count < 9 + SEVERAL:
+        return None
+    ones = np.tile(np.eye(3), (count, 1, 1))
+    left, scale = [], 1.0
     for free in (False, True):
+        columns = [rotations, ones] + ([translations[:, :, None]] if free else [])
+        design, wanted = np.concatenate(columns, axis=2), seen if free else seen - translations
+        weights = np.ones(count)
         for _ in range(_ROUNDS):
-            share = weights / weights.sum()
-            one, other = seen - share @ seen, there - share @ there
-            spread = float(share @ np.sum(other**2, axis=1))
-            if spread < 1e-6 * float(share @ np.sum(there**2, axis=1)):
+            root = np.sqrt(weights)[:, None]
+            system = (root[:, :, None] * design).reshape(3 * count, -1)
+            found, _, rank, _ = np.linalg.lstsq(system, (root * wanted).ravel(), rcond=1e-9)
+            if rank < design.shape[2]:
                 return None
-            scale = float(share @ np.sum(one * other, axis=1)) / spread if free else 1.0
-            distances = np.linalg.norm(one - scale * other, axis=1)
+            distances = np.linalg.norm(wanted - design @ found, axis=1)
             weights = 1 / (1 + (distances / max(3 * float(np.median(distances)), 1e-12)) ** 2)
         left.append(float(np.median(distances)))
+        scale = float(found[-1]) if free else 1.0
     return (scale, left[0], left[1]) if scale > 0 else None
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from camcal import opencv
-from camcal.arrays import Array
+from camcal.arrays import Array, PixelArray
 from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, choose_frames
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
@@ -47,7 +47,7 @@ class Frame(NamedTuple):
 
     name: str
     image: Image
-    before: Array | None
+    before: PixelArray | None
 
 
 @dataclass(frozen=True)

@@ -243,6 +243,6 @@ def stereo_image(
         signed=found.signed,
         pixels=load(image).pixels if image else None,
         sigma=disparity.read(sigma).values if isinstance(sigma, Path) else sigma,
-        confidence=load(confidence).pixels if confidence else None,
+        confidence=np.asarray(load(confidence).pixels, np.uint8) if confidence else None,
         calibration=pair.calibration_error,
     )
