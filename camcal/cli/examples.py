@@ -58,12 +58,12 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "stereo calibrate": (
             "stereo calibrate left/ right/ --board chessboard:9x6:25mm -o rig.yaml",
             "stereo calibrate 'left*.png' 'right*.png' --board target.yaml -o rig.yaml",
-            "stereo calibrate left/ right/ --board target.yaml --lenses fixed --guess lenses.yaml -o rig.yaml",
+            "stereo calibrate left/ right/ --board a.yaml --lenses fixed --guess lens.yaml -o rig.yaml",
         ),
         "stereo run": (
             "stereo run rig.yaml left/ right/ -o result",
             "stereo run left/ right/ --board chessboard:9x6:25mm -o result",
-            "stereo run board/left board/right --board target.yaml --scene left.mp4 right.mp4 --every 10 -o result",
+            "stereo run left/ right/ --board target.yaml --scene left.mp4 right.mp4 -o result",
         ),
         "stereo check": (
             "stereo check left.png right.png",

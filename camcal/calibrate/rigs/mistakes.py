@@ -25,6 +25,7 @@ from camcal.targets.board import Board
 _SHIFTS = (1, -1, 2, -2)  # captures by which one camera may lag behind another
 _BETTER = 0.3  # of the typical error: what an explanation must bring it to
 _FAR, _FAR_PX = 6.0, 2.0  # times the typical error, and pixels: beyond both a capture does not fit
+_LOOSE = 0.04  # rad; no pair that moves between its exposures is that far off
 _LEAST_PX = 0.3  # of the typical error, however small it is
 _SCALE = 0.03  # by which the size of the board in one camera differs that is named
 _CLEAR, _CLEAR_PX = 7.0, 0.4  # standard deviations and pixels of a change of the relative pose
@@ -199,7 +200,8 @@ class _Pair:
                 raise _refused("mirrored_images", text, {})
         self._require_size()
         errors = self.errors(*self.common(), self.known)
-        fitting = errors < max(_FAR * float(np.quantile(errors, 0.2)), _FAR_PX)
+        limit = max(_FAR * float(np.quantile(errors, 0.2)), _FAR_PX)
+        fitting = errors < min(limit, max(_LOOSE * self.b.focal, _FAR_PX))
         if 2 * fitting.sum() <= len(errors):
             text = (
                 f"captures of {self.a.name} and {self.b.name} do not belong together: {np.sum(~fitting)} of "
