@@ -84,7 +84,8 @@ def test_maps_and_files_for_other_programs_need_no_images(run, folder):
     assert found["schema"] == "camcal/stereo-rectify/1"
     assert found["images"] == found["failed"] == []
     assert found["image_size"] == list(SIZE)  # as ROS has it
-    maps = np.load("out/maps.npz")
+    with np.load("out/maps.npz") as stored:
+        maps = dict(stored)
     source = load(noise(folder / "one.png")).pixels
     run("stereo", "rectify", "rig.yaml", "one.png", noise(folder / "two.png"), "-o", "out", "--ros")
     drawn = cv2.remap(source, maps["left_map1"], maps["left_map2"], cv2.INTER_LINEAR)
