@@ -79,13 +79,13 @@ def mistakes(
         pair = _Pair(cameras[a], cameras[b], board, known)
         if len(known.captures) >= SEVERAL:
             pair.require_order()
-        found = pair.of_captures(captures)
+        changed = pair.changes(captures)
+        failures += changed
+        found = [] if changed else pair.of_captures(captures)
         findings += found
-        wrong = [each.capture for each in found]
-        for capture in wrong:
+        for each in found:
             for camera in (a, b):
-                excluded[capture, camera] = excluded.get((capture, camera), 0) + 1
-        failures += pair.changes(captures, wrong)
+                excluded[each.capture, camera] = excluded.get((each.capture, camera), 0) + 1
     warnings += _summed_up(findings, captures)
     warnings += _sides(cameras, links)
     # where several cameras saw a capture, the one at fault does not fit any of the others
@@ -248,7 +248,7 @@ class _Pair:
         errors = self.errors(a, b, self.known)
         limit = max(_FAR * float(np.median(errors)), _FAR_PX)
         wrong = np.flatnonzero(errors > limit)
-        if not len(wrong) or 2 * len(wrong) > len(errors) or self._is_change(wrong, len(errors)):
+        if not len(wrong) or 2 * len(wrong) > len(errors):
             return []
         result, left = [], wrong.tolist()
         for one, other in combinations(wrong.tolist(), 2):
@@ -284,17 +284,10 @@ class _Pair:
         left, message = min(tried, key=lambda each: each[0])
         return _Finding(capture, left, message) if left < _BETTER * error else _Finding(capture, error)
 
-    def _is_change(self, wrong: Array, count: int) -> bool:
-        """Return whether the captures that do not fit are all those before or after one of them."""
-        together = len(wrong) >= SEVERAL and int(wrong[-1] - wrong[0]) == len(wrong) - 1
-        return together and (wrong[0] == 0 or wrong[-1] == count - 1)
-
-    def changes(self, captures: Sequence[str], excluded: Sequence[int]) -> list[Message]:
+    def changes(self, captures: Sequence[str]) -> list[Message]:
         """Return the message about a relative pose that changed from one capture on."""
-        rows_a, rows_b = self.rows()
-        used = ~np.isin(self.known.captures, excluded)
-        a, b = _some(self.a.poses, rows_a[used]), _some(self.b.poses, rows_b[used])
-        numbers = self.known.captures[used]
+        a, b = self.common()
+        numbers = self.known.captures
         if len(numbers) < 2 * SEVERAL:
             return []
         beside = self.offsets(a, b, self.known)[:, -1]  # of the board's centre

@@ -53,20 +53,20 @@ def robust_scale(seen: Array, rotations: Array, translations: Array) -> tuple[fl
 
 
 def largest_step(values: Array) -> tuple[int, float, float]:
-    """Return the place of the largest step in a series (n, D), its size, and how clear it is, in standard deviations of
-    what is left beside it.
+    """Return the likeliest place of a step in a series (n, D), its size, and how clear it is, in standard deviations of
+    what is left beside it; zeros where the series is too short.
     """
-    count, best = len(values), (0, 0.0, 0.0)
-    if count < 2 * SEVERAL:
-        return best
-    for place in range(SEVERAL, count - SEVERAL + 1):
-        before, after = values[:place], values[place:]
-        means = np.median(before, axis=0), np.median(after, axis=0)
-        left = np.concatenate([before - means[0], after - means[1]])
-        noise = float(np.sqrt(np.mean(np.median(np.abs(left), axis=0) ** 2))) / 0.6745
-        size = float(np.linalg.norm(means[1] - means[0]))
-        few = 1 + _UNKNOWN / min(place, count - place)  # the noise of few captures is not known well
-        clear = size / max(few * noise * np.sqrt(np.pi / 2 * (1 / place + 1 / (count - place))), 1e-12)
-        if clear > best[2]:
-            best = (place, size, clear)
-    return best
+    places = range(SEVERAL, len(values) - SEVERAL + 1)
+    if not places:
+        return 0, 0.0, 0.0
+    place = min(places, key=lambda own: float(np.abs(_beside(values, own)).sum()))
+    size = float(np.linalg.norm(np.median(values[place:], axis=0) - np.median(values[:place], axis=0)))
+    left, after = _beside(values, place), len(values) - place
+    noise = float(np.sqrt(np.mean(np.median(np.abs(left), axis=0) ** 2))) / 0.6745
+    few = 1 + _UNKNOWN / min(place, after)  # the noise of few captures is not known well
+    return place, size, size / max(few * noise * np.sqrt(np.pi / 2 * (1 / place + 1 / after)), 1e-12)
+
+
+def _beside(values: Array, place: int) -> Array:
+    """Return a series (n, D) less its medians before a place and from there on."""
+    return np.concatenate([part - np.median(part, axis=0) for part in (values[:place], values[place:])])
