@@ -1,9 +1,9 @@
-"""docs/commands.md beside the help of the commands: what the page says of each, and what it should say.
+"""docs/commands.md and docs/commands/ beside the help of the commands: what the pages say, and what they should say.
 
-Run as a script, this writes the blocks of synopsis and options anew from `--help`.
+Run as a script, this writes the list of commands, and on the page of each its synopsis and options, anew from `--help`;
+a command without a page gets one.
 """
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,11 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from camcal.cli.command import OptionsCommand, help_text, value_name
-from camcal.cli.main import app
+from camcal.cli.main import COMMANDS, app
 from camcal.options import Declared, by_group
 
-PAGE = Path(__file__).parents[1] / "docs" / "commands.md"
+INDEX = Path(__file__).parents[1] / "docs" / "commands.md"
+FOLDER = INDEX.with_suffix("")
 EVERYWHERE = ("jobs", "recursive", "json", "quiet", "verbose")  # described once, for all commands
 
 
@@ -31,11 +32,22 @@ ROOT = get_command(app)
 REGISTERED = commands(ROOT)
 
 
-def sections(page: str) -> dict[str, str]:
-    """Return the text under every heading `## camcal …`, by the command's name."""
-    parts = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
-    titled = (part.split("\n", maxsplit=1) for part in parts)
-    return {title.removeprefix("camcal "): body for title, body in titled if title.startswith("camcal ")}
+def page_of(name: str) -> Path:
+    """Return the page of a command."""
+    return FOLDER / f"{name.replace(' ', '-')}.md"
+
+
+def pages() -> dict[str, str]:
+    """Return the text of every page of a command, by the command's name in its title."""
+    texts = (page.read_text(encoding="utf-8") for page in sorted(FOLDER.glob("*.md")))
+    return {text.partition("\n")[0].removeprefix("# camcal "): text for text in texts}
+
+
+def listed() -> str:
+    """Return the table of all commands, each with a link to its page."""
+    entries = [entry for entry in COMMANDS if entry.function]
+    rows = [f"| [`camcal {each.name}`](commands/{page_of(each.name).name}) | {each.summary} |" for each in entries]
+    return "\n".join(["| command | |", "|---|---|", *rows, ""])
 
 
 def option_block(command: OptionsCommand, name: str) -> str:
@@ -49,7 +61,7 @@ def option_block(command: OptionsCommand, name: str) -> str:
     table = ["| argument or option | |", "|---|---|", *rows, ""] if own else []
     shared = [each.name for each in command.declared if each.key in EVERYWHERE]
     said = ", ".join(f"`{option}`" for option in (*shared, "--config", "--write-config"))
-    also = f"{'Also' if own else 'Only'} {said}: [as everywhere](#options-of-every-command)."
+    also = f"{'Also' if own else 'Only'} {said}: [as everywhere](../commands.md#options-of-every-command)."
     synopsis = " ".join(["camcal", name, *needed, "[OPTIONS]"])
     return "\n".join(["```", synopsis, "```", "", *table, also, ""])
 
@@ -61,21 +73,30 @@ def _row(each: Declared) -> str:
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in (spelled, help_text(each))) + " |"
 
 
-def with_blocks(page: str) -> str:
-    """Return docs/commands.md with the block of every command as its help has it."""
-    for name, command in REGISTERED.items():
-        start, end = f"<!-- options of camcal {name} -->\n", "<!-- end -->"
-        before, found, rest = page.partition(start)
-        if found:
-            page = f"{before}{start}{option_block(command, name)}{end}{rest.partition(end)[2]}"
-    return page
+def with_block(page: str, title: str, block: str) -> str:
+    """Return a page with the block under a title, between two comments, in place of what stands there."""
+    start, end = f"<!-- {title} -->\n", "<!-- end -->"
+    before, found, rest = page.partition(start)
+    return f"{before}{start}{block}{end}{rest.partition(end)[2]}" if found else page
 
 
-def stale(page: str) -> list[str]:
-    """Return the commands without a section of their own, or with a block that differs from their help."""
-    known = sections(page)
-    return [name for name, command in REGISTERED.items() if option_block(command, name) not in known.get(name, "")]
+def with_options(name: str, page: str) -> str:
+    """Return the page of a command with its options as its help has them."""
+    return with_block(page, f"options of camcal {name}", option_block(REGISTERED[name], name))
+
+
+def stale(found: dict[str, str]) -> list[str]:
+    """Return the commands without a page of their own, or with options that differ from their help."""
+    return [name for name in REGISTERED if option_block(REGISTERED[name], name) not in found.get(name, "")]
+
+
+def first_page(name: str) -> str:
+    """Return the page of a command that has none yet: its help, and the place of its options."""
+    return f"# camcal {name}\n\n{REGISTERED[name].help}\n\n<!-- options of camcal {name} -->\n<!-- end -->\n"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(with_blocks(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    INDEX.write_text(with_block(INDEX.read_text(encoding="utf-8"), "commands", listed()), encoding="utf-8")
+    for each in REGISTERED:
+        text = page_of(each).read_text(encoding="utf-8") if page_of(each).exists() else first_page(each)
+        page_of(each).write_text(with_options(each, text), encoding="utf-8")

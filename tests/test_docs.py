@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 import typer
-from command_page import EVERYWHERE, PAGE, REGISTERED, ROOT, commands, sections, stale
+from command_page import EVERYWHERE, INDEX, REGISTERED, ROOT, commands, listed, page_of, pages, stale
 from typer.core import TyperGroup
 from typer.main import get_command
 
@@ -71,44 +71,38 @@ def test_every_command_and_option_has_help():
     assert without_help(ROOT) == []
 
 
-def rows_of_commands(page: str) -> list[str]:
-    """Return the commands that the first cells of a page's tables name."""
-    return re.findall(r"^\| \[`camcal ([^`]+)`\]\(docs/commands\.md#camcal-[a-z-]+\) \|", page, flags=re.MULTILINE)
+def test_the_list_of_commands_is_that_of_the_help():
+    assert listed() not in text_of(INDEX).replace("Show a camera file", "Show a lens")
+    assert listed() in text_of(INDEX), "run: python tests/command_page.py"
 
 
-def test_the_readme_lists_every_command():
-    lost = re.sub(r"^\| \[`camcal inspect`.*\n", "", text_of(README), flags=re.MULTILINE)
-    assert set(REGISTERED) - set(rows_of_commands(lost)) == {"inspect"}
-    assert sorted(rows_of_commands(text_of(README))) == sorted(REGISTERED)
+def test_the_page_of_a_command_has_every_option_as_the_help_says_it():
+    found = pages()
+    assert stale(found | {"inspect": found["inspect"].replace("`--get KEY`", "`--git KEY`")}) == ["inspect"]
+    assert stale({name: text for name, text in found.items() if name != "inspect"}) == ["inspect"]
+    assert stale(found) == [], "run: python tests/command_page.py"
 
 
-def test_the_page_of_commands_has_every_option_as_the_help_says_it():
-    page = text_of(PAGE)
-    assert stale(page.replace("`--get KEY`", "`--git KEY`")) == ["inspect"]
-    assert stale(page.replace("## camcal inspect\n", "## Other\n")) == ["inspect"]
-    assert stale(page) == [], "run: python tests/command_page.py"
+def test_every_command_has_a_page_and_there_are_no_others():
+    assert sorted(pages()) == sorted(REGISTERED)
+    assert {page.name for page in INDEX.with_suffix("").iterdir()} == {page_of(name).name for name in REGISTERED}
 
 
-def test_the_page_of_commands_has_no_other_commands():
-    assert set(sections(text_of(PAGE) + "\n## camcal zap\n")) - set(REGISTERED) == {"zap"}
-    assert set(sections(text_of(PAGE))) - set(REGISTERED) == set()
-
-
-def without_example(page: str) -> list[str]:
-    return [name for name, body in sections(page).items() if f"\ncamcal {name}" not in body.partition("```sh")[2]]
+def without_example(found: dict[str, str]) -> list[str]:
+    return [name for name, page in found.items() if f"\ncamcal {name}" not in page.partition("```sh")[2]]
 
 
 def test_every_command_has_an_example_its_exit_codes_and_its_schema():
-    page = text_of(PAGE)
-    assert without_example(page.replace("\ncamcal doctor\n", "\n")) == ["doctor"]
-    assert without_example(page) == []
-    for name, body in sections(page).items():
-        assert f"`camcal/{name.replace(' ', '-')}/1`" in body, name
-        assert "Exit codes:" in body, name
+    found = pages()
+    assert without_example({"doctor": found["doctor"].replace("\ncamcal doctor\n", "\n")}) == ["doctor"]
+    assert without_example(found) == []
+    for name, page in found.items():
+        assert f"`camcal/{name.replace(' ', '-')}/1`" in page, name
+        assert "Exit codes:" in page, name
 
 
 def test_the_options_of_every_command_are_described_once():
-    described = text_of(PAGE).partition("## Options of every command")[2].partition("\n## ")[0]
+    described = text_of(INDEX).partition("## Options of every command")[2].partition("\n## ")[0]
     every = [each for command in REGISTERED.values() for each in command.declared]
     shared = {option for each in every if each.key in EVERYWHERE for option in each.spellings}
     shared |= {"--config", "--write-config"}
@@ -329,7 +323,7 @@ optics --f 8 --sensor 1/1.8 --size 640x480
 """
 
 
-def test_every_key_of_a_json_document_is_named_in_the_section_of_its_command(workplace, monkeypatch, capsys):
+def test_every_key_of_a_json_document_is_named_on_the_page_of_its_command(workplace, monkeypatch, capsys):
     """`demo` takes too long for it; what `doctor` finds depends on the machine."""
     monkeypatch.chdir(workplace)
     np.save("mosaic.npy", np.full((8, 8), 100, np.uint8))
@@ -339,7 +333,7 @@ def test_every_key_of_a_json_document_is_named_in_the_section_of_its_command(wor
         "transforms:\n  base_T_cam: {rotation_vector: [0.0, 0.0, 0.0], t: [1.0, 0.0, 0.0]}\n"
         "  cam_T_tag: {rotation_vector: [0.0, 0.1, 0.0], t: [0.0, 0.0, 1.0]}\n"
     )
-    page = sections(text_of(PAGE))
+    found = pages()
     for line in RUNS.splitlines():
         with pytest.raises(SystemExit) as leaving:
             app([*shlex.split(line), "--json"])
@@ -347,13 +341,12 @@ def test_every_key_of_a_json_document_is_named_in_the_section_of_its_command(wor
         assert not leaving.value.code, document
         assert document.pop("warnings") is not None  # described once, for all commands
         name = document.pop("schema").split("/")[1].replace("stereo-", "stereo ").replace("transform-", "transform ")
-        body = page[name]
-        assert unnamed({*document, "zap"}, body) == ["zap"]
-        assert unnamed(set(document), body) == []
+        assert unnamed({*document, "zap"}, found[name]) == ["zap"]
+        assert unnamed(set(document), found[name]) == []
 
 
-def unnamed(keys: set[str], body: str) -> list[str]:
-    said = body.partition("JSON,")[2]
+def unnamed(keys: set[str], page: str) -> list[str]:
+    said = page.partition("JSON,")[2]
     return sorted(key for key in keys if f"`{key}`" not in said)
 
 
@@ -370,11 +363,10 @@ def exit_codes(page: str) -> dict[int, str]:
 def test_the_exit_codes_are_those_of_the_errors():
     known = {error.exit_code: error.kind for error in [errors.CamcalError, *errors.CamcalError.__subclasses__()]}
     known |= {0: "", errors.EXIT_INTERRUPTED: "interrupted"}
-    for page in (README, PAGE):
-        assert exit_codes(text_of(page).replace("| 4 |", "| 8 |")) != known
-        assert exit_codes(text_of(page)) == known
+    assert exit_codes(text_of(INDEX).replace("| 4 |", "| 8 |")) != known
+    assert exit_codes(text_of(INDEX)) == known
     order = ", ".join(str(code) for code in errors.EXIT_PRECEDENCE if code)
-    assert f"the first of {order} is the exit" in text_of(PAGE)
+    assert f"the first of {order} is the exit" in text_of(INDEX)
 
 
 def test_the_readme_names_what_the_demo_leaves():
@@ -410,9 +402,21 @@ def test_every_link_leads_somewhere(page):
     assert broken_links(page, text_of(page)) == []
 
 
-def test_every_page_is_linked_from_the_readme_or_the_list_of_decisions():
-    linked = {(README.parent / link.partition("#")[0]).resolve() for link in _LINK.findall(text_of(README))}
-    assert {name_of(page) for page in PAGES if page not in linked | {README}} == set()
+def reached(start: Path) -> set[Path]:
+    """Return the pages that links lead to from a page, directly or over others."""
+    found, left = {start}, [start]
+    while left:
+        page = left.pop()
+        targets = {(page.parent / link.partition("#")[0]).resolve() for link in _LINK.findall(text_of(page))}
+        new = {target for target in targets if target.suffix == ".md" and target.exists()} - found
+        found |= new
+        left += new
+    return found
+
+
+def test_every_page_is_reached_from_the_readme():
+    assert reached(PROJECT / "CHANGELOG.md") < reached(README)
+    assert {name_of(page) for page in PAGES if page not in reached(README)} == set()
 
 
 def test_a_decision_fits_on_a_page():
