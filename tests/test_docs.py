@@ -198,7 +198,7 @@ def known_options() -> set[str]:
     """Return the options of all commands, of the scripts of benchmarks, and of other tools that pages speak of."""
     parameters = [parameter for command in REGISTERED.values() for parameter in command.params]
     found = {spelling for each in parameters for spelling in (*each.opts, *each.secondary_opts)}
-    for script in (PROJECT / "benchmarks").glob("*.py"):
+    for script in (PROJECT / "tests" / "benchmarks_page.py", *(PROJECT / "benchmarks").glob("*.py")):
         found |= set(re.findall(r'add_argument\("(--[a-z-]+)"', text_of(script)))
     return found | OTHER_TOOLS | {"--help", "--version", "--install-completion"}
 
