@@ -60,7 +60,7 @@ def option_block(command: OptionsCommand, name: str) -> str:
         rows += [f"| **{group}** | |", *map(_row, members)]
     table = ["| argument or option | |", "|---|---|", *rows, ""] if own else []
     shared = [each.name for each in command.declared if each.key in EVERYWHERE]
-    said = ", ".join(f"`{option}`" for option in (*shared, "--config", "--write-config"))
+    said = ", ".join(f"`{option}`" for option in (*shared, "--config", "--write-config", "--examples"))
     also = f"{'Also' if own else 'Only'} {said}: [as everywhere](../commands.md#options-of-every-command)."
     synopsis = " ".join(["camcal", name, *needed, "[OPTIONS]"])
     return "\n".join(["```", synopsis, "```", "", *table, also, ""])

@@ -105,7 +105,7 @@ def test_the_options_of_every_command_are_described_once():
     described = text_of(INDEX).partition("## Options of every command")[2].partition("\n## ")[0]
     every = [each for command in REGISTERED.values() for each in command.declared]
     shared = {option for each in every if each.key in EVERYWHERE for option in each.spellings}
-    shared |= {"--config", "--write-config"}
+    shared |= {"--config", "--write-config", "--examples"}
     assert missing(shared, described.replace("`--jobs N`", "")) == {"--jobs"}
     assert missing(shared, described) == set()
 

@@ -99,8 +99,8 @@ class NoOptions:
 class OptionsCommand(TyperCommand):
     """A command whose options are declared by records, which `command` makes."""
 
+    full_name: str = ""
     declared: Sequence[Declared] = ()
-    examples: Sequence[str] = ()
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse a command line, in which numbers below zero may be arguments where the command takes such.
@@ -139,9 +139,9 @@ class OptionsCommand(TyperCommand):
                 rows += [(f"{', '.join(each.opts)} {each.metavar or ''}".strip(), each.help) for each in others]
             with formatter.section(group):
                 formatter.write_dl(rows)
-        if self.examples:
-            with formatter.section("Examples"):
-                formatter.write("".join(f"  {line}\n" for line in _continued(self.examples, formatter.width - 2)))
+        with formatter.section("Examples"):
+            calls = examples.calls(self.full_name)
+            formatter.write("".join(f"  {line}\n" for line in _continued(calls, formatter.width - 2)))
 
 
 def _continued(calls: Iterable[str], most: int) -> Iterator[str]:
@@ -191,7 +191,7 @@ def command(name: str, function: Callable[..., None]) -> OptionsCommand:
     made = typer.main.get_command(alone)
     assert isinstance(made, OptionsCommand)
     made.declared = maker.every
-    made.examples = examples.lines(name)
+    made.full_name = name
     return made
 
 
@@ -329,6 +329,16 @@ def _apply_settings(context: typer.Context, path: Path | None) -> Path | None:
     return path
 
 
+def _show_examples(context: typer.Context, wanted: bool) -> None:
+    """Print the most common calls as a script, and do nothing else."""
+    if not wanted:
+        return
+    command: Any = context.command
+    for line in _continued(examples.script(command.full_name), show.width()):
+        show.value(line)
+    raise typer.Exit
+
+
 def settings_line(context: Any, parameter: str | None) -> str | None:
     """Return the file and line of a parameter's value, None if it does not come from a settings file."""
     if context is None or parameter is None:
@@ -371,5 +381,18 @@ _SETTINGS = (
             ),
         ],
         default=None,
+    ),
+    _keyword(
+        "examples",
+        Annotated[
+            bool,
+            typer.Option(
+                "--examples",
+                is_eager=True,
+                callback=_show_examples,
+                help="Print the most common calls and what each does, and do nothing else.",
+            ),
+        ],
+        default=False,
     ),
 )

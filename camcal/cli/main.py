@@ -180,8 +180,9 @@ class Boundary(CommandGroup):
         code, kind, message, where = _described(error)
         if code != EXIT_BUG:
             show.error(f"{in_one_line(where)}: {message}" if where else message)
-        if code == InvalidInput.exit_code and arguments == (words := self.named_in(arguments).split()[1:]):
-            show.examples(examples.lines(" ".join(words)))
+        if code == InvalidInput.exit_code and ["camcal", *arguments] == (named := self.named_in(arguments)).split():
+            calls = examples.calls(named.removeprefix("camcal "))
+            show.examples([] if named in calls else calls)
         if "--json" in takewhile(lambda argument: argument != "--", arguments):
             failure = {"error": {"kind": kind, "message": message, "where": where}, "exit": code}
             try:

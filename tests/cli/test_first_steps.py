@@ -108,44 +108,69 @@ def test_a_length_without_its_unit_and_a_number_with_one_are_told_what_to_write(
     assert said in err
 
 
-CALLS = [call for calls in EXAMPLES.values() for call in calls]
+CALLS = [example.call for each in EXAMPLES.values() for example in each]
 ALONE = {"demo", "doctor"}  # commands that need nothing
 
 
-def test_every_command_that_needs_input_has_three_common_calls():
-    assert set(EXAMPLES) | ALONE == {entry.name for entry in COMMANDS if entry.function}
-    assert {len(calls) for calls in EXAMPLES.values()} == {3}
+def test_every_command_has_three_common_calls():
+    assert set(EXAMPLES) == {entry.name for entry in COMMANDS if entry.function}
+    assert {len(each) for each in EXAMPLES.values()} == {3}
     assert max(map(len, CALLS)) <= 90
     assert len(set(CALLS)) == len(CALLS)
-    assert all(call.startswith(f"{name} ") for name, calls in EXAMPLES.items() for call in calls)
+    assert all(example.call.startswith(name) for name, each in EXAMPLES.items() for example in each)
+
+
+def test_what_a_common_call_does_is_said_in_a_line_of_its_own():
+    purposes = [example.purpose for each in EXAMPLES.values() for example in each]
+    assert max(map(len, purposes)) <= 78
+    assert not any(purpose.endswith(".") or purpose.startswith(("#", " ", "camcal")) for purpose in purposes)
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        pytest.param(call, marks=[pytest.mark.slow] * (number > 0))
-        for calls in EXAMPLES.values()
-        for number, call in enumerate(calls)
+        pytest.param(example.call, marks=[pytest.mark.slow] * (number > 0))
+        for each in EXAMPLES.values()
+        for number, example in enumerate(each)
     ],
 )
 def test_a_common_call_is_one_that_the_command_takes(run, tmp_path, call, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(*shlex.split(call), "--write-config", "settings.yaml")
+    code, out, err = run(*shlex.split(call), "--write-config", "settings.yaml")
     assert (code, err) == (0, "")
+    assert "settings.yaml" in out
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", sorted(set(EXAMPLES) - ALONE))
 def test_a_command_called_with_nothing_shows_its_most_common_calls(run, name):
     code, out, err = run(*name.split())
     assert (code, out) == (2, "")
     first, *rest = err.splitlines()
     assert first.startswith("camcal: error: ")
-    assert rest == ["most common calls:", *(f"  camcal {call}" for call in EXAMPLES[name])]
+    assert rest == ["most common calls:", *(f"  camcal {example.call}" for example in EXAMPLES[name])]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_are_a_script_of_calls_with_what_each_does(run, name):
+    code, out, err = run(*name.split(), "--examples")
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    lines = out.replace(" \\\n    ", " ").splitlines()
+    assert lines == [line for each in EXAMPLES[name] for line in (f"# {each.purpose}", f"camcal {each.call}")]
+
+
+def test_a_command_that_needs_nothing_and_fails_lists_no_calls(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "camcal-demo").mkdir()
+    (tmp_path / "camcal-demo" / "camera.yaml").write_text("mine: 1\n")
+    code, _, err = run("demo")
+    assert code == 2
+    assert "most common calls" not in err
 
 
 def test_help_ends_with_the_most_common_calls(run):
     shown = run("calibrate", "--help")[1].splitlines()
-    assert shown[-4:] == ["Examples:", *(f"  camcal {call}" for call in EXAMPLES["calibrate"])]
+    assert shown[-4:] == ["Examples:", *(f"  camcal {example.call}" for example in EXAMPLES["calibrate"])]
 
 
 def test_help_keeps_to_its_width_and_has_one_order_of_names(run):
