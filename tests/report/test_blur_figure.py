@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.report.figures import BlurCurve, blur_over_distance
+from camcal.report.figures.sensor import BlurCurve, blur_over_distance
 
 CURVE = BlurCurve(8e-3, 2.8, 0.5, 3.45e-6, 0.465436, 0.540109, 3.45e-6, 3.8e-6)
 

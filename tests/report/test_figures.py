@@ -10,7 +10,7 @@ from camcal.errors import InvalidInput
 from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import characterise
-from camcal.report.figures import photon_transfer, require_suffix
+from camcal.report.figures.sensor import photon_transfer, require_suffix
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 

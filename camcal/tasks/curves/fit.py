@@ -178,7 +178,7 @@ def _write(report: FitReport, options: FitOptions, table: Table) -> None:
     if options.trace not in (None, TABLE):
         files.write_text(Path(str(options.trace)), trace_csv(report.turns))
     if options.plot is not None:
-        from camcal.report.figures import fitted_curve
+        from camcal.report.figures.sensor import fitted_curve
 
         files.write_bytes(options.plot, fitted_curve(report.fit, options.plot.suffix))
     if options.output is None:

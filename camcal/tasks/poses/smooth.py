@@ -17,7 +17,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.report.over_time import Panel, over_time
+from camcal.report.figures.over_time import Panel, over_time
 from camcal.run.outputs import writes
 from camcal.tasks.poses.smooth_options import SmoothOptions
 from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps

@@ -241,7 +241,7 @@ def _written(options: TrackingOptions, images: Sequence[str], objects: Mapping[s
             trajectories.write(options.output, _trajectory(options.output, objects), form)
         outputs.append(options.output)
     if options.plot is not None:
-        from camcal.report.over_time import track_figure
+        from camcal.report.figures.over_time import track_figure
 
         for path, (name, item) in zip(_plots(options.plot, list(objects)), objects.items(), strict=True):
             single = [None if each is None else each.transform for each in item.single]

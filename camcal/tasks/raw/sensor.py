@@ -22,7 +22,7 @@ from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts,
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
-from camcal.report import figures
+from camcal.report.figures import sensor as figures
 from camcal.report.uncertain import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes

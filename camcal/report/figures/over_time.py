@@ -14,7 +14,7 @@ from camcal.arrays import Array
 from camcal.estimate.tracking.track import MEASURED, PREDICTED, REJECTED, Track
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.report.figures import STYLE, encoded
+from camcal.report.figures.sensor import STYLE, encoded
 
 _SMOOTHED, _POINTS, _OUTLIERS = "tab:blue", "0.45", "tab:red"
 

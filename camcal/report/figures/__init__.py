@@ -1,0 +1,1 @@
+"""Figures of results: what each shows, its caption, and the files that they are written to."""

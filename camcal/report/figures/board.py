@@ -1,0 +1,194 @@
+"""Figures of the board: its shape, and where it stood in front of the camera."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from camcal.arrays import Array
+from camcal.calibrate.intrinsics import Calibration
+from camcal.cameras.model import Camera
+from camcal.cameras.validity import rim
+from camcal.messages import counted
+from camcal.report.figures.figure import COLOUR_MAP, DIVERGING_MAP, WIDTH, Plot, Theme, panel_height
+from camcal.report.figures.image_plane import colour_bar, round_down, scale_of
+from camcal.targets.board import Board
+from camcal.targets.surface import Surface
+
+_RELIEF = 0.25  # of the board's longer side: how high its largest deviation is drawn
+_MOST_RELIEF = 1000.0  # times: what is flatter is drawn flat
+_LEAST = 1e-9  # of the board's longer side: a flat board
+
+
+def board_height(surface: Surface) -> Plot | None:
+    """Return the deviation of the board from a plane as contours, None for a board that is taken to be flat."""
+    points, height, unit = _relief(surface)
+    if height is None:
+        return None
+    across = float(np.ptp(height))
+    most = float(np.abs(height).max())
+
+    def draw(figure: Figure, _: Theme) -> None:
+        axes = figure.subplots()
+        levels = MaxNLocator(10, symmetric=True).tick_values(-most, most)
+        filled = axes.tricontourf(points[:, 0], points[:, 1], height, levels=levels, cmap=DIVERGING_MAP)
+        axes.plot(*points[:, :2].T, ".", color="#1a1a1a", ms=2)
+        axes.set_aspect("equal")
+        axes.invert_yaxis()
+        axes.set_xlabel(f"x, {unit}")
+        axes.set_ylabel(f"y, {unit}")
+        colour_bar(axes, filled, f"out of plane, {unit}")
+
+    return Plot(
+        "board_height",
+        "Board out of plane",
+        f"Height of the board's points (dots) over their plane, positive along the board's z axis: {across:.2g} {unit} "
+        f"from the lowest to the highest; uncertainty of the estimated bend ± {_std(surface):.2g} {unit} (1 σ).",
+        f"Contours of the board's height; it spans {across:.2g} {unit}.",
+        draw,
+        panel_height(surface.board.extent),
+    )
+
+
+def board_shape(surface: Surface) -> Plot | None:
+    """Return the board as an exaggerated surface in space, None for a board that is taken to be flat."""
+    points, height, unit = _relief(surface)
+    if height is None:
+        return None
+    side = float(np.ptp(points[:, :2], axis=0).max())
+    factor = round_down(min(_RELIEF * side / float(np.ptp(height)), _MOST_RELIEF))
+
+    def draw(figure: Figure, theme: Theme) -> None:
+        axes = space_axes(figure, theme)
+        # z of a board points away from its printed side: up is towards the camera
+        axes.plot_trisurf(*points[:, :2].T, factor * height, cmap=DIVERGING_MAP, lw=0.2, edgecolor=theme.ink, alpha=0.9)
+        axes.set_xlabel(f"x, {unit}")
+        axes.set_ylabel(f"y, {unit}")
+        axes.set_zlabel(f"z x {factor:g}, {unit}")
+        equal_aspect(axes, np.column_stack([points[:, :2], factor * height]))
+        axes.invert_yaxis()
+
+    return Plot(
+        "board_shape",
+        "Board shape",
+        f"The board as estimated, its height exaggerated {factor:g} x: {float(np.ptp(height)):.2g} {unit} from the "
+        f"lowest to the highest point (1 σ {_std(surface):.2g} {unit}).",
+        f"Surface of the board with heights exaggerated {factor:g} times.",
+        draw,
+        (WIDTH, 3.8),
+    )
+
+
+def _std(surface: Surface) -> float:
+    return surface.deflection_std * length_unit(surface.board)[0]
+
+
+def length_unit(board: Board) -> tuple[float, str]:
+    """Return the factor that takes small lengths of a board to the unit that they are said in, and that unit."""
+    return (1e3, "mm") if board.unit == "m" else (1.0, "squares")
+
+
+def _relief(surface: Surface) -> tuple[Array, Array | None, str]:
+    """Return the points (C, 3) of a board, their heights (C,) over their plane, None where it is flat, and the unit."""
+    factor, unit = length_unit(surface.board)
+    points = surface.points()
+    design = np.column_stack([np.ones(len(points)), points[:, :2]])
+    height = points[:, 2] - design @ np.linalg.lstsq(design, points[:, 2], rcond=None)[0]
+    flat = np.abs(height).max() < _LEAST * max(surface.board.extent)
+    return factor * points, None if flat else factor * height, unit
+
+
+def poses(calibration: Calibration) -> Plot:
+    """Return the camera and the boards in front of it, coloured by the residuals of their views."""
+    used = [view for view in calibration.views if view.camera_T_board is not None]
+    unit = calibration.board.unit
+    outline = outline_of(calibration.board)
+    boards = [view.camera_T_board.apply(outline) for view in used if view.camera_T_board is not None]
+    rms = np.array([view.rms_px or np.nan for view in used])
+    distances = np.array([np.linalg.norm(board[:4].mean(axis=0)) for board in boards])
+    near, far = distances.min(), distances.max()
+    tilts = np.array([_tilt(view.camera_T_board.rotation) for view in used if view.camera_T_board is not None])
+    reach = f"{near:.2g} to {far:.2g} {unit}"
+
+    def draw(figure: Figure, theme: Theme) -> None:
+        axes = space_axes(figure, theme)
+        scale = scale_of(rms[np.isfinite(rms)])
+        faces = Poly3DCollection([upright(board) for board in boards], cmap=COLOUR_MAP, norm=scale, alpha=0.55)
+        faces.set_array(rms)
+        faces.set_edgecolor(theme.ink)
+        faces.set_linewidth(0.4)
+        axes.add_collection3d(faces)
+        lines = frustum(calibration.camera, 0.35 * float(np.median(distances)))
+        for line in lines:
+            axes.plot(*upright(line).T, color=theme.series[1], lw=1.2)
+        equal_aspect(axes, upright(np.concatenate([*boards, *lines])))
+        label_space(axes, unit)
+        axes.figure.colorbar(faces, ax=axes, label="RMS of the view, px", shrink=0.6, pad=0.12)
+
+    return Plot(
+        "poses",
+        "Poses of the board",
+        f"The camera (frustum) and the board in {counted(len(used), 'view')}, {reach} away and tilted by "
+        f"{tilts.min():.0f}° to {tilts.max():.0f}°; colour: RMS of the view's residuals, px.",
+        f"Camera and {counted(len(used), 'board')} in space, {reach} away.",
+        draw,
+        (WIDTH, 4.0),
+        dense=True,
+    )
+
+
+def _tilt(rotation: Array) -> float:
+    """Return the angle in degrees between a board's normal and the optical axis."""
+    return float(np.degrees(np.arccos(min(abs(float(rotation[2, 2])), 1.0))))
+
+
+def outline_of(board: Board) -> Array:
+    """Return the corners (4, 3) of the rectangle around a board's points."""
+    width, height = board.extent
+    return np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
+
+
+def frustum(camera: Camera, length: float) -> Sequence[Array]:
+    """Return the lines (N, 3) of a camera's frustum, in its frame: its border and four edges."""
+    border = camera.unproject(rim(camera, 8)[0]).directions
+    border = length * border[np.isfinite(border).all(axis=1)]
+    if not len(border):
+        return [np.array([[0.0, 0, 0], [0, 0, length]])]
+    edges = border[:: max(len(border) // 4, 1)][:4]
+    return [np.vstack([border, border[:1]]), *(np.stack([np.zeros(3), edge]) for edge in edges)]
+
+
+def upright(points: Array) -> Array:
+    """Return points (N, 3) of a frame x right, y down, z forward as they are drawn: x, z, -y."""
+    return np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
+
+
+def space_axes(figure: Figure, theme: Theme) -> Axes3D:
+    """Return axes in space without a background."""
+    axes = figure.add_subplot(projection="3d")
+    assert isinstance(axes, Axes3D)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((0, 0, 0, 0))
+        axis.line.set_color(theme.faint)
+    axes.grid(visible=True)
+    axes.locator_params(nbins=4)
+    return axes
+
+
+def label_space(axes: Axes3D, unit: str) -> None:
+    """Label axes in which points are drawn by `upright`."""
+    axes.set_xlabel(f"x, {unit}")
+    axes.set_ylabel(f"z, {unit}")
+    axes.set_zlabel(f"-y, {unit}")
+
+
+def equal_aspect(axes: Axes3D, points: Array) -> None:
+    """Give axes in space the extent of points (N, 3), equal lengths along all of them."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.03 * float((high - low).max()) or 0.5
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+    axes.set_zlim(low[2] - margin, high[2] + margin)
+    axes.set_box_aspect(high - low + 2 * margin)

@@ -1,0 +1,153 @@
+"""The record of a figure, the two themes, and the bytes of its file.
+
+A figure is drawn for a width of 400 pixels: its text has 10 points on a width of 5 inches, so that it has 8 points
+there. Colours are those of Okabe and Ito, which people with any colour vision tell apart, and the maps cividis and
+viridis. Source: Okabe & Ito, Color universal design, 2008; Nuñez, Anderton & Renslow, PLoS ONE 13(7), 2018.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from camcal.errors import InvalidInput
+
+SUFFIXES = (".png", ".svg", ".pdf")
+WIDTH = 5.0  # inches
+COLOUR_MAP = "cividis"
+DIVERGING_MAP = "PuOr"
+
+_DPI = 160
+_FONT = 10.0  # points
+
+
+@dataclass(frozen=True)
+class Theme:
+    """The colours of a figure, as #rrggbb.
+
+    paper: background. ink: text and axes. faint: grids, what stands behind. series: colours of data, to be taken in
+    their order; the first is that of the data themselves. bad: what was rejected or fails. good: what passes.
+    """
+
+    name: str
+    paper: str
+    ink: str
+    faint: str
+    series: tuple[str, ...]
+    bad: str
+    good: str
+
+
+LIGHT = Theme(
+    "light",
+    paper="#ffffff",
+    ink="#1a1a1a",
+    faint="#b8b8b8",
+    series=("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"),
+    bad="#d55e00",
+    good="#009e73",
+)
+DARK = Theme(
+    "dark",
+    paper="#15181c",
+    ink="#e8e8e8",
+    faint="#5a6068",
+    series=("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00"),
+    bad="#e69f00",
+    good="#2fc49b",
+)
+THEMES = {theme.name: theme for theme in (LIGHT, DARK)}
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """A figure: what it shows, in words, and how it is drawn.
+
+    name: of its file, without suffix. caption: how to read it, with its numbers and their units. alt: what it shows,
+    for those who do not see it. draw: draws it into an empty figure. size: inches. dense: of so many parts that a
+    document is better off with pixels than with lines.
+    """
+
+    name: str
+    title: str
+    caption: str
+    alt: str
+    draw: Callable[[Figure, Theme], None]
+    size: tuple[float, float] = (WIDTH, 3.6)
+    dense: bool = False
+
+
+def encoded(plot: Plot, suffix: str, theme: Theme = LIGHT, *, titled: bool = True) -> bytes:
+    """Return the figure as a file of the type of `suffix`, the same bytes every time; titled: with its title."""
+    suffix = suffix.lower()
+    with mpl.rc_context(_style(plot, theme)):
+        stream = BytesIO()
+        _drawn(plot, theme, titled=titled).savefig(
+            stream, format=suffix[1:], dpi=_DPI, metadata=_metadata(plot, suffix)
+        )
+    return stream.getvalue()
+
+
+def drawn(plot: Plot, theme: Theme = LIGHT, *, titled: bool = True) -> Figure:
+    """Return the figure with the places of all its parts settled."""
+    with mpl.rc_context(_style(plot, theme)):
+        figure = _drawn(plot, theme, titled=titled)
+        figure.draw_without_rendering()
+        return figure
+
+
+def _drawn(plot: Plot, theme: Theme, *, titled: bool) -> Figure:
+    figure = Figure(figsize=plot.size, layout="constrained")
+    FigureCanvasAgg(figure)
+    if titled:
+        figure.suptitle(plot.title, fontsize=_FONT + 1, fontweight="bold")
+    plot.draw(figure, theme)
+    return figure
+
+
+def _style(plot: Plot, theme: Theme) -> dict[Any, Any]:
+    """Return the settings under which a figure is drawn; ids in an SVG are those of its plot."""
+    ink = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "axes.titlecolor")
+    paper = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "legend.facecolor")
+    return {
+        **dict.fromkeys(ink, theme.ink),
+        **dict.fromkeys(paper, theme.paper),
+        "axes.grid": False,
+        "axes.titlesize": _FONT,
+        "font.size": _FONT,
+        "grid.color": theme.faint,
+        "grid.linewidth": 0.5,
+        "grid.alpha": 0.5,
+        "image.cmap": COLOUR_MAP,
+        "legend.edgecolor": theme.faint,
+        "legend.fontsize": _FONT - 0.2,
+        "legend.framealpha": 0.85,
+        "svg.fonttype": "none",
+        "svg.hashsalt": f"camcal {plot.name} {theme.name}",
+    }
+
+
+def _metadata(plot: Plot, suffix: str) -> dict[str, Any]:
+    """Return title and caption as the file's metadata, without a date."""
+    if suffix == ".png":
+        return {"Software": None, "Title": plot.title, "Description": plot.caption}
+    if suffix == ".svg":
+        return {"Date": None, "Title": plot.title, "Description": plot.caption}
+    return {"CreationDate": None, "Title": plot.title, "Subject": plot.caption}
+
+
+def require_suffix(path: Path) -> None:
+    """Raise InvalidInput unless figures are written as this type of file."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InvalidInput(f"figures are {', '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}", where=str(path))
+
+
+def panel_height(shape: tuple[float, float]) -> tuple[float, float]:
+    """Return the size of a figure, inches, that shows a shape (width, height) beside a colour bar."""
+    width, height = shape
+    return WIDTH, min(max((WIDTH - 1.5) * height / width + 1.1, 2.6), 6.5)
