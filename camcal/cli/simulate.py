@@ -31,6 +31,7 @@ def simulate(options: SimulateOptions, call: Call) -> None:
     corners.csv (true corner positions). The same options and seed give the same bytes. With --raw, flats/ and darks/
     hold frames for `camcal sensor`, a folder for each exposure. With --stereo there is no board: the folder holds
     left/, right/, disparity/ and disparity_right/ (exact), visible/ (white: visible in both images) and rig.yaml.
+    With the camera file of a rig the board is shown to all its cameras; images/ holds a folder for each of them.
     """
     if options.stereo:
         _simulate_pairs(options, call)
@@ -57,7 +58,9 @@ def _show_photographs(report: "SimulateReport", options: SimulateOptions, verbos
     truth, output = report.truth, options.output
     camera = truth.camera
     count = sum(len(view.ids) for view in report.corners.views)
-    show.text(f"{len(report.images)} images of {camera.image_size[0]}x{camera.image_size[1]}, {count} corners in them")
+    size = f"{camera.image_size[0]}x{camera.image_size[1]}"
+    taken = f" of {len(report.cameras)} cameras" if report.cameras else f" of {size}"
+    show.text(f"{len(report.images)} images{taken}, {count} corners in them")
     if verbose:
         rows: list[list[object]] = [[name, f"{camera.value(name):.6g}"] for name in camera.model.parameter_names]
         show.table(camera.model.name, ["parameter", "value"], rows)
@@ -65,12 +68,15 @@ def _show_photographs(report: "SimulateReport", options: SimulateOptions, verbos
         show.table("corners", [Column("image", file=True), Column("corners")], rows)
     frames = f"{len(report.frames)} flat and dark frames to {output}{os.sep}" if report.frames else None
     beside = [output / name for name in ("truth.yaml", "board.yaml", "poses.csv", "corners.csv")]
-    show.wrote(*beside, show.several(report.images, "image"), frames)
-    show.text(f"next: {_next(options)}")
+    images = f"{len(report.images)} images to {output / 'images'}{os.sep}"
+    show.wrote(*beside, images if report.cameras else show.several(report.images, "image"), frames)
+    show.text(f"next: {_next(options, report.cameras)}")
 
 
-def _next(options: SimulateOptions) -> str:
+def _next(options: SimulateOptions, cameras: tuple[str, ...]) -> str:
     output, raw = options.output, options.raw
+    if cameras and raw.pattern is None:
+        return f"camcal rig {output / 'images'} --board {output / 'board.yaml'} -o rig.yaml"
     if raw.pattern is None:
         return f"camcal calibrate {output / 'images'} --board {output / 'board.yaml'} -o camera.yaml"
     pattern = f"--pattern {raw.pattern}"

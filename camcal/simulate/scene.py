@@ -26,6 +26,7 @@ PARTIAL_FILL = (0.7, 1.5)
 PARTIAL_SHARE = 0.4  # of the corners that a cut board must show at least
 RIM = 0.3  # squares of white around the drawing that must be in the image
 WIDEST = 100.0  # half an image's width in focal lengths, 178.9° for a pinhole
+LEG = 30  # frames of a moving board from one pose to the next
 OFF_CENTRE = (0.006, -0.004)  # of the principal point, as shares of the image's width
 
 
@@ -154,16 +155,63 @@ def _place(rays: Array, distance: Array, turn: Array, centre: Array) -> tuple[Ar
 
 def _acceptable(camera: Camera, outline: _Outline, attempts: _Attempts, rotations: Array, translations: Array) -> Array:
     """Return the mask (V,) of views in the lens's domain, not too oblique, with as many corners as they should have."""
-    rim, _ = project_all(camera, outline.rim, rotations, translations)
-    corners, seen = project_all(camera, outline.corners, rotations, translations)
-    shown = (seen & in_image(camera, corners)).mean(axis=1)
-    whole = in_image(camera, rim).all(axis=1)
+    shown = _share_in_image(camera, outline.corners, rotations, translations)
+    whole = _share_in_image(camera, outline.rim, rotations, translations) == 1
+    drawn = _can_be_drawn(camera, outline, rotations, translations)
+    return np.asarray(drawn & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))
+
+
+def _share_in_image(camera: Camera, points: Array, rotations: Array, translations: Array) -> Array:
+    """Return the share (V,) of points (N, 3) on the board that each of V poses has in the image."""
+    pixels, valid = project_all(camera, points, rotations, translations)
+    return np.asarray((valid & in_image(camera, pixels)).mean(axis=1))
+
+
+def _can_be_drawn(camera: Camera, outline: _Outline, rotations: Array, translations: Array) -> Array:
+    """Return the mask (V,) of poses whose whole sheet is in the lens's domain and not seen too obliquely."""
     _, valid = project_all(camera, outline.sheet, rotations, translations)
     sheet = in_camera(outline.sheet, rotations, translations)
     into = (rotations @ outline.upright)[:, :, 2]
     cosine = np.einsum("vni,vi->vn", sheet, into) / np.linalg.norm(sheet, axis=-1)
     facing = (cosine > np.cos(STEEPEST)).all(axis=1)
-    return np.asarray(valid.all(axis=1) & facing & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))
+    return np.asarray(valid.all(axis=1) & facing)
+
+
+def seen(camera: Camera, board: Board, poses: Sequence[Pose], *, partial: bool = False) -> Array:
+    """Return the mask (V,) of poses camera_T_board at which an image has the whole board, or enough of it."""
+    outline = _Outline.of(board)
+    rotations, translations = _stacked(poses)
+    points, least = (outline.corners, PARTIAL_SHARE) if partial else (np.vstack([outline.rim, outline.corners]), 1.0)
+    shown = _share_in_image(camera, points, rotations, translations)
+    return np.asarray((shown >= least) & _can_be_drawn(camera, outline, rotations, translations))
+
+
+def _stacked(poses: Sequence[Pose]) -> tuple[Array, Array]:
+    """Return the rotations (V, 3, 3) and translations (V, 3) of poses."""
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    return rotations, np.array([pose.translation for pose in poses]).reshape(-1, 3)
+
+
+def motion(camera: Camera, board: Board, count: int, *, rng: np.random.Generator) -> list[Pose]:
+    """Return `count` poses camera_T_board of a board that moves smoothly from one of `views` to the next.
+
+    It rests for a moment at each of them; in between it may leave the image. Raises InvalidInput as `views` does.
+    """
+    stops = views(camera, board, 2 + (count - 1) // LEG, rng=rng)
+    legs = [divmod(index, LEG) for index in range(count)]
+    return [_between(stops[leg], stops[leg + 1], _eased(frame / LEG)) for leg, frame in legs]
+
+
+def _eased(share: float) -> float:
+    """Return a share of the way that begins and ends at rest."""
+    return share**2 * (3 - 2 * share)
+
+
+def _between(first: Pose, last: Pose, share: float) -> Pose:
+    """Return the pose a share of the way from one to another."""
+    turn = so3.log(last.rotation @ first.rotation.T)
+    way = last.translation - first.translation
+    return Pose(so3.exp(share * turn) @ first.rotation, first.translation + share * way)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,16 +254,14 @@ def observe(
     """
     if noise_px < 0 or not 0 <= outliers <= 1:
         raise InvalidInput(f"noise {noise_px} must not be negative, the share of outliers {outliers} within 0…1")
-    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
-    translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
-    exact, valid = project_all(camera, shape.points(board), rotations, translations)
+    exact, valid = project_all(camera, shape.points(board), *_stacked(poses))
     displaced = rng.random(valid.shape) < outliers
     angle = rng.uniform(0, 2 * np.pi, valid.shape)
     jump = outlier_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     pixels = exact + noise_px * rng.standard_normal(exact.shape) + displaced[..., None] * jump
-    seen = valid & in_image(camera, pixels) if inside else valid
-    views = tuple(_detection(camera, index, seen[index], pixels[index]) for index in range(len(poses)))
-    masks = tuple(mask[kept] for mask, kept in zip(displaced, seen, strict=True))
+    shown = valid & in_image(camera, pixels) if inside else valid
+    views = tuple(_detection(camera, index, shown[index], pixels[index]) for index in range(len(poses)))
+    masks = tuple(mask[kept] for mask, kept in zip(displaced, shown, strict=True))
     return Detections(board, views), Truth(camera, board, shape, tuple(poses), masks)
 
 

@@ -233,8 +233,8 @@ class SimulateOptions(OptionsRecord):
 
     camera: a camera file (FILE or FILE#NAME); name: which of its cameras. Without a file the lens is made of model,
     size (width, height), fov (rad) and distortion (coefficients by name, None for typical ones). partial: let boards be
-    cut by the image. raw: make mosaics of a sensor, which then gives noise and depth. stereo: make `pairs`, without a
-    board. What is None is as usual, and that differs between photographs and pairs.
+    cut by the image. motion: of one board that moves. raw: make mosaics of a sensor, which then gives noise and depth.
+    stereo: make `pairs`, without a board. What is None is as usual, and that differs between photographs and pairs.
 
     Raises InvalidInput for options that have no meaning with, or without, stereo.
     """
@@ -243,7 +243,9 @@ class SimulateOptions(OptionsRecord):
     board: Annotated[str | None, Argument(BOARD_OPTION.help, metavar="BOARD")] = None
     camera: Annotated[
         str | None,
-        Argument("A camera file, FILE#NAME for one of several; else --model and so on.", metavar="CAMERA"),
+        Argument(
+            "A camera file; all cameras of a rig, FILE#NAME for one of them; else --model and so on.", metavar="CAMERA"
+        ),
     ] = None
     name: CameraName = None
     model: Annotated[
@@ -270,6 +272,9 @@ class SimulateOptions(OptionsRecord):
     shape: BoardShape = AS_DRAWN
     views: Annotated[int, Option("Number of images.", metavar="N", group=SCENE)] = 20
     partial: Annotated[bool, Option("Cut the board by the image border in every other view.", group=SCENE)] = False
+    motion: Annotated[
+        bool, Option("Images of one board that moves smoothly, as the frames of a video.", group=SCENE)
+    ] = False
     gradient: Annotated[
         float,
         Option("Illumination gradient across the image.", metavar="PERCENT", group=SCENE, type=PERCENT),
@@ -319,6 +324,8 @@ class SimulateOptions(OptionsRecord):
                 raise InvalidInput(f"{each.name} cannot be used with --stereo")
             if of_pairs:
                 raise InvalidInput(f"{each.name} needs --stereo")
+        if self.motion and self.partial:
+            raise InvalidInput("--motion excludes --partial")
         if self.raw.pattern is not None and any(getattr(self, name) is not None for name in _OF_A_SENSOR):
             raise InvalidInput("--raw excludes --noise, --gamma and --depth")
 

@@ -1,11 +1,12 @@
 """`camcal simulate`: rendered images of a board by a known camera, with ground truth.
 
-With --raw there are mosaics in place of images, flat and dark frames, and the sensor in the truth. The folder is known
-by its truth, so that another run may replace it and nothing else is touched.
+With --raw there are mosaics in place of images, flat and dark frames, and the sensor in the truth. Of the cameras of a
+rig each has a folder of images. The folder is known by its truth, so that another run may replace it and nothing else
+is touched.
 """
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import radians
 from pathlib import Path
@@ -18,7 +19,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, cameras, detections, native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, rig_of
 from camcal.formats.emit import number_text
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -29,14 +30,15 @@ from camcal.run.fanout import fan_out
 from camcal.run.outputs import OUTPUT_INDEX, claim, owned, writes
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics
-from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series, lenses
+from camcal.simulate.captures import captures, seen_by
 from camcal.simulate.render import FLAT, Shape, render
-from camcal.simulate.scene import Truth, make_camera, observe, view_name, views
+from camcal.simulate.scene import Truth, make_camera, motion, observe, view_name, views
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
 from camcal.targets.surface import Surface
-from camcal.tasks.simulation.options import RawOptions, SimulateOptions
+from camcal.tasks.simulation.frames import clear_frames, fixed_pattern, how_made, take_frames, truth_entry
+from camcal.tasks.simulation.options import SimulateOptions
 
 DEFAULT_SIZE = (1280, 960)
 DEFAULT_FOV = radians(70)
@@ -45,30 +47,41 @@ TRUTH = "truth.yaml"
 BOARD = "board.yaml"
 POSES = "poses.csv"
 CORNERS = "corners.csv"
+MIN_CAMERAS = 2  # of a rig
 MAX_VIEWS = 10_000  # view names have four digits
 
 STRONGEST_BEND = 0.05  # peak to peak, as a share of the board's larger side
 
 _POSE_COLUMNS = ("image", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz")
 
-# raw frames
-FLATS, DARKS = "flats", "darks"
-FRAMES_A_LEVEL = 2
-_DARK_EXPOSURES = (0.01, 0.1)  # without flat frames to be subtracted from
-_FEW_DARKS = 4  # that few are taken at one exposure: two frames are needed to tell noise from pattern
-_FLAT_STREAM, _DARK_STREAM, _PATTERN_STREAM = 1, 2, 3
-
 MARK = "x_simulation"  # the key under which the truth says how the images were made
 
 
 @dataclass(frozen=True, eq=False)
 class SimulateReport:
-    """What was photographed, the corners that are in the images, and the images and other frames written."""
+    """What was photographed, the corners that are in the images, and the images and other frames written.
+
+    truth: of the first camera, where there are several; cameras: their names, none of a single one.
+    """
 
     truth: Truth
     corners: Detections
     images: tuple[Path, ...]
     frames: tuple[Path, ...] = ()
+    cameras: tuple[str, ...] = ()
+
+
+class Scene(NamedTuple):
+    """What one camera photographs: the camera's name, none of a single one, and the numbers of the views."""
+
+    name: str
+    truth: Truth
+    corners: Detections
+    numbers: tuple[int, ...]
+
+    def image(self, view: int) -> str:
+        """Return the name of a view's image, with the folder of the camera."""
+        return f"{self.name}/{view_name(self.numbers[view])}" if self.name else view_name(self.numbers[view])
 
 
 @writes
@@ -80,23 +93,63 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     """
     if options.board is None:
         raise InvalidInput("a board is needed, such as chessboard:9x6:25mm; or --stereo for pairs of a scene")
-    board, shape = boards.load_board(options.board), options.shape.formula
+    board = boards.load_board(options.board)
     pattern_of(board)  # a board that cannot be drawn is refused before anything is written
-    _require_mild(shape, board)
+    _require_mild(options.shape.formula, board)
     if not 1 <= options.views <= MAX_VIEWS:
         raise InvalidInput(f"{options.views} views: use 1 to {MAX_VIEWS}")
-    camera = _camera(options, progress)
-    rng = np.random.default_rng(options.seed)
-    poses = views(camera, board, options.views, rng=rng, partial=options.partial)
-    corners, truth = observe(camera, board, poses, rng=rng, shape=shape)
+    rig = _rig(options, progress)
+    scenes = _single(options, board, progress) if rig is None else _captured(rig, options, board)
     folder = options.output
     require_own(folder, TRUTH)
     with owned(folder):
-        claim([*(folder / name for name in (TRUTH, BOARD, POSES, CORNERS)), *_places(folder, truth)])
-        _clear(folder, options.views)
-        _write_truth(folder, truth, corners, options)
-        images = _photograph_all(folder, truth, options, progress)
-        return SimulateReport(truth, corners, images, _take_frames(folder, camera, options, progress))
+        claim([*(folder / name for name in (TRUTH, BOARD, POSES, CORNERS)), *_places(folder, scenes)])
+        _clear(folder, scenes)
+        corners = _write_truth(folder, scenes, rig, options)
+        images = _photograph_all(folder, scenes, options, progress)
+        frames = _take_frames(folder, scenes[0].truth.camera, options, progress)
+        return SimulateReport(scenes[0].truth, corners, images, frames, () if rig is None else tuple(rig.cameras))
+
+
+def _rig(options: SimulateOptions, progress: Progress) -> CameraFile | None:
+    """Return the camera file if it holds several cameras and none of them is chosen."""
+    if options.camera is None:
+        return None
+    path, name = split_address(options.camera)
+    file = cameras.read(path, progress)
+    if options.name or name or len(file.cameras) < MIN_CAMERAS:
+        return None
+    _require_no_lens(options)
+    if options.motion or options.raw.flats or options.raw.darks:
+        raise InvalidInput(
+            "--motion, --flats and --darks are of one camera: choose it with --camera", where=options.camera
+        )
+    return file
+
+
+def _single(options: SimulateOptions, board: Board, progress: Progress) -> list[Scene]:
+    camera, rng = _camera(options, progress), np.random.default_rng(options.seed)
+    if options.motion:
+        poses = motion(camera, board, options.views, rng=rng)
+    else:
+        poses = views(camera, board, options.views, rng=rng, partial=options.partial)
+    corners, truth = observe(camera, board, poses, rng=rng, shape=options.shape.formula)
+    return [Scene("", truth, corners, tuple(range(options.views)))]
+
+
+def _captured(file: CameraFile, options: SimulateOptions, board: Board) -> list[Scene]:
+    """Return what each camera of a rig photographs: the captures in which it sees the board."""
+    rng = np.random.default_rng(options.seed)
+    rig, _ = rig_of(file, options.camera or "")
+    poses = captures(rig, board, options.views, rng=rng, partial=options.partial)
+    scenes = []
+    for name, known in rig.cameras.items():
+        camera, camera_T_rig = Camera(known.model, known.image_size, known.parameters), rig.rig_T_camera[name].inverse()
+        numbers = tuple(map(int, np.flatnonzero(seen_by(rig, name, board, poses, partial=True))))
+        own = [camera_T_rig @ poses[number] for number in numbers]
+        found, truth = observe(camera, board, own, rng=rng, shape=options.shape.formula)
+        scenes.append(Scene(name, truth, found, numbers))
+    return scenes
 
 
 def _require_mild(shape: Shape, board: Board) -> None:
@@ -116,37 +169,51 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
         return make_camera(
             model, options.size or DEFAULT_SIZE, DEFAULT_FOV if options.fov is None else options.fov, options.distortion
         )
-    if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
-        raise InvalidInput("a camera file excludes --model, --size, --fov and --distortion")
+    _require_no_lens(options)
     path, name = split_address(options.camera)
     known = cameras.select(cameras.read(path, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
 
 
-def _clear(folder: Path, count: int) -> None:
+def _require_no_lens(options: SimulateOptions) -> None:
+    """Raise InvalidInput for a lens that is described beside a camera file."""
+    if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
+        raise InvalidInput("a camera file excludes --model, --size, --fov and --distortion")
+
+
+def _clear(folder: Path, scenes: Sequence[Scene]) -> None:
     """Remove the images of an earlier run that this one does not replace."""
-    kept = {view_name(index) for index in range(count)}
-    for path in (folder / IMAGES).glob("view[0-9][0-9][0-9][0-9].png"):
-        if path.name not in kept:
+    kept = set(_places(folder, scenes))
+    for path in (folder / IMAGES).rglob("view[0-9][0-9][0-9][0-9].png"):
+        if path not in kept:
             path.unlink()
     clear_frames(folder)
 
 
-def _places(folder: Path, truth: Truth) -> list[Path]:
-    return [folder / IMAGES / view_name(index) for index in range(len(truth.poses))]
+def _places(folder: Path, scenes: Sequence[Scene]) -> list[Path]:
+    return [folder / IMAGES / scene.image(view) for scene in scenes for view in range(len(scene.numbers))]
 
 
-def _photograph_all(folder: Path, truth: Truth, options: SimulateOptions, progress: Progress) -> tuple[Path, ...]:
-    items = [(path, *each) for path, each in zip(_places(folder, truth), enumerate(truth.poses), strict=True)]
-    work = partial(_photograph, truth, options)
+def _photograph_all(
+    folder: Path, scenes: Sequence[Scene], options: SimulateOptions, progress: Progress
+) -> tuple[Path, ...]:
+    """Return the images rendered.
+
+    Every one has a random generator of its own, so that it does not depend on who renders it.
+    """
+    seeds = [
+        [options.seed, number, *[place] * (place > 0)] for place, scene in enumerate(scenes) for number in scene.numbers
+    ]
+    shots = [(scene.truth, pose) for scene in scenes for pose in scene.truth.poses]
+    items = [(*each, *shot) for *each, shot in zip(_places(folder, scenes), seeds, shots, strict=True)]
+    work = partial(_photograph, options)
     require_all(fan_out(work, items, jobs=options.jobs, processes=True, what="rendering", progress=progress), "images")
-    return tuple(path for path, _, _ in items)
+    return tuple(_places(folder, scenes))
 
 
-def _photograph(truth: Truth, options: SimulateOptions, item: tuple[Path, int, Pose]) -> None:
-    path, index, pose = item
-    # A generator of its own for every view, so that the images do not depend on who renders them.
-    rng = np.random.default_rng([options.seed, index])
+def _photograph(options: SimulateOptions, item: tuple[Path, list[int], Truth, Pose]) -> None:
+    path, seed, truth, pose = item
+    rng = np.random.default_rng(seed)
     camera, board, shape, exposure = truth.camera, truth.board, truth.shape, options.exposure
     raw = options.raw.camera
     if raw is None:
@@ -172,28 +239,45 @@ def _take_frames(folder: Path, camera: Camera, options: SimulateOptions, progres
     )
 
 
-def _write_truth(folder: Path, truth: Truth, corners: Detections, options: SimulateOptions) -> None:
-    """Write the truth, which is known before the images; so a folder left by a killed run is known for what it is."""
-    native.write(folder / TRUTH, truth_file(truth, options))
-    boards.write(folder / BOARD, truth.board)
-    files.write_text(folder / POSES, _poses_text(truth))
-    detections.write(folder / CORNERS, corners)
+def _write_truth(folder: Path, scenes: Sequence[Scene], rig: CameraFile | None, options: SimulateOptions) -> Detections:
+    """Return the corners of all images after writing the truth.
+
+    It is known before the images, so that a folder left by a killed run is known for what it is.
+    """
+    board = scenes[0].truth.board
+    corners = [
+        replace(view, camera=scene.name, image=scene.image(index))
+        for scene in scenes
+        for index, view in enumerate(scene.corners.views)
+    ]
+    native.write(folder / TRUTH, truth_file(scenes, rig, options))
+    boards.write(folder / BOARD, board)
+    files.write_text(folder / POSES, _poses_text(scenes))
+    detections.write(folder / CORNERS, found := Detections(board, tuple(corners)))
+    return found
 
 
-def truth_file(truth: Truth, options: SimulateOptions) -> CameraFile:
-    """Return the camera file of the truth: the camera, the board's shape, and how the images were made."""
+def truth_file(scenes: Sequence[Scene], rig: CameraFile | None, options: SimulateOptions) -> CameraFile:
+    """Return the camera file of the truth: the cameras, the board's shape, and how the images were made."""
+    truth = scenes[0].truth
     settings = {"views": options.views, "seed": options.seed, "partial": options.partial}
+    settings |= {"motion": True} if options.motion else {}
     how = {**settings, "exposure": asdict(options.exposure), f"shape_{truth.board.unit}": asdict(truth.shape)}
-    entry = CameraEntry(truth.camera, valid=ValidRegion.of(truth.camera))
-    if (raw := options.raw.camera) is not None:
-        entry = truth_entry(truth.camera, raw)
+    entries = {scene.name or "camera": _entry(scene.truth.camera, options) for scene in scenes}
+    if options.raw.pattern is not None:
         how["raw"] = how_made(options.raw)
     return CameraFile(
-        {"camera": entry},
+        entries,
+        transforms={name: Transform(each.pose) for name, each in rig.transforms.items()} if rig else {},
         board_shape=surface_of(truth.shape, truth.board) if truth.shape != FLAT else None,
         provenance=provenance.build(command_line("simulate", options), truth.board),
         extra={MARK: how},
     )
+
+
+def _entry(camera: Camera, options: SimulateOptions) -> CameraEntry:
+    raw = options.raw.camera
+    return CameraEntry(camera, valid=ValidRegion.of(camera)) if raw is None else truth_entry(camera, raw)
 
 
 def surface_of(shape: Shape, board: Board) -> Surface:
@@ -216,11 +300,12 @@ def surface_of(shape: Shape, board: Board) -> Surface:
     )
 
 
-def _poses_text(truth: Truth) -> str:
-    lines = [f"# camcal-poses 1 frames=camera_T_board unit={truth.board.unit}", ",".join(_POSE_COLUMNS)]
-    for index, pose in enumerate(truth.poses):
+def _poses_text(scenes: Sequence[Scene]) -> str:
+    unit = scenes[0].truth.board.unit
+    lines = [f"# camcal-poses 1 frames=camera_T_board unit={unit}", ",".join(_POSE_COLUMNS)]
+    for image, pose in ((scene.image(view), pose) for scene in scenes for view, pose in enumerate(scene.truth.poses)):
         numbers = [*pose.translation, *so3.to_quaternion(pose.rotation), *pose.vector()]
-        lines.append(",".join([view_name(index), *(number_text(float(number)) for number in numbers)]))
+        lines.append(",".join([image, *(number_text(float(number)) for number in numbers)]))
     return "\n".join(lines) + "\n"
 
 
@@ -228,8 +313,10 @@ def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]
     """Return the report as plain data for --json."""
     camera, board = report.truth.camera, report.truth.board
     frames = {"frames": [path.as_posix() for path in report.frames]} if options.raw.pattern is not None else {}
+    rig = {"cameras": list(report.cameras)} if report.cameras else {}
     return {
         "output": options.output.as_posix(),
+        **rig,
         "model": camera.model.name,
         "image_size": list(camera.image_size),
         "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
@@ -239,98 +326,6 @@ def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]
         "images": [path.as_posix() for path in report.images],
         "corners": sum(len(view.ids) for view in report.corners.views),
         **frames,
-    }
-
-
-class Frame(NamedTuple):
-    """A flat or dark frame to be made, and the seed of its noise."""
-
-    path: Path
-    shot: Shot
-    stream: tuple[int, int]
-
-
-def fixed_pattern(raw: RawCamera, size: tuple[int, int], seed: int) -> FixedPattern:
-    """Return the pattern that all frames of one simulation have in common."""
-    return FixedPattern.of(raw.sensor, size, np.random.default_rng([seed, 0, _PATTERN_STREAM]))
-
-
-def clear_frames(folder: Path) -> None:
-    """Remove the flat and dark frames of an earlier run, and the folders of exposures that they leave empty."""
-    for kind in (FLATS, DARKS):
-        for path in (folder / kind).glob("*s/[fd]*[0-9][0-9][0-9][0-9].png"):
-            path.unlink()
-        for path in [*(folder / kind).glob("*s"), folder / kind]:
-            if path.is_dir() and not any(path.iterdir()):
-                path.rmdir()
-
-
-def take_frames(
-    folder: Path,
-    raw: RawCamera,
-    options: RawOptions,
-    size: tuple[int, int],
-    *,
-    vignetting: float,
-    seed: int,
-    jobs: int | None,
-    progress: Progress,
-) -> tuple[Path, ...]:
-    """Return the flat and dark frames written, a folder for each exposure, such as flats/12.5ms."""
-    items = [*_flats(folder, raw, options.flats, vignetting), *_darks(folder, raw, options, vignetting)]
-    work = partial(_take, raw, size, vignetting, seed)
-    require_all(fan_out(work, items, jobs=jobs, processes=True, what="flats and darks", progress=progress), "frames")
-    return tuple(item.path for item in items)
-
-
-def _take(raw: RawCamera, size: tuple[int, int], vignetting: float, seed: int, frame: Frame) -> None:
-    rng = np.random.default_rng([seed, *frame.stream])
-    save(frame.path, even_frame(raw, frame.shot, vignetting, fixed=fixed_pattern(raw, size, seed), rng=rng))
-
-
-def _flats(folder: Path, raw: RawCamera, levels: int, vignetting: float) -> Iterator[Frame]:
-    shots = [shot for shot in exposure_series(raw, levels, vignetting) for _ in range(FRAMES_A_LEVEL)]
-    for number, shot in enumerate(shots):
-        yield Frame(folder / FLATS / _exposure_name(shot) / f"flat{number:04d}.png", shot, (number, _FLAT_STREAM))
-
-
-def _darks(folder: Path, raw: RawCamera, options: RawOptions, vignetting: float) -> Iterator[Frame]:
-    """Yield half of the frames at the shortest and half at the longest exposure of the flat frames."""
-    taken = [shot.exposure_s for shot in exposure_series(raw, options.flats, vignetting)] or _DARK_EXPOSURES
-    first = options.darks if options.darks < _FEW_DARKS else (options.darks + 1) // 2
-    for number in range(options.darks):
-        shot = Shot(taken[0] if number < first else taken[-1], 0.0)
-        yield Frame(folder / DARKS / _exposure_name(shot) / f"dark{number:04d}.png", shot, (number, _DARK_STREAM))
-
-
-def _exposure_name(shot: Shot) -> str:
-    return f"{1e3 * shot.exposure_s:.6g}ms"
-
-
-def truth_entry(camera: Camera, raw: RawCamera) -> CameraEntry:
-    """Return the truth about a raw camera: its lens is that of green, red and blue have theirs under `channels`."""
-    sensor = raw.sensor
-    figures = {
-        "gain_e_per_dn": 1 / sensor.gain_dn_per_e,
-        "read_noise_e": sensor.read_noise_e,
-        "full_well_e": sensor.saturation_e,
-        "black_level_dn": sensor.black_dn,
-        "bits": sensor.bits,
-    }
-    views = lenses(camera, raw.aberration_px)
-    channels = {"red": views["R"], "blue": views["B"]} if raw.aberration_px else {}
-    return CameraEntry(camera, valid=ValidRegion.of(camera), sensor=figures, channels=channels)
-
-
-def how_made(options: RawOptions) -> dict[str, Any]:
-    """Return the rest of what raw frames were made from, as plain data for the truth."""
-    return {
-        "pattern": options.pattern,
-        "sensor": asdict(options.sensor),
-        "light_rgb": list(options.light),
-        "aberration_px": options.aberration_px,
-        "flat_levels": options.flats,
-        "dark_frames": options.darks,
     }
 
 
