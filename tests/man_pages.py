@@ -24,6 +24,7 @@ FOLDER = Path(__file__).parents[1] / "docs" / "man" / "man1"
 
 _DATE = "2026-11-23"  # of the version
 _WIDTH = 78
+_HELP = {"-h, --help": "Show this message and exit."}
 _EXIT_CODE = re.compile(r"^\| ([\d, ]+) \|[^|]*\| ([^|]+) \|$", flags=re.MULTILINE)
 _VARIABLES = {
     "COLUMNS": "Width of tables; by default that of the terminal, 80 where the output is none.",
@@ -98,7 +99,7 @@ def _command(name: str, command: OptionsCommand) -> dict[str, list[str]]:
         line = f"    {escaped(f'camcal {each.call}')}"
         calls += [*([".PP"] if calls else []), *paragraph(f"{each.purpose}:"), ".PP", ".nf", line, ".fi"]
     return {
-        "SYNOPSIS": _synopsis(name, *command.collect_usage_pieces(_context(command))),
+        "SYNOPSIS": _synopsis(name, *command.collect_usage_pieces(typer.Context(command))),
         "DESCRIPTION": _description(command.help or ""),
         "OPTIONS": options,
         "EXAMPLES": calls,
@@ -106,14 +107,11 @@ def _command(name: str, command: OptionsCommand) -> dict[str, list[str]]:
     }
 
 
-def _context(command: Any) -> typer.Context:
-    return typer.Context(command, help_option_names=["--help", "-h"])
-
-
 def _parameters(command: Any, left_out: AbstractSet[str] = frozenset()) -> dict[str, str]:
     """Return the help of options that are typer's own parameters, by their usage."""
-    found = [each for each in command.get_params(_context(command)) if each.name not in left_out]
-    return {f"{', '.join(sorted(each.opts, key=len))} {each.metavar or ''}".strip(): each.help for each in found}
+    found = [each for each in command.params if each.name not in left_out]
+    rows = {f"{', '.join(sorted(each.opts, key=len))} {each.metavar or ''}".strip(): each.help for each in found}
+    return rows | _HELP
 
 
 def _group(name: str, command: TyperGroup) -> dict[str, list[str]]:

@@ -37,7 +37,7 @@ PROJECT = Path(__file__).parents[1]
 README = PROJECT / "README.md"
 PAGES = [README, PROJECT / "CHANGELOG.md", *sorted((PROJECT / "docs").rglob("*.md"))]
 
-OTHER_TOOLS = {"--object-width-n"}  # mrcal's
+OTHER_TOOLS = {"--object-width-n", "--wheel-dir", "--no-index", "--find-links", "--yes"}  # mrcal's, pip's
 
 _FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 _SUBSTITUTION = re.compile(r"\$\(([^()]*)\)")

@@ -4,9 +4,12 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call
+from camcal.report.table import Column
 
 if TYPE_CHECKING:
     from camcal.tasks.doctor import Examination
+
+OPTIONAL_COLUMNS = ("extra", "name", "installed", "needed", Column("for", wraps=True))
 
 
 def doctor(call: Call) -> None:
@@ -28,6 +31,8 @@ def _show(found: "Examination", verbose: bool) -> None:
     show.text(found.system)
     rows = [[package.name, package.version or "-", package.wanted] for package in found.packages]
     show.table("Packages", ["name", "installed", "needed"], rows)
+    optional = [[each.extra, each.name, each.version or "-", each.wanted, each.purpose] for each in found.optional]
+    show.table("Optional packages: pip install 'camcal[EXTRA]'", OPTIONAL_COLUMNS, optional, verbose=verbose)
     if verbose:
         for line in (*found.opencv_wheels, *(f"{name}={value}" for name, value in found.environment.items())):
             show.text(line)

@@ -14,7 +14,12 @@ from camcal.run.process import available_cores
 WHEEL = "opencv-contrib-python-headless"
 _WHEELS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", WHEEL)  # all of them install `cv2`
 _OPENCV_PARTS = ("aruco", "ximgproc")
-_REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*])?\s*([^;]*)$")  # the optional ones have a marker after a semicolon
+_REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*])?\s*([^;]*?)(?:;\s*extra\s*==\s*['\"]([\w-]+)['\"])?$")
+PURPOSES = {  # of the extras that users install
+    "clouds": "LAS and LAZ point clouds",
+    "onnx": "camcal stereo disparity --engine onnx",
+    "view": "camcal view --rerun, and .rrd files",
+}
 _CLAUSE = re.compile(r"(>=|<)\s*([\d.]+)")
 
 
@@ -29,6 +34,17 @@ class Package:
 
 
 @dataclass(frozen=True)
+class OptionalPackage:
+    """A package that an extra of camcal installs, the versions that serve, the one installed, and what needs it."""
+
+    extra: str
+    name: str
+    wanted: str
+    version: str | None
+    purpose: str
+
+
+@dataclass(frozen=True)
 class Examination:
     """The surroundings; failures: what keeps camcal from working, with what to do about it."""
 
@@ -37,6 +53,7 @@ class Examination:
     system: str
     cores: int
     packages: tuple[Package, ...]
+    optional: tuple[OptionalPackage, ...]
     opencv_wheels: tuple[str, ...]
     environment: dict[str, str]
     failures: tuple[Message, ...]
@@ -44,7 +61,13 @@ class Examination:
 
 def examine() -> Examination:
     """Return the versions and settings camcal works with, and failures."""
-    packages = tuple(_opencv(wanted) if name == WHEEL else _package(name, wanted) for name, wanted in _requirements())
+    needed = [(name, wanted) for name, wanted, extra in _requirements() if not extra]
+    packages = tuple(_opencv(wanted) if name == WHEEL else _package(name, wanted) for name, wanted in needed)
+    optional = tuple(
+        OptionalPackage(extra, name, wanted, _installed(name), PURPOSES[extra])
+        for name, wanted, extra in _requirements()
+        if extra in PURPOSES
+    )
     wheels = tuple(f"{name} {version}" for name in _WHEELS if (version := _installed(name)))
     failures = [
         Message("unusable_package", package.problem, where=package.name) for package in packages if package.problem
@@ -60,6 +83,7 @@ def examine() -> Examination:
         system=platform.platform(),
         cores=available_cores(),
         packages=packages,
+        optional=optional,
         opencv_wheels=wheels,
         environment={name: value for name, value in sorted(os.environ.items()) if name.startswith("OPENCV_")},
         failures=tuple(failures),
@@ -71,13 +95,13 @@ def document(found: Examination) -> dict[str, Any]:
     return asdict(found)
 
 
-def _requirements() -> list[tuple[str, str]]:
-    """Return the names and version ranges of the packages that camcal requires, optional ones left out."""
+def _requirements() -> list[tuple[str, str, str]]:
+    """Return the names and version ranges of the packages that camcal requires, with the extra of an optional one."""
     try:
         lines = metadata.requires("camcal") or []
     except metadata.PackageNotFoundError:
         return []
-    return sorted(match.groups() for line in lines if (match := _REQUIREMENT.match(line)))  # type: ignore[misc]
+    return sorted(match.groups("") for line in lines if (match := _REQUIREMENT.match(line)))  # type: ignore[misc]
 
 
 def _installed(name: str) -> str | None:

@@ -2,7 +2,9 @@
 
 import json
 import sys
+import tomllib
 from importlib import metadata
+from pathlib import Path
 
 import cv2
 import pytest
@@ -48,6 +50,26 @@ def test_this_environment_is_complete():
 def test_a_package_that_does_not_fit_is_named_with_the_remedy(versions, changed, problem):
     versions(**changed)
     assert tuple(map(str, doctor.examine().failures)) == (problem,)
+
+
+def test_optional_packages_are_listed_with_what_they_are_for_and_none_of_them_is_required(versions):
+    versions(onnxruntime=None, rerun_sdk="0.29.0")
+    found = doctor.examine()
+    assert {each.extra: (each.name, each.version) for each in found.optional if each.extra != "clouds"} == {
+        "onnx": ("onnxruntime", None),
+        "view": ("rerun-sdk", "0.29.0"),
+    }
+    assert all(each.purpose for each in found.optional)
+    assert not {each.name for each in found.optional} & {each.name for each in found.packages}
+    assert found.failures == ()
+
+
+def test_every_extra_for_users_is_described():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = set(project["optional-dependencies"]) - {"dev"}
+    assert set(doctor.PURPOSES) == extras
+    page = (Path(__file__).parents[2] / "docs" / "installation.md").read_text(encoding="utf-8")
+    assert {extra for extra in extras if f"| `{extra}` |" in page} == extras
 
 
 def test_several_opencv_wheels_are_in_the_way(versions):

@@ -229,7 +229,7 @@ def _by_opencv(model: Path, feeds: dict[str, Array]) -> Array:
                 network.setInput(blob, name)
             return np.asarray(network.forward())
     except cv2.error as error:
-        advice = "ONNX Runtime may: pip install onnxruntime"
+        advice = "ONNX Runtime may: pip install 'camcal[onnx]'"
         raise InvalidInput(f"OpenCV cannot run the model ({_first_line(error)}); {advice}", where=str(model)) from error
 
 
