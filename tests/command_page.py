@@ -1,7 +1,7 @@
 """docs/commands.md and docs/commands/ beside the help of the commands: what the pages say, and what they should say.
 
 Run as a script, this writes the list of commands, and on the page of each its synopsis and options, anew from `--help`;
-a command without a page gets one.
+a command without a page gets one. It writes the manual pages too (man_pages.py).
 """
 
 from pathlib import Path
@@ -100,3 +100,6 @@ if __name__ == "__main__":
     for each in REGISTERED:
         text = page_of(each).read_text(encoding="utf-8") if page_of(each).exists() else first_page(each)
         page_of(each).write_text(with_options(each, text), encoding="utf-8")
+    from man_pages import write
+
+    write()

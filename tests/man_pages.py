@@ -1,6 +1,6 @@
 """docs/man/: a manual page of camcal and of every command and group, made from the declarations that --help shows.
 
-Run as a script, this writes them anew. They are installed with the package, below share/man.
+`python tests/command_page.py` writes them anew. They are installed with the package, below share/man.
 """
 
 import re
@@ -145,7 +145,8 @@ def stale(folder: Path) -> list[str]:
     return sorted(name for name in made | found if made.get(name) != found.get(name))
 
 
-if __name__ == "__main__":
+def write() -> None:
+    """Write all pages anew."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     for path in FOLDER.iterdir():
         path.unlink()

@@ -24,7 +24,7 @@ def test_manual_pages_are_those_of_the_commands(made, tmp_path):
     (tmp_path / "camcal-fit.1").write_text("older", encoding="utf-8")
     (tmp_path / "camcal-rig.1").unlink()
     assert stale(tmp_path) == ["camcal-fit.1", "camcal-rig.1", "camcal-zap.1"]
-    assert stale(FOLDER) == [], "run: python tests/man_pages.py"
+    assert stale(FOLDER) == [], "run: python tests/command_page.py"
 
 
 def test_every_command_and_group_has_its_page_and_camcal_names_them(made):
