@@ -14,7 +14,7 @@ import camcal
 
 PROJECT = Path(__file__).parents[1]
 FOLDERS = (".ci", "benchmarks", "camcal", "docs", "sample_configs", "tests")
-TOP = {"CHANGELOG.md", "LICENSE", "README.md", "pyproject.toml"}
+TOP = {"CHANGELOG.md", "LICENSE", "README.md", "mkdocs.yml", "pyproject.toml"}
 
 
 @pytest.fixture(scope="module")
