@@ -221,14 +221,16 @@ def run(options: RunOptions, call: ImageCall) -> None:
     from camcal.tasks.stereo.stereo_run import document, require_good, stereo_run
 
     report = stereo_run(options, call.progress)
-    call.give(lambda: document(report), lambda: _show_run(report, call.verbose), report.doubts)
+    # what a rig file says against itself was a warning; what is required ends the command with an error
+    failures = () if report.calibration is None or options.settings.require else report.doubts
+    call.give(lambda: document(report), lambda: _show_run(report, call.verbose), failures)
     show.failed(report.outcomes)
     require_good(report, options)
 
 
 def _show_run(report: "RunReport", verbose: bool) -> None:
     rectified = report.rectification
-    for doubt in report.doubts:
+    for doubt in report.doubts if report.calibration else ():
         show.verdict(f"{show.DO_NOT_TRUST}{doubt}", good=False)
     where = "above each other" if rectified.axis == "y" else "beside each other"
     size = "{}x{}".format(*rectified.size)

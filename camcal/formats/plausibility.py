@@ -29,7 +29,7 @@ def implausible(file: CameraFile) -> Iterator[Message]:
             yield from _opening(entry, child(path, "intrinsics"))
             yield from _folding(entry, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
-        yield from _verdict(entry, child(path, "verdict"))
+        yield from untrustworthy(entry, child(path, "verdict"))
     for name, transform in file.transforms.items():
         distance = float(np.linalg.norm(transform.pose.translation))
         if distance > FAR:
@@ -78,7 +78,8 @@ def _quality(entry: CameraEntry, path: str) -> Iterator[Message]:
         yield Message("few_images", text, {"images": images, "limit": FEW_IMAGES}, child(path, "images_used"))
 
 
-def _verdict(entry: CameraEntry, path: str) -> Iterator[Message]:
+def untrustworthy(entry: CameraEntry, path: str) -> Iterator[Message]:
+    """Yield a warning at a path if the file says that the calibration of a camera must not be trusted."""
     if entry.verdict is not None and not entry.verdict.trustworthy:
         reasons = " ".join("; ".join(entry.verdict.reasons).split())  # a warning is one line
         yield Message("untrustworthy", f"untrustworthy calibration: {reasons or 'no reason given'}", where=path)

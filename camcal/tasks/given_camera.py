@@ -27,10 +27,12 @@ def read_camera_file(
     given: GivenCamera,
     progress: Progress = SILENT,
     size_of_images: Callable[[], Size | None] = _unknown,
+    second: Path | None = None,
 ) -> CameraFile:
     """Return the content of the camera file FILE or FILE#NAME, or one with the camera that is given in its place.
 
-    size_of_images: asked where neither the options nor the file say for which size of images the camera is.
+    size_of_images: asked where neither the options nor the file say for which size of images the camera is. second: the
+    other file of a rig that is written as two.
     Raises InvalidInput for an image in place of the file, where the size remains unknown, and as `cameras.read` does.
     """
     if given.camera_matrix is not None:
@@ -43,11 +45,11 @@ def read_camera_file(
     path = split_address(address)[0]
     require_no_image(path)
     try:
-        return cameras.read(path, progress, Given(given.size, given.model))
+        return cameras.read(path, progress, Given(given.size, given.model), second)
     except MissingSize:
         if (size := size_of_images()) is None:
             raise
-        return cameras.read(path, progress, Given(size, given.model))
+        return cameras.read(path, progress, Given(size, given.model), second)
 
 
 def require_no_image(path: Path) -> None:

@@ -44,7 +44,7 @@ from camcal.tasks.rigs.calibrate_rig import calibrated as calibrated_rig
 from camcal.tasks.rigs.matching import Matched
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import RigViews, captured, rig_views
-from camcal.tasks.stereo.given_rig import read_rig
+from camcal.tasks.stereo.rig_pair import read_rig
 
 File = str | Path
 Images = File | Array | Sequence[File] | Sequence[Array]

@@ -87,6 +87,17 @@ Jobs = Annotated[
     ),
 ]
 Recursive = Annotated[bool, Option("Read folders recursively.", group=INPUT, names="--recursive -r")]
+PICTURE_FORMATS = ("jpg", "png", "tiff", "npy")
+PictureFormat = Annotated[
+    str | None,
+    Option(
+        "Format: jpg, png, tiff or npy; by default as the input (video: jpg).",
+        metavar="NAME",
+        group=OUTPUT,
+        choices=PICTURE_FORMATS,
+    ),
+]
+JpegQuality = Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)]
 BOARD_OPTION = Option(
     "A board file, or a short form such as chessboard:9x6:25mm (inner corners), "
     "charuco:9x7:30mm:22mm:DICT_5X5_100 (squares), aprilgrid:6x6:88mm:0.3 (tags) or circles:10x8:25mm:15mm.",

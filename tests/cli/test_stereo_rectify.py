@@ -157,7 +157,8 @@ def test_videos_become_pairs_of_frames(run, folder):
     [
         ("rig.yaml left -o out", 2, "LEFT and RIGHT go together"),
         ("rig.yaml left right -o out --cameras left,middle", 2, "no camera 'middle'"),
-        ("three.yaml left right -o out", 2, "holds 3 cameras (a, b, c); name two, such as --cameras a,b"),
+        ("rig.yaml left right -o out --cameras left", 2, "'left' is not two names, such as left,right"),
+        ("three.yaml left right -o out", 2, "holds 3 cameras (a, b, c); name two: three.yaml#a,b"),
         ("three.yaml#a,c left right -o out", 2, "no transform joins a and c: c_T_a is missing"),
         ("behind.yaml left right -o out", 4, "axial pair: left and right look 2° off their baseline"),
         ("rig.yaml left small -o out", 6, "small/1.png: is 80x60, the camera 160x120"),

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from room_scene import BELOW, BESIDE, SIZE, RoomRig, errors
 
 from camcal.formats import disparity_sidecar, native, pointclouds
+from camcal.formats.camera_file import CalibrationVerdict, CameraFile
 
 QUICK = ("--quality", "fast", "--jobs", "1")
 
@@ -83,6 +85,36 @@ def test_what_a_run_leaves_serves_the_commands_of_its_parts(run, tmp_path, rig):
     maps = run("stereo", "disparity", *rectified, folder / "rectified.yaml", "-o", tmp_path / "m.tiff", *QUICK)
     assert maps[0] == 0, maps[2]
     assert set(native.read(folder / "rectified.yaml").cameras) == {"left", "right"}
+
+
+def test_the_rectified_camera_file_knows_the_uncertainty_of_the_calibration(run, tmp_path, rig):
+    folder, path = tmp_path / "result", tmp_path / "map.tiff"
+    assert run("stereo", "run", rig.file, rig.left, rig.right, "-o", folder, *QUICK)[0] == 0
+    rectified = (folder / "rectified" / side / "left.png" for side in ("left", "right"))
+    assert run("stereo", "disparity", *rectified, folder / "rectified.yaml", "-o", path, *QUICK)[0] == 0
+    of_rig, of_file = (disparity_sidecar.read(each).calibration for each in (folder / "disparity/left.tiff", path))
+    # at infinity, where the angles between the cameras count; the rectified lens has no distortion that could be off
+    np.testing.assert_allclose(np.sqrt(of_file.variance[0]), np.sqrt(of_rig.variance[0]), rtol=0.1)
+    exact = native.read(folder / "rectified.yaml")
+    native.write(tmp_path / "exact.yaml", CameraFile(exact.cameras, exact.transforms))
+    assert run("stereo", "cloud", path, tmp_path / "exact.yaml", "-o", tmp_path / "c.ply", "--sigma")[0] == 0
+
+
+def test_an_untrustworthy_rig_ends_with_exit_7_where_trust_is_required(run, tmp_path, rig):
+    file = native.read(rig.file)
+    doubted = {
+        name: replace(each, verdict=CalibrationVerdict(False, ("few views",))) for name, each in file.cameras.items()
+    }
+    native.write(tmp_path / "rig.yaml", replace(file, cameras=doubted))
+    folder = tmp_path / "result"
+    arguments = "stereo", "run", tmp_path / "rig.yaml", rig.left, rig.right, "-o", folder, *QUICK
+    code, _, err = run(*arguments)
+    assert code == 0
+    assert "untrustworthy calibration: few views" in err
+    code, _, err = run(*arguments, "--require", "trustworthy")
+    assert code == 7
+    assert "rig.yaml#left: untrustworthy calibration: few views" in " ".join(err.split())
+    assert (folder / "clouds" / "left.ply").exists()
 
 
 def test_a_second_run_replaces_the_first(run, tmp_path, rig):

@@ -56,6 +56,58 @@ MixedSizes = Annotated[
         names="--mixed-sizes",
     ),
 ]
+FlatBoard = Annotated[
+    bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
+]
+FreeCorners = Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)]
+MaxRejected = Annotated[
+    float,
+    Option(
+        "Fail if a larger share of corners has residuals above 4 % of a square.",
+        metavar="PERCENT",
+        group=CHECKS,
+        type=PERCENT,
+        least=0,
+        most=1,
+    ),
+]
+SaveDetections = Annotated[
+    Path | None,
+    Option(
+        "Also write the detections, so that another calibration needs no images.",
+        metavar="FILE",
+        group=OUTPUT,
+        recorded=False,
+        written=DETECTIONS,
+    ),
+]
+ImageSize = Annotated[
+    tuple[int, int] | None,
+    Option("Image size for .vnl files, which do not contain it.", metavar="WxH", group=INPUT, type=SIZE),
+]
+Refine = Annotated[
+    bool | None,
+    Option(
+        "Refine the corners with the calibrated lens, add missed ones, and calibrate again; by default if there are "
+        "images."
+    ),
+]
+MaxUncertainty = Annotated[
+    float | None,
+    Option(
+        "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) of a camera is larger; "
+        "the camera file is written all the same.",
+        metavar="PX",
+        group=CHECKS,
+        recorded=False,
+    ),
+]
+
+
+def require_positive(max_uncertainty: float | None) -> None:
+    """Raise InvalidInput unless a largest projection uncertainty, px, is above 0; None for none."""
+    if max_uncertainty is not None and not max_uncertainty > 0:
+        raise InvalidInput(f"--max-uncertainty {max_uncertainty:g} is not above 0")
 
 
 @dataclass(frozen=True)
@@ -162,48 +214,18 @@ class CalibrateOptions(OptionsRecord):
         str | None,
         Option("Camera file with the initial guess; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
     ] = None
-    flat_board: Annotated[
-        bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
-    ] = False
-    free_corners: Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)] = True
-    max_rejected: Annotated[
-        float,
-        Option(
-            "Fail if a larger share of corners has residuals above 4 % of a square.",
-            metavar="PERCENT",
-            group=CHECKS,
-            type=PERCENT,
-            least=0,
-            most=1,
-        ),
-    ] = 0.1
+    flat_board: FlatBoard = False
+    free_corners: FreeCorners = True
+    max_rejected: MaxRejected = 0.1
     name: Annotated[str, Option("Name of the camera in the file.", metavar="NAME", group=OUTPUT)] = "camera"
-    save_detections: Annotated[
-        Path | None,
-        Option(
-            "Also write the detections, so that another calibration needs no images.",
-            metavar="FILE",
-            group=OUTPUT,
-            recorded=False,
-            written=DETECTIONS,
-        ),
-    ] = None
-    image_size: Annotated[
-        tuple[int, int] | None,
-        Option("Image size for a .vnl file, which does not contain it.", metavar="WxH", group=INPUT, type=SIZE),
-    ] = None
+    save_detections: SaveDetections = None
+    image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
     reading: ImageReadOptions = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False
-    refine: Annotated[
-        bool | None,
-        Option(
-            "Refine the corners with the calibrated lens, add missed ones, and calibrate again; by "
-            "default if there are images.",
-        ),
-    ] = None
+    refine: Refine = None
     mixed_sizes: MixedSizes = False
     require: Annotated[
         str | None,
@@ -217,22 +239,12 @@ class CalibrateOptions(OptionsRecord):
             recorded=False,
         ),
     ] = None
-    max_uncertainty: Annotated[
-        float | None,
-        Option(
-            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) is larger; the "
-            "camera file is written all the same.",
-            metavar="PX",
-            group=CHECKS,
-            recorded=False,
-        ),
-    ] = None
+    max_uncertainty: MaxUncertainty = None
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.max_uncertainty is not None and not self.max_uncertainty > 0:
-            raise InvalidInput(f"--max-uncertainty {self.max_uncertainty:g} is not above 0")
+        require_positive(self.max_uncertainty)
 
 
 @dataclass(frozen=True)

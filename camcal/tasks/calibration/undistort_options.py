@@ -8,9 +8,17 @@ from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images.options import JPEG_QUALITY, ViewOptions
 from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without, Written
-from camcal.tasks.options import CameraName, GivenCamera, Jobs, Overwrite, Recursive, image_suffixes, output_option
-
-FORMATS = ("jpg", "png", "tiff", "npy")
+from camcal.tasks.options import (
+    CameraName,
+    GivenCamera,
+    Jobs,
+    JpegQuality,
+    Overwrite,
+    PictureFormat,
+    Recursive,
+    image_suffixes,
+    output_option,
+)
 
 
 @dataclass(frozen=True)
@@ -19,7 +27,7 @@ class UndistortOptions(OptionsRecord):
 
     camera: a camera file or FILE#NAME; an input where `given` is the camera itself.
     output: a folder; of points a CSV file, or a folder for one of the same name.
-    border: one number, or one for each channel. format: one of FORMATS, None keeps the type of the source. mask: write
+    border: one number, or one for each channel. format: None keeps the type of the source. mask: write
     which pixels have a source, too. scale_intrinsics: fit the camera to resized images. align_channels: draw the
     colours of colour images through their own lenses, where the camera file has them. points: a CSV file with columns
     u, v and any others, in place of images. distort: from pixels of the view to pixels of the image the camera took.
@@ -73,16 +81,8 @@ class UndistortOptions(OptionsRecord):
     mask: Annotated[
         bool, Option("Also write valid_mask.png: 255 where a pixel has a source.", group=OUTPUT, recorded=False)
     ] = False
-    format: Annotated[
-        str | None,
-        Option(
-            "Format: jpg, png, tiff or npy; by default as the input (video: jpg).",
-            metavar="NAME",
-            group=OUTPUT,
-            choices=FORMATS,
-        ),
-    ] = None
-    quality: Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
+    format: PictureFormat = None
+    quality: JpegQuality = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
     overwrite: Overwrite = False

@@ -6,26 +6,35 @@ from typing import TYPE_CHECKING, Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import (
-    BOARD,
     CHECKS,
     INPUT,
     LENS,
     METHOD,
     MILLISECONDS,
-    OUTPUT,
-    PERCENT,
-    SIZE,
     Argument,
     Option,
     OptionsRecord,
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
-from camcal.tasks.calibration.options import BEST_FRAMES, TRUSTWORTHY, FrameOptions, MixedSizes, Parts
+from camcal.tasks.calibration.options import (
+    BEST_FRAMES,
+    TRUSTWORTHY,
+    FlatBoard,
+    FrameOptions,
+    FreeCorners,
+    ImageSize,
+    MaxRejected,
+    MaxUncertainty,
+    MixedSizes,
+    Parts,
+    Refine,
+    SaveDetections,
+    require_positive,
+)
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
-    DETECTIONS,
     Jobs,
     Overwrite,
     Recursive,
@@ -40,7 +49,6 @@ if TYPE_CHECKING:
 AUTO, NAME, INDEX, TIME = "auto", "name", "index", "time"
 MATCHES = (AUTO, NAME, INDEX, TIME)
 JOINT, FIXED, PRIOR = "joint", "fixed", "prior"
-_WRITTEN = "The rig file is written all the same."
 
 
 @dataclass(frozen=True)
@@ -107,37 +115,16 @@ class RigSettings(OptionsRecord):
             group=LENS,
         ),
     ] = ()
-    flat_board: Annotated[
-        bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
-    ] = False
-    free_corners: Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)] = True
-    max_rejected: Annotated[
-        float,
-        Option(
-            "Fail if a larger share of corners has residuals above 4 % of a square.",
-            metavar="PERCENT",
-            group=CHECKS,
-            type=PERCENT,
-            least=0,
-            most=1,
-        ),
-    ] = 0.1
-    image_size: Annotated[
-        tuple[int, int] | None,
-        Option("Image size for .vnl files, which do not contain it.", metavar="WxH", group=INPUT, type=SIZE),
-    ] = None
+    flat_board: FlatBoard = False
+    free_corners: FreeCorners = True
+    max_rejected: MaxRejected = 0.1
+    image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False
-    refine: Annotated[
-        bool | None,
-        Option(
-            "Refine the corners with the calibrated lenses, add missed ones, and calibrate again; by default if there "
-            "are images.",
-        ),
-    ] = None
+    refine: Refine = None
     motion: Annotated[
         bool | None,
         Option(
@@ -147,42 +134,23 @@ class RigSettings(OptionsRecord):
         ),
     ] = None
     mixed_sizes: MixedSizes = False
-    save_detections: Annotated[
-        Path | None,
-        Option(
-            "Also write the detections of all cameras, so that another calibration needs no images.",
-            metavar="FILE",
-            group=OUTPUT,
-            recorded=False,
-            written=DETECTIONS,
-        ),
-    ] = None
+    save_detections: SaveDetections = None
     require: Annotated[
         str | None,
         Option(
-            f"Exit with 7 if the rig or one of its cameras is not trustworthy. {_WRITTEN}",
+            "Exit with 7 if the rig or one of its cameras is not trustworthy; the rig file is written all the same.",
             metavar=TRUSTWORTHY,
             group=CHECKS,
             choices=(TRUSTWORTHY,),
             recorded=False,
         ),
     ] = None
-    max_uncertainty: Annotated[
-        float | None,
-        Option(
-            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) of a camera is "
-            f"larger. {_WRITTEN}",
-            metavar="PX",
-            group=CHECKS,
-            recorded=False,
-        ),
-    ] = None
+    max_uncertainty: MaxUncertainty = None
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.max_uncertainty is not None and not self.max_uncertainty > 0:
-            raise InvalidInput(f"--max-uncertainty {self.max_uncertainty:g} is not above 0")
+        require_positive(self.max_uncertainty)
         if self.lenses != JOINT and not self.guess:
             raise InvalidInput(f"--lenses {self.lenses} needs the lenses: give --guess FILE, or --guess NAME=FILE")
         if self.tolerance is not None and self.match in (NAME, INDEX):

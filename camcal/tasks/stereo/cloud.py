@@ -30,7 +30,7 @@ from camcal.tasks.stereo import rectified_pair
 from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
 from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
-from camcal.tasks.stereo.rig_pair import RigPair, rig_pair_of
+from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
@@ -119,7 +119,7 @@ def rig_of_cloud(options: CloudOptions, progress: Progress) -> RigPair | None:
     image, address = _image_and_camera(options.files)
     if address is None or image is None or options.geometry.numbers() or options.scale is not None:
         return None
-    rig = rig_pair_of(address, options.geometry.camera, partial(_size_of_first, options.disparity, image))
+    rig = unrectified_pair(address, options.geometry.camera, partial(_size_of_first, options.disparity, image))
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig

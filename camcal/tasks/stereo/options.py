@@ -24,8 +24,31 @@ MAP_TYPES = ("pfm", "tiff", "tif", "png", "npy", "npz", "exr")
 OWN, ONNX = "own", "onnx"
 ENGINES = (OWN, ONNX)
 INTRINSICS = ("fx", "fy", "cx", "cy")
+
+
+def _two_names(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if len(names) != 2 or len(set(names)) != 2 or not all(names):
+        raise ValueError(text)
+    return names
+
+
 ONE_SIDE = ValueType(lambda text: (text,), lambda paths: " ".join(map(str, paths)), "a path")
 
+PairNames = Annotated[
+    tuple[str, ...] | None,
+    Option(
+        "Names of the cameras of LEFT and RIGHT, where the file has more than two or another order; the same as "
+        "RIG#LEFT,RIGHT.",
+        metavar="LEFT,RIGHT",
+        group=INPUT,
+        names="--cameras",
+        type=ValueType(_two_names, ",".join, "two names, such as left,right"),
+    ),
+]
+Force = Annotated[
+    bool, Option("Exit with 0 even if a pair is swapped, not rectified, or hardly matched.", group=CHECKS)
+]
 PairCamera = Annotated[
     str | None,
     Argument(
@@ -163,9 +186,7 @@ class DisparityOptions(OptionsRecord):
     map_only: Annotated[bool, Option("Do not write .sigma.tiff and .confidence.png beside the map.", group=OUTPUT)] = (
         False
     )
-    force: Annotated[
-        bool, Option("Exit with 0 even if a pair is swapped, not rectified, or hardly matched.", group=CHECKS)
-    ] = False
+    force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
     overwrite: Overwrite = False

@@ -63,12 +63,12 @@ def read_pair(
 def rectified_pair(paths: tuple[Path, Path], left: PixelArray, right: PixelArray, rig: RigPair) -> PairImages:
     """Return a pair rectified, its images in the order of the rectification; raises InvalidInput as `read_pair`."""
     images = []
-    for path, pixels, maps in zip(paths, (left, right), rig.maps, strict=True):
+    for path, pixels, maps in zip(paths, (left, right), (rig.maps.left, rig.maps.right), strict=True):
         try:
             images.append(maps.apply(pixels))
         except InvalidInput as error:
             raise InvalidInput(error.message, where=error.where or str(path)) from error
-    return PairImages(paths, images[0], images[1], rig.known, valid=rig.valid)
+    return PairImages(paths, images[0], images[1], rig.known, valid=rig.maps.valid)
 
 
 class Matched(NamedTuple):

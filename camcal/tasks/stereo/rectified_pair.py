@@ -15,7 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
-from camcal.formats.camera_file import CameraFile, Transform
+from camcal.formats.camera_file import CameraFile, Transform, pair_covariance
 from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
@@ -24,7 +24,7 @@ from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
-from camcal.stereo.points.calibration_error import CalibrationError
+from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
 from camcal.stereo.points.depth import StereoImage
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
@@ -69,10 +69,14 @@ class RectifiedPair:
 
 @dataclass(frozen=True)
 class _Source:
-    """The fields of a StereoGeometry and relative standard deviations that one source knows, by name."""
+    """The fields of a StereoGeometry and relative standard deviations that one source knows, by name.
+
+    calibration: as in RectifiedPair, of these numbers alone.
+    """
 
     numbers: Mapping[str, Any] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
+    calibration: CalibrationError | None = None
 
 
 def geometry_of(
@@ -114,10 +118,9 @@ def pair_of(
         told = "the camera file has no camera to the right of it: " if address else ""
         raise InvalidInput(f"{told}give {', '.join(missing)}, or a camera file of the rectified pair")
     geometry = StereoGeometry(**{"fy": numbers["fx"], **numbers})
-    if sidecar is None:
-        return RectifiedPair(geometry, sigma)
-    calibration = sidecar.calibration if geometry == sidecar.geometry else None
-    return RectifiedPair(geometry, sigma, calibration, sidecar.camera_R_rectified)
+    whole = [source for source in sources if source.calibration and StereoGeometry(**source.numbers) == geometry]
+    calibration = whole[-1].calibration if whole else None
+    return RectifiedPair(geometry, sigma, calibration, None if sidecar is None else sidecar.camera_R_rectified)
 
 
 def warn_of_file(address: str | None, progress: Progress) -> None:
@@ -134,7 +137,7 @@ def warn_of_file(address: str | None, progress: Progress) -> None:
 def _of_sidecar(sidecar: Sidecar | None) -> _Source:
     if sidecar is None or sidecar.geometry is None:
         return _Source()
-    return _Source(asdict(sidecar.geometry), sidecar.relative_sigma or {})
+    return _Source(asdict(sidecar.geometry), sidecar.relative_sigma or {}, sidecar.calibration)
 
 
 def _of_file(address: str | None, camera: str | None, size: tuple[int, int], progress: Progress) -> _Source:
@@ -161,9 +164,28 @@ def _of_camera_file(path: Path, name: str | None, size: tuple[int, int], address
             return _Source(dict(zip(("fx", "fy", "cx", "cy"), pinhole_intrinsics(left), strict=True)), _sigma(left))
         right_T_left = pair[2]
         geometry = of_pair(left, file.cameras[pair[1]].camera, right_T_left.pose)
-        return _Source(asdict(geometry), _sigma(left, right_T_left))
+        return _Source(asdict(geometry), _sigma(left, right_T_left), _calibration(file, pair, geometry))
     except InvalidInput as error:
         raise InvalidInput(error.message, where=address) from error
+
+
+def _calibration(
+    file: CameraFile, names: tuple[str, str, Transform], geometry: StereoGeometry
+) -> CalibrationError | None:
+    """Return what the joint covariance of a rectified pair's file means for the depth, None without one.
+
+    Standard deviations alone do not say it: the centres of the images and the angles between the cameras are
+    correlated, and their errors cancel for the most part.
+    """
+    left, right, right_T_left = names
+    if file.joint_covariance is None:
+        return None
+    covariance = pair_covariance(file, left, right)
+    if not covariance.any():
+        return None
+    first, second = file.cameras[left].camera, file.cameras[right].camera
+    pair = CalibratedPair(first, second, right_T_left.pose, covariance, np.eye(3), np.eye(3))
+    return calibration_error(pair, geometry, first.image_size)
 
 
 def _require_size(known: tuple[int, int] | None, size: tuple[int, int], address: str) -> None:

@@ -8,12 +8,9 @@ from typing import Any
 import numpy as np
 
 from camcal import files
-from camcal.cameras.model import Camera
-from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import native, provenance
-from camcal.formats.camera_file import STEP, CameraEntry, CameraFile, JointCovariance, Transform, pair_covariance
+from camcal.errors import InvalidInput
+from camcal.formats import native
 from camcal.formats.cameras import rectified_pair, ros
-from camcal.geometry.pose import JOINT
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.images.video import frames
@@ -22,16 +19,14 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
-from camcal.stereo.rectify.covariance import rectified_covariance
 from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
-from camcal.stereo.rectify.plan import plan_rectification
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success
 from camcal.tasks.calibration.undistort import suffix_of
 from camcal.tasks.given_camera import require_no_image
-from camcal.tasks.stereo.given_rig import GivenRig, read_rig
 from camcal.tasks.stereo.rectify_options import RectifyOptions
+from camcal.tasks.stereo.rig_pair import GivenRig, read_rig, rectified_file
 
 CAMERA_FILE, MAPS_FILE, OPENCV_FILE, ROS_FOLDER = "rectified.yaml", "maps.npz", "opencv.yml", "ros"
 _FRAME_SUFFIX = ".jpg"
@@ -107,9 +102,7 @@ def rectify(options: RectifyOptions, progress: Progress = SILENT) -> RectifyRepo
     """
     require_no_image(split_address(options.rig)[0])
     pairs = _pairs(options)
-    rig = read_rig(
-        options.rig, options.cameras, lambda: _first_size(pairs), options.second, options.given.model, progress
-    )
+    rig = read_rig(options.rig, options.cameras, lambda: _first_size(pairs), options.second, options.given, progress)
     found = _planned(options, rig, progress)
     outputs = _places(options, pairs, rig.names)
     beside = Beside.of(options, found)
@@ -131,10 +124,7 @@ def rectify(options: RectifyOptions, progress: Progress = SILENT) -> RectifyRepo
 def _planned(options: RectifyOptions, rig: GivenRig, progress: Progress) -> Rectification:
     """Return how the pair is rectified, after giving its warnings; of images for ROS in the size of the camera's."""
     view = _view_for_ros(options.view, rig) if options.ros else options.view
-    try:
-        found = plan_rectification(rig.cameras, rig.second_T_first, view, rig.circles)
-    except CamcalError as error:
-        raise type(error)(error.message, where=error.where or options.rig) from error
+    found = rig.rectification(view)
     for warning in found.warnings:
         progress.warn(warning.at(options.rig))
     if options.opencv:
@@ -217,41 +207,7 @@ def _write_beside(beside: Beside, options: RectifyOptions, rig: GivenRig, found:
     if beside.ros:
         pose = rig.pose(found.right, found.left)
         ros.write(beside.ros[0].parent, rectified_pair.as_ros(rig.file, found, pose))
-    native.write(beside.camera_file, _camera_file(options, rig, found))
-
-
-def _camera_file(options: RectifyOptions, rig: GivenRig, found: Rectification) -> CameraFile:
-    """Return the file of the rectified cameras, with the verdicts on their lenses and the covariance of the rig."""
-    origin = {"file": rig.path.as_posix(), "sha256": files.sha256(rig.path), "cameras": list(rig.names)}
-    block = provenance.build(command_line("stereo rectify", options), None) | {"rig": origin}
-    views = {found.left: found.left_camera, found.right: found.right_camera}
-    name, pose = f"{found.right}{JOINT}{found.left}", found.right_T_left
-    joint = _covariance(rig, found, views, name)
-    if joint is None:
-        transform = Transform(pose)
-    else:
-        views = {
-            own: Camera(view.model, view.image_size, view.parameters, joint.matrix[part, part])
-            for (own, view), part in zip(views.items(), (slice(0, 4), slice(4, 8)), strict=True)
-        }
-        transform = Transform(pose, joint.matrix[8:, 8:])
-    entries = {own: CameraEntry(view, verdict=rig.file.cameras[own].verdict) for own, view in views.items()}
-    return CameraFile(entries, {name: transform}, joint, provenance=block)
-
-
-def _covariance(
-    rig: GivenRig, found: Rectification, views: Mapping[str, Camera], transform: str
-) -> JointCovariance | None:
-    """Return the covariance of the rectified cameras and of their transform, None where the rig's is not known."""
-    known = pair_covariance(rig.file, found.left, found.right)
-    sources = [rig.cameras[name] for name in views]
-    counts = np.cumsum([len(source.parameters) for source in sources])
-    blocks = np.split(np.diag(known), counts)
-    matrix = rectified_covariance(found, sources[0], sources[1], known) if all(each.any() for each in blocks) else None
-    if matrix is None:
-        return None
-    names = tuple(f"{name}.{each}" for name, view in views.items() for each in view.model.parameter_names)
-    return JointCovariance((*names, *(f"{transform}.{step}" for step in STEP)), matrix)
+    native.write(beside.camera_file, rectified_file(rig, found, command_line("stereo rectify", options)))
 
 
 def document(report: RectifyReport) -> dict[str, Any]:

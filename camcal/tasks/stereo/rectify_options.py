@@ -6,12 +6,19 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.images.options import JPEG_QUALITY
-from camcal.options import INPUT, NAMES, OUTPUT, Argument, Option, OptionsRecord, Without
+from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
 from camcal.stereo.rectify.options import RectifiedViewOptions
-from camcal.tasks.options import FOLDER, GivenCamera, Jobs, Overwrite, Recursive, output_option
-from camcal.tasks.stereo.options import ONE_SIDE
-
-FORMATS = ("jpg", "png", "tiff", "npy")
+from camcal.tasks.options import (
+    FOLDER,
+    GivenCamera,
+    Jobs,
+    JpegQuality,
+    Overwrite,
+    PictureFormat,
+    Recursive,
+    output_option,
+)
+from camcal.tasks.stereo.options import ONE_SIDE, PairNames
 
 
 @dataclass(frozen=True)
@@ -20,7 +27,7 @@ class RectifyOptions(OptionsRecord):
 
     rig: a camera file with a transform between two cameras, or FILE#LEFT,RIGHT. cameras: their names, in the order of
     the images. second: the other file of a rig that is written as two. maps, opencv, ros: write maps.npz, opencv.yml
-    with R1 R2 P1 P2 Q, and a folder ros with camera_info. format: one of FORMATS, None keeps the type of the source.
+    with R1 R2 P1 P2 Q, and a folder ros with camera_info. format: None keeps the type of the source.
     """
 
     rig: Annotated[
@@ -33,15 +40,7 @@ class RectifyOptions(OptionsRecord):
         Argument("Image or video of the first camera, folder or quoted glob.", metavar="LEFT", type=ONE_SIDE),
     ] = ()
     right: Annotated[tuple[str, ...], Argument("The same of the second camera.", metavar="RIGHT", type=ONE_SIDE)] = ()
-    cameras: Annotated[
-        tuple[str, ...] | None,
-        Option(
-            "Names of the cameras of LEFT and RIGHT, where the file has more than two or another order.",
-            metavar="LEFT,RIGHT",
-            group=INPUT,
-            type=NAMES,
-        ),
-    ] = None
+    cameras: PairNames = None
     second: Annotated[
         Path | None,
         Option(
@@ -71,16 +70,8 @@ class RectifyOptions(OptionsRecord):
             group=OUTPUT,
         ),
     ] = False
-    format: Annotated[
-        str | None,
-        Option(
-            "Format: jpg, png, tiff or npy; by default as the input (video: jpg).",
-            metavar="NAME",
-            group=OUTPUT,
-            choices=FORMATS,
-        ),
-    ] = None
-    quality: Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)] = JPEG_QUALITY
+    format: PictureFormat = None
+    quality: JpegQuality = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
     overwrite: Overwrite = False
@@ -89,5 +80,3 @@ class RectifyOptions(OptionsRecord):
         super().__post_init__()
         if bool(self.left) != bool(self.right):
             raise InvalidInput("LEFT and RIGHT go together: give both, or neither for maps and files only")
-        if self.cameras is not None and len(set(self.cameras)) != 2:
-            raise InvalidInput("--cameras takes two names, such as left,right")

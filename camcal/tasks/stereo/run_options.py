@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
-from camcal.options import CHECKS, INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
+from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
 from camcal.stereo.options import MatchOptions
 from camcal.stereo.rectify.options import RectifiedViewOptions
-from camcal.tasks.options import CAMERA_SUFFIXES, FOLDER, CameraName, Jobs, Overwrite, Recursive, output_option
+from camcal.tasks.options import CAMERA_SUFFIXES, FOLDER, Jobs, Overwrite, Recursive, output_option
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.stereo.cloud_options import PointOptions, VertexOptions
+from camcal.tasks.stereo.options import Force, PairNames
 
 CLOUD_TYPES = ("ply", "pcd", "xyz", "npz", "glb", "las", "laz")
 _READING = ("pattern", "algorithm", *(f"layout.{each}" for each in ("format", "size", "stride", "offset", "endian")))
@@ -35,7 +36,6 @@ _CALIBRATION = (
     "motion",
     "mixed_sizes",
     "save_detections",
-    "require",
     "max_uncertainty",
     "overwrite",
 )  # of the rig's settings, what `stereo calibrate` is for
@@ -71,7 +71,7 @@ class RunOptions(OptionsRecord):
     every: Annotated[
         int, Option("Use one of every N pairs; of videos, one of every N frames.", metavar="N", group=INPUT, least=1)
     ] = 1
-    camera: CameraName = None
+    cameras: PairNames = None
     settings: Annotated[RigSettings, Without(_CALIBRATION)] = field(default_factory=RigSettings)
     view: RectifiedViewOptions = field(default_factory=RectifiedViewOptions)
     matching: MatchOptions = field(default_factory=MatchOptions)
@@ -83,9 +83,7 @@ class RunOptions(OptionsRecord):
         str,
         Option(f"Type of the clouds: {', '.join(CLOUD_TYPES)}.", metavar="TYPE", group=OUTPUT, choices=CLOUD_TYPES),
     ] = "ply"
-    force: Annotated[
-        bool, Option("Exit with 0 even if a pair is swapped, not rectified, or hardly matched.", group=CHECKS)
-    ] = False
+    force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
     overwrite: Overwrite = False

@@ -26,7 +26,7 @@ from camcal.stereo.disparity import Confidence, Disparity
 from camcal.tasks.stereo.options import ONNX, OWN, DisparityOptions
 from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import pair_of, warn_of_file
-from camcal.tasks.stereo.rig_pair import RigPair, rig_pair_of
+from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
 
 _KINDS = ("sigma.tiff", "confidence.png", "vis.png", "left.png")
 
@@ -131,7 +131,7 @@ def _rig(pairs: Sequence[Pair], options: DisparityOptions, progress: Progress) -
     """Return the cameras that the pairs are to be rectified by, None if they are rectified."""
     if options.geometry.numbers():
         return None
-    rig = rig_pair_of(options.camera_file, options.geometry.camera, partial(_size, pairs[0][0]))
+    rig = unrectified_pair(options.camera_file, options.geometry.camera, partial(_size, pairs[0][0]))
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig

@@ -9,8 +9,8 @@ from typing import Any
 
 from camcal import messages
 from camcal.errors import GateFailed, InvalidInput, ItemsFailed
-from camcal.formats import native, provenance
-from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats import native
+from camcal.formats.plausibility import untrustworthy
 from camcal.images import video
 from camcal.images.load import load
 from camcal.messages import Message
@@ -23,7 +23,7 @@ from camcal.run.paths import find_media, find_pairs, place
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.rigs.calibrate_rig import RigReport, calibrated
 from camcal.tasks.rigs.rig_views import rig_views
-from camcal.tasks.stereo.rig_pair import RigPair, rig_pair_of
+from camcal.tasks.stereo.rig_pair import GivenRig, RigPair, read_rig, rectified_file, rig_pair
 from camcal.tasks.stereo.run_options import RunOptions
 from camcal.tasks.stereo.run_pair import Capture, PairRun, RunFiles, RunPair
 
@@ -34,13 +34,17 @@ _LARGE = 4_000_000  # pixels; of larger pairs one at a time is matched, for the 
 
 @dataclass(frozen=True, eq=False)
 class RunReport:
-    """What became of every pair, the rig file and how the images were rectified; calibration: None with a rig given."""
+    """What became of every pair, the rig file and how the images were rectified.
+
+    calibration: None with a rig given. doubts: why the calibration must not be trusted, by itself or by the rig file.
+    """
 
     rig_file: Path
     rectified_file: Path
     rectification: Rectification
     outcomes: Sequence[Outcome[Capture, RunPair]]
     calibration: RigReport | None = None
+    doubts: Sequence[Message] = ()
 
     @property
     def pairs(self) -> list[RunPair]:
@@ -52,11 +56,6 @@ class RunReport:
         """Why pairs or their maps cannot be used."""
         return [failure.at(pair.capture.left) for pair in self.pairs for failure in pair.failures]
 
-    @property
-    def doubts(self) -> list[Message]:
-        """Why the calibration must not be trusted."""
-        return [] if self.calibration is None else [each.at(self.rig_file) for each in self.calibration.failures]
-
 
 @writes
 def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
@@ -67,37 +66,43 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     """
     scene = _Scene.of(options)
     folder = options.output
-    rectified_file = folder / RECTIFIED
+    rectified = folder / RECTIFIED
     outputs = [path for name in scene.names for path in RunFiles.of(folder, name, options.clouds).every()]
-    claim([*outputs, rectified_file, *([] if options.rig else [folder / RIG])])
+    claim([*outputs, rectified, *([] if options.rig else [folder / RIG])])
     calibration = None if options.rig else _calibrated(options, folder / RIG, progress)
     address = options.rig or str(folder / RIG)
-    rig = rig_pair_of(address, options.camera, scene.size, options.view, progress, even_rectified=True)
-    if rig is None:
-        raise InvalidInput(
-            "is no rig: a file with two cameras and the transform between them is needed, as 'camcal stereo calibrate "
-            "LEFT RIGHT --board BOARD -o rig.yaml' writes it",
-            where=address,
-        )
-    warn_of((each.at(address) for each in rig.rectification.warnings), progress)
-    native.write(rectified_file, _rectified_file(rig, options))
-    outcomes = list(_outcomes(scene, rig, options, progress))
+    # what is said of a file made here, its calibration has said already
+    rig = read_rig(address, options.cameras, scene.size, progress=SILENT if calibration else progress)
+    rectification = rig.rectification(options.view)
+    warn_of((each.at(address) for each in rectification.warnings), progress)
+    native.write(rectified, rectified_file(rig, rectification, command_line("stereo run", options)))
+    outcomes = list(_outcomes(scene, rig_pair(rig, rectification), options, progress))
     done = [outcome.value for outcome in outcomes if outcome.value is not None]
     if not done:
         raise next(outcome.error for outcome in outcomes if outcome.error is not None)
     for pair in done:
         warn_of((warning.at(pair.capture.left) for warning in pair.warnings), progress)
-    report = RunReport(Path(address), rectified_file, rig.rectification, outcomes, calibration)
+    report = RunReport(rig.path, rectified, rectification, outcomes, calibration, _doubts(rig, calibration))
     if options.force:
         warn_of(report.failures, progress)
     return report
 
 
-def require_good(report: RunReport, options: RunOptions) -> None:
-    """Raise GateFailed with the failures of all pairs, ItemsFailed for pairs that could not be run; files are written.
+def _doubts(rig: GivenRig, calibration: RigReport | None) -> list[Message]:
+    """Return why the calibration must not be trusted; of a rig file that was given, what it says itself."""
+    if calibration is not None:
+        return [each.at(rig.path) for each in calibration.failures]
+    entries = {f"{rig.path}#{name}": rig.file.cameras[name] for name in rig.names}
+    return [each for where, entry in entries.items() for each in untrustworthy(entry, where)]
 
-    With options.force failures are warnings.
+
+def require_good(report: RunReport, options: RunOptions) -> None:
+    """Raise GateFailed for a calibration that is not as required, or with the failures of all pairs; ItemsFailed for
+    pairs that could not be run. Files are written. With options.force failures of pairs are warnings.
     """
+    required = options.settings.require
+    if required and report.doubts:
+        raise GateFailed.of(report.doubts, where=f"--require {required}")
     if report.failures and not options.force:
         raise GateFailed.of(report.failures)
     failed = [outcome for outcome in report.outcomes if outcome.error is not None]
@@ -171,17 +176,6 @@ def _count(path: Path) -> int:
     """Return how many frames a video has."""
     times = video.stamps(path)
     return sum(1 for _ in video.frames(path)) if times is None else len(times)
-
-
-def _rectified_file(rig: RigPair, options: RunOptions) -> CameraFile:
-    """Return the camera file of the rectified images."""
-    rectified = rig.rectification
-    cameras = {rectified.left: rectified.left_camera, rectified.right: rectified.right_camera}
-    return CameraFile(
-        {name: CameraEntry(camera) for name, camera in cameras.items()},
-        {f"{rectified.right}_T_{rectified.left}": Transform(rectified.right_T_left)},
-        provenance=provenance.build(command_line("stereo run", options), None),
-    )
 
 
 def document(report: RunReport) -> dict[str, Any]:
