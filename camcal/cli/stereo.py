@@ -208,6 +208,9 @@ def _show_cloud(report: "CloudReport") -> None:
         nearest, median, farthest = report.depth
         show.text(f"depth {nearest:.3f} … {farthest:.3f} m, median {median:.3f} m")
     show.text(f"{' '.join(report.fields)} in {report.unit}; {report.frame}")
+    if "sigma" in report.fields:
+        parts = "matching and calibration" if report.calibration_known else "matching; the calibration counts as exact"
+        show.text(f"sigma: {parts}")
     show.wrote(report.output)
 
 

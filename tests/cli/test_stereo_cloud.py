@@ -146,7 +146,7 @@ def test_the_report_is_one_json_document(run, tmp_path, disparity, image):
     document = json.loads(out)
     assert code == 0
     keys = ["schema", "output", "points", "pixels", "matched", "outliers", "scale", "geometry", "depth_m", "appearance"]
-    assert list(document) == [*keys, "frame", "unit", "fields", "warnings"]
+    assert list(document) == [*keys, "frame", "unit", "fields", "calibration_known", "warnings"]
     assert document["schema"] == "camcal/stereo-cloud/1"
     assert (document["points"], document["appearance"]) == (4, "gray")
     assert document["depth_m"] == {"min": 1.0, "median": 3.5, "max": 10.0}

@@ -45,7 +45,7 @@ class CloudReport:
 
     matched: pixels with a match. outliers: those left out because they stand alone. depth: smallest, median and largest
     z along the optical axis, metres, None for an empty cloud. appearance: colour, gray or none. frame: in words.
-    fields: of a point, in the order of the file.
+    fields: of a point, in the order of the file. calibration_known: whether its uncertainty is part of the depth's.
     """
 
     output: Path
@@ -60,6 +60,7 @@ class CloudReport:
     frame: str
     unit: str
     fields: tuple[str, ...]
+    calibration_known: bool
 
 
 class PointSource(NamedTuple):
@@ -296,6 +297,7 @@ def _report(
         frame=stream.frame,
         unit=stream.unit,
         fields=tuple(fields),
+        calibration_known=image.calibration is not None,
     )
 
 
@@ -315,6 +317,7 @@ def document(report: CloudReport) -> dict[str, Any]:
         "frame": report.frame,
         "unit": report.unit,
         "fields": list(report.fields),
+        "calibration_known": report.calibration_known,
     }
 
 
