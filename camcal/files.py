@@ -4,7 +4,6 @@ import codecs
 import hashlib
 import os
 import re
-import select
 import shutil
 import stat
 import sys
@@ -17,12 +16,8 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, TextIO
 from weakref import WeakKeyDictionary
 
+from camcal import system
 from camcal.errors import FileError, reason
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 STANDARD = "-"  # as a path: standard input or output
 LARGEST = 4 << 30  # bytes of a file that is read as a whole
@@ -101,7 +96,7 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        with temporary.open("rb") as stream:
+        with temporary.open("r+b") as stream:  # Windows flushes only what may be written
             os.fsync(stream.fileno())
         umask = os.umask(0)
         os.umask(umask)
@@ -113,7 +108,8 @@ def replacing(path: Path) -> Iterator[Path]:
         raise _unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
-        os.close(handle)
+        if handle is not None:
+            os.close(handle)
 
 
 def is_stream(path: Path) -> bool:
@@ -147,13 +143,19 @@ def _sent(path: Path) -> Iterator[Path]:
             raise _unwritable(path, error) from error
 
 
-def _reserved(path: Path) -> tuple[int, str]:
-    """Return a new temporary file beside `path`, open and locked for as long as it is being written."""
+def _reserved(path: Path) -> tuple[int | None, str]:
+    """Return a new temporary file beside `path`, open and locked for as long as it is being written.
+
+    It is not held open where there are no locks, since open files are not renamed there.
+    """
     suffix = path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ""
     while True:
         handle, name = tempfile.mkstemp(prefix=_TEMPORARY, suffix=suffix, dir=path.parent)
+        if not system.HAS_LOCKS:
+            os.close(handle)
+            return None, name
         try:
-            _lock(handle)
+            system.lock(handle)
         except BlockingIOError:  # a sweep was faster, and removes it
             os.close(handle)
             continue
@@ -167,35 +169,14 @@ def _reserved(path: Path) -> tuple[int, str]:
 @cache
 def _sweep(folder: Path) -> None:
     """Remove what runs that were killed left in a folder, once in a process: temporary files that are not locked."""
-    for path in folder.glob(f"{_TEMPORARY}*") if fcntl else ():
+    for path in folder.glob(f"{_TEMPORARY}*") if system.HAS_LOCKS else ():
         with suppress(OSError):  # another run writes it, or the file system has no locks, or it is gone
-            handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            handle = system.open_to_read(path, follow=False)
             try:
-                _lock(handle)
+                system.lock(handle)
                 path.unlink()
             finally:
                 os.close(handle)
-
-
-def _lock(handle: int) -> None:
-    """Lock an open file; raises BlockingIOError if another process has, OSError where the file system has no locks."""
-    if fcntl is not None:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes that ask for the same from a folder during the block."""
-    if fcntl is None:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def _unwritable(path: Path, error: OSError) -> FileError:
@@ -262,8 +243,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
             yield stream
         return
     try:
-        # Without O_NONBLOCK a named pipe would wait here for its writer, however long that takes.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        handle = system.open_to_read(path)
         with os.fdopen(handle, "rb") as stream:
             _require_readable(stream, path)
             if (ledger := LEDGER.get()) is not None:
@@ -330,10 +310,8 @@ def _require_readable(stream: BinaryIO, path: Path) -> None:
     if stat.S_ISDIR(mode):
         raise FileError("is a folder, not a file", where=str(path))
     if _is_pipe(stream):
-        patience = _PIPE_TIMEOUT_S if _is_named(path) else None
-        if not select.select([stream], [], [], patience)[0]:
+        if not system.wait_for_data(stream, _PIPE_TIMEOUT_S if _is_named(path) else None):
             raise FileError(f"is a named pipe without data for {_PIPE_TIMEOUT_S:g} s", where=str(path))
-        os.set_blocking(stream.fileno(), True)
     elif not stat.S_ISREG(mode):
         raise FileError("is a device, not a file", where=str(path))
 

@@ -11,8 +11,6 @@ import itertools
 import multiprocessing
 import os
 import pickle
-import signal
-import sys
 import threading
 import time
 import traceback
@@ -27,7 +25,7 @@ from typing import Any, Generic, NamedTuple
 
 from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run.process import available_cores, worker_environment
+from camcal.run.process import available_cores, ended_by, heed_parent, worker_environment
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
 _PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
@@ -160,9 +158,9 @@ class _Worker:
         """Return how the process ended, in words."""
         self.process.join(_GRACE)
         code = self.process.exitcode or 0
-        if code >= 0:
+        name = ended_by(code)
+        if name is None:
             return f"its worker process ended with code {code}"
-        name = signal.Signals(-code).name
         if name == "SIGKILL":
             return "worker process killed (SIGKILL): if out of memory, use fewer --jobs"
         return f"its worker process crashed ({name}); the input may be damaged"
@@ -281,8 +279,7 @@ def _stop(workers: list[_Worker]) -> None:
 
 def _serve(pipe: Connection, payload: bytes) -> None:
     """Work in a worker process: take an item from the pipe, answer, until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # `finally` blocks still run
+    heed_parent()
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         try:

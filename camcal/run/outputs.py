@@ -21,7 +21,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from camcal import files
+from camcal import files, system
 from camcal.errors import FileError, InvalidInput, in_one_line, reason
 from camcal.files import STANDARD
 from camcal.options import GENERAL, OUTPUT, Declared, declared
@@ -327,7 +327,7 @@ def change_list(folder: Path, added: AbstractSet[str], removed: AbstractSet[str]
     index = folder / OUTPUT_INDEX
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with files.locked(folder), files.unwatched():
+        with system.locked(folder), files.unwatched():
             known = (listed(folder) | set(map(in_one_line, added))) - set(map(in_one_line, removed))
             if known:
                 lines = "".join(f"{name}\n" for name in sorted(known, key=files.natural_key))
@@ -340,7 +340,7 @@ def change_list(folder: Path, added: AbstractSet[str], removed: AbstractSet[str]
 
 def _refuse_one_place(outputs: Iterable[tuple[Declared, Path]]) -> None:
     for (one, path), (other, same) in combinations(outputs, 2):
-        if path.resolve() == same.resolve() and str(path) != os.devnull:
+        if system.place_of(path) == system.place_of(same) and str(path) != os.devnull:
             raise InvalidInput(f"{one.name} and {other.name} would both be written to it", where=str(path))
 
 

@@ -14,7 +14,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
-from camcal import files
+from camcal import files, system
 from camcal.errors import FileError, InvalidInput, in_one_line
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
 from camcal.parsing import nearest
@@ -276,9 +276,10 @@ def place(inputs: Sequence[Path], output: Path, suffix: str, kinds: Iterable[str
 
 
 def refuse_collisions(outputs: Mapping[Path, Path]) -> None:
-    """Raise InvalidInput if two inputs (the keys) would be written to one file."""
-    taken: dict[Path, Path] = {}
+    """Raise InvalidInput if two inputs (the keys) would be written to one file, in folders that ignore case too."""
+    taken: dict[str, Path] = {}
     for source, file in outputs.items():
-        if file in taken:
-            raise InvalidInput(f"{taken[file]} and {source} would both be written to it; rename one", where=str(file))
-        taken[file] = source
+        place = system.place_of(file)
+        if place in taken:
+            raise InvalidInput(f"{taken[place]} and {source} would both be written to it; rename one", where=str(file))
+        taken[place] = source

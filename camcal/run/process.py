@@ -99,6 +99,17 @@ def _stop(number: int, _: types.FrameType | None) -> None:
     raise Stopped(number)
 
 
+def heed_parent() -> None:
+    """Let Ctrl-C be the business of the process that started this one, and SIGTERM end it by way of `finally`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+
+
+def ended_by(code: int) -> str | None:
+    """Return the name of the signal that ended a process, by its exit code; None if none did."""
+    return signal.Signals(-code).name if code < 0 else None
+
+
 @contextmanager
 def worker_environment(*, needs_main: bool) -> Iterator[None]:
     """Start processes inside this block: they find one BLAS thread, no Ctrl-C and no main script to run again."""
