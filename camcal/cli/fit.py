@@ -29,9 +29,10 @@ def fit(options: FitOptions, call: Call) -> None:
     """
     from camcal.tasks.curves.fit import fit as run
     from camcal.tasks.curves.fit_report import document, require_settled
+    from camcal.tasks.figure_files import figure_data
 
     report = run(options, call.progress)
-    call.give(lambda: document(report), lambda: _show(report, options, call.verbose))
+    call.give(lambda: document(report) | figure_data(report.figures), lambda: _show(report, options, call.verbose))
     require_settled(report)
 
 
@@ -55,7 +56,7 @@ def _show(report: "FitReport", options: FitOptions, verbose: bool) -> None:
     _show_comparison(report)
     if options.trace == TABLE:
         _show_trace(report)
-    show.wrote(*options.outputs())
+    show.wrote(*options.outputs(), show.several(report.figures, "figure"))
 
 
 def _lines(found: "CurveFit") -> list[str]:

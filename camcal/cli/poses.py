@@ -95,7 +95,7 @@ def _show_tracks(report: "TrackReport", verbose: bool) -> None:
         if verbose:
             for image in plain(item, report.images)["rejected"]:
                 show.text(f"  rejected: {image}")
-    show.wrote(*report.outputs)
+    show.wrote(*report.outputs, show.several(report.figures, "figure"))
 
 
 def smooth(options: SmoothOptions, call: Call) -> None:
@@ -125,4 +125,4 @@ def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
         show.text(outlier_line(found, verbose))
     if found.before is not None and found.after is not None:
         show.table(*evaluation_rows(found.options.comparison, found.before, found.after))
-    show.wrote(*found.written)
+    show.wrote(*found.written, show.several(found.figures, "figure"))

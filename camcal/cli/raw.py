@@ -127,4 +127,4 @@ def _show_sensor(report: "SensorReport", options: SensorOptions, verbose: bool) 
     if verbose:
         for name, part in found.phases.items():
             show.table(name, FIGURE_COLUMNS, rows(part))
-    show.wrote(options.output, options.plot)
+    show.wrote(options.output, options.plot, show.several(report.figures, "figure"))

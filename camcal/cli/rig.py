@@ -69,7 +69,7 @@ def _show(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
         f"{view.image}: {view.reason}" for own in calibration.calibrations.values() for view in own.views if view.reason
     ]
     _list("Not used:", unused, verbose)
-    show.wrote(settings.output)
+    show.wrote(settings.output, show.several(report.figures, "figure"))
 
 
 def _list(title: str, lines: list[str], verbose: bool) -> None:

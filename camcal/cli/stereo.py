@@ -284,7 +284,8 @@ def _show_errors(report: "EvalReport", verbose: bool) -> None:
     for verdict in report.verdicts:
         line = f"gate {verdict.gate}: {verdict.value:.4g}, {'passed' if verdict.passed else 'FAILED'}"
         show.verdict(line, good=verdict.passed)
-    show.wrote(show.several([pair.picture for pair in report.pairs if pair.picture is not None], "picture"))
+    pictures = [pair.picture for pair in report.pairs if pair.picture is not None]
+    show.wrote(show.several(pictures, "picture"), show.several(report.figures, "figure"))
 
 
 def _compared(pair: "PairReport", *, in_full: bool) -> Iterator[str]:

@@ -112,14 +112,7 @@ def trajectory_error(
 
     Raises InsufficientData if less than two stamps agree, or the positions do not determine the alignment.
     """
-    of_estimate, of_reference = associate(estimate.stamps, reference.stamps, options.max_difference)
-    if len(of_estimate) < 2:
-        raise InsufficientData(
-            f"{len(of_estimate)} stamps agree within {options.max_difference:g} s: check that both use one clock"
-        )
-    compared, truth = estimate.rows(of_estimate), reference.rows(of_reference)
-    alignment = align(compared.translations, truth.translations, options.alignment)
-    compared = alignment.apply(compared)
+    compared, truth, alignment = aligned(estimate, reference, options)
     first, second = pairs(compared, options.delta, options.unit, options.all_pairs)
     shift, turn = _relative_errors(compared, truth, first, second)
     return TrajectoryError(
@@ -131,6 +124,23 @@ def trajectory_error(
         relative_rotation=ErrorFigures.of(turn) if len(first) else None,
         pairs=len(first),
     )
+
+
+def aligned(
+    estimate: Trajectory, reference: Trajectory, options: ErrorOptions = ErrorOptions()
+) -> tuple[Trajectory, Trajectory, Similarity]:
+    """Return the poses of an estimate that have one in the reference, aligned, these, and the alignment.
+
+    Raises as `trajectory_error`.
+    """
+    of_estimate, of_reference = associate(estimate.stamps, reference.stamps, options.max_difference)
+    if len(of_estimate) < 2:
+        raise InsufficientData(
+            f"{len(of_estimate)} stamps agree within {options.max_difference:g} s: check that both use one clock"
+        )
+    compared, truth = estimate.rows(of_estimate), reference.rows(of_reference)
+    alignment = align(compared.translations, truth.translations, options.alignment)
+    return alignment.apply(compared), truth, alignment
 
 
 def associate(first: Array, second: Array, max_difference: float) -> tuple[Array, Array]:

@@ -49,6 +49,7 @@ def trajectory_suffixes() -> tuple[str, ...]:
     return trajectories.SUFFIXES
 
 
+FIGURE_TYPES = tuple(suffix[1:] for suffix in FIGURES.known)
 PICTURES = Written(image_suffixes, folder=True)
 POSES = Written((".yaml", ".yml", ".json", ".csv"), stdout=True)
 TRAJECTORY = Written(trajectory_suffixes, stdout=True)
@@ -172,6 +173,36 @@ class GivenCamera(OptionsRecord):
             raise InvalidInput(f"{positional[0]} and --camera-matrix are two cameras; leave one of them out")
         return True
 
+
+@dataclass(frozen=True)
+class FigureOptions(OptionsRecord):
+    """A folder for figures of the result, None for no figures, and the type of their files."""
+
+    folder: Annotated[
+        Path | None,
+        Option(
+            "Folder for figures of the result, with their captions in figures.md.",
+            metavar="DIR",
+            group=OUTPUT,
+            names="--figures",
+            recorded=False,
+            written=FOLDER,
+        ),
+    ] = None
+    kind: Annotated[
+        str,
+        Option(
+            "Type of the figures.",
+            metavar="|".join(FIGURE_TYPES),
+            group=OUTPUT,
+            names="--figure-format",
+            choices=FIGURE_TYPES,
+            recorded=False,
+        ),
+    ] = FIGURE_TYPES[0]
+
+
+NO_FIGURES = FigureOptions()
 
 Pattern = Annotated[
     str | None,

@@ -12,7 +12,7 @@ from camcal.calibrate.between_views import between_views
 from camcal.calibrate.intrinsics import Calibration, Solved
 from camcal.calibrate.rigs.captures import Captures
 from camcal.calibrate.rigs.effects import SHIFT
-from camcal.calibrate.rigs.epipolar import epipolar_rms
+from camcal.calibrate.rigs.epipolar import epipolar_by_capture
 from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig
 from camcal.calibrate.rigs.links import Link, Placed, link, place
 from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
@@ -207,6 +207,7 @@ def _record(
         for camera, name in enumerate(names)
     }
     count, motion = problem.board_start, _motion(result)
+    squares, counts = epipolar_by_capture(result, len(captures))
     warnings = [Message("unlinked_camera", f"not in the rig: {why}", where=name) for name, why in unlinked.items()]
     if motion is not None and _shows(result, motion):
         text = (
@@ -222,7 +223,8 @@ def _record(
         captures=captures,
         motion=motion,
         unlinked=unlinked,
-        epipolar_rms_px=epipolar_rms(result),
+        epipolar_rms_px=float(np.sqrt(squares.sum() / counts.sum())) if counts.any() else None,
+        epipolar_by_capture=np.sqrt(squares / np.where(counts, counts, np.nan)),
         warnings=(*warnings, *found.warnings),
         failures=(*found.failures, *_misfits(calibrations, cameras)),
     )
@@ -289,4 +291,4 @@ def _motion(result: RigFit) -> ExposureMotion | None:
     seen = distances[distances > 0]
     kinds = np.unique(plain.effects.effect[chosen])
     size = float(np.sqrt(np.mean(plain.effect_scales.variances[kinds])))
-    return ExposureMotion(size, float(np.median(seen)), float(np.max(seen)))
+    return ExposureMotion(size, float(np.median(seen)), float(np.max(seen)), tuple(distances.max(axis=1).tolist()))

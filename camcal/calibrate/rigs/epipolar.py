@@ -9,14 +9,15 @@ from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.rigs.fit import RigFit
 
 
-def epipolar_rms(result: RigFit) -> float | None:
-    """Return the RMS epipolar error, px, of corners that two cameras saw in a capture; None without any.
+def epipolar_by_capture(result: RigFit, captures: int) -> tuple[Array, Array]:
+    """Return the sums of squares (C,), px², and the numbers (C,) of the epipolar errors of corners that two cameras saw
+    in each of `captures` captures.
 
     The error of two rays is f Δφ sin θ: φ the angle of a ray about the baseline, θ that between the first ray and the
     baseline, f the focal length of the first camera. In a rectified pair it is the difference of rows.
     """
     rays = [_rays(result, camera) for camera in range(len(result.plain.parts))]
-    squares, count = 0.0, 0
+    squares, counts = np.zeros(captures), np.zeros(captures, np.intp)
     for a, b in combinations(range(len(rays)), 2):
         common, of_a, of_b = np.intersect1d(rays[a][0], rays[b][0], return_indices=True)
         state = result.state
@@ -24,8 +25,10 @@ def epipolar_rms(result: RigFit) -> float | None:
         translation = state.camera_translations[b] - rotation @ state.camera_translations[a]
         errors = epipolar_errors(rays[a][1][of_a], rays[b][1][of_b], rotation, translation)
         focal = float(state.lenses[a][0])
-        squares, count = squares + float(np.sum((focal * errors) ** 2)), count + len(common)
-    return float(np.sqrt(squares / count)) if count else None
+        capture = common // result.problem.board.count
+        squares += np.bincount(capture, (focal * errors) ** 2, captures)
+        counts += np.bincount(capture, minlength=captures)
+    return squares, counts
 
 
 def epipolar_errors(rays_a: Array, rays_b: Array, rotation: Array, translation: Array) -> Array:

@@ -36,12 +36,14 @@ class RigOptions:
 @dataclass(frozen=True)
 class ExposureMotion:
     """How far the board moved between the exposures of a capture, as seen at its centre: m, standard deviation of each
-    axis over all captures, and the median and the largest distance of a capture.
+    axis over all captures, and the median and the largest distance of a capture. by_capture: the largest distance of
+    each capture, 0 where no camera saw another pose than the first.
     """
 
     std: float
     median: float
     largest: float
+    by_capture: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,8 @@ class RigCalibration:
     cameras that could be linked, the first of them at the identity. names: of the parameters of `covariance` (N, N):
     left.fx … of the lenses, then right_T_left.tx … .rz of the transforms (m and rad; see Pose.retract).
     motion: None where the cameras exposed together. unlinked: cameras that no capture links to the first one, and
-    why. epipolar_rms_px: of the corners that two cameras saw, None without any.
+    why. epipolar_rms_px: of the corners that two cameras saw, None without any; epipolar_by_capture: (C,) that of each
+    of `captures`, NaN without any.
     """
 
     calibrations: Mapping[str, Calibration]
@@ -63,6 +66,7 @@ class RigCalibration:
     motion: ExposureMotion | None = None
     unlinked: Mapping[str, str] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
+    epipolar_by_capture: FloatArray = field(default_factory=lambda: np.zeros(0))
     warnings: tuple[Message, ...] = ()
     failures: tuple[Message, ...] = ()
 

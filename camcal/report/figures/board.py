@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -31,7 +31,7 @@ def board_height(surface: Surface) -> Plot | None:
     across = float(np.ptp(height))
     most = float(np.abs(height).max())
 
-    def draw(figure: Figure, _: Theme) -> None:
+    def draw(figure: FigureBase, _: Theme) -> None:
         axes = figure.subplots()
         levels = MaxNLocator(10, symmetric=True).tick_values(-most, most)
         filled = axes.tricontourf(points[:, 0], points[:, 1], height, levels=levels, cmap=DIVERGING_MAP)
@@ -61,7 +61,7 @@ def board_shape(surface: Surface) -> Plot | None:
     side = float(np.ptp(points[:, :2], axis=0).max())
     factor = round_down(min(_RELIEF * side / float(np.ptp(height)), _MOST_RELIEF))
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = space_axes(figure, theme)
         # z of a board points away from its printed side: up is towards the camera
         axes.plot_trisurf(*points[:, :2].T, factor * height, cmap=DIVERGING_MAP, lw=0.2, edgecolor=theme.ink, alpha=0.9)
@@ -113,7 +113,7 @@ def poses(calibration: Calibration) -> Plot:
     tilts = np.array([_tilt(view.camera_T_board.rotation) for view in used if view.camera_T_board is not None])
     reach = f"{near:.2g} to {far:.2g} {unit}"
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = space_axes(figure, theme)
         scale = scale_of(rms[np.isfinite(rms)])
         faces = Poly3DCollection([upright(board) for board in boards], cmap=COLOUR_MAP, norm=scale, alpha=0.55)
@@ -166,7 +166,7 @@ def upright(points: Array) -> Array:
     return np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
 
 
-def space_axes(figure: Figure, theme: Theme) -> Axes3D:
+def space_axes(figure: FigureBase, theme: Theme) -> Axes3D:
     """Return axes in space without a background."""
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
@@ -14,15 +14,16 @@ from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.figures import image_plane
 from camcal.report.figures.board import board_height, board_shape, poses
-from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme
+from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, logarithmic_labels
 from camcal.report.figures.image_plane import colour_bar
 
 _BINS = 12  # over radius, of as many corners each
 _LOW, _HIGH = 0.1, 0.9
 _RAYLEIGH = 1.1774  # the median length over the standard deviation of a coordinate
 _REACH = 4.5  # standard deviations of the histogram to either side
-_NAMED = 24  # views with a bar each
+NAMED = 24  # views with a bar each
 _NAME = 22  # characters of a file name
+_MAGNITUDE = 8.0  # of the largest error over the smallest: a logarithmic axis
 _MOST_NAMES = 24  # parameters with a name at the matrix
 
 
@@ -61,7 +62,7 @@ def residuals_over_radius(calibration: Calibration) -> Plot:
     outwards = np.sum(calibration.residuals * away, axis=1) / np.maximum(radius, 1e-9)
     bias = max((abs(row[2]) for row in _binned(radius, outwards)), default=0.0)
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         above, below = figure.subplots(2, 1, sharex=True)
         _draw_over(above, radius, length, theme)
         above.axhline(_RAYLEIGH * calibration.sigma_px, color=theme.ink, lw=1, ls="--", label="expected median")
@@ -109,7 +110,7 @@ def _draw_over(axes: Axes, radius: Array, values: Array, theme: Theme) -> None:
 def residuals_by_view(calibration: Calibration) -> Plot:
     """Return the RMS of the residuals of every view, the worst first; of many views, of the worst."""
     every = sorted(_rms_of_views(calibration), key=lambda row: (-row[1], row[0]))
-    shown = every[:_NAMED]
+    shown = every[:NAMED]
     kept = [rms for _, rms, used in every if used]
     median, rejected = float(np.median(kept)), sum(not used for *_, used in every)
     unused = len(calibration.views) - len(every)
@@ -120,24 +121,11 @@ def residuals_by_view(calibration: Calibration) -> Plot:
     parts += [f"{unused} without a usable board are not shown"] if unused else []
     limit = 1.25 * max(kept)
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = figure.subplots()
-        for row, (_, rms, used) in enumerate(shown):
-            axes.barh(
-                row,
-                min(rms, limit),
-                color=theme.series[0] if used else theme.paper,
-                edgecolor=theme.series[0] if used else theme.bad,
-                hatch=None if used else "////",
-            )
-            if rms > limit:
-                axes.text(0.97 * limit, row, f"{rms:.3g} px", ha="right", va="center", backgroundcolor=theme.paper)
+        draw_ranked(axes, shown, limit, theme)
         axes.axvline(median, color=theme.ink, lw=1, ls="--")
-        axes.set_yticks(range(len(shown)), [short_name(name) for name, *_ in shown])
-        axes.set_ylim(len(shown) - 0.4, -0.6)
-        axes.set_xlim(0, limit)
         axes.set_xlabel("RMS of the residuals, px")
-        axes.grid(visible=True, axis="x")
 
     return Plot(
         "residuals_by_view",
@@ -147,8 +135,29 @@ def residuals_by_view(calibration: Calibration) -> Plot:
         f"Bars of the RMS of the residuals by view; median {median:.3g} px, worst {max(kept):.3g} px, "
         f"{counted(rejected, 'view')} rejected.",
         draw,
-        (WIDTH, 1.1 + 0.21 * max(len(shown), 5)),
+        ranked_size(len(shown)),
     )
+
+
+def draw_ranked(axes: Axes, shown: Sequence[tuple[str, float, bool]], limit: float, theme: Theme) -> None:
+    """Draw a bar for every row of name, value and whether it is used, from the top; values beyond the limit are written
+    into their bars.
+    """
+    for row, (_, value, used) in enumerate(shown):
+        colour = theme.series[0] if used else theme.bad
+        face, hatch = (colour, None) if used else (theme.paper, "////")
+        axes.barh(row, min(value, limit), color=face, edgecolor=colour, hatch=hatch)
+        if value > limit:
+            axes.text(0.97 * limit, row, f"{value:.3g}", ha="right", va="center", backgroundcolor=theme.paper)
+    axes.set_yticks(range(len(shown)), [short_name(name) for name, *_ in shown])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_xlim(0, limit)
+    axes.grid(visible=True, axis="x")
+
+
+def ranked_size(rows: int) -> tuple[float, float]:
+    """Return the size of a figure of so many bars, inches."""
+    return WIDTH, 1.1 + 0.21 * max(rows, 5)
 
 
 def _rms_of_views(calibration: Calibration) -> list[tuple[str, float, bool]]:
@@ -168,9 +177,9 @@ def short_name(name: str) -> str:
     """Return the last part of a path, its middle left out where it is long."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     if len(last) <= _NAME:
-        return last.replace("$", r"\$")
+        return last
     half = (_NAME - 1) // 2
-    return f"{last[:half]}…{last[-half:]}".replace("$", r"\$")
+    return f"{last[:half]}…{last[-half:]}"
 
 
 def residual_histogram(calibration: Calibration) -> Plot:
@@ -182,7 +191,7 @@ def residual_histogram(calibration: Calibration) -> Plot:
     ends = np.linspace(-reach, reach, min(61, 2 * round(len(values) ** 0.5 / 2) + 5))
     wide = 100 * float((np.abs(values) > 2 * sigma).mean())
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = figure.subplots()
         axes.hist(values, ends.tolist(), density=True, color=theme.series[0], alpha=0.7, label="residuals")
         fine = np.linspace(-reach, reach, 300)
@@ -220,7 +229,7 @@ def correlations(calibration: Calibration) -> Plot | None:
     strongest = f"{names[one]} and {names[other]}, {matrix[one, other]:+.3f}"
     step = -(-len(names) // _MOST_NAMES)
 
-    def draw(figure: Figure, _: Theme) -> None:
+    def draw(figure: FigureBase, _: Theme) -> None:
         axes = figure.subplots()
         image = axes.imshow(matrix, cmap=DIVERGING_MAP, vmin=-1, vmax=1, interpolation="nearest")
         places = range(0, len(names), step)
@@ -260,15 +269,17 @@ def lens_models(candidates: Sequence[CandidateModel], used: str) -> Plot | None:
     without = f" Without a result: {', '.join(failed)}." if failed else ""
     words = ", ".join(f"{own.name} {error:.3g} px" for own, error in zip(scored, errors, strict=True))
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = figure.subplots()
-        colours = [theme.series[1] if own.name == used else theme.series[0] for own in scored]
-        bars = axes.barh(range(len(scored)), errors, color=colours)
-        axes.bar_label(bars, [f"{error:.3g}" for error in errors], padding=3)
+        for row, (own, error) in enumerate(zip(scored, errors, strict=True)):
+            colour = theme.series[1] if own.name == used else theme.series[0]
+            axes.plot([error], [row], "o", color=colour, ms=8)
+            axes.annotate(f"{error:.3g}", (error, row), (7, 0), textcoords="offset points", va="center")
         names = [f"{own.name} (used)" if own.name == used else own.name for own in scored]
         axes.set_yticks(range(len(scored)), names)
-        axes.invert_yaxis()
-        axes.set_xlim(0, 1.2 * max(errors))
+        axes.set_ylim(len(scored) - 0.5, -0.5)
+        _limit_errors(axes, errors)
+        axes.grid(visible=True)
         axes.set_xlabel("prediction error of left-out views, px")
 
     return Plot(
@@ -276,7 +287,18 @@ def lens_models(candidates: Sequence[CandidateModel], used: str) -> Plot | None:
         "Lens models compared",
         f"How far corners of left-out views are from where each lens model predicts them, px, the best first: {words}. "
         f"Used: {used}.{without}",
-        f"Bars of the prediction errors of {counted(len(scored), 'lens model')}: {words}.",
+        f"Prediction errors of {counted(len(scored), 'lens model')}: {words}.",
         draw,
         (WIDTH, 1.1 + 0.3 * max(len(scored), 3)),
     )
+
+
+def _limit_errors(axes: Axes, errors: Sequence[float]) -> None:
+    """Give errors an axis from zero, or a logarithmic one where they are of different magnitude, with room for text."""
+    low, high = min(errors), max(errors)
+    if low > 0 and high > _MAGNITUDE * low:
+        axes.set_xscale("log")
+        axes.set_xlim(low / 1.5, high * (high / low) ** 0.3)
+        logarithmic_labels(axes.xaxis)
+    else:
+        axes.set_xlim(0, 1.3 * high or 1.0)

@@ -5,15 +5,17 @@ there. Colours are those of Okabe and Ito, which people with any colour vision t
 viridis. Source: Okabe & Ito, Color universal design, 2008; Nuñez, Anderton & Renslow, PLoS ONE 13(7), 2018.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 from camcal.errors import InvalidInput
 
@@ -77,7 +79,7 @@ class Plot:
     title: str
     caption: str
     alt: str
-    draw: Callable[[Figure, Theme], None]
+    draw: Callable[[FigureBase, Theme], None]
     size: tuple[float, float] = (WIDTH, 3.6)
     dense: bool = False
 
@@ -128,6 +130,7 @@ def _style(plot: Plot, theme: Theme) -> dict[Any, Any]:
         "legend.fontsize": _FONT - 0.2,
         "legend.framealpha": 0.85,
         "svg.fonttype": "none",
+        "text.parse_math": False,  # names of files and columns are not mathematics
         "svg.hashsalt": f"camcal {plot.name} {theme.name}",
     }
 
@@ -151,3 +154,36 @@ def panel_height(shape: tuple[float, float]) -> tuple[float, float]:
     """Return the size of a figure, inches, that shows a shape (width, height) beside a colour bar."""
     width, height = shape
     return WIDTH, min(max((WIDTH - 1.5) * height / width + 1.1, 2.6), 6.5)
+
+
+def beside(name: str, title: str, plots: Sequence[Plot], *, below: bool = False) -> Plot:
+    """Return figures side by side as one; below: one below the other."""
+    widths, heights = zip(*(plot.size for plot in plots), strict=True)
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        shape = {"nrows": len(plots), "height_ratios": heights} if below else {"ncols": len(plots)}
+        for part, plot in zip(figure.subfigures(**shape), plots, strict=True):
+            part.suptitle(plot.title)
+            plot.draw(part, theme)
+
+    return Plot(
+        name,
+        title,
+        " ".join(f"{plot.title}: {plot.caption}" for plot in plots),
+        " ".join(plot.alt for plot in plots),
+        draw,
+        (max(widths), sum(heights)) if below else (sum(widths), max(heights)),
+        dense=any(plot.dense for plot in plots),
+    )
+
+
+def of_part(plots: Sequence[Plot], part: str) -> tuple[Plot, ...]:
+    """Return figures that are about a part of a result, such as one camera: its name is in their names and titles."""
+    stem = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in part)
+    return tuple(replace(plot, name=f"{stem}_{plot.name}", title=f"{plot.title}, {part}") for plot in plots)
+
+
+def logarithmic_labels(axis: Axis) -> None:
+    """Write the numbers of a logarithmic axis in full, without those between powers of ten."""
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())

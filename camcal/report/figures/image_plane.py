@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle
 
 from camcal.arrays import Array
@@ -34,7 +34,7 @@ def projection_uncertainty(
         where = f"{figures['inside_rms_px']:.2g} px RMS where corners are (inside the dashed line), "
         within = " The dashed line surrounds the corners: beyond it the lens is extrapolated."
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure, image_size)
         _draw_uncertainty(axes, uncertainty, theme)
         _draw_circle(axes, circle, theme)
@@ -77,7 +77,7 @@ def residual_vectors(calibration: Calibration) -> Plot:
     left = len(calibration.rejected)
     crosses = f" Crosses: {counted(left, 'rejected corner')}." if left else ""
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure, size)
         _draw_vectors(axes, calibration.pixels, factor * calibration.residuals, theme.series[0], 0.6)
         _draw_vectors(axes, means[0], factor * means[1], theme.series[1], 1.8)
@@ -150,7 +150,7 @@ def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Plo
         f" The lens model holds up to {fold.radius_px:.0f} px from the principal point (line)." if fold.folds else ""
     )
 
-    def draw(figure: Figure, theme: Theme) -> None:
+    def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure, size)
         u, v = np.linspace(-0.5, size[0] - 0.5, columns + 1), np.linspace(-0.5, size[1] - 0.5, rows + 1)
         mesh = axes.pcolormesh(u, v, np.ma.masked_equal(counts, 0), cmap=COLOUR_MAP, vmin=0, rasterized=True)
@@ -177,7 +177,7 @@ def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Plo
     )
 
 
-def _image_axes(figure: Figure, size: tuple[int, int]) -> Axes:
+def _image_axes(figure: FigureBase, size: tuple[int, int]) -> Axes:
     """Return axes over an image of a size (width, height), y down."""
     axes: Axes = figure.subplots()
     axes.set_xlim(-0.5, size[0] - 0.5)

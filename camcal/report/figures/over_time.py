@@ -1,28 +1,21 @@
-"""Plots of series and tracks over time, with uncertainty and consistency."""
+"""Figures of series and tracks over time, with uncertainty and consistency."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 
 from camcal.arrays import Array
 from camcal.estimate.tracking.track import MEASURED, PREDICTED, REJECTED, Track
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.report.figures.sensor import STYLE, encoded
+from camcal.report.figures.figure import WIDTH, Plot, Theme, beside, logarithmic_labels
 
-_SMOOTHED, _POINTS, _OUTLIERS = "tab:blue", "0.45", "tab:red"
-
-# tracks
-_RAW, _LINE, _OUT, _SPAN = "0.65", "tab:blue", "tab:red", "0.93"
 _AXES = "xyz"
-_ROWS = 7
 _HEADROOM = 30  # times the largest NIS: room for the legend
+_ROW = 1.3  # inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,81 +31,147 @@ class Panel:
     outliers: Array
 
 
-def over_time(panels: Sequence[Panel], suffix: str) -> bytes:
-    """Return a figure with a panel for every number, as a file of the type of `suffix`: bands are two σ wide."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 1.2 + 1.7 * len(panels)), layout="constrained")
-        FigureCanvasAgg(figure)
+def over_time(panels: Sequence[Panel]) -> Plot:
+    """Return a panel for every number over time: bands are two σ wide."""
+    outliers = sum(int(panel.outliers.sum()) for panel in panels)
+    names = ", ".join(panel.name for panel in panels)
+    span = float(np.ptp(panels[0].smoothed[0]))
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
         rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for axes, panel in zip(rows, panels, strict=True):
-            _draw_panel(axes, panel)
-        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+            _draw_panel(axes, panel, theme)
+        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
         rows[-1].set_xlabel("time from the first measurement, s")
-        return encoded(figure, suffix)
+
+    return Plot(
+        "over_time",
+        "Measured and smoothed",
+        f"Measured (dots), outliers (crosses, {outliers}) and smoothed values with a band of two standard deviations "
+        f"to either side, over {span:.4g} s: {names}.",
+        f"Measured and smoothed values over {span:.4g} s: {names}.",
+        draw,
+        (WIDTH, 1.1 + _ROW * len(panels)),
+    )
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: Panel, theme: Theme) -> None:
     stamps, values, std = panel.smoothed
     when, measured = panel.measured
     start, good = when[0], ~panel.outliers
-    axes.plot(when[good] - start, measured[good], ".", color=_POINTS, ms=3, label="measured")
-    axes.plot(when[~good] - start, measured[~good], "x", color=_OUTLIERS, ms=5, label="outliers")
-    axes.fill_between(stamps - start, values - 2 * std, values + 2 * std, color=_SMOOTHED, alpha=0.25, lw=0)
-    axes.plot(stamps - start, values, color=_SMOOTHED, lw=1, label="smoothed ± 2 σ")
+    axes.plot(when[good] - start, measured[good], ".", color=theme.ink, ms=3, label="measured")
+    axes.plot(when[~good] - start, measured[~good], "x", color=theme.bad, ms=5, label="outliers")
+    axes.fill_between(stamps - start, values - 2 * std, values + 2 * std, color=theme.series[0], alpha=0.3, lw=0)
+    axes.plot(stamps - start, values, color=theme.series[0], lw=1, label="smoothed ± 2 σ")
     axes.set_ylabel(panel.name)
-    axes.grid(visible=True, alpha=0.3)
+    axes.grid(visible=True)
 
 
-def track_figure(track: Track, single: Sequence[Pose | None], title: str, gate: float, suffix: str) -> bytes:
-    """Return a figure of a track as a file of the type of `suffix`.
+def track_over_time(track: Track, single: Sequence[Pose | None], title: str, gate: float) -> Plot:
+    """Return position, rotation and innovations of a track over time as one figure; see `track_plots`."""
+    return beside("track", title, track_plots(track, single, gate), below=True)
+
+
+def track_plots(track: Track, single: Sequence[Pose | None], gate: float) -> tuple[Plot, Plot, Plot]:
+    """Return position, rotation and innovations of a track over time.
 
     single: the pose that each frame gave by itself, in the track's direction. gate: of the NIS. Gray bands are the
-    pieces of the track; a cross is a detection that was left out.
+    segments of the track; a cross is a detection that was rejected.
     """
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10, 13))
-        figure.subplots_adjust(left=0.085, right=0.985, bottom=0.045, top=0.96, hspace=0.12)
-        FigureCanvasAgg(figure)
-        axes: Any = figure.subplots(_ROWS, 1, sharex=True)
-        seen = np.array([index for index, pose in enumerate(single) if pose is not None])
-        raw = [pose for pose in single if pose is not None]
-        places = np.array([pose.translation for pose in raw])
-        middle = _middle(track)
-        turns = np.degrees(so3.log(np.array([pose.rotation for pose in raw]) @ middle.T))
-        smooth_turns = np.full_like(track.translations, np.nan)
-        smooth_turns[track.posed] = np.degrees(so3.log(track.rotations[track.posed] @ middle.T))
-        for axis in range(3):
-            _draw_coordinate(axes[axis], track, seen, places[:, axis] * 1e3, track.translations[:, axis] * 1e3)
-            axes[axis].set_ylabel(f"{_AXES[axis]}, mm")
-            _draw_coordinate(axes[axis + 3], track, seen, turns[:, axis], smooth_turns[:, axis])
-            axes[axis + 3].set_ylabel(f"turn about {_AXES[axis]}, deg")
-        _draw_nis(axes[-1], track, gate)
-        axes[0].set_title(title)
-        axes[0].legend(loc="upper right", ncols=3, framealpha=0.9)
-        axes[-1].set_xlabel("time, s")
-        figure.align_ylabels()
-        return encoded(figure, suffix)
+    seen = np.array([index for index, pose in enumerate(single) if pose is not None], dtype=np.intp)
+    raw = [pose for pose in single if pose is not None]
+    places = 1e3 * np.array([pose.translation for pose in raw]).reshape(-1, 3)
+    middle = so3.nearest(track.rotations[track.posed].mean(axis=0))
+    turns = np.degrees(so3.log(np.array([pose.rotation for pose in raw]).reshape(-1, 3, 3) @ middle.T))
+    smooth_turns = np.full_like(track.translations, np.nan)
+    smooth_turns[track.posed] = np.degrees(so3.log(track.rotations[track.posed] @ middle.T))
+    number = int(track.segments.max()) + 1
+    segments = f"{number} track segment{'s' * (number != 1)} (gray bands)"
+    counts = (
+        f"{track.count(MEASURED)} frames measured, {track.count(PREDICTED)} predicted, "
+        f"{track.count(REJECTED)} rejected (crosses), {segments}"
+    )
+
+    def coordinates(raw: Array, smooth: Array, label: str) -> Callable[[FigureBase, Theme], None]:
+        def draw(figure: FigureBase, theme: Theme) -> None:
+            rows = figure.subplots(3, 1, sharex=True)
+            for axis, axes in enumerate(rows):
+                _draw_coordinate(axes, track, seen, raw[:, axis], smooth[:, axis], theme)
+                axes.set_ylabel(label.format(_AXES[axis]))
+            figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+            rows[-1].set_xlabel("time, s")
+
+        return draw
+
+    size = (WIDTH, 1.1 + 3 * _ROW)
+    return (
+        Plot(
+            "position",
+            "Position",
+            f"Translation of {track.frames} over time, mm, of single frames and of the track: {counts}.",
+            f"Three coordinates in mm over time: {counts}.",
+            coordinates(places, 1e3 * track.translations, "{}, mm"),
+            size,
+        ),
+        Plot(
+            "rotation",
+            "Rotation",
+            f"Rotation of {track.frames} from its mean over time, degrees about three axes: {counts}.",
+            f"Three angles in degrees over time: {counts}.",
+            coordinates(turns, smooth_turns, "about {}, deg"),
+            size,
+        ),
+        innovations(track, gate),
+    )
 
 
-def _middle(track: Track) -> Array:
-    """Return the mean rotation (3, 3), from which the turns are counted."""
-    return so3.nearest(track.rotations[track.posed].mean(axis=0))
+def innovations(track: Track, gate: float) -> Plot:
+    """Return the normalised innovations squared of a track over time."""
+    known = np.isfinite(track.nis)
+    mean = float(np.mean(track.nis[known])) if known.any() else float("nan")
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = figure.subplots()
+        states = np.array(track.states)
+        _draw_segments(axes, track, theme)
+        for state, colour, mark in ((MEASURED, theme.series[0], "."), (REJECTED, theme.bad, "x")):
+            chosen = known & (states == state)
+            axes.plot(track.stamps[chosen], track.nis[chosen], mark, color=colour, ms=5, label=state)
+        axes.axhline(gate, color=theme.bad, lw=1, ls="--", label=f"gate {gate:.4g}")
+        axes.axhline(6, color=theme.ink, lw=1, ls=":", label="expected mean 6")
+        axes.set_yscale("log")
+        axes.set_ylim(top=_HEADROOM * max(gate, float(np.nanmax(track.nis, initial=gate))))
+        logarithmic_labels(axes.yaxis)
+        axes.set_ylabel("NIS, 1")
+        axes.set_xlabel("time, s")
+        axes.grid(visible=True)
+        axes.legend(loc="upper left", ncols=2)
+
+    return Plot(
+        "innovations",
+        "Innovations",
+        f"Normalised innovation squared (NIS, no unit) of the detections: mean {mean:.3g}, expected 6; those above the "
+        f"gate of {gate:.4g} are rejected.",
+        f"NIS over time, mean {mean:.3g}, gate {gate:.4g}.",
+        draw,
+        (WIDTH, 3.2),
+    )
 
 
-def _draw_coordinate(axes: Axes, track: Track, seen: Array, raw: Array, smooth: Array) -> None:
+def _draw_coordinate(axes: Axes, track: Track, seen: Array, raw: Array, smooth: Array, theme: Theme) -> None:
     """Draw one coordinate: of the single poses at the frames `seen`, and of the track."""
     states = np.array(track.states)[seen]
     used, refused = states == MEASURED, states == REJECTED
     stamps = track.stamps[seen]
-    _draw_pieces(axes, track)
-    axes.plot(stamps[used], raw[used], "o", color=_RAW, ms=4, label="single frames")
-    axes.plot(stamps[refused], raw[refused], "x", color=_OUT, ms=5, label="left out")
-    for piece in range(track.segments.max() + 1):
-        inside = (track.segments == piece) & track.posed
-        label = "track" if piece == 0 else None
-        axes.plot(track.stamps[inside], smooth[inside], color=_LINE, lw=1, label=label)
+    _draw_segments(axes, track, theme)
+    axes.plot(stamps[used], raw[used], "o", color=theme.ink, alpha=0.5, ms=3, label="single frames")
+    axes.plot(stamps[refused], raw[refused], "x", color=theme.bad, ms=5, label="rejected")
+    for segment in range(track.segments.max() + 1):
+        inside = (track.segments == segment) & track.posed
+        label = "track" if segment == 0 else None
+        axes.plot(track.stamps[inside], smooth[inside], color=theme.series[0], lw=1.2, label=label)
     predicted = np.array(track.states) == PREDICTED
-    axes.plot(track.stamps[predicted], smooth[predicted], "o", color=_LINE, mfc="white", ms=3)
+    axes.plot(track.stamps[predicted], smooth[predicted], "o", color=theme.series[0], mfc=theme.paper, ms=3)
     _limit_axis(axes, np.concatenate([smooth[np.isfinite(smooth)], raw[used]]))
 
 
@@ -121,26 +180,10 @@ def _limit_axis(axes: Axes, values: Array) -> None:
     low, high = np.min(values), np.max(values)
     margin = 0.15 * (high - low) or 1e-3
     axes.set_ylim(low - margin, high + margin)
-    axes.grid(visible=True, lw=0.4, alpha=0.6)
+    axes.grid(visible=True)
 
 
-def _draw_pieces(axes: Axes, track: Track) -> None:
-    for piece in range(track.segments.max() + 1):
-        inside = track.stamps[track.segments == piece]
-        axes.axvspan(inside[0], inside[-1], color=_SPAN, lw=0)
-
-
-def _draw_nis(axes: Axes, track: Track, gate: float) -> None:
-    states = np.array(track.states)
-    known = np.isfinite(track.nis)
-    _draw_pieces(axes, track)
-    for state, colour, mark in ((MEASURED, _LINE, "."), (REJECTED, _OUT, "x")):
-        chosen = known & (states == state)
-        axes.plot(track.stamps[chosen], track.nis[chosen], mark, color=colour, ms=5)
-    axes.axhline(gate, color=_OUT, lw=0.8, ls="--", label=f"gate {gate:.4g}")
-    axes.axhline(6, color="0.25", lw=0.8, ls=":", label="expected mean 6")
-    axes.set_yscale("log")
-    axes.set_ylim(top=_HEADROOM * max(gate, float(np.nanmax(track.nis, initial=gate))))
-    axes.set_ylabel("NIS")
-    axes.grid(visible=True, lw=0.4, alpha=0.6)
-    axes.legend(loc="upper right", ncols=2, framealpha=0.9)
+def _draw_segments(axes: Axes, track: Track, theme: Theme) -> None:
+    for segment in range(track.segments.max() + 1):
+        inside = track.stamps[track.segments == segment]
+        axes.axvspan(inside[0], inside[-1], color=theme.faint, alpha=0.25, lw=0)

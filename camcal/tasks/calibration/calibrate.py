@@ -45,6 +45,7 @@ from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
+from camcal.tasks.figure_files import figure_data, write_figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,7 @@ class CalibrateReport:
     warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
     of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
     what became of the frames of videos. candidates: lens models that were compared, none where the model was given.
+    figures: the files of figures.
     """
 
     calibration: Calibration
@@ -75,6 +77,7 @@ class CalibrateReport:
     channels: Mapping[str, Channel] = field(default_factory=dict)
     frames: tuple[FrameRecord, ...] = ()
     candidates: tuple[CandidateModel, ...] = ()
+    figures: tuple[Path, ...] = ()
 
     @property
     def camera(self) -> Camera:
@@ -151,6 +154,7 @@ def calibrated(
     assessment = assess(calibration, circle)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
     file = camera_file(calibration, uncertainty, assessment, options, channels, circle)
+    figures = _write_figures(options, calibration, uncertainty, selection.candidates, circle)
     if options.output is not None:
         native.write(options.output, file)
     found += assessment.warnings
@@ -167,6 +171,7 @@ def calibrated(
         channels=channels,
         frames=seen.frames,
         candidates=selection.candidates,
+        figures=figures,
     )
 
 
@@ -181,6 +186,20 @@ def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
         text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
         values = {"uncertainty_px": reached, "limit_px": most}
         raise GateFailed.of([Message("projection_uncertainty", text, values)], where="--max-uncertainty")
+
+
+def _write_figures(
+    options: CalibrateOptions,
+    calibration: Calibration,
+    uncertainty: ProjectionUncertainty,
+    candidates: Sequence[CandidateModel],
+    circle: ImageCircle | None,
+) -> tuple[Path, ...]:
+    if options.figures.folder is None:
+        return ()
+    from camcal.report.figures.calibration import calibration_plots
+
+    return write_figures(options.figures, calibration_plots(calibration, uncertainty, candidates, circle))
 
 
 def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
@@ -329,6 +348,7 @@ def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, An
         "frames": [frame_data(record) for record in report.frames],
         "failed": report.failed,
         **lenses,
+        **figure_data(report.figures),
     }
 
 

@@ -25,8 +25,10 @@ from camcal.tasks.options import (
     CAMERA_FILE,
     DETECTIONS,
     FOLDER,
+    NO_FIGURES,
     PICTURES,
     BoardText,
+    FigureOptions,
     Jobs,
     Overwrite,
     Recursive,
@@ -240,6 +242,7 @@ class CalibrateOptions(OptionsRecord):
         ),
     ] = None
     max_uncertainty: MaxUncertainty = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck, check_jacobian
 from camcal.tasks.curves.fit_report import FitReport, document, trace_csv, written
 from camcal.tasks.curves.options import TABLE, FitOptions
+from camcal.tasks.figure_files import write_figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,7 @@ def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     )
     _warn(report, progress)
     _write(report, options, table)
-    return report
+    return replace(report, figures=_write_figures(report, options))
 
 
 def _fitted(model: Model, options: FitOptions, fixed: frozenset[str], turns: list[tuple[int, Iteration]]) -> CurveFit:
@@ -178,15 +179,24 @@ def _write(report: FitReport, options: FitOptions, table: Table) -> None:
     if options.trace not in (None, TABLE):
         files.write_text(Path(str(options.trace)), trace_csv(report.turns))
     if options.plot is not None:
-        from camcal.report.figures.sensor import fitted_curve
+        from camcal.report.figures.curves import fitted_curve
+        from camcal.report.figures.figure import encoded
 
-        files.write_bytes(options.plot, fitted_curve(report.fit, options.plot.suffix))
+        files.write_bytes(options.plot, encoded(fitted_curve(report.fit), options.plot.suffix))
     if options.output is None:
         return
     content = {"format": "camcal-fit", "version": 1, "data": Path(table.path).name, **document(report)}
     if options.output.suffix.lower() != ".json":
         content = written(content)
     files.write_text(options.output, emit.text_for(options.output, content))
+
+
+def _write_figures(report: FitReport, options: FitOptions) -> tuple[Path, ...]:
+    if options.figures.folder is None:
+        return ()
+    from camcal.report.figures.curves import fitted_curve
+
+    return write_figures(options.figures, (fitted_curve(report.fit),))
 
 
 def model_of(text: str, measured: Measured, start: Mapping[str, float]) -> Model:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ _JACOBIAN_ERROR = {"complex": 1e-10, "central": 1e-6}  # of the largest: exact t
 
 @dataclass(frozen=True, eq=False)
 class FitReport:
-    """A fit; turns: (run, turn) of every iteration; the other fit and how they compare; intervals by likelihood."""
+    """A fit; turns: (run, turn) of every iteration; the other fit and how they compare; intervals by likelihood;
+    figures: their files.
+    """
 
     fit: CurveFit
     lines: Sequence[int | str]
@@ -27,6 +30,7 @@ class FitReport:
     comparison: Comparison | None = None
     intervals: dict[str, tuple[End, End]] | None = None
     check: JacobianCheck | None = None
+    figures: tuple[Path, ...] = ()
 
 
 def document(report: FitReport) -> dict[str, Any]:

@@ -6,7 +6,13 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
-from camcal.tasks.options import FIGURES, Overwrite, output_option
+from camcal.tasks.options import (
+    FIGURES,
+    NO_FIGURES,
+    FigureOptions,
+    Overwrite,
+    output_option,
+)
 
 LOSSES = ("none", "huber", "soft_l1", "cauchy", "tukey")
 METHODS = ("levenberg-marquardt", "gauss-newton")
@@ -89,6 +95,7 @@ class FitOptions(OptionsRecord):
         Path | None,
         output_option("Output file: .yaml or .json.", Written(OUTPUTS, stdout=True)),
     ] = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

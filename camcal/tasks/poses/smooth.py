@@ -17,8 +17,11 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
+from camcal.report.figures.figure import encoded
 from camcal.report.figures.over_time import Panel, over_time
+from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.run.outputs import writes
+from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.poses.smooth_options import SmoothOptions
 from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
@@ -64,6 +67,7 @@ def document(found: Smoothing) -> dict[str, Any]:
         "outliers": [asdict(outlier) for outlier in found.outliers],
         "evaluation": evaluation(found),
         "written": [path.as_posix() for path in found.written],
+        **figure_data(found.figures),
     }
 
 
@@ -89,8 +93,9 @@ def smooth_table(options: SmoothOptions) -> Smoothing:
     if options.output is not None:
         tables.write(options.output, shown)
     if options.plot is not None:
-        files.write_bytes(options.plot, over_time(_table_panels(smoothed, shown), options.plot.suffix))
-    return _of_table(options, smoothed, shown)
+        files.write_bytes(options.plot, encoded(over_time(_table_panels(smoothed, shown)), options.plot.suffix))
+    figures = write_figures(options.figures, (over_time(_table_panels(smoothed, shown)),))
+    return replace(_of_table(options, smoothed, shown), figures=figures)
 
 
 def _read_series(options: SmoothOptions) -> Series:
@@ -187,8 +192,15 @@ def smooth_trajectory(options: SmoothOptions, progress: Progress) -> Smoothing:
     if options.output is not None:
         trajectories.write(options.output, shown, options.kind)
     if options.plot is not None:
-        files.write_bytes(options.plot, over_time(_pose_panels(measured, smoothed, shown), options.plot.suffix))
-    return _of_poses(options, measured, smoothed, shown, (errors[0], errors[1]))
+        files.write_bytes(
+            options.plot, encoded(over_time(_pose_panels(measured, smoothed, shown)), options.plot.suffix)
+        )
+    found = _of_poses(options, measured, smoothed, shown, (errors[0], errors[1]))
+    if options.figures.folder is None:
+        return found
+    drawn = trajectory_plots(path_of(shown, reference, options.comparison))
+    panels = over_time(_pose_panels(measured, smoothed, shown))
+    return replace(found, figures=write_figures(options.figures, (*drawn, panels)))
 
 
 def evaluation(found: Smoothing) -> dict[str, Any] | None:

@@ -18,7 +18,14 @@ from camcal.options import (
     ValueType,
 )
 from camcal.parsing import parse_number
-from camcal.tasks.options import FIGURES, TRAJECTORY, Overwrite, output_option
+from camcal.tasks.options import (
+    FIGURES,
+    NO_FIGURES,
+    TRAJECTORY,
+    FigureOptions,
+    Overwrite,
+    output_option,
+)
 from camcal.tasks.poses.options import AUTO
 
 if TYPE_CHECKING:
@@ -166,6 +173,7 @@ class SmoothOptions(OptionsRecord):
             names="--format",
         ),
     ] = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -45,7 +45,8 @@ class Smoothing:
 
     nis: (N,) by column, or 'pose', of the measurements in the order of the file, NaN where none was predicted.
     residual: root mean square of measured minus smoothed, in the unit of the columns, or m and rad of poses.
-    before, after: errors of measured and smoothed poses against a reference. written: the files.
+    before, after: errors of measured and smoothed poses against a reference. written: the files; figures: those
+    of figures.
     """
 
     options: SmoothOptions
@@ -63,6 +64,7 @@ class Smoothing:
     before: TrajectoryError | None = None
     after: TrajectoryError | None = None
     written: tuple[Path, ...] = ()
+    figures: tuple[Path, ...] = ()
 
 
 def lines(found: Smoothing) -> Iterator[str]:

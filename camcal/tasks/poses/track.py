@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from camcal import files
 from camcal.arrays import Array
@@ -25,11 +25,15 @@ from camcal.report import track_words
 from camcal.run.outputs import writes
 from camcal.run.paths import Media, find_media, refuse_collisions, require_there
 from camcal.targets.markers.tags import single_name
+from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.poses.frame_times import frame_times, require_times
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.pnp import pnp
 from camcal.tasks.poses.track_options import TrackingOptions
+
+if TYPE_CHECKING:
+    from camcal.report.figures.figure import Plot
 
 _OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an object
 
@@ -38,7 +42,8 @@ _OF_CAMERA = ("tum",)  # forms that are about the path of a camera, not of an ob
 class TrackReport:
     """The tracks by object, the names of their frames, objects that could not be followed, and warnings.
 
-    lines: other lines of the report. failed: images that could not be read. outputs: the files that were written.
+    lines: other lines of the report. failed: images that could not be read. outputs: the files that were written;
+    figures: those of figures.
     """
 
     images: tuple[str, ...]
@@ -48,6 +53,7 @@ class TrackReport:
     lines: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     outputs: tuple[Path, ...] = ()
+    figures: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +116,7 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
         lines=seen.lines,
         failed=seen.failed,
         outputs=outputs,
+        figures=_write_figures(options, objects),
     )
 
 
@@ -241,15 +248,32 @@ def _written(options: TrackingOptions, images: Sequence[str], objects: Mapping[s
             trajectories.write(options.output, _trajectory(options.output, objects), form)
         outputs.append(options.output)
     if options.plot is not None:
-        from camcal.report.figures.over_time import track_figure
+        from camcal.report.figures.figure import encoded
+        from camcal.report.figures.over_time import track_over_time
 
         for path, (name, item) in zip(_plots(options.plot, list(objects)), objects.items(), strict=True):
             single = [None if each is None else each.transform for each in item.single]
             title = f"{item.track.frames}{f', {name}' if name else ''}"
             gate = _tracking(options).following.gate
-            files.write_bytes(path, track_figure(item.track, single, title, gate, path.suffix))
+            files.write_bytes(path, encoded(track_over_time(item.track, single, title, gate), path.suffix))
             outputs.append(path)
     return tuple(outputs)
+
+
+def _write_figures(options: TrackingOptions, objects: Mapping[str, TrackedObject]) -> tuple[Path, ...]:
+    if options.figures.folder is None:
+        return ()
+    from camcal.report.figures.figure import of_part
+    from camcal.report.figures.over_time import track_plots
+    from camcal.report.figures.trajectories import path_of, trajectory_plots
+
+    plots: list[Plot] = []
+    for name, item in objects.items():
+        single = [None if each is None else each.transform for each in item.single]
+        over_time = track_plots(item.track, single, _tracking(options).following.gate)
+        own = (*over_time, *trajectory_plots(path_of(posed(item.track))))
+        plots += of_part(own, name) if name else own
+    return write_figures(options.figures, plots)
 
 
 def _plots(plot: Path, names: Sequence[str]) -> list[Path]:
@@ -271,6 +295,11 @@ def _trajectory(output: Path, objects: Mapping[str, TrackedObject]) -> Trajector
             where=str(output),
         )
     (track,) = (item.track for item in objects.values())
+    return posed(track)
+
+
+def posed(track: Track) -> Trajectory:
+    """Return the poses of a track as a trajectory."""
     there = track.posed
     return Trajectory(
         track.frames,
@@ -291,4 +320,5 @@ def document(report: TrackReport) -> dict[str, Any]:
         "lost": [{"object": name, "message": error.message} for name, error in report.lost.items()],
         "failed": list(report.failed),
         "outputs": list(report.outputs),
+        **figure_data(report.figures),
     }

@@ -8,7 +8,16 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, ValueType, Without, separated
-from camcal.tasks.options import FIGURES, TRAJECTORY, CameraName, GivenCamera, Overwrite, output_option
+from camcal.tasks.options import (
+    FIGURES,
+    NO_FIGURES,
+    TRAJECTORY,
+    CameraName,
+    FigureOptions,
+    GivenCamera,
+    Overwrite,
+    output_option,
+)
 from camcal.tasks.poses.options import AUTO, DetectionOptions
 
 POSE_SUFFIXES = (".yaml", ".yml", ".json")
@@ -159,6 +168,7 @@ class TrackingOptions(OptionsRecord):
         ),
     ] = None
     name: CameraName = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -23,6 +23,8 @@ from camcal.raw.options import NO_LAYOUT, Development, GivenLayout
 from camcal.tasks.options import (
     CAMERA_FILE,
     FIGURES,
+    NO_FIGURES,
+    FigureOptions,
     Jobs,
     Overwrite,
     Pattern,
@@ -222,6 +224,7 @@ class SensorOptions(OptionsRecord):
         ),
     ] = None
     jobs: Jobs = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -22,10 +22,12 @@ from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts,
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
-from camcal.report.figures import sensor as figures
+from camcal.report.figures.figure import encoded
+from camcal.report.figures.sensor import characterisation, sensor_plots
 from camcal.report.uncertain import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
+from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
 from camcal.tasks.raw.options import RawInput, SensorOptions
 from camcal.tasks.raw.raw_corrections import read_frame
@@ -51,7 +53,7 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class SensorReport:
-    """What was found, from which frames; pitch: metres, None if unknown; and the warnings."""
+    """What was found, from which frames; pitch: metres, None if unknown; the warnings; the files of figures."""
 
     sensor: Characterisation
     flats: tuple[FrameSet, ...]
@@ -59,6 +61,7 @@ class SensorReport:
     iso: float | None
     pitch: float | None
     warnings: tuple[Message, ...]
+    figures: tuple[Path, ...] = ()
 
 
 @writes
@@ -80,10 +83,10 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     warnings = (*_counts_warnings(found, spread, options), *found.warnings)
     report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size), warnings)
     if options.plot is not None:
-        files.write_bytes(options.plot, figures.photon_transfer(found, options.plot.suffix))
+        files.write_bytes(options.plot, encoded(characterisation(found), options.plot.suffix))
     files.write_text(options.output, emit.document(_file(report, options), COMMENT))
     warn_of(warnings, progress)
-    return report
+    return replace(report, figures=write_figures(options.figures, sensor_plots(found)))
 
 
 def _sets(options: SensorOptions, progress: Progress, black: float | None = None) -> list[FrameSet]:
@@ -200,7 +203,7 @@ def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
 def document(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     plot = {} if options.plot is None else {"plot": options.plot.as_posix()}
-    return {"output": options.output.as_posix(), **plot, **_content(report)}
+    return {"output": options.output.as_posix(), **plot, **_content(report), **figure_data(report.figures)}
 
 
 def _content(report: SensorReport) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from camcal.tasks.calibration.calibrate import camera_entry, image_record, is_sh
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import known_circle
 from camcal.tasks.calibration.video_frames import as_data as frame_data
+from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
 from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
@@ -58,6 +60,7 @@ class RigReport:
 
     candidates: lens models that were compared, by the cameras of a kind. refinement: what the second pass of corner
     refinement changed, None without one. warnings: all of them; lines: other lines of the report.
+    figures: the files of figures.
     """
 
     calibration: RigCalibration
@@ -68,6 +71,7 @@ class RigReport:
     lines: tuple[str, ...] = ()
     refinement: RefinementSummary | None = None
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] | None = None
+    figures: tuple[Path, ...] = ()
 
     @property
     def failures(self) -> tuple[Message, ...]:
@@ -150,6 +154,7 @@ def calibrated(
         for name, own in calibration.calibrations.items()
     }
     file = rig_file(calibration, results, command)
+    figures = _write_figures(settings, calibration, results, models.candidates)
     if settings.output is not None:
         native.write(settings.output, file)
     of_cameras = (each.at(name) for name, result in results.items() for each in result.assessment.warnings)
@@ -164,6 +169,7 @@ def calibrated(
         lines=seen.lines + models.lines + ((refinement.line,) if refinement else ()),
         refinement=refinement,
         candidates=models.candidates,
+        figures=figures,
     )
 
 
@@ -182,6 +188,21 @@ def require_good(report: RigReport, settings: RigSettings) -> None:
             failures.append(Message("projection_uncertainty", text, values, where=name))
     if failures:
         raise GateFailed.of(failures, where="--max-uncertainty")
+
+
+def _write_figures(
+    settings: RigSettings,
+    calibration: RigCalibration,
+    results: Mapping[str, CameraResult],
+    candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] | None,
+) -> tuple[Path, ...]:
+    if settings.figures.folder is None:
+        return ()
+    from camcal.report.figures.rig import rig_plots
+
+    uncertainties = {name: result.uncertainty for name, result in results.items()}
+    circles = {name: result.circle for name, result in results.items() if result.circle is not None}
+    return write_figures(settings.figures, rig_plots(calibration, uncertainties, circles, candidates))
 
 
 def _looks_again(settings: RigSettings, seen: RigViews) -> bool:
@@ -335,6 +356,7 @@ def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
         "failures": messages.as_data(report.failures),
         "frames": [frame_data(record) for record in report.views.frames],
         "failed": report.failed,
+        **figure_data(report.figures),
     }
 
 

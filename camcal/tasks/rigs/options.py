@@ -35,6 +35,8 @@ from camcal.tasks.calibration.options import (
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
+    NO_FIGURES,
+    FigureOptions,
     Jobs,
     Overwrite,
     Recursive,
@@ -146,6 +148,7 @@ class RigSettings(OptionsRecord):
         ),
     ] = None
     max_uncertainty: MaxUncertainty = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

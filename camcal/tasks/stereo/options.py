@@ -9,8 +9,10 @@ from camcal.errors import InvalidInput
 from camcal.options import CHECKS, INPUT, OUTPUT, SIZE, Argument, Option, OptionsRecord, ValueType, Without, Written
 from camcal.stereo.options import MatchOptions
 from camcal.tasks.options import (
+    NO_FIGURES,
     PICTURES,
     CameraName,
+    FigureOptions,
     GivenCamera,
     Jobs,
     Overwrite,
@@ -283,6 +285,7 @@ class EvalOptions(OptionsRecord):
         ),
     ] = ()
     jobs: Jobs = None
+    figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,12 @@ from camcal.stereo.truth import (
     unoccluded,
     visible_in_both,
 )
+from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.stereo.options import EvalOptions, TruthPair
 from camcal.tasks.stereo.rectified_pair import geometry_of, named_file, warn_of_file
+
+if TYPE_CHECKING:
+    from camcal.report.figures.figure import Plot
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tiff", ".tif", ".bmp")
 
@@ -72,11 +76,12 @@ class DisparityVerdict:
 
 @dataclass(frozen=True)
 class EvalReport:
-    """What became of every pair, their mean (of a single one: its own figures), and the gates on that."""
+    """What became of every pair, their mean (of a single one: its own figures), the gates on that, and figure files."""
 
     outcomes: Sequence[Outcome[TruthPair, PairReport]]
     mean: Evaluation
     verdicts: tuple[DisparityVerdict, ...] = ()
+    figures: tuple[Path, ...] = ()
 
     @property
     def failures(self) -> list[Message]:
@@ -128,7 +133,26 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
         if unknown := _unknown(report.evaluation, mean):
             text = f"{unknown}; excluded from their mean"
             progress.warn(Message("unknown_figures", text, where=str(report.files.disparity)))
-    return EvalReport(outcomes, mean, tuple(_verdict(gate, mean) for gate in gates))
+    verdicts = tuple(_verdict(gate, mean) for gate in gates)
+    return EvalReport(outcomes, mean, verdicts, _write_figures(done, options))
+
+
+def _write_figures(reports: Sequence[PairReport], options: EvalOptions) -> tuple[Path, ...]:
+    """Write the figures of all maps, of several under their names; the maps are read once more."""
+    if options.figures.folder is None:
+        return ()
+    from camcal.report.figures.disparity_errors import DisparityErrors, disparity_error_plots
+    from camcal.report.figures.figure import of_part
+
+    plots: list[Plot] = []
+    for report in reports:
+        values = disparity.read(report.files.disparity, options.scale).matched()
+        true = disparity.read(report.files.truth, options.truth_scale).matched()
+        own = disparity_error_plots(
+            DisparityErrors(values - true, np.isfinite(true), _visible(report.files, options, true)[0])
+        )
+        plots += own if len(reports) == 1 else of_part(own, report.files.disparity.stem)
+    return write_figures(options.figures, plots)
 
 
 def _unknown(evaluation: Evaluation, mean: Evaluation) -> str | None:
@@ -283,6 +307,7 @@ def document(report: EvalReport) -> dict[str, Any]:
             for outcome in report.outcomes
             if outcome.error
         ],
+        **figure_data(report.figures),
     }
 
 

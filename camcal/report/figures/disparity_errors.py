@@ -1,0 +1,162 @@
+"""Figures of a disparity map against its truth: histogram of errors, their map, the bad pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import FigureBase
+from matplotlib.patches import Patch
+
+from camcal.arrays import Array
+from camcal.report.figures.figure import COLOUR_MAP, WIDTH, Plot, Theme, panel_height
+from camcal.report.figures.image_plane import colour_bar
+from camcal.stereo.truth import THRESHOLDS
+
+_REACH = 4.0  # px of the histogram to either side
+_BINS = 81
+_MOST = 1200  # px of a side that are drawn
+_LEVELS = (0.0, *THRESHOLDS, 8.0)
+
+
+@dataclass(frozen=True, eq=False)
+class DisparityErrors:
+    """errors: disparity minus truth (H, W), px, NaN without a disparity. known, visible: (H, W) which have a truth,
+    and which both cameras see.
+    """
+
+    errors: Array
+    known: Array
+    visible: Array
+
+    @property
+    def counted(self) -> Array:
+        """The errors (N,) of pixels that both cameras see and that have truth and disparity, px."""
+        values = self.errors[self.known & self.visible]
+        return np.asarray(values[np.isfinite(values)])
+
+    def bad_percent(self, threshold: float) -> float:
+        """Return how many percent of the pixels that both cameras see are off by more, or have no disparity."""
+        chosen = self.known & self.visible
+        good = np.abs(self.errors[chosen]) <= threshold
+        return 100 * (1 - float(good.mean())) if chosen.any() else float("nan")
+
+
+def disparity_error_plots(found: DisparityErrors) -> tuple[Plot, ...]:
+    """Return the histogram of errors, their map, and the map of bad pixels."""
+    return error_histogram(found), error_map(found), bad_pixels(found)
+
+
+def error_histogram(found: DisparityErrors) -> Plot:
+    """Return the histogram of disparity minus truth."""
+    values = found.counted
+    median = float(np.median(values)) if len(values) else float("nan")
+    within = 100 * float((np.abs(values) <= _REACH).mean()) if len(values) else float("nan")
+    words = f"median {median:+.3g} px, {within:.1f} % within {_REACH:g} px"
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = figure.subplots()
+        ends = np.linspace(-_REACH, _REACH, _BINS + 1)
+        inside = values[np.abs(values) <= _REACH]
+        share = np.full(len(inside), 100 / max(len(values), 1))
+        axes.hist(inside, ends.tolist(), weights=share, color=theme.series[0])
+        axes.axvline(0, color=theme.ink, lw=1)
+        axes.axvline(median, color=theme.series[1], lw=1.5, ls="--", label=f"median {median:+.3g} px")
+        axes.set_yscale("log")
+        axes.set_ylim(top=8 * axes.get_ylim()[1])
+        axes.set_xlim(-_REACH, _REACH)
+        axes.set_xlabel("disparity minus truth, px")
+        axes.set_ylabel("pixels, %")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.grid(visible=True)
+        axes.legend(loc="upper left")
+
+    return Plot(
+        "error_histogram",
+        "Errors of the disparity",
+        f"Disparity minus truth of the pixels that both cameras see, px; logarithmic counts in percent: {words}.",
+        f"Histogram of disparity errors: {words}.",
+        draw,
+        (WIDTH, 3.2),
+    )
+
+
+def error_map(found: DisparityErrors) -> Plot:
+    """Return the errors over the image."""
+    values = found.counted
+    mean = float(np.mean(np.abs(values))) if len(values) else float("nan")
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = _image_axes(figure)
+        scale = BoundaryNorm(_LEVELS, 256, extend="max")
+        image = axes.imshow(
+            _thinned(np.where(found.known, np.abs(found.errors), np.nan)),
+            cmap=COLOUR_MAP,
+            norm=scale,
+            interpolation="nearest",
+            extent=_extent(found),
+        )
+        axes.set_facecolor(theme.faint)
+        colour_bar(axes, image, "error, px")
+
+    return Plot(
+        "error_map",
+        "Errors over the image",
+        f"Distance of the disparity from the truth, px, {mean:.3g} px on average where both cameras see; gray: no "
+        "disparity or no truth.",
+        f"Map of disparity errors, {mean:.3g} px on average.",
+        draw,
+        panel_height((found.errors.shape[1], found.errors.shape[0])),
+        dense=True,
+    )
+
+
+def bad_pixels(found: DisparityErrors, threshold: float = 2.0) -> Plot:
+    """Return where the disparity is off by more than a threshold (px) or missing, and what one camera alone sees."""
+    share = found.bad_percent(threshold)
+    kinds = np.zeros(found.errors.shape, np.uint8)
+    with np.errstate(invalid="ignore"):
+        kinds[np.abs(found.errors) > threshold] = 1
+    kinds[~np.isfinite(found.errors)] = 2
+    kinds[~found.visible] = 3
+    kinds[~found.known] = 4
+    words = (f"within {threshold:g} px", f"beyond {threshold:g} px", "no disparity", "occluded", "no truth")
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = _image_axes(figure)
+        colours = [theme.paper, theme.bad, theme.series[0], theme.faint, theme.ink]
+        shades = ListedColormap(colours)
+        axes.imshow(_thinned(kinds), shades, vmin=0, vmax=4, interpolation="nearest", extent=_extent(found))
+        handles = [Patch(fc=colour, ec=theme.ink, label=word) for colour, word in zip(colours, words, strict=True)]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, columnspacing=0.8)
+
+    width, height = panel_height((found.errors.shape[1], found.errors.shape[0]))
+    return Plot(
+        "bad_pixels",
+        "Bad pixels",
+        f"Pixels whose disparity is off by more than {threshold:g} px or missing: {share:.2f} % of those that both "
+        f"cameras see (bad{threshold:g}).",
+        f"Map of bad pixels, {share:.2f} % of what both cameras see.",
+        draw,
+        (width, height + 0.8),
+        dense=True,
+    )
+
+
+def _image_axes(figure: FigureBase) -> Axes:
+    axes: Axes = figure.subplots()
+    axes.set_xlabel("u, px")
+    axes.set_ylabel("v, px")
+    axes.locator_params(nbins=6)
+    return axes
+
+
+def _thinned(image: Array) -> Array:
+    """Return every n-th pixel of an image (H, W), no more than can be shown."""
+    step = -(-max(image.shape) // _MOST)
+    return image[::step, ::step]
+
+
+def _extent(found: DisparityErrors) -> tuple[float, float, float, float]:
+    height, width = found.errors.shape
+    return -0.5, width - 0.5, height - 0.5, -0.5
