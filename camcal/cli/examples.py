@@ -70,6 +70,14 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         # Pixel coordinates in place of images
         undistort camera.yaml --points pixels.csv -o straight.csv
     """,
+    "plot": """
+        # All figures of a camera file, with their captions
+        plot camera.yaml -o figures
+        # One figure of detections, as PDF
+        plot detections.csv -o coverage.pdf --figure coverage
+        # A trajectory against its reference, coloured by the error
+        plot estimate.tum -o figures --reference truth.tum --figure-format svg
+    """,
     "convert": """
         # A camera file for OpenCV
         convert camera.yaml opencv.xml

@@ -41,6 +41,7 @@ COMMANDS = (
     Entry("calibrate", "calibrate:calibrate", "Calibrate one camera from images of a board."),
     Entry("rig", "rig:rig", "Calibrate several cameras together."),
     Entry("undistort", "undistort:undistort", "Undistort images, videos or points."),
+    Entry("plot", "plot:plot", "Draw figures of result files."),
     Entry("convert", "convert:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("demosaic", "raw:demosaic", "Demosaic raw frames."),

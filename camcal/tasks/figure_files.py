@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from camcal import files
 from camcal.run.outputs import claim
-from camcal.tasks.options import FigureOptions
+from camcal.tasks.options import THEMES, FigureOptions
 
 if TYPE_CHECKING:
     from camcal.report.figures.figure import Plot
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
 CAPTIONS = "figures.md"
 
 
-def write_figures(options: FigureOptions, plots: Sequence["Plot"]) -> tuple[Path, ...]:
+def write_figures(options: FigureOptions, plots: Sequence["Plot"], theme: str = THEMES[0]) -> tuple[Path, ...]:
     """Return the files of figures after writing them, and their captions, to the folder of the options.
 
     Raises InvalidInput or FileError, before any is written, if one of them must not or cannot be.
     """
     if options.folder is None:
         return ()
-    from camcal.report.figures.figure import encoded
+    from camcal.report.figures import figure
 
     paths = [options.folder / f"{plot.name}.{options.kind}" for plot in plots]
     captions = options.folder / CAPTIONS
     claim((*paths, captions))
     for path, plot in zip(paths, plots, strict=True):
-        files.write_bytes(path, encoded(plot, path.suffix))
+        files.write_bytes(path, figure.encoded(plot, path.suffix, figure.THEMES[theme]))
     files.write_text(captions, captions_page(plots, options.kind))
     return tuple(paths)
 

@@ -49,6 +49,7 @@ def trajectory_suffixes() -> tuple[str, ...]:
     return trajectories.SUFFIXES
 
 
+THEMES = ("light", "dark")  # of figures
 FIGURE_TYPES = tuple(suffix[1:] for suffix in FIGURES.known)
 PICTURES = Written(image_suffixes, folder=True)
 POSES = Written((".yaml", ".yml", ".json", ".csv"), stdout=True)
@@ -174,6 +175,19 @@ class GivenCamera(OptionsRecord):
         return True
 
 
+FigureType = Annotated[
+    str,
+    Option(
+        "Type of the figures.",
+        metavar="|".join(FIGURE_TYPES),
+        group=OUTPUT,
+        names="--figure-format",
+        choices=FIGURE_TYPES,
+        recorded=False,
+    ),
+]
+
+
 @dataclass(frozen=True)
 class FigureOptions(OptionsRecord):
     """A folder for figures of the result, None for no figures, and the type of their files."""
@@ -189,17 +203,7 @@ class FigureOptions(OptionsRecord):
             written=FOLDER,
         ),
     ] = None
-    kind: Annotated[
-        str,
-        Option(
-            "Type of the figures.",
-            metavar="|".join(FIGURE_TYPES),
-            group=OUTPUT,
-            names="--figure-format",
-            choices=FIGURE_TYPES,
-            recorded=False,
-        ),
-    ] = FIGURE_TYPES[0]
+    kind: FigureType = FIGURE_TYPES[0]
 
 
 NO_FIGURES = FigureOptions()
@@ -310,6 +314,50 @@ class ConvertFileOptions(OptionsRecord):
     ] = None
     given: Annotated[GivenCamera, Without(("camera_matrix", "distortion"))] = field(default_factory=GivenCamera)
     camera: CameraName = None
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class PlotOptions(OptionsRecord):
+    """Result files, and where their figures go: a folder, or a file for a single one.
+
+    figures: names of those that are wanted, none for all. reference: a trajectory that others are compared with.
+    """
+
+    inputs: Annotated[
+        tuple[str, ...],
+        Argument(
+            "Results of camcal: camera and rig files, detections, poses, trajectories, tracks, series, disparity maps, "
+            "sensor files, fits.",
+            metavar="FILE…",
+            required=True,
+        ),
+    ] = ()
+    output: Annotated[
+        Path | None,
+        output_option(
+            "Folder for the figures, with their captions in figures.md; or a file for one figure.",
+            Written(FIGURES.known, folder=True),
+            metavar="DIR|FILE",
+            required=True,
+        ),
+    ] = None
+    kind: FigureType = FIGURE_TYPES[0]
+    theme: Annotated[
+        str, Option("Colours: dark on light, or light on dark.", metavar="|".join(THEMES), group=OUTPUT, choices=THEMES)
+    ] = THEMES[0]
+    figures: Annotated[
+        tuple[str, ...],
+        Option("Name of a figure that is wanted; repeatable. By default all.", metavar="NAME", names="--figure"),
+    ] = ()
+    reference: Annotated[
+        Path | None,
+        Option(
+            "Trajectory that the others are compared with, after alignment: figures show the errors.",
+            metavar="FILE",
+            group=INPUT,
+        ),
+    ] = None
     overwrite: Overwrite = False
 
 

@@ -9,6 +9,7 @@ from matplotlib.figure import FigureBase
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.jackknife import CandidateModel
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
@@ -41,13 +42,20 @@ def calibration_plots(
         image_plane.projection_uncertainty(uncertainty, calibration.camera.image_size, circle),
         image_plane.residual_vectors(calibration),
         residuals_over_radius(calibration),
-        residuals_by_view(calibration),
+        residuals_by_view(_rms_of_views(calibration), len(calibration.views)),
         residual_histogram(calibration),
-        image_plane.coverage(calibration, circle),
+        image_plane.coverage(
+            calibration.pixels,
+            calibration.camera.image_size,
+            len(calibration.used),
+            _rejected(calibration),
+            calibration.camera,
+            circle,
+        ),
         board_shape(calibration.surface),
         board_height(calibration.surface),
         poses(calibration),
-        correlations(calibration),
+        correlations(calibration.camera),
         lens_models(candidates, calibration.camera.model.name),
     )
     return tuple(plot for plot in every if plot is not None)
@@ -107,13 +115,21 @@ def _draw_over(axes: Axes, radius: Array, values: Array, theme: Theme) -> None:
     axes.grid(visible=True)
 
 
-def residuals_by_view(calibration: Calibration) -> Plot:
-    """Return the RMS of the residuals of every view, the worst first; of many views, of the worst."""
-    every = sorted(_rms_of_views(calibration), key=lambda row: (-row[1], row[0]))
+def _rejected(calibration: Calibration) -> Array | None:
+    """Return the pixels (N, 2) of rejected corners, None without any."""
+    return np.array([corner.pixel for corner in calibration.rejected]) if calibration.rejected else None
+
+
+def residuals_by_view(rows: Sequence[tuple[str, float, bool]], images: int) -> Plot:
+    """Return the RMS of the residuals of every view, the worst first; of many views, of the worst.
+
+    rows: name, RMS in px and whether it is used, of every view with residuals. images: how many there are in all.
+    """
+    every = sorted(rows, key=lambda row: (-row[1], row[0]))
     shown = every[:NAMED]
     kept = [rms for _, rms, used in every if used]
     median, rejected = float(np.median(kept)), sum(not used for *_, used in every)
-    unused = len(calibration.views) - len(every)
+    unused = images - len(every)
     parts = [
         f"the {len(shown)} worst of {len(every)} views" if len(shown) < len(every) else counted(len(every), "view")
     ]
@@ -134,6 +150,29 @@ def residuals_by_view(calibration: Calibration) -> Plot:
         f"worst used view {max(kept):.3g} px.",
         f"Bars of the RMS of the residuals by view; median {median:.3g} px, worst {max(kept):.3g} px, "
         f"{counted(rejected, 'view')} rejected.",
+        draw,
+        ranked_size(len(shown)),
+    )
+
+
+def ranked_views(rows: Sequence[tuple[str, int]]) -> Plot:
+    """Return the number of corners of every view, the fewest first; of many views, of those with the fewest."""
+    every = [(name, float(count), count > 0) for name, count in sorted(rows, key=lambda row: (row[1], row[0]))]
+    shown, counts = every[:NAMED], [count for _, count in rows]
+    empty = sum(count == 0 for count in counts)
+    words = f"{sum(counts)} corners in {len(rows) - empty} of {counted(len(rows), 'view')}, at most {max(counts)}"
+    fewest = f", of the {NAMED} views with the fewest" if len(every) > NAMED else ""
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = figure.subplots()
+        draw_ranked(axes, shown, 1.1 * max(*(count for _, count, _ in shown), 1.0), theme)
+        axes.set_xlabel("corners, count")
+
+    return Plot(
+        "corners_by_view",
+        "Corners by view",
+        f"Number of corners in each view{fewest}, the fewest first: {words}.",
+        f"Bars of the number of corners by view: {words}.",
         draw,
         ranked_size(len(shown)),
     )
@@ -216,16 +255,26 @@ def residual_histogram(calibration: Calibration) -> Plot:
     )
 
 
-def correlations(calibration: Calibration) -> Plot | None:
-    """Return the correlation matrix of the free lens parameters, None where fewer than two are."""
-    camera = calibration.camera
+def correlations(camera: Camera) -> Plot | None:
+    """Return the correlation matrix of the free lens parameters, None where fewer than two are, or none is known."""
     names = [name for name in camera.model.parameter_names if name not in camera.fixed]
     if camera.covariance is None or len(names) < 2:
         return None
     index = [camera.model.parameter_names.index(name) for name in names]
     matrix = correlation_matrix(camera.covariance[np.ix_(index, index)])
+    return matrix_plot(
+        names,
+        matrix,
+        "lens parameter",
+        "Correlations of the lens parameters",
+        " Strong correlations are usual: the projection uncertainty accounts for them.",
+    )
+
+
+def matrix_plot(names: Sequence[str], matrix: Array, kind: str, title: str, remark: str = "") -> Plot:
+    """Return the correlations (K, K) of named parameters of a kind, such as 'lens parameter', with a remark on them."""
     off = np.abs(matrix - np.eye(len(names)))
-    one, other = np.unravel_index(int(off.argmax()), off.shape)
+    one, other = divmod(int(off.argmax()), len(names))
     strongest = f"{names[one]} and {names[other]}, {matrix[one, other]:+.3f}"
     step = -(-len(names) // _MOST_NAMES)
 
@@ -235,16 +284,16 @@ def correlations(calibration: Calibration) -> Plot | None:
         places = range(0, len(names), step)
         axes.set_xticks(places, names[::step], rotation=90)
         axes.set_yticks(places, names[::step])
-        axes.set_xlabel("lens parameter")
-        axes.set_ylabel("lens parameter")
+        axes.set_xlabel(kind)
+        axes.set_ylabel(kind)
         colour_bar(axes, image, "correlation")
 
     return Plot(
         "correlations",
-        "Correlations of the lens parameters",
-        f"Correlation of the errors of the {len(names)} free lens parameters, -1 to 1; the strongest is that of "
-        f"{strongest}. Strong correlations are usual: the projection uncertainty accounts for them.",
-        f"Matrix of correlations of {len(names)} lens parameters; the strongest is that of {strongest}.",
+        title,
+        f"Correlation of the errors of {counted(len(names), f'free {kind}')}, -1 to 1; the strongest is that of "
+        f"{strongest}.{remark}",
+        f"Matrix of correlations of {counted(len(names), kind)}; the strongest is that of {strongest}.",
         draw,
         (WIDTH, 4.2),
     )

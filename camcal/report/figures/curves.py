@@ -1,12 +1,15 @@
 """The figure of a fitted curve: data, curve, residuals."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from camcal.arrays import Array
 from camcal.estimate.curves.curve import CurveFit, predictions
-from camcal.report.figures.figure import WIDTH, Plot, Theme
+from camcal.messages import counted
+from camcal.report.figures.figure import WIDTH, Plot, Theme, logarithmic_labels
 
 _FINE = 400
 _MARGIN = 0.03  # of the range, beyond the data
@@ -110,3 +113,32 @@ def _spanned(values: Array) -> Array:
     """Return a fine scale over the range of values and a little beyond."""
     margin = _MARGIN * (float(np.ptp(values)) or 1.0)
     return np.linspace(values.min() - margin, values.max() + margin, _FINE)
+
+
+def parameter_errors(names: Sequence[str], values: Array, std: Array) -> Plot:
+    """Return the standard errors (K,) of fitted parameters as shares of their values (K,)."""
+    share = 100 * std / np.maximum(np.abs(values), 1e-300)
+    words = ", ".join(
+        f"{name} {value:.4g} ± {error:.2g}" for name, value, error in zip(names, values, std, strict=True)
+    )
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = figure.subplots()
+        axes.plot(share, range(len(names)), "o", color=theme.series[0], ms=7)
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        if (share > 0).all():
+            axes.set_xscale("log")
+            axes.set_xlim(0.3 * float(share.min()), 3 * float(share.max()))
+            logarithmic_labels(axes.xaxis)
+        axes.set_xlabel("standard error, % of the value")
+        axes.grid(visible=True)
+
+    return Plot(
+        "parameter_errors",
+        "Standard errors of the parameters",
+        f"Standard errors of the fitted parameters in percent of their values: {words}.",
+        f"Standard errors of {counted(len(names), 'parameter')}: {words}.",
+        draw,
+        (WIDTH, 1.3 + 0.3 * max(len(names), 3)),
+    )

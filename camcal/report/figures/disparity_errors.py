@@ -1,4 +1,4 @@
-"""Figures of a disparity map against its truth: histogram of errors, their map, the bad pixels."""
+"""Figures of a disparity map, and of one against its truth: histogram of errors, their map, the bad pixels."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,8 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
 from camcal.arrays import Array
+from camcal.report.figures import image_plane
 from camcal.report.figures.figure import COLOUR_MAP, WIDTH, Plot, Theme, panel_height
-from camcal.report.figures.image_plane import colour_bar
 from camcal.stereo.truth import THRESHOLDS
 
 _REACH = 4.0  # px of the histogram to either side
@@ -45,6 +45,32 @@ class DisparityErrors:
 def disparity_error_plots(found: DisparityErrors) -> tuple[Plot, ...]:
     """Return the histogram of errors, their map, and the map of bad pixels."""
     return error_histogram(found), error_map(found), bad_pixels(found)
+
+
+def disparity_map(values: Array) -> Plot:
+    """Return a disparity map (H, W), px, NaN without a match."""
+    known = values[np.isfinite(values)]
+    share = 100 * known.size / max(values.size, 1)
+    scale = image_plane.scale_of(known)
+    low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"), float("nan"))
+    words = f"{low:.4g} to {high:.4g} px, {share:.1f} % of the pixels matched"
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = _image_axes(figure)
+        extent = (-0.5, values.shape[1] - 0.5, values.shape[0] - 0.5, -0.5)
+        image = axes.imshow(_thinned(values), COLOUR_MAP, norm=scale, interpolation="nearest", extent=extent)
+        axes.set_facecolor(theme.faint)
+        image_plane.colour_bar(axes, image, "disparity, px")
+
+    return Plot(
+        "disparity",
+        "Disparity",
+        f"Disparity (left minus right column), larger is nearer: {words}; gray: no match.",
+        f"Map of disparities, {words}.",
+        draw,
+        panel_height((values.shape[1], values.shape[0])),
+        dense=True,
+    )
 
 
 def error_histogram(found: DisparityErrors) -> Plot:
@@ -97,7 +123,7 @@ def error_map(found: DisparityErrors) -> Plot:
             extent=_extent(found),
         )
         axes.set_facecolor(theme.faint)
-        colour_bar(axes, image, "error, px")
+        image_plane.colour_bar(axes, image, "error, px")
 
     return Plot(
         "error_map",

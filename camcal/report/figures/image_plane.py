@@ -10,6 +10,7 @@ from matplotlib.patches import Circle
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
@@ -138,17 +139,27 @@ def _cell_numbers(pixels: Array, size: tuple[int, int]) -> Array:
     return np.asarray(row * counts[0] + column)
 
 
-def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Plot:
-    """Return where in the image corners were seen, by their number in cells, with what the lens model is valid for."""
-    camera, pixels = calibration.camera, calibration.pixels
-    size = camera.image_size
+def coverage(
+    pixels: Array,
+    size: tuple[int, int],
+    views: int,
+    rejected: Array | None = None,
+    camera: Camera | None = None,
+    circle: ImageCircle | None = None,
+) -> Plot:
+    """Return where in the image corners were seen, by their number in cells.
+
+    pixels, rejected: (N, 2) px. size: (width, height). camera: shows what its lens model is valid for.
+    """
     columns, rows = cells_of(size)
     counts = np.bincount(_cell_numbers(pixels, size), minlength=columns * rows).reshape(rows, columns)
     share = 100 * float((counts > 0).mean())
-    border, fold = rim(camera, circle=circle)
-    folded = (
-        f" The lens model holds up to {fold.radius_px:.0f} px from the principal point (line)." if fold.folds else ""
-    )
+    folded, border = "", np.zeros((0, 2))
+    if camera is not None:
+        found, fold = rim(camera, circle=circle)
+        if fold.folds:
+            folded = f" The lens model holds up to {fold.radius_px:.0f} px from the principal point (line)."
+            border = np.vstack([found, found[:1]])
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure, size)
@@ -156,23 +167,52 @@ def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Plo
         mesh = axes.pcolormesh(u, v, np.ma.masked_equal(counts, 0), cmap=COLOUR_MAP, vmin=0, rasterized=True)
         colour_bar(axes, mesh, "corners per cell")
         axes.plot(pixels[:, 0], pixels[:, 1], ".", color=theme.series[1], ms=2.2, rasterized=True)
-        if calibration.rejected:
-            at = np.array([corner.pixel for corner in calibration.rejected])
-            axes.plot(at[:, 0], at[:, 1], "x", color=theme.ink, ms=5)
-        if fold.folds:
-            closed = np.vstack([border, border[:1]])
-            axes.plot(closed[:, 0], closed[:, 1], color=theme.bad, lw=1.5)
+        if rejected is not None:
+            axes.plot(rejected[:, 0], rejected[:, 1], "x", color=theme.ink, ms=5)
+        axes.plot(border[:, 0], border[:, 1], color=theme.bad, lw=1.5)
         _draw_circle(axes, circle, theme)
 
-    used = len(calibration.used)
     return Plot(
         "coverage",
         "Coverage of the image",
-        f"{counted(len(pixels), 'corner')} of {counted(used, 'view')} (dots) and their number per cell: {share:.0f} % "
+        f"{counted(len(pixels), 'corner')} of {counted(views, 'view')} (dots) and their number per cell: {share:.0f} % "
         f"of the cells have corners; in those without colour the lens is extrapolated.{folded}",
-        f"Corners of {counted(used, 'view')} over the image; {share:.0f} % of its cells have at least one.",
+        f"Corners of {counted(views, 'view')} over the image; {share:.0f} % of its cells have at least one.",
         draw,
         panel_height(size),
+        dense=True,
+    )
+
+
+def field_angle(camera: Camera, circle: ImageCircle | None = None) -> Plot:
+    """Return the angle from the optical axis that every place of the image sees."""
+    width, height = camera.image_size
+    u, v = np.linspace(0, width - 1, 81), np.linspace(0, height - 1, 61)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    rays = camera.unproject(pixels)
+    valid = rays.valid if circle is None else rays.valid & circle.contains(pixels)
+    angle = np.degrees(np.arctan2(np.hypot(rays.directions[:, 0], rays.directions[:, 1]), rays.directions[:, 2]))
+    angles = np.ma.masked_array(angle, ~valid).reshape(61, 81)
+    most = float(angles.max()) if valid.any() else 0.0
+    focal = ", ".join(f"{name} {camera.value(name):.5g} px" for name in ("fx", "fy"))
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = _image_axes(figure, camera.image_size)
+        mesh = axes.pcolormesh(u, v, angles, cmap=COLOUR_MAP, shading="gouraud", vmin=0, rasterized=True)
+        colour_bar(axes, mesh, "angle, deg")
+        axes.contour(u, v, angles, levels=_LEVELS + 2, colors="white", linewidths=0.8)
+        axes.plot(camera.value("cx"), camera.value("cy"), "+", color=theme.series[1], ms=9, mew=1.5)
+        axes.set_facecolor(theme.faint)
+        _draw_circle(axes, circle, theme)
+
+    return Plot(
+        "field_angle",
+        "Angle from the optical axis",
+        f"Angle between the ray of a pixel and the optical axis, up to {most:.1f}° in this image; lens model "
+        f"{camera.model.name}, {focal}. Cross: principal point; gray: no ray.",
+        f"Map of the angle from the optical axis, up to {most:.1f}°.",
+        draw,
+        panel_height(camera.image_size),
         dense=True,
     )
 

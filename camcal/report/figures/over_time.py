@@ -58,9 +58,10 @@ def over_time(panels: Sequence[Panel]) -> Plot:
 def _draw_panel(axes: Axes, panel: Panel, theme: Theme) -> None:
     stamps, values, std = panel.smoothed
     when, measured = panel.measured
-    start, good = when[0], ~panel.outliers
-    axes.plot(when[good] - start, measured[good], ".", color=theme.ink, ms=3, label="measured")
-    axes.plot(when[~good] - start, measured[~good], "x", color=theme.bad, ms=5, label="outliers")
+    start, good = min(when[:1].min(initial=np.inf), stamps[0]), ~panel.outliers
+    if len(when):
+        axes.plot(when[good] - start, measured[good], ".", color=theme.ink, ms=3, label="measured")
+        axes.plot(when[~good] - start, measured[~good], "x", color=theme.bad, ms=5, label="outliers")
     axes.fill_between(stamps - start, values - 2 * std, values + 2 * std, color=theme.series[0], alpha=0.3, lw=0)
     axes.plot(stamps - start, values, color=theme.series[0], lw=1, label="smoothed ± 2 σ")
     axes.set_ylabel(panel.name)

@@ -1,37 +1,77 @@
 """Figures of a sensor: photon transfer, linearity, signal-to-noise ratio."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
+from camcal.arrays import Array
 from camcal.raw.emva import line_deviation
 from camcal.raw.sensor import Characterisation
 from camcal.report.figures.figure import WIDTH, Plot, Theme, beside, logarithmic_labels
 
 _SERIES = {"R": 1, "Gr": 2, "Gb": 3, "B": 0, "mono": 0}  # colours of a theme
 _MARKERS = {"R": "o", "Gr": "^", "Gb": "v", "B": "s", "mono": "o"}
+PHASES = tuple(_SERIES)
 _SIZE = (WIDTH, 4.0)
 _HEADROOM = 8.0  # times the largest value of a logarithmic axis: room for the legend
 
 
+@dataclass(frozen=True, eq=False)
+class TransferCurve:
+    """Signal (L,), counts, and variance (L,), counts², of a phase, and the mask (L,) of levels that were fitted."""
+
+    signal: Array
+    variance: Array
+    fitted: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PhotonTransfer:
+    """The curves of a sensor's phases, and the figures that they give. saturation: what ends the counts."""
+
+    gain_dn_per_e: float
+    read_noise_e: float
+    full_well_e: float
+    saturation: str
+    curves: Mapping[str, TransferCurve]
+
+    @classmethod
+    def of(cls, sensor: Characterisation) -> "PhotonTransfer":
+        """Return the photon transfer of a sensor."""
+        found = sensor.figures
+        return cls(
+            found.gain_dn_per_e.value,
+            found.read_noise_e.value,
+            found.full_well_e.value,
+            sensor.saturation,
+            {name: TransferCurve(own.signal, own.variance, own.fitted) for name, own in sensor.curves.items()},
+        )
+
+    @property
+    def ends(self) -> str:
+        """What ends the counts, in words."""
+        return "white level" if self.saturation == "not reached" else self.saturation
+
+
 def sensor_plots(sensor: Characterisation) -> tuple[Plot, ...]:
     """Return photon transfer, signal-to-noise ratio and, where exposures are known, linearity of a sensor."""
-    known = sensor.figures.linearity_error is not None
-    return photon_transfer(sensor), signal_to_noise(sensor), *((linearity(sensor),) if known else ())
+    known, transfer = sensor.figures.linearity_error is not None, PhotonTransfer.of(sensor)
+    return photon_transfer(transfer), signal_to_noise(transfer), *((linearity(sensor),) if known else ())
 
 
 def characterisation(sensor: Characterisation) -> Plot:
     """Return the photon transfer of a sensor beside its linearity, or its signal-to-noise ratio without exposures."""
-    _, ratio, *line = sensor_plots(sensor)
-    return beside("sensor", "Sensor", (photon_transfer(sensor), line[0] if line else ratio))
+    transfer, ratio, *line = sensor_plots(sensor)
+    return beside("sensor", "Sensor", (transfer, line[0] if line else ratio))
 
 
-def photon_transfer(sensor: Characterisation) -> Plot:
+def photon_transfer(sensor: PhotonTransfer) -> Plot:
     """Return the noise over light with the line through the levels that count, and where pixels are full."""
-    figures = sensor.figures
-    gain, read, full = figures.gain_dn_per_e.value, figures.read_noise_e.value, figures.full_well_e.value
+    gain, read, full, ends = sensor.gain_dn_per_e, sensor.read_noise_e, sensor.full_well_e, sensor.ends
     noise = read * gain
-    ends = "white level" if sensor.saturation == "not reached" else sensor.saturation
     numbers = f"gain {gain:.4g} DN/e, read noise {read:.3g} e, {ends} {full:.0f} e"
 
     def draw(figure: FigureBase, theme: Theme) -> None:
@@ -88,16 +128,15 @@ def linearity(sensor: Characterisation) -> Plot:
     )
 
 
-def signal_to_noise(sensor: Characterisation) -> Plot:
+def signal_to_noise(sensor: PhotonTransfer) -> Plot:
     """Return the signal-to-noise ratio over the signal."""
-    gain, read = sensor.figures.gain_dn_per_e.value, sensor.figures.read_noise_e.value
-    full = sensor.figures.full_well_e.value
+    gain, read, full = sensor.gain_dn_per_e, sensor.read_noise_e, sensor.full_well_e
     best = full / float(np.sqrt(full + read**2))
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = figure.subplots()
         for name, curve in sensor.curves.items():
-            seen = (curve.signal > 0) & curve.complete & (curve.variance > 0)
+            seen = (curve.signal > 0) & (curve.signal < full * gain) & (curve.variance > 0)
             ratio, colour = curve.signal[seen] / np.sqrt(curve.variance[seen]), theme.series[_SERIES[name]]
             axes.loglog(curve.signal[seen] / gain, ratio, _MARKERS[name], color=colour, label=name, ms=5)
         light = np.geomspace(1, full, 200)

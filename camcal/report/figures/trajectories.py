@@ -29,10 +29,11 @@ _FLAT = 1e-3  # of the largest extent: what is drawn of one that is smaller
 
 @dataclass(frozen=True, eq=False)
 class DrawnPath:
-    """The places (N, 3) of a trajectory in metres, what colours them (N,), and where a line between two is left out.
+    """The places (N, 3) of a trajectory in metres, what colours them (N,), where a line between two is left out.
 
-    label: of the colours, with their unit. broken: (N,) whether no line leads from a place to the next. reference:
-    (M, 3) places of a reference, None without one. rotations: (N, 3, 3). words: what the colours say, for captions.
+    label: of the colours, with their unit. broken: (N,) whether no line leads from a place to the next. rotations:
+    (N, 3, 3). stamps: (N,) s. reference: (M, 3) places of a reference, None without one. words: what the colours say,
+    for captions. unit: of the places.
     """
 
     frames: str
@@ -44,6 +45,7 @@ class DrawnPath:
     stamps: Array
     reference: Array | None = None
     words: str = ""
+    unit: str = "m"
 
 
 def path_of(
@@ -88,7 +90,7 @@ def trajectory_plots(path: DrawnPath) -> tuple[Plot, ...]:
 def _extent(path: DrawnPath) -> tuple[float, str, str]:
     """Return factor and unit of the places, and the extents of the path in words."""
     size = np.ptp(path.places, axis=0)
-    factor, unit = small_unit(float(size.max()))
+    factor, unit = small_unit(float(size.max())) if path.unit == "m" else (1.0, path.unit)
     length = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1)[~path.broken[:-1]].sum())
     extents = " x ".join(f"{factor * side:.3g}" for side in size)
     return factor, unit, f"{len(path.places)} poses, {factor * length:.4g} {unit} long, extent {extents} {unit}"
@@ -133,9 +135,13 @@ def in_planes(path: DrawnPath) -> Plot:
     )
 
 
-def _mapped(path: DrawnPath) -> ScalarMappable:
+def _scale(path: DrawnPath) -> Normalize:
     low, high = float(np.min(path.colours)), float(np.max(path.colours))
-    return ScalarMappable(Normalize(low, high if high > low else low + 1), COLOUR_MAP)
+    return Normalize(low, high if high > low else low + 1)
+
+
+def _mapped(path: DrawnPath) -> ScalarMappable:
+    return ScalarMappable(_scale(path), COLOUR_MAP)
 
 
 def _segments(places: Array, path: DrawnPath) -> tuple[Array, Array]:
@@ -146,9 +152,10 @@ def _segments(places: Array, path: DrawnPath) -> tuple[Array, Array]:
 
 def _draw_line(axes: Axes, places: Array, path: DrawnPath, theme: Theme) -> None:
     lines, values = _segments(places, path)
-    drawn = LineCollection(list(lines), cmap=COLOUR_MAP, norm=_mapped(path).norm, lw=1.8, rasterized=True)
+    drawn = LineCollection(list(lines), cmap=COLOUR_MAP, norm=_scale(path), lw=1.8, rasterized=True)
     drawn.set_array(values)
     axes.add_collection(drawn)
+    axes.scatter(places[:, 0], places[:, 1], 4, path.colours, cmap=COLOUR_MAP, norm=_scale(path), rasterized=True)
     axes.plot(*places[0], "o", color=theme.good, ms=6, label="start")
     axes.plot(*places[-1], "s", color=theme.bad, ms=6, label="end")
     axes.update_datalim(places)
@@ -163,9 +170,10 @@ def in_space(path: DrawnPath) -> Plot:
         places = factor * path.places
         axes = space_axes(figure, theme)
         lines, values = _segments(places, path)
-        drawn = Line3DCollection(list(lines), cmap=COLOUR_MAP, norm=_mapped(path).norm, lw=1.8)
+        drawn = Line3DCollection(list(lines), cmap=COLOUR_MAP, norm=_scale(path), lw=1.8)
         drawn.set_array(values)
         axes.add_collection3d(drawn)
+        axes.scatter(*places.T, c=path.colours, cmap=COLOUR_MAP, norm=_scale(path), s=4, depthshade=False)
         axes.plot(*places[0], "o", color=theme.good, ms=6, label="start")
         axes.plot(*places[-1], "s", color=theme.bad, ms=6, label="end")
         everything = places

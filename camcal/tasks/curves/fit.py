@@ -26,6 +26,7 @@ from camcal.solve.differentiate import JacobianCheck, check_jacobian
 from camcal.tasks.curves.fit_report import FitReport, document, trace_csv, written
 from camcal.tasks.curves.options import TABLE, FitOptions
 from camcal.tasks.figure_files import write_figures
+from camcal.tasks.plot_documents import FIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +186,7 @@ def _write(report: FitReport, options: FitOptions, table: Table) -> None:
         files.write_bytes(options.plot, encoded(fitted_curve(report.fit), options.plot.suffix))
     if options.output is None:
         return
-    content = {"format": "camcal-fit", "version": 1, "data": Path(table.path).name, **document(report)}
+    content = {"format": FIT, "version": 1, "data": Path(table.path).name, **document(report)}
     if options.output.suffix.lower() != ".json":
         content = written(content)
     files.write_text(options.output, emit.text_for(options.output, content))

@@ -28,11 +28,12 @@ from camcal.report.uncertain import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
 from camcal.tasks.figure_files import figure_data, write_figures
+from camcal.tasks.plot_documents import SENSOR
 from camcal.tasks.raw.frame_sets import FrameSet, find_sets
 from camcal.tasks.raw.options import RawInput, SensorOptions
 from camcal.tasks.raw.raw_corrections import read_frame
 
-FORMAT, VERSION = "camcal-sensor", 1
+VERSION = 1
 COMMENT = "camcal sensor file. DN: counts, e: electrons. The block `sensor` goes into a camera file as it is."
 
 _WORDS = {
@@ -191,7 +192,7 @@ def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
     found = report.sensor
     images = [{"file": path.as_posix()} for one in (*report.flats, *report.darks) for path in one.paths]
     return {
-        "format": FORMAT,
+        "format": SENSOR,
         "version": VERSION,
         **_content(report),
         "warnings": list(map(str, report.warnings)),
