@@ -295,6 +295,7 @@ simulate chessboard:5x4:30mm -o scene --views 1 --size 320x240 --jobs 1
 detect scene/images --board chessboard:5x4:30mm -o found.csv --jobs 1
 calibrate detections.csv -o again.yaml
 inspect camera.yaml
+plot camera.yaml -o figures
 convert camera.yaml camera.xml
 inspect mosaic.npy --pattern RGGB
 undistort scene/truth.yaml scene/images -o straight --jobs 1

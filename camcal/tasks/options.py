@@ -348,7 +348,12 @@ class PlotOptions(OptionsRecord):
     ] = THEMES[0]
     figures: Annotated[
         tuple[str, ...],
-        Option("Name of a figure that is wanted; repeatable. By default all.", metavar="NAME", names="--figure"),
+        Option(
+            "Name of a figure that is wanted; repeatable. By default all.",
+            metavar="NAME",
+            group=OUTPUT,
+            names="--figure",
+        ),
     ] = ()
     reference: Annotated[
         Path | None,

@@ -1,16 +1,17 @@
-"""The figure of a sensor: a file of its kind, the same bytes every time. How it looks is for eyes."""
+"""Figures of a sensor: what they show; a file of its kind, the same bytes every time."""
 
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
+from drawn_figures import require_readable
 
 from camcal.errors import InvalidInput
 from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.sensor import characterise
-from camcal.report.figures.sensor import photon_transfer, require_suffix
+from camcal.report.figures.figure import encoded, require_suffix
+from camcal.report.figures.sensor import characterisation, sensor_plots
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 
@@ -28,32 +29,38 @@ def measured(known_exposures=True):
     return characterise([level(shot) for shot in exposure_series(raw, 8, 0.1)], [level(Shot(0.01, 0.0))])
 
 
-@cache
-def drawn(suffix, known_exposures=True):
-    return photon_transfer(measured(known_exposures), suffix)
-
-
 @pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
 def test_a_figure_is_a_file_of_its_kind(suffix, start):
-    assert drawn(suffix).startswith(start)
+    assert encoded(characterisation(measured()), suffix).startswith(start)
 
 
 def test_the_same_figure_is_the_same_file():
-    assert photon_transfer(measured(), ".svg") == drawn(".svg")
+    first, second = (encoded(characterisation(measured()), ".svg") for _ in range(2))
+    assert first == second
 
 
 @pytest.mark.slow
 def test_without_exposures_another_figure_stands_in_for_linearity():
-    with_line, without = (drawn(".svg", known).decode() for known in (True, False))
-    assert ("linearity" in with_line, "signal-to-noise" in with_line) == (True, False)
-    assert ("linearity" in without, "signal-to-noise" in without) == (False, True)
+    with_line, without = (encoded(characterisation(measured(known)), ".svg").decode() for known in (True, False))
+    assert ("Linearity" in with_line, "Signal-to-noise" in with_line) == (True, False)
+    assert ("Linearity" in without, "Signal-to-noise" in without) == (False, True)
 
 
-def test_a_figure_has_the_size_of_a_page_and_something_on_it():
-    image = cv2.imdecode(np.frombuffer(drawn(".png"), np.uint8), cv2.IMREAD_COLOR)
-    assert image.shape[:2] == (528, 1200)
-    reds = (image[..., 2] > 200) & (image[..., 1] < 60) & (image[..., 0] < 60)
-    assert reds.sum() > 50  # the red phase's marks
+def test_the_figures_of_a_sensor_are_readable_and_show_every_phase():
+    plots = sensor_plots(measured())
+    assert [plot.name for plot in plots] == ["photon_transfer", "signal_to_noise", "linearity"]
+    for plot in plots:
+        figure = require_readable(plot)
+        labels = figure.axes[0].get_legend_handles_labels()[1]
+        assert {"R", "Gr", "Gb", "B"} <= set(labels)
+
+
+def test_the_transfer_curve_goes_through_the_levels_that_are_fitted():
+    sensor = measured()
+    curve = sensor.curves["R"]
+    figure = require_readable(sensor_plots(sensor)[0])
+    points = next(line for line in figure.axes[0].lines if line.get_label() == "R").get_xydata()
+    assert points == pytest.approx(np.column_stack([curve.signal[curve.fitted], np.sqrt(curve.variance[curve.fitted])]))
 
 
 def test_other_types_of_file_are_refused(tmp_path):

@@ -20,6 +20,7 @@ from camcal.targets.surface import Surface
 
 _RELIEF = 0.25  # of the board's longer side: how high its largest deviation is drawn
 _MOST_RELIEF = 1000.0  # times: what is flatter is drawn flat
+_ZOOM, _LABEL_PAD = 0.9, 7.0  # of what stands in axes in space; points: labels stay inside, and off the numbers
 _LEAST = 1e-9  # of the board's longer side: a flat board
 
 
@@ -175,6 +176,8 @@ def space_axes(figure: FigureBase, theme: Theme) -> Axes3D:
         axis.line.set_color(theme.faint)
     axes.grid(visible=True)
     axes.locator_params(nbins=4)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.labelpad = _LABEL_PAD
     return axes
 
 
@@ -191,4 +194,4 @@ def equal_aspect(axes: Axes3D, points: Array) -> None:
     margin = 0.03 * float((high - low).max()) or 0.5
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_zlim(low[2] - margin, high[2] + margin)
-    axes.set_box_aspect(high - low + 2 * margin)
+    axes.set_box_aspect(high - low + 2 * margin, zoom=_ZOOM)

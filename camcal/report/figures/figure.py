@@ -15,7 +15,7 @@ import matplotlib as mpl
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
-from matplotlib.ticker import NullFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from camcal.errors import InvalidInput
 
@@ -26,6 +26,7 @@ DIVERGING_MAP = "PuOr"
 
 _DPI = 160
 _FONT = 10.0  # points
+_SHORT = 100.0  # of the ends of a logarithmic axis
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,9 @@ def of_part(plots: Sequence[Plot], part: str) -> tuple[Plot, ...]:
 
 
 def logarithmic_labels(axis: Axis) -> None:
-    """Write the numbers of a logarithmic axis in full, without those between powers of ten."""
+    """Write the numbers of a logarithmic axis in full: powers of ten, of a short axis 2 and 5 between them as well."""
+    low, high = sorted(axis.get_view_interval())
+    if high < _SHORT * low:
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())

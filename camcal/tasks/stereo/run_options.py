@@ -37,6 +37,8 @@ _CALIBRATION = (
     "mixed_sizes",
     "save_detections",
     "max_uncertainty",
+    "figures.folder",
+    "figures.kind",
     "overwrite",
 )  # of the rig's settings, what `stereo calibrate` is for
 
