@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from camcal.arrays import Array
 from camcal.report.colour_scale import turbo_table
-from camcal.report.stereo_words import headline, verdict
+from camcal.report.stereo_words import headline, line_of, verdict
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.pair.alignment import Residual
 from camcal.stereo.pair.pair_check import PairCheck
@@ -48,7 +48,6 @@ _BOX = 0.9
 
 # the picture of a check
 SUFFIXES = (".png",)
-_ROWS = "row in the right image minus row in the left, px"
 _CHECK_DPI = 110
 _WIDTH, _IMAGE_SHARE = 12.0, 0.62  # inches, and how much of them is the image
 _HEIGHTS = (4.6, 9.0)  # inches
@@ -205,23 +204,32 @@ def _draw_error_colours(strip: _Strip, occluded: bool) -> None:
 def picture_of(check: PairCheck, left: Array) -> bytes:
     """Return a PNG file: the left image (H, W) uint8, its features and what their rows are off, and two histograms.
 
+    Images of cameras above each other are drawn on their side.
+
     Arrows show, enlarged, where the right image has what the cell under them shows; the lines show the trend.
     """
+    left = left.T if check.upright else left
     height = _WIDTH * _IMAGE_SHARE * left.shape[0] / left.shape[1] + 1.0
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, float(np.clip(height, *_HEIGHTS))), layout="constrained")
         FigureCanvasAgg(figure)
         areas = figure.add_gridspec(2, 2, width_ratios=(2.4, 1))
-        _draw_rows(figure.add_subplot(areas[:, 0]), check.residual, left)
-        _draw_residuals(figure.add_subplot(areas[0, 1]), check.residual)
+        _draw_rows(figure.add_subplot(areas[:, 0]), check, left)
+        _draw_residuals(figure.add_subplot(areas[0, 1]), check)
         _draw_disparities(figure.add_subplot(areas[1, 1]), check)
-        figure.suptitle(f"{headline(check.residual)}\n{verdict(check)}", fontsize=10)
+        figure.suptitle(f"{headline(check)}\n{verdict(check)}", fontsize=10)
         stream = BytesIO()
         figure.savefig(stream, format="png", dpi=_CHECK_DPI, metadata={"Software": None})
     return stream.getvalue()
 
 
-def _draw_rows(axes: Axes, residual: Residual, left: Array) -> None:
+def _offset(check: PairCheck) -> str:
+    line = line_of(check)
+    return f"{line} in the right image minus {line} in the left, px"
+
+
+def _draw_rows(axes: Axes, check: PairCheck, left: Array) -> None:
+    residual = check.residual
     width, height = residual.size
     step = -(-width // _WIDEST)
     axes.imshow(left[::step, ::step], cmap="gray", vmin=-150, vmax=330, extent=(-0.5, width - 0.5, height - 0.5, -0.5))
@@ -236,10 +244,11 @@ def _draw_rows(axes: Axes, residual: Residual, left: Array) -> None:
     lengths = np.clip(medians, -full, full) / full * cell * 0.9
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "pivot": "mid", "width": 0.004}
     axes.quiver(*middles.T, np.zeros_like(lengths), lengths, medians, ec="black", lw=0.4, **arrows, **colours)
-    axes.figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.01, label=_ROWS)
+    axes.figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.01, label=_offset(check))
     _draw_trend(axes, residual)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"row offset of the right image, arrows × {0.9 * cell / full:.0f}")
+    turned = " (images on their side)" if check.upright else ""
+    axes.set_title(f"{line_of(check)} offset of the right image, arrows × {0.9 * cell / full:.0f}{turned}")
     _explain(axes)
 
 
@@ -274,12 +283,13 @@ def _draw_trend(axes: Axes, residual: Residual) -> None:
     axes.clabel(lines, fmt="%+.2f", fontsize=8)
 
 
-def _draw_residuals(axes: Axes, residual: Residual) -> None:
+def _draw_residuals(axes: Axes, check: PairCheck) -> None:
+    residual = check.residual
     limit = max(float(np.quantile(np.abs(residual.dy), 0.99)), _LEAST_SCALE)
     axes.hist(np.clip(residual.dy, -limit, limit), bins=np.linspace(-limit, limit, 41).tolist(), color="tab:gray")
     axes.axvline(0, color="black", lw=0.8)
     axes.axvline(residual.median.value, color="tab:red", lw=1.2, label=f"median {residual.median.value:+.3f} px")
-    axes.set_xlabel(_ROWS)
+    axes.set_xlabel(_offset(check))
     axes.set_ylabel("features")
     axes.set_ylim(top=_ROOM * axes.get_ylim()[1])
     axes.legend(loc="upper left", fontsize=8)

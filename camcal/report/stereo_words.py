@@ -9,8 +9,9 @@ import numpy as np
 
 from camcal.report.table import Column
 from camcal.report.uncertain import value_and_std
-from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured, Residual
+from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured
 from camcal.stereo.pair.pair_check import Exposure, PairCheck
+from camcal.stereo.rectify.record import AXES
 from camcal.stereo.truth import FIGURES, ClassErrors, Evaluation
 
 _SIGNIFICANT = 3.0  # standard errors
@@ -37,16 +38,22 @@ CLASS_COLUMNS = (
 _PERCENT = ("density", "bad", "d1", "within")
 
 
+def line_of(check: PairCheck) -> str:
+    """Return what corresponding points have in common, a row or, of cameras above each other, a column."""
+    return "column" if check.upright else "row"
+
+
 def lines(check: PairCheck) -> list[str]:
     """Return what was found of a pair, a line each."""
     residual = check.residual
     trend = residual.trend
-    said = [headline(residual)]
+    said = [headline(check)]
     if 0 < trend.largest <= LARGEST_CORRECTION:
-        shape = f"{_signed(trend.tilt)} from left to right, {_signed(trend.scale)} from top to bottom"
+        along, across = ("from left to right", "from top to bottom")[:: -1 if check.upright else 1]
+        shape = f"{_signed(trend.tilt)} {along}, {_signed(trend.scale)} {across}"
         said.append(f"trend: {_signed(trend.centre)} px at the centre, {shape}")
     if residual.convergence is not None and abs(residual.convergence.value) > _SIGNIFICANT * residual.convergence.std:
-        said.append(f"row difference by disparity: {_signed(residual.convergence)} px per px")
+        said.append(f"{line_of(check)} difference by disparity: {_signed(residual.convergence)} px per px")
     said.append(f"disparity {spanned(*check.disparity)} px{_searched(check)}")
     if check.exposure is not None:
         said.append(light(check.exposure))
@@ -60,15 +67,16 @@ def check_row(check: PairCheck) -> list[object]:
     return [*value_and_std(*residual.median), *sizes, spanned(*check.disparity), verdict(check)]
 
 
-def headline(residual: Residual) -> str:
-    """Return the vertical residual in a line."""
+def headline(check: PairCheck) -> str:
+    """Return the residual across the baseline in a line."""
+    residual, line = check.residual, line_of(check)
     features = f"{len(residual.dy)} inlier features of {residual.seen}"
     if not residual.rms:
-        return f"rows do not differ ({features})"
+        return f"{line}s do not differ ({features})"
     if residual.trend.largest > LARGEST_CORRECTION:  # beyond it a plane over the image describes nothing
-        return f"rows differ by up to {np.abs(residual.dy).max():.0f} px ({features})"
+        return f"{line}s differ by up to {np.abs(residual.dy).max():.0f} px ({features})"
     return (
-        f"rows differ by {_signed(residual.median)} px (median of {features}), RMS {residual.rms:.2f} px, "
+        f"{line}s differ by {_signed(residual.median)} px (median of {features}), RMS {residual.rms:.2f} px, "
         f"95 % within {residual.p95:.2f} px"
     )
 
@@ -100,17 +108,16 @@ def verdict(check: PairCheck) -> str:
     """Return whether the pair can be matched, and what to do."""
     if check.failure is not None:
         return check.failure.text
-    trend = check.residual.trend
-    off = f"row differences {trend.rms:.2f} px"
+    trend, line = check.residual.trend, line_of(check)
+    off = f"{line} differences {trend.rms:.2f} px"
     if trend.largest > LARGEST_CORRECTION:
-        return (
-            f"these images are not rectified: rows differ by more than the {LARGEST_CORRECTION:g} px that are corrected"
-        )
+        limit = f"more than the {LARGEST_CORRECTION:g} px that are corrected"
+        return f"these images are not rectified: {line}s differ by {limit}"
     if trend.rms > WORTH_RECTIFYING:
         return f"{off}: worth a new calibration and rectification; --align-rows auto of 'stereo disparity' helps"
     if trend.rms > NEGLIGIBLE:
         return f"{off}: --align-rows auto of 'stereo disparity' corrects it"
-    return "rows agree"
+    return f"{line}s agree"
 
 
 def plain(check: PairCheck) -> dict[str, Any]:
@@ -120,7 +127,8 @@ def plain(check: PairCheck) -> dict[str, Any]:
     named = {"centre": trend.centre, "tilt": trend.tilt, "scale": trend.scale}
     low, high = check.disparity
     return {
-        "size": residual.size,
+        "size": residual.size[::-1] if check.upright else residual.size,
+        "axis": AXES[int(check.upright)],
         "features": {"seen": residual.seen, "agreeing": len(residual.dy)},
         "rows_px": {
             "median": _plain(residual.median),

@@ -5,7 +5,14 @@ import json
 import cv2
 import numpy as np
 import pytest
+from room_scene import BESIDE, RoomRig
 from textured import darker, noisy, textured_pair, waves
+
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.formats import native
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.geometry.pose import Pose
 
 SIZE = (180, 130)
 
@@ -109,8 +116,8 @@ def test_the_json_document_of_a_pair(run, images):
     assert document["schema"] == "camcal/stereo-check/1"
     pair = document["pairs"][0]
     assert list(pair) == [
-        "left", "right", "size", "features", "rows_px", "trend_px", "rows_per_disparity", "disparity_px", "exposure",
-        "failure", "verdict", "picture",
+        "left", "right", "size", "axis", "features", "rows_px", "trend_px", "rows_per_disparity", "disparity_px",
+        "exposure", "failure", "verdict", "picture",
     ]  # fmt: skip
     assert pair["rows_px"]["median"]["value"] == pytest.approx(0.8, abs=0.03)  # two standard errors
     assert list(pair["rows_px"]) == ["median", "rms", "p95", "scatter"]
@@ -218,3 +225,31 @@ def test_an_input_is_not_overwritten_by_the_picture(run, images):
     code, _, err = run("stereo", "check", images / "left.png", images / "right.png", "-o", images / "right.png")
     assert code == 2
     assert "is an input" in err
+
+
+def test_columns_of_cameras_above_each_other_are_checked(run, tmp_path):
+    left, right = textured_pair(waves(4, 20, SIZE), 0.8)
+    size = SIZE[::-1]
+    view = Camera(model_named("pinhole"), size, np.array([100.0, 100.0, 64.0, 89.0]))
+    cameras = {"upper": CameraEntry(view), "lower": CameraEntry(view)}
+    below = Transform(Pose(np.eye(3), np.array([0.0, -0.1, 0.0])))
+    native.write(tmp_path / "rectified.yaml", CameraFile(cameras, {"lower_T_upper": below}))
+    for name, image in (("upper", left.T), ("lower", right.T)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+    arguments = "stereo", "check", tmp_path / "upper.png", tmp_path / "lower.png", tmp_path / "rectified.yaml"
+    code, out, err = run(*arguments, "-o", tmp_path / "check.png")
+    assert (code, err) == (0, "")
+    assert "columns differ by +0.80" in out or "columns differ by +0.79" in out
+    assert "column differences 0.8" in out
+    found = json.loads(run(*arguments, "--json")[1])["pairs"][0]
+    assert (found["axis"], found["size"]) == ("y", list(size))
+    assert run(*arguments, "--max-rms", 0.5)[0] == 7
+
+
+def test_images_of_a_rig_are_rectified_before_their_rows_are_checked(run, tmp_path):
+    rig = RoomRig(tmp_path, "pinhole", BESIDE)
+    code, out, err = run("stereo", "check", rig.left, rig.right, rig.file, "--json")
+    assert code == 0, err
+    assert json.loads(out)["pairs"][0]["rows_px"]["rms"] < 0.3
+    as_they_are = json.loads(run("stereo", "check", rig.left, rig.right, "--json")[1])["pairs"]
+    assert as_they_are[0]["rows_px"]["rms"] > 1

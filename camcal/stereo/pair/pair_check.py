@@ -59,7 +59,8 @@ class PairCheck:
 
     failure: SWAPPED, IDENTICAL, PERIODIC or None. exposure: None where too little is
     neither black nor white. disparities: (N,) pixels, spread over the left image; empty, and searched None, where too
-    little of the images can be matched. searched: the range a search for disparities would take, pixels.
+    little of the images can be matched. searched: the range a search for disparities would take, pixels. upright: the
+    cameras are above each other, and what stands here as rows are the columns of the images.
     """
 
     residual: Residual
@@ -67,6 +68,7 @@ class PairCheck:
     exposure: Exposure | None
     disparities: Array
     searched: tuple[int, int] | None
+    upright: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "disparities", readonly(self.disparities, (None,), "disparities", np.float32))
@@ -79,16 +81,20 @@ class PairCheck:
         return float(low), float(high)
 
 
-def check_pair(left: Array, right: Array) -> PairCheck:
+def check_pair(left: Array, right: Array, farthest: float = 0.0, *, upright: bool = False) -> PairCheck:
     """Return what two images (H, W) uint8 show as a pair.
 
+    farthest: as in `failure_of`. upright: the cameras are above each other, "left" is the upper one, and corresponding
+    points are in one column.
     Raises InvalidInput for images of different sizes, or if one is turned against the other; InsufficientData if they
     share too few features.
     """
+    if upright:
+        left, right = np.ascontiguousarray(left.T), np.ascontiguousarray(right.T)
     matches = match_features(left, right)
     turn = turn_of(matches)
     if turn:
-        side = "clockwise" if turn > 0 else "counter-clockwise"
+        side = "clockwise" if (turn > 0) != upright else "counter-clockwise"
         raise InvalidInput(
             f"the right image is rotated by {abs(degrees(turn)):.0f}° {side} relative to the left: rotate it back"
         )
@@ -97,10 +103,11 @@ def check_pair(left: Array, right: Array) -> PairCheck:
     periodic = coarse.periodic and residual.trend.largest <= LARGEST_CORRECTION  # rows far off match by chance
     return PairCheck(
         residual,
-        PERIODIC if periodic else failure_of(residual),
+        PERIODIC if periodic else failure_of(residual, farthest),
         exposure_of(left, right, residual),
         coarse.disparities[np.isfinite(coarse.disparities)],
         range_in(coarse, left.shape[1]),
+        upright,
     )
 
 

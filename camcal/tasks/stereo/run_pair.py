@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from camcal import files
 from camcal.arrays import PixelArray
 from camcal.errors import InsufficientData, InvalidInput
@@ -18,14 +16,14 @@ from camcal.report import cloud_view
 from camcal.report.cloud_scene import gather
 from camcal.report.cloud_view import Start
 from camcal.report.colour_scale import paint_of
-from camcal.stereo.pair.pair_check import PairCheck, check_pair
+from camcal.stereo.pair.pair_check import PairCheck
 from camcal.tasks.stereo.cloud import CloudReport, source_of_match, write_points
 from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions
 from camcal.tasks.stereo.pair_matching import PairImages, match_images, rectified_pair
 from camcal.tasks.stereo.rig_pair import RigPair
 from camcal.tasks.stereo.run_options import RunOptions
-from camcal.tasks.stereo.stereo_check import gray_pair
+from camcal.tasks.stereo.stereo_check import check_images
 from camcal.tasks.stereo.stereo_disparity import Figures, MapFiles, for_png, write_map
 from camcal.tasks.stereo.view import MOST_POINTS, PAGE, cloud_in
 
@@ -128,15 +126,9 @@ class _Heard(Silent):
 
 
 def _checked(images: PairImages) -> tuple[PairCheck | None, tuple[Message, ...]]:
-    """Return the check of rectified images, on their side where the epipolar lines are columns, or why there is none.
-
-    What is wrong with the pair the matching says as well, with the range of disparities known.
-    """
-    left, right = gray_pair(images.left, images.right)
-    if images.known.geometry is not None and images.known.geometry.upright:
-        left, right = left.T, right.T
+    """Return the check of rectified images, or why there is none; what is wrong with the pair the matching says too."""
     try:
-        return check_pair(np.ascontiguousarray(left), np.ascontiguousarray(right)), ()
+        return check_images(images), ()
     except (InsufficientData, InvalidInput) as error:
         return None, (Message("rows_not_checked", f"row offsets not checked: {error.message}"),)
 

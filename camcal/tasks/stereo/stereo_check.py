@@ -13,14 +13,17 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, GateFailed
 from camcal.images.load import gray_8bit, load
 from camcal.messages import Message
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.report import stereo_words as words
 from camcal.report.stereo_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
-from camcal.tasks.stereo.options import StereoCheckOptions
+from camcal.tasks.stereo.options import GeometryOptions, StereoCheckOptions
+from camcal.tasks.stereo.pair_matching import PairImages, read_pair
+from camcal.tasks.stereo.rectified_pair import pair_of, warn_of_file
+from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
 
 _SUFFIX = "_check.png"
 
@@ -57,7 +60,11 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     """
     pairs = find_pairs(options.left, options.right, options.recursive)
     pictures = _pictures(pairs, options.output)
-    work = partial(_check_files, pictures=pictures)
+    warn_of_file(options.camera_file, progress)
+    rig = unrectified_pair(options.camera_file, None, lambda: load(pairs[0][0]).size)
+    if rig is not None:
+        warn_of(rig.rectification.warnings, progress)
+    work = partial(_check_files, pictures=pictures, camera_file=options.camera_file, rig=rig)
     if len(pairs) == 1:
         outcomes = [Outcome(pairs[0], work(pairs[0]))]
     else:
@@ -121,20 +128,32 @@ def _pictures(pairs: Sequence[Pair], output: Path | None) -> Mapping[Path, Path]
     return pictures
 
 
-def _check_files(pair: Pair, pictures: Mapping[Path, Path]) -> CheckedPair:
-    left, right = pair
+def _check_files(
+    pair: Pair, pictures: Mapping[Path, Path], camera_file: str | None = None, rig: RigPair | None = None
+) -> CheckedPair:
+    images = read_pair(pair, rig, partial(pair_of, GeometryOptions(), camera_file))
+    left, right = images.paths
     try:
-        first, second = gray_pair(load(left).pixels, load(right).pixels)
-        check = check_pair(first, second)
+        check = check_images(images)
     except CamcalError as error:
         raise type(error)(error.message, where=error.where or f"{left}, {right}") from error
-    picture = pictures.get(left)
+    picture = pictures.get(pair[0])
     if picture is not None:
-        files.write_bytes(picture, picture_of(check, first))
+        files.write_bytes(picture, picture_of(check, _gray_pair(images.left, images.right)[0]))
     return CheckedPair(left, right, check, picture)
 
 
-def gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
+def check_images(images: PairImages) -> PairCheck:
+    """Return the check of rectified images, of cameras above each other that of their columns.
+
+    Raises InvalidInput for images of different sizes, InsufficientData if they share too few features.
+    """
+    geometry = images.known.geometry
+    upright = geometry is not None and geometry.upright
+    return check_pair(*_gray_pair(images.left, images.right), images.known.farthest, upright=upright)
+
+
+def _gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
     """Return two images (H, W) uint8; those of more than 8 bits by one scale, so that their light can be compared."""
     if left.dtype == right.dtype == np.uint8 or left.shape != right.shape:
         return gray_8bit(left), gray_8bit(right)
@@ -146,7 +165,7 @@ def _failure(check: PairCheck, max_rms: float) -> Message | None:
     rms = check.residual.rms
     if check.failure is not None or rms <= max_rms:
         return check.failure
-    text = f"row differences {rms:.2f} px RMS (limit {max_rms:g} px)"
+    text = f"{words.line_of(check)} differences {rms:.2f} px RMS (limit {max_rms:g} px)"
     return Message("row_differences", text, {"rms_px": rms, "limit_px": max_rms})
 
 
