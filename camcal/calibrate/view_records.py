@@ -18,7 +18,8 @@ _NAMED = 5  # images in a sentence
 class View:
     """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it
     does not fit the others. symmetry: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
-    rms_px is over the kept corners, per point. sha256: of the file, where it was read.
+    rms_px is over the kept corners, per point. sha256: of the file, where it was read, or of a frame's gray
+    levels.
     """
 
     image: str

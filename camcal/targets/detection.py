@@ -25,10 +25,10 @@ class BoardDetection:
 
     image: the name of the file, or of a frame of a video. size: (width, height). camera, body: the names of the one
     that took the image and of what is seen in it, where there are several. time: s, None where unknown.
-    orientation: the EXIF tag 1…8 (never applied). sha256: of the file, where it was read.
-    other: the board in sight that is not the one that was searched for. colours: the same points by the samples of one
-    colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN where
-    they were not measured.
+    orientation: the EXIF tag 1…8 (never applied). sha256: of the file, where it was read, or of a frame's gray
+    levels. other: the board in sight that is not the one that was searched for. colours: the same points by the samples
+    of one colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN
+    where they were not measured.
     """
 
     image: str = ""

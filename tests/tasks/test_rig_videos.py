@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from moving_board import between
 
+from camcal.calibrate.view_records import View
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
@@ -17,7 +18,9 @@ from camcal.progress import SILENT
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
+from camcal.tasks.calibration.calibrate import image_record
 from camcal.tasks.calibration.options import FrameOptions
+from camcal.tasks.calibration.video_frames import detect_frame
 from camcal.tasks.rigs.calibrate_rig import rig
 from camcal.tasks.rigs.camera_inputs import CameraInputs
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions
@@ -116,3 +119,12 @@ def test_a_pair_is_calibrated_from_videos_of_different_rates(tmp_path):
     found = native.read(tmp_path / "rig.yaml").transforms["right_T_left"].pose
     assert np.linalg.norm(found.translation - RIGHT_T_LEFT.translation) < 1e-3
     assert json.dumps(report.lines).count("frames used") == 2
+
+
+def test_frames_have_hashes_of_their_own_that_calibrations_record(noise_videos):
+    video = survey_rig(noise_videos, FrameOptions(whole=True, every=3), None, SILENT).videos["left"]
+    first, again = ([detect_frame((frame.name, frame, BOARD)).sha256 for frame in video.frames()] for _ in range(2))
+    assert first == again
+    assert len(set(first)) == len(video.numbers) == 4
+    records = [image_record(View(name, 0, sha256=digest)) for name, digest in zip(video.names, first, strict=True)]
+    assert [record["sha256"] for record in records] == first

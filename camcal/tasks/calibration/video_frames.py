@@ -5,6 +5,7 @@ is then searched for the board at its full size, and `calibrate.frames` chooses 
 kept in memory.
 """
 
+import hashlib
 from collections import Counter
 from collections.abc import Container, Iterator, Sequence
 from contextlib import suppress
@@ -166,7 +167,8 @@ def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> BoardDe
     """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial."""
     name, frame, board = task
     gray = frame.image.pixels
-    found = replace(detect(gray, board, partial=parts), image=name, orientation=frame.image.orientation)
+    digest = hashlib.sha256(np.ascontiguousarray(gray)).hexdigest()
+    found = replace(detect(gray, board, partial=parts), image=name, orientation=frame.image.orientation, sha256=digest)
     if not found.found:
         return found
     copy = reduced(gray)
