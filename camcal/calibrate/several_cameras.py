@@ -268,8 +268,9 @@ def smoothness(problem: BoardProblem, state: State, weights: Array) -> float:
     points, residuals = problem.board.points()[:, :2] / max(problem.board.extent), problem.residuals(state)
     smooth, found = polynomial_terms(points, _DEGREE), []
     count = smooth.shape[1]
-    for view in np.flatnonzero((weights > 0).sum(axis=1) > 2 * count):
-        shown = (weights[view] > 0) & np.isfinite(residuals[:, view]).all(axis=0)
+    usable = (weights > 0) & np.isfinite(residuals).all(axis=0)  # a poor pose leaves corners behind the camera
+    for view in np.flatnonzero(usable.sum(axis=1) > 2 * count):
+        shown = usable[view]
         root = np.sqrt(weights[view, shown])[:, None]
         terms = root * smooth[problem.observations.ids[view, shown]]
         values = root * residuals[:, view, shown].T

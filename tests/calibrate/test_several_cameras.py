@@ -14,10 +14,12 @@ from scipy.stats import norm
 from camcal.calibrate import several_cameras
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.refusals import require_one_camera
-from camcal.calibrate.several_cameras import TwoCameras
+from camcal.calibrate.several_cameras import TwoCameras, smoothness
 from camcal.calibrate.single_views import ViewQuadratics
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData
 from camcal.quality.assess import assess
 from camcal.targets.board import Board
@@ -220,3 +222,19 @@ def test_the_ratio_of_few_views_is_its_mean_less_its_standard_error():
     """Four ratios of errors of 2, 2, 2 and 8: their logarithms to base 2 are 1.5 on average, with a deviation of 1."""
     found = several_cameras._ratio(np.array([4.0, 4.0, 4.0, 64.0]), np.ones(4), np.full(4, 100.0))
     assert found == pytest.approx(2 ** (1.5 - 1 / 2), rel=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_view_whose_pose_leaves_hardly_a_corner_in_front_of_the_camera_tells_nothing_of_the_lens():
+    scene = make_scene(count=3)
+    problem = BoardProblem(scene.camera.model, scene.board, Observations.of(scene.observe(1)), np.arange(9))
+    rotations, translations = (
+        np.stack([getattr(pose, name) for pose in scene.poses]) for name in ("rotation", "translation")
+    )
+    translations[1, 2] -= 10.0  # behind the camera
+    state = State(
+        np.array(scene.camera.parameters), rotations, translations, np.zeros(0), np.zeros((scene.board.count, 3))
+    )
+    weights = problem.observations.weights
+    assert np.isnan(problem.residuals(state)[:, 1]).all()
+    assert smoothness(problem, state, weights) == smoothness(problem, state, weights * np.array([[1], [0], [1]]))
