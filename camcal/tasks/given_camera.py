@@ -53,7 +53,9 @@ def read_camera_file(
 
 
 def require_no_image(path: Path) -> None:
-    """Raise InvalidInput if what stands for a camera file is an image, a video or a folder of them."""
+    """Raise InvalidInput if what stands for a camera file is an image, a video, a folder of them, or an array file."""
+    if path.suffix.lower() == ".npz":
+        raise InvalidInput("holds arrays, such as maps, where a camera file is needed", where=str(path))
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES:
         what = "a folder" if path.is_dir() else "an image or video"
         raise InvalidInput(

@@ -126,6 +126,26 @@ def test_a_rig_of_three_asks_which_two(run, tmp_path, beside):
     assert Path(tmp_path / "map.tiff").exists()
 
 
+@pytest.mark.parametrize("images", [("left",), ()])
+def test_a_map_with_the_file_of_an_unrectified_rig_is_no_pair(run, tmp_path, beside, images):
+    path = tmp_path / "map.npz"
+    np.savez(path, np.full((SIZE[1] + 4, SIZE[0] + 4), 8.0, np.float32))
+    paths = [getattr(beside, name) for name in images]
+    code, _, err = run("stereo", "cloud", path, *paths, beside.file, "-o", tmp_path / "cloud.ply")
+    assert code == 2
+    assert "rig.yaml: is of cameras whose images are not rectified: for a disparity map give" in err
+
+
+def test_arrays_in_place_of_a_camera_file_are_named(run, tmp_path, beside):
+    np.savez(tmp_path / "maps.npz", left_map1=np.zeros((3, 3)))
+    for command in ("disparity", "check", "rectify"):
+        words = (tmp_path / "maps.npz", beside.left, beside.right)
+        ordered = words if command == "rectify" else (*words[1:], words[0])
+        code, _, err = run("stereo", command, *ordered, "-o", tmp_path / "out.png")
+        assert code == 2
+        assert "maps.npz: holds arrays, such as maps, where a camera file is needed" in err
+
+
 def test_images_of_another_size_than_the_camera_are_named(run, tmp_path, beside):
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((60, 80), np.uint8))
     code, _, err = run(

@@ -167,7 +167,7 @@ def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> BoardDe
     """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial."""
     name, frame, board = task
     gray = frame.image.pixels
-    digest = hashlib.sha256(np.ascontiguousarray(gray)).hexdigest()
+    digest = hashlib.sha256(gray.tobytes()).hexdigest()
     found = replace(detect(gray, board, partial=parts), image=name, orientation=frame.image.orientation, sha256=digest)
     if not found.found:
         return found

@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array, FloatArray
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import disparity, pointclouds, pose_text
+from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
@@ -19,7 +19,7 @@ from camcal.parsing import parse_number
 from camcal.progress import SILENT, Outcome, Progress, values_of, warn_of
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import find_pairs, place, require_there, split_address
+from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, place, require_there, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
@@ -30,7 +30,7 @@ from camcal.tasks.stereo import rectified_pair
 from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
 from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
-from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
+from camcal.tasks.stereo.rig_pair import RigPair, require_rectified, unrectified_pair
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
@@ -120,10 +120,19 @@ def rig_of_cloud(options: CloudOptions, progress: Progress) -> RigPair | None:
     image, address = _image_and_camera(options.files)
     if address is None or image is None or options.geometry.numbers() or options.scale is not None:
         return None
+    if _is_map(options.disparity):
+        return None
     rig = unrectified_pair(address, options.geometry.camera, partial(_size_of_first, options.disparity, image))
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig
+
+
+def _is_map(path: Path) -> bool:
+    """Return whether a file can only be a disparity map: of a type that images do not have, or with a sidecar."""
+    return path.is_file() and (
+        path.suffix.lower() not in IMAGE_SUFFIXES or disparity_sidecar.path_beside(path).is_file()
+    )
 
 
 def _size_of_first(left: Path, right: Path) -> tuple[int, int]:
@@ -169,6 +178,8 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
 
 def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> RectifiedPair:
     height, width = found.values.shape
+    if not options.geometry.numbers():
+        require_rectified(address, options.geometry.camera, (width, height))
     pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
     if pair.geometry is None:
         raise InvalidInput(_NO_GEOMETRY)

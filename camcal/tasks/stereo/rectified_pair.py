@@ -26,7 +26,7 @@ from camcal.run.paths import split_address
 from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
 from camcal.stereo.points.depth import StereoImage
-from camcal.tasks.given_camera import read_camera_file
+from camcal.tasks.given_camera import read_camera_file, require_no_image
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
 from camcal.tasks.stereo.options import GeometryOptions
 
@@ -130,6 +130,7 @@ def warn_of_file(address: str | None, progress: Progress) -> None:
     """
     path = None if address is None else split_address(address)[0]
     if path is not None and path.suffix.lower() != pair_calibration.SUFFIX:
+        require_no_image(path)
         with suppress(MissingSize):  # the images have one
             cameras.read(path, progress)
 

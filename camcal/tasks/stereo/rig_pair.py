@@ -140,13 +140,33 @@ def unrectified_pair(
     they are a rectified pair.
     Raises InvalidInput for cameras that are not there or remain to be chosen, and what cannot be rectified; FileError.
     """
+    rig = _unrectified(address, camera, size_of_images, progress)
+    return None if rig is None else rig_pair(rig, rig.rectification())
+
+
+def require_rectified(address: str | None, camera: str | None, size: Size) -> None:
+    """Raise InvalidInput if the camera file of a disparity map is of two cameras that are no rectified pair.
+
+    address, camera: as in `unrectified_pair`. size: of the map, (width, height).
+    """
+    if _unrectified(address, camera, lambda: size, SILENT) is not None:
+        raise InvalidInput(
+            "is of cameras whose images are not rectified: for a disparity map give the camera file of the rectified "
+            "pair, or none if the map has a sidecar",
+            where=address,
+        )
+
+
+def _unrectified(
+    address: str | None, camera: str | None, size_of_images: Callable[[], Size | None], progress: Progress
+) -> GivenRig | None:
     if address is None:
         return None
     path, named = split_address(address)
     if path.suffix.lower() not in CAMERA_SUFFIXES:
         return None
     rig = _chosen(read_camera_file(str(path), _AS_FILE, progress, size_of_images), _names(camera or named), path)
-    return None if rig is None or rig.is_rectified else rig_pair(rig, rig.rectification())
+    return None if rig is None or rig.is_rectified else rig
 
 
 def _names(text: str | None) -> tuple[str, ...]:
