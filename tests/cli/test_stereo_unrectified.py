@@ -133,7 +133,8 @@ def test_a_map_with_the_file_of_an_unrectified_rig_is_no_pair(run, tmp_path, bes
     paths = [getattr(beside, name) for name in images]
     code, _, err = run("stereo", "cloud", path, *paths, beside.file, "-o", tmp_path / "cloud.ply")
     assert code == 2
-    assert "rig.yaml: is of cameras whose images are not rectified: for a disparity map give" in err
+    assert "rig.yaml: the camera is distorted (opencv5)" in err
+    assert "a disparity map needs the camera file of the rectified pair, or none if it has a sidecar" in err
 
 
 def test_arrays_in_place_of_a_camera_file_are_named(run, tmp_path, beside):

@@ -64,10 +64,10 @@ class GivenRig:
         return {name: self.file.cameras[name].image_circle for name in self.names}
 
     @property
-    def is_rectified(self) -> bool:
-        """Whether the images of the two are a rectified pair already."""
-        first, second = self.cameras.values()
-        return why_not_rectified(first, second, self.second_T_first) is None
+    def why_not_rectified(self) -> str | None:
+        """Why the images of the two are no rectified pair, None if they are one."""
+        first, second = (self.cameras[name] for name in self.names)
+        return why_not_rectified(first, second, self.second_T_first)
 
     def pose(self, target: str, source: str) -> Pose:
         """Return target_T_source of the two."""
@@ -149,12 +149,10 @@ def require_rectified(address: str | None, camera: str | None, size: Size) -> No
 
     address, camera: as in `unrectified_pair`. size: of the map, (width, height).
     """
-    if _unrectified(address, camera, lambda: size, SILENT) is not None:
-        raise InvalidInput(
-            "is of cameras whose images are not rectified: for a disparity map give the camera file of the rectified "
-            "pair, or none if the map has a sidecar",
-            where=address,
-        )
+    rig = _unrectified(address, camera, lambda: size, SILENT)
+    if rig is not None:
+        advice = "a disparity map needs the camera file of the rectified pair, or none if it has a sidecar"
+        raise InvalidInput(f"{rig.why_not_rectified}; {advice}", where=address)
 
 
 def _unrectified(
@@ -166,7 +164,7 @@ def _unrectified(
     if path.suffix.lower() not in CAMERA_SUFFIXES:
         return None
     rig = _chosen(read_camera_file(str(path), _AS_FILE, progress, size_of_images), _names(camera or named), path)
-    return None if rig is None or rig.is_rectified else rig
+    return None if rig is None or rig.why_not_rectified is None else rig
 
 
 def _names(text: str | None) -> tuple[str, ...]:
