@@ -1,0 +1,93 @@
+"""Run the commands of a page of the documentation as they stand, one block after another, in an empty folder.
+
+python tests/run_page.py docs/tutorial.md FOLDER runs a page and prints what its commands print.
+"""
+
+import os
+import re
+import stat
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+PROJECT = Path(__file__).parents[1]
+README = PROJECT / "README.md"
+PAGES = [PROJECT / "docs" / "tutorial.md", *sorted((PROJECT / "docs" / "recipes").glob("*.md"))]
+
+_FENCE = re.compile(r"^```(sh|python|text)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_INSTALLATION = "-m venv"  # blocks that install camcal are run by .ci/run
+
+
+@dataclass(frozen=True)
+class Step:
+    """A block of commands or of Python, and the lines of its output that the page shows."""
+
+    language: str
+    code: str
+    shown: str = ""
+
+
+def steps(page: str) -> list[Step]:
+    """Return the blocks of a page that are run, each with the text block that follows it before the next."""
+    found: list[Step] = []
+    for language, code in _FENCE.findall(page):
+        if language == "text" and found and not found[-1].shown:
+            found[-1] = Step(found[-1].language, found[-1].code, code)
+        elif language != "text" and _INSTALLATION not in code:
+            found.append(Step(language, code))
+    return found
+
+
+def run(page: str, folder: Path) -> list[str]:
+    """Return the output of every step of a page, run in a folder; a command that fails ends it with its output."""
+    with tempfile.TemporaryDirectory() as kept:
+        tools, outputs = Path(kept), []
+        _write_command(tools / "camcal")
+        script = ["set -euo pipefail"]
+        for number, step in enumerate(steps(page)):
+            outputs.append(tools / f"{number}.txt")
+            script.append(_script(step, outputs[-1]))
+        path = f"{tools}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        environment = os.environ | {"PATH": path, "COLUMNS": "80"}
+        ended = subprocess.run(["bash", "-c", "\n".join(script)], cwd=folder, env=environment, check=False)
+        printed = [output.read_text(encoding="utf-8") for output in outputs if output.exists()]
+        if ended.returncode:
+            message = f"exit {ended.returncode} in\n{steps(page)[len(printed) - 1].code}\n{printed[-1]}"
+            raise RuntimeError(message)
+        return printed
+
+
+def _write_command(path: Path) -> None:
+    """Write a program `camcal` that is the package of this tree."""
+    start = "from camcal.cli.main import main; main()"
+    path.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{start}" "$@"\n', encoding="utf-8")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+
+
+def _script(step: Step, output: Path) -> str:
+    if step.language == "python":
+        return f"python - > {output} 2>&1 <<'END_OF_PYTHON'\n{step.code}END_OF_PYTHON"
+    return f"{{\n{step.code}}} > {output} 2>&1"
+
+
+def missing(shown: str, printed: str) -> list[str]:
+    """Return the lines of a page that an output does not have in this order, whatever their numbers are."""
+    left = iter(map(masked, printed.splitlines()))
+    return [line for line in shown.splitlines() if line.strip() not in {"", "…"} and masked(line) not in left]
+
+
+def masked(line: str) -> str:
+    """Return a line with every number as # and single blanks."""
+    return " ".join(_NUMBER.sub("#", line).split())
+
+
+if __name__ == "__main__":
+    page, folder = Path(sys.argv[1]), Path(sys.argv[2])
+    folder.mkdir(parents=True, exist_ok=True)
+    text = page.read_text(encoding="utf-8")
+    for step, printed in zip(steps(text), run(text, folder.resolve()), strict=True):
+        lost = "".join(f"*** not printed: {line}\n" for line in missing(step.shown, printed))
+        sys.stdout.write(f"{step.code}---\n{printed}{lost}")
