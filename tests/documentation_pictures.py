@@ -15,6 +15,7 @@ from run_page import PAGES, PROJECT, README, run
 
 FOLDER = PROJECT / "docs" / "pictures"
 COLOURS = 64
+MORE_COLOURS = {"stereo-depth", "readme-disparity"}  # scales of colours
 GAP = 8  # pixels between pictures side by side
 Maker = Callable[[Path], Image.Image]
 
@@ -64,6 +65,13 @@ def _of_16_bits(image: Image.Image) -> Image.Image:
 
 
 PICTURES: dict[str, dict[str, Maker]] = {
+    "readme": {
+        "readme-corners": one("drawn/view0003_corners.png", 640),
+        "readme-straight": row(400, "photos/images/view0002.png", "straight/view0002.png"),
+        "readme-uncertainty": one("uncertainty.png", 640),
+        "readme-disparity": one("disparity.tiff.vis.png", 640),
+        "readme-cloud": one("cloud.png", 720),
+    },
     "tutorial": {
         "tutorial-board": one("target.pdf", 700),
         "tutorial-corners": one("drawn/view0003_corners.png", 800),
@@ -79,12 +87,12 @@ PICTURES: dict[str, dict[str, Maker]] = {
     "industrial-camera": {
         "industrial-camera": row(
             *(290, "bayer/images/view0000.png", "colour/view0000.tiff", "straight/view0000.tiff"),
-            cut=(0.1, 0.1, 0.2, 0.2),
+            cut=(0.0, 0.0, 0.16, 0.16),
         ),
     },
     "stereo-depth": {
         "stereo-depth": row(400, "scene/left/000.png", "disparity.png"),
-        "stereo-cloud": one("cloud.png", 900),
+        "stereo-cloud": one("cloud.png", 720),
     },
     "marker-tracking": {
         "marker-track": one("track.png", 800),
@@ -106,7 +114,8 @@ def make(page: Path) -> None:
 def write(picture: Image.Image, name: str) -> None:
     """Write a picture with few colours."""
     FOLDER.mkdir(exist_ok=True)
-    few = picture.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    colours = 256 if name in MORE_COLOURS else COLOURS
+    few = picture.quantize(colours, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(FOLDER / f"{name}.png", optimize=True)
 
 

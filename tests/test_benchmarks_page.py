@@ -57,3 +57,31 @@ def test_a_command_is_run_and_its_output_kept_with_the_versions(tmp_path, monkey
     assert found.output == " 1  2"
     assert re.search(r"^Python 3\.\d+\.\d+, OpenCV \d.*, numpy \d.*, mrcal 2\.2$", found.versions)
     assert found.commands[0].endswith("""-c 'print('"'"' 1  2'"'"')'""")
+
+
+def rows(text):
+    """Return the cells of the tables under `On real images`, by the first one."""
+    section = text.partition("## On real images\n")[2].partition("\n## ")[0]
+    lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    return {cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in lines}
+
+
+def differing(shown):
+    """Return the programs and sets whose figures are not those of the results."""
+    found = results()
+    programs = {line.split()[0]: line.split()[1:5] for line in found["split_halves_programs"].output.splitlines()[2:]}
+    wanted = {name: [sets, best, held, lenses] for name, (sets, best, lenses, held) in programs.items()}
+    wanted["OpenCV"] = wanted.pop("cv2")
+    sets = [line for line in found["split_halves"].output.splitlines() if line.startswith(tuple(SETS))]
+    wanted |= {line[:18].strip(): [line[18:34].strip(), *line.split()[-2:]] for line in sets}
+    return [name for name, figures in wanted.items() if shown.get(name) != figures]
+
+
+SETS = ("bouguet", "udacity-gopro", "trinocular left")
+
+
+def test_the_readme_has_the_figures_of_the_results():
+    text = (PROJECT / "README.md").read_text(encoding="utf-8")
+    assert differing(rows(text.replace("0.1509", "0.1409").replace("2.343", "2.443"))) == ["mrcal", "udacity-gopro"]
+    assert differing(rows(text)) == []
+    assert {*SETS, "camcal", "OpenCV", "mrcal", "lensboy"} <= set(rows(text))
