@@ -15,7 +15,7 @@ from run_page import PAGES, PROJECT, README, run
 
 FOLDER = PROJECT / "docs" / "pictures"
 COLOURS = 64
-MORE_COLOURS = {"stereo-depth", "readme-disparity"}  # scales of colours
+MORE_COLOURS = {"readme-disparity", "readme-uncertainty", "stereo-depth"}  # scales of colours
 GAP = 8  # pixels between pictures side by side
 Maker = Callable[[Path], Image.Image]
 
@@ -67,21 +67,21 @@ def _of_16_bits(image: Image.Image) -> Image.Image:
 PICTURES: dict[str, dict[str, Maker]] = {
     "readme": {
         "readme-corners": one("drawn/view0003_corners.png", 640),
-        "readme-straight": row(400, "photos/images/view0002.png", "straight/view0002.png"),
+        "readme-straight": row(400, "photos/images/view0014.png", "straight/view0014.png"),
         "readme-uncertainty": one("uncertainty.png", 640),
         "readme-disparity": one("disparity.tiff.vis.png", 640),
         "readme-cloud": one("cloud.png", 720),
     },
     "tutorial": {
         "tutorial-board": one("target.pdf", 700),
-        "tutorial-corners": one("drawn/view0003_corners.png", 800),
-        "tutorial-straight": row(440, "phone/images/view0004.png", "straight/view0004.png"),
+        "tutorial-corners": one("drawn/view0003_corners.png", 640),
+        "tutorial-straight": row(440, "phone/images/view0010.png", "straight/view0010.png"),
     },
     "action-camera": {
-        "action-camera": row(300, "gopro/images/view0006.png", "straight/view0006.png", "wide/view0006.png"),
+        "action-camera": row(300, "gopro/images/view0010.png", "straight/view0010.png", "wide/view0010.png"),
     },
     "fisheye-rig": {
-        "fisheye-pair": row(400, "rig/images/left/view0000.png", "rig/images/right/view0000.png"),
+        "fisheye-pair": row(400, "rig/images/left/view0005.png", "rig/images/right/view0005.png"),
         "fisheye-rig": one("rig.png", 800),
     },
     "industrial-camera": {
