@@ -1,6 +1,7 @@
 """`camcal board`, `detect` and `calibrate`."""
 
 from collections.abc import Sequence
+from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -45,15 +46,13 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
+    from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
     from camcal.report.uncertain import projection_words
 
-    calibration = report.calibration
+    calibration, circle = report.calibration, next(iter(report.file.cameras.values())).image_circle
     if report.frames and verbose:
         _show_frames(report.frames, verbose)
-    for failure in report.assessment.failures:
-        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
-    if report.assessment.trustworthy:
-        show.verdict(show.TRUSTWORTHY, good=True)
+    show.trust(report.assessment.failures)
     show.text(headline(calibration))
     show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
     for line in report.lines:
@@ -66,6 +65,9 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
         show.table(title, CANDIDATE_COLUMNS, candidate_rows(report.candidates))
     for line in summary(calibration):
         show.text(line)
+    show.text(f"Coverage: {coverage_words(calibration, circle)}")
+    show.text(f"Residuals: {residual_words(calibration)}")
+    show.figure(partial(calibration_figures, calibration, circle))
     _show_channels(report)
     _list("Not used:", [f"{view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
     if verbose:

@@ -27,6 +27,8 @@ def doctor(call: Call) -> None:
 
 
 def _show(found: "Examination", verbose: bool) -> None:
+    if not found.failures:
+        show.verdict("all checks passed", good=True)
     show.text(f"camcal {found.camcal}, Python {found.python}, {found.cores} cores to use")
     show.text(found.system)
     rows = [[package.name, package.version or "-", package.wanted] for package in found.packages]
@@ -36,5 +38,3 @@ def _show(found: "Examination", verbose: bool) -> None:
     if verbose:
         for line in (*found.opencv_wheels, *(f"{name}={value}" for name, value in found.environment.items())):
             show.text(line)
-    if not found.failures:
-        show.verdict("all checks passed", good=True)

@@ -107,10 +107,8 @@ def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> N
         show.table(title, ["parameter", "value", "± std"], parameter_rows(entry.camera))
         for line in camera_lines(entry, field):
             show.text(line)
-        if entry.verdict is not None and entry.verdict.trustworthy:
-            show.verdict(show.TRUSTWORTHY, good=True)
-        for reason in entry.verdict.reasons if entry.verdict is not None else ():
-            show.verdict(f"{show.DO_NOT_TRUST}{reason}", good=False)
+        if entry.verdict is not None and (entry.verdict.trustworthy or entry.verdict.reasons):
+            show.trust(entry.verdict.reasons)
     for line in file_lines(inspection.file):
         show.text(line)
     if inspection.rig is not None:

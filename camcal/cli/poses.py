@@ -82,16 +82,17 @@ def track(options: TrackingOptions, call: ImageCall) -> None:
 
 def _show_tracks(report: "TrackReport", verbose: bool) -> None:
     from camcal.estimate.smoothing.kalman import CONSISTENT
-    from camcal.report.track_words import consistency_line, lines, plain
+    from camcal.report.track_words import consistency_details, consistency_line, lines, plain
 
     for line in report.lines:
         show.text(line)
     for name, item in report.objects.items():
         show.text(f"{item.track.frames}{f', {name}' if name else ''}:")
-        for line in lines(item):
-            show.text(f"  {line}")
-        if (judged := item.track.consistency) is not None:
+        judged = item.track.consistency
+        if judged is not None:
             show.verdict(f"  {consistency_line(judged)}", good=judged.verdict == CONSISTENT)
+        for line in (*lines(item), *([] if judged is None else [consistency_details(judged)])):
+            show.text(f"  {line}")
         if verbose:
             for image in plain(item, report.images)["rejected"]:
                 show.text(f"  rejected: {image}")
@@ -115,11 +116,9 @@ def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
     from camcal.estimate.smoothing.kalman import CONSISTENT
     from camcal.tasks.poses.smoothing import consistency_lines, evaluation_rows, lines, outlier_line
 
-    for line in lines(found):
-        show.text(line)
     verdict, *reasons = consistency_lines(found)
     show.verdict(verdict, good=found.consistency.verdict == CONSISTENT if reasons else None)
-    for line in reasons:
+    for line in (*lines(found), *reasons):
         show.text(line)
     if found.outliers:
         show.text(outlier_line(found, verbose))

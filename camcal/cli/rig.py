@@ -1,5 +1,6 @@
 """`camcal rig` and `camcal stereo calibrate`."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
@@ -9,6 +10,8 @@ from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibra
 
 if TYPE_CHECKING:
     from camcal.tasks.rigs.calibrate_rig import RigReport
+
+CAMERAS_DRAWN = 4
 
 
 def rig(options: RigTaskOptions, call: ImageCall) -> None:
@@ -47,18 +50,21 @@ def _finish(report: "RigReport", settings: RigSettings, call: ImageCall) -> None
 def _show(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
     from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
+    from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
 
     calibration = report.calibration
-    for failure in report.failures:
-        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
-    if report.trustworthy:
-        show.verdict(show.TRUSTWORTHY, good=True)
+    show.trust(report.failures)
     for line in report.lines:
         show.text(line)
     show.table("cameras", CAMERA_COLUMNS, camera_rows(calibration), verbose=verbose)
     show.table("transforms", TRANSFORM_COLUMNS, transform_rows(calibration), verbose=verbose)
     for line in lines(calibration):
         show.text(line)
+    for number, (name, own) in enumerate(calibration.calibrations.items()):
+        circle = report.file.cameras[name].image_circle
+        show.text(f"{name}: {coverage_words(own, circle)}; residuals {residual_words(own)}")
+        if verbose or number < CAMERAS_DRAWN:
+            show.figure(partial(calibration_figures, own, circle))
     for names, candidates in (report.candidates or {}).items() if verbose else ():
         show.table(f"Lens models of {', '.join(names)}", CANDIDATE_COLUMNS, candidate_rows(candidates))
     for name, own in calibration.calibrations.items() if verbose else ():

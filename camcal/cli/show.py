@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -67,11 +67,30 @@ def value(line: str) -> None:
 
 
 def verdict(line: str, *, good: bool | None) -> None:
-    """Print what a user should see first, on a terminal in bold green or red; None: nothing was judged."""
-    lines = _lines_of(line)
+    """Print what a user should see first: what was judged, its state, and the figures that decide, in a line.
+
+    It begins with a capital letter, and is green or red and bold on a terminal; good is None if nothing was judged.
+    """
+    indent = len(line) - len(line.lstrip(" "))
+    lines = _lines_of(line[: indent + 1].upper() + line[indent + 1 :])
     if good is not None and _has_colours():
         lines = [f"{_BOLD_GREEN if good else _BOLD_RED}{part}{_PLAIN}" for part in lines]
     _print(lines)
+
+
+def trust(failures: Sequence[Message | str]) -> None:
+    """Print the verdict on a calibration: that it is to be trusted, or why not, a line each."""
+    for failure in failures:
+        verdict(f"{DO_NOT_TRUST}{failure}", good=False)
+    if not failures:
+        verdict(TRUSTWORTHY, good=True)
+
+
+def figure(draw: Callable[[int, str | None], Sequence[str]]) -> None:
+    """Print a figure made of letters on a terminal: draw(width, encoding) gives its lines. A pipe gets none."""
+    stream = _stream()
+    if stream is not None and _on_terminal():
+        _print(draw(width(), stream.encoding))
 
 
 def wrote(*files: Path | str | None) -> None:

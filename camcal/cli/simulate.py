@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.command import Call
+from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.calibration.options import DemoOptions
 from camcal.tasks.simulation.options import SimulateOptions
@@ -60,7 +61,7 @@ def _show_photographs(report: "SimulateReport", options: SimulateOptions, verbos
     count = sum(len(view.ids) for view in report.corners.views)
     size = f"{camera.image_size[0]}x{camera.image_size[1]}"
     taken = f" of {len(report.cameras)} cameras" if report.cameras else f" of {size}"
-    show.text(f"{len(report.images)} images{taken}, {count} corners in them")
+    show.text(f"{counted(len(report.images), 'image')}{taken}, {count} corners in them")
     if verbose:
         rows: list[list[object]] = [[name, f"{camera.value(name):.6g}"] for name in camera.model.parameter_names]
         show.table(camera.model.name, ["parameter", "value"], rows)
@@ -116,6 +117,7 @@ def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
     from camcal.report.calibration import summary
     from camcal.report.uncertain import value_and_std
 
+    show.trust(report.calibrated.assessment.failures)
     rows = [
         [row.name, f"{row.truth:.6g}", *value_and_std(row.estimate, row.std), _sigmas(row.sigmas)]
         for row in report.compared
@@ -127,8 +129,6 @@ def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
     if verbose:
         views = [[view.image, view.kept, view.rms_px] for view in calibration.views]
         show.table("images", [Column("image", file=True), Column("corners"), Column("RMS", "px")], views)
-    for failure in report.calibrated.assessment.failures:
-        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
     show.wrote(f"{output}{os.sep}")
     show.text(f"next: read {output / 'README.txt'}, which says what each file is and what to try")
 

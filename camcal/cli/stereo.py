@@ -102,9 +102,9 @@ def _show_checks(outcomes: "Sequence[Outcome[Pair, CheckedPair]]", verbose: bool
     if len(outcomes) == 1 or verbose:
         for pair in checked:
             show.text(f"{pair.left}, {pair.right}:")
+            show.verdict(f"  {verdict(pair.check)}", good=agrees(pair.check))
             for line in lines(pair.check):
                 show.text(f"  {line}")
-            show.verdict(f"  {verdict(pair.check)}", good=agrees(pair.check))
     if len(outcomes) > 1:
         _show_together(outcomes, verbose)
     show.wrote(show.several([pair.picture for pair in checked if pair.picture is not None], "picture"))
@@ -233,8 +233,8 @@ def run(options: RunOptions, call: ImageCall) -> None:
 
 def _show_run(report: "RunReport", verbose: bool) -> None:
     rectified = report.rectification
-    for doubt in report.doubts if report.calibration else ():
-        show.verdict(f"{show.DO_NOT_TRUST}{doubt}", good=False)
+    if report.calibration is not None:
+        show.trust(report.doubts)
     where = "above each other" if rectified.axis == "y" else "beside each other"
     size = "{}x{}".format(*rectified.size)
     show.text(f"{rectified.left} and {rectified.right} {where}, baseline {1000 * rectified.baseline:.1f} mm")
@@ -275,15 +275,15 @@ def evaluate(options: EvalOptions, call: ImageCall) -> None:
 def _show_errors(report: "EvalReport", verbose: bool) -> None:
     from camcal.report.stereo_words import CLASS_COLUMNS, class_rows, figure_rows
 
+    for verdict in report.verdicts:
+        line = f"gate {verdict.gate} {'passed' if verdict.passed else 'FAILED'}: {verdict.value:.4g}"
+        show.verdict(line, good=verdict.passed)
     in_full = verbose or len(report.outcomes) == 1
     show.lines(["\n".join(_compared(pair, in_full=in_full)) for pair in report.pairs], verbose)
     title = "errors" if len(report.outcomes) == 1 else f"mean over {len(report.pairs)} maps"
     show.table(title, ["", *report.mean.figures], figure_rows(report.mean))
     if report.mean.classes:
         show.table("confidence, all-valid", CLASS_COLUMNS, class_rows(report.mean.classes), verbose=verbose)
-    for verdict in report.verdicts:
-        line = f"gate {verdict.gate}: {verdict.value:.4g}, {'passed' if verdict.passed else 'FAILED'}"
-        show.verdict(line, good=verdict.passed)
     pictures = [pair.picture for pair in report.pairs if pair.picture is not None]
     show.wrote(show.several(pictures, "picture"), show.several(report.figures, "figure"))
 

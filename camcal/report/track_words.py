@@ -37,11 +37,17 @@ def lines(item: TrackedObject) -> Iterator[str]:
 
 
 def consistency_line(judged: Consistency) -> str:
-    """Return whether the covariances of a track are reliable, and why."""
+    """Return whether the covariances of a track or a series are reliable, with the figure that decides."""
     low, high = judged.interval
-    nis = f"mean NIS {judged.mean_nis:.2f} per degree of freedom ({low:.2f} … {high:.2f} expected)"
+    nis = f": mean NIS {judged.mean_nis:.2f} ({low:.2f} … {high:.2f} expected)" if judged.innovations else ""
+    return f"covariances {judged.verdict}{nis}"
+
+
+def consistency_details(judged: Consistency) -> str:
+    """Return the other figures of the innovations."""
     beyond = f"{100 * judged.beyond_95:.1f} % beyond their 95 % bound"
-    return f"{judged.verdict}: {nis}, {beyond}, lag-1 correlation {judged.autocorrelation:+.2f}"
+    lag = f"lag-1 correlation {judged.autocorrelation:+.2f} (±{judged.autocorrelation_limit:.2f} expected)"
+    return f"innovations: {beyond}, {lag}"
 
 
 def warnings(item: TrackedObject) -> Iterator[Message]:

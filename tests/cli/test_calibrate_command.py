@@ -201,6 +201,24 @@ def test_a_result_that_is_to_be_trusted_passes_where_trust_is_required(run, tabl
     assert native.read(output).cameras["camera"].verdict.trustworthy
 
 
+def test_coverage_and_residuals_are_drawn_on_a_terminal_and_lines_in_a_pipe(run, table, tmp_path, monkeypatch):
+    command = ["calibrate", table, "-o", tmp_path / "camera.yaml", "--model", "opencv5", "--flat-board"]
+    piped = run(*command)[1].splitlines()
+    assert [line.partition(":")[0] for line in piped[-3:-1]] == ["Coverage", "Residuals"]
+    assert not any("\x1b" in line or set(line) & set("┌│█+|#") for line in piped)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("NO_COLOR", "1")
+    for columns in (80, 120):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        out = run(*command)[1]
+        assert "\x1b" not in out
+        figure = out[out.index("corners: ") : out.index("└")].splitlines()
+        assert all("│" in line for line in figure)
+        assert 70 <= max(map(len, figure)) <= columns
+    assert run(*command, "--quiet")[1] == ""
+    assert "┌" not in run(*command, "--json")[1]
+
+
 def test_a_projection_uncertainty_above_the_most_that_is_allowed_ends_with_exit_7(run, table, tmp_path):
     output = tmp_path / "camera.yaml"
     command = ["calibrate", table, "-o", output, "--model", "opencv5", "--flat-board"]

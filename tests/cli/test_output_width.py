@@ -40,6 +40,7 @@ RUNS = {
     "simulate --stereo": "simulate --stereo -o pairs --size 160x120 -j 1",
     "board": "board aprilgrid:4x3:40mm:0.3 -o board.svg --kalibr kalibr.yaml",
     "detect": "detect boards tags/b --board chessboard:5x5:40mm -o corners.csv --draw drawn -j 1",
+    "plot": "plot path.tum -o plotted",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
     "rig": "rig two.csv --model opencv4 --flat-board --no-free-corners -o two.yaml",

@@ -88,6 +88,16 @@ def test_the_rig_file_has_the_pair_with_its_joint_covariance(rig_file):
     assert all("camera_T_board" in image for image in images)
 
 
+def test_every_camera_of_a_rig_has_a_line_of_its_coverage_and_a_figure_on_a_terminal(run, table, tmp_path, monkeypatch):
+    command = ["rig", table, "-o", tmp_path / "rig.yaml", *QUICK]
+    piped = run(*command)[1]
+    for name in ("left", "right"):
+        assert f"\n{name}: corners in " in piped
+    assert piped.count("┌") == 0
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert run(*command)[1].count("┌") == 2
+
+
 def test_the_report_says_baseline_rotation_and_what_was_matched(run, table, tmp_path):
     code, out, _ = run("rig", table, "-o", tmp_path / "rig.yaml", *QUICK)
     assert code == 0

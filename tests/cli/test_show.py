@@ -142,3 +142,27 @@ def test_a_long_quotation_of_a_file_is_shortened_and_what_is_said_of_it_is_not(c
     show.error(f"a.csv:1: unknown column '{'- ' * 1000}'. Did you mean 'x'? {'words ' * 100}")
     said = capsys.readouterr().err
     assert f"'{'- ' * 50} …'. Did you mean 'x'? {'words ' * 100}".strip() in said
+
+
+def test_a_figure_is_drawn_on_a_terminal_only(capsys, monkeypatch):
+    def draw(width, encoding):
+        return [f"{width} {encoding}"]
+
+    monkeypatch.setenv("COLUMNS", "72")
+    show.figure(draw)
+    assert capsys.readouterr().out == ""
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    show.figure(draw)
+    assert capsys.readouterr().out == "72 UTF-8\n"
+
+
+def test_a_verdict_is_a_sentence_and_a_calibration_has_one_or_its_failures(capsys):
+    show.verdict("  rows agree", good=True)
+    show.trust([])
+    show.trust(["few views", "no tilt"])
+    assert capsys.readouterr().out.splitlines() == [
+        "  Rows agree",
+        "Calibration is trustworthy",
+        "DO NOT TRUST: few views",
+        "DO NOT TRUST: no tilt",
+    ]

@@ -90,8 +90,8 @@ def test_positions_alone_give_positions_and_velocities(run, plane, tmp_path):
         "299 measurements, 1 missing",
         "constant velocity",
         "the most likely",
-        "consistency: consistent",
-        "mean NIS",
+        "Covariances consistent: mean NIS",
+        "lag-1 correlation",
     ):
         assert words in out
     assert "1.667 s (x), 1.667 s (y)" in out

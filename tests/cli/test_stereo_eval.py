@@ -77,7 +77,7 @@ def test_the_report_is_one_json_document(run, tmp_path, found, truth):
 def test_a_gate_fails_with_its_name_and_what_was_found(run, found, truth, gate, code):
     ended, out, err = run("stereo", "eval", found, truth, "--gate", gate)
     assert ended == code
-    assert f"gate {gate}: " in out
+    assert out.startswith(f"Gate {gate} {'FAILED' if code else 'passed'}: ")
     assert (f"--gate: {gate} failed: " in err) == (code == 7)
 
 

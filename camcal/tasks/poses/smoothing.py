@@ -12,6 +12,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.batch import OUTLIER_CONFIDENCE
 from camcal.estimate.smoothing.kalman import Consistency
 from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError
+from camcal.report.track_words import consistency_details, consistency_line
 from camcal.tasks.poses.smooth_options import SmoothOptions
 
 _MOST_STAMPS = 1_000_000
@@ -80,19 +81,13 @@ def lines(found: Smoothing) -> Iterator[str]:
 
 
 def consistency_lines(found: Smoothing) -> Iterator[str]:
-    """Yield whether the covariances are reliable, and then why."""
-    report = found.consistency
-    low, high = report.interval
-    yield f"consistency: {report.verdict}"
-    if not report.innovations:
+    """Yield whether the covariances are reliable, and then what speaks for it."""
+    yield consistency_line(found.consistency)
+    if not found.consistency.innovations:
         return
-    yield (
-        f"  mean NIS {report.mean_nis:.3f} of 1 ({low:.3f} to {high:.3f} by chance), "
-        f"{100 * report.beyond_95:.1f} % beyond their 95 % bound, correlation of successive "
-        f"innovations {report.autocorrelation:+.2f} (±{report.autocorrelation_limit:.2f} by chance)"
-    )
+    yield consistency_details(found.consistency)
     if found.options.q is None:
-        yield "  (q was estimated from the same data; validate with a second recording)"
+        yield "(q was estimated from the same data; validate with a second recording)"
 
 
 def outlier_line(found: Smoothing, everything: bool) -> str:
