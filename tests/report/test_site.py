@@ -111,7 +111,15 @@ def show(page, address):
 @pytest.mark.parametrize("width", [400, 1200])
 def test_pages_fit_their_width_in_a_browser_and_can_be_searched(address, width):
     with running((width, 900)) as page:
-        for name in ("index", "mathematics", "benchmarks", "commands/calibrate", "formats"):
+        for name in (
+            "index",
+            "mathematics",
+            "benchmarks",
+            "commands/calibrate",
+            "formats",
+            "tutorial",
+            "recipes/fisheye-rig",
+        ):
             assert show(page, f"{address}/{name}.html") == [], name
             assert page.evaluate("document.documentElement.scrollWidth") <= width, name
         found = page.evaluate(
