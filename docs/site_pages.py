@@ -1,12 +1,15 @@
-"""The navigation and the fences of the site (a hook of mkdocs).
+"""The navigation of the site, and what its pages say otherwise (a hook of mkdocs).
 
 In the navigation `folder/*` stands for the other pages of a folder, `*` for all others; a page that does not exist is
-left out. What stands behind the language of a fence, for tests, is removed: mkdocs does not read it.
+left out. Two things are written for the repository's own view and read otherwise by mkdocs: what stands behind the
+language of a fence, for tests, is removed, and a bar in code within a table needs no backslash.
 """
 
 import re
 from fnmatch import fnmatch
 from typing import Any
+
+_CODE = re.compile(r"`[^`]+`")
 
 
 def on_files(files: Any, config: Any) -> None:
@@ -19,8 +22,13 @@ def on_files(files: Any, config: Any) -> None:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Return a page whose fences have a language alone, such as yaml of 'yaml camera'."""
-    return re.sub(r"^```(\w+) \w+$", r"```\1", markdown, flags=re.MULTILINE)
+    """Return a page as mkdocs reads it."""
+    plain = re.sub(r"^```(\w+) \w+$", r"```\1", markdown, flags=re.MULTILINE)
+    return re.sub(r"^\|.*$", lambda row: _CODE.sub(_with_bars, row[0]), plain, flags=re.MULTILINE)
+
+
+def _with_bars(code: re.Match[str]) -> str:
+    return code[0].replace(r"\|", "|")
 
 
 def _leaves(entry: Any) -> list[str]:

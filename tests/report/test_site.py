@@ -82,6 +82,12 @@ def test_every_page_of_the_documentation_is_a_page_of_the_site(site):
     assert not [path for path in site.rglob("*") if path.suffix in {".py", ".in", ".1"}]
 
 
+def test_a_bar_in_a_table_stands_without_its_backslash(site):
+    assert r"`--depth 8\|16`" in (PROJECT / "docs" / "commands" / "simulate.md").read_text()
+    assert "<code>--depth 8|16</code>" in (site / "commands" / "simulate.html").read_text()
+    assert not [path.name for path in (site / "commands").glob("*.html") if r"\|" in path.read_text()]
+
+
 class Silent(SimpleHTTPRequestHandler):
     def log_message(self, *_):
         pass
