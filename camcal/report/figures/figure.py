@@ -12,14 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from camcal.errors import InvalidInput
 
-SUFFIXES = (".png", ".svg", ".pdf")
+_CANVASES: dict[str, Any] = {".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf}
+SUFFIXES = tuple(_CANVASES)
 WIDTH = 5.0  # inches
 COLOUR_MAP = "cividis"
 DIVERGING_MAP = "PuOr"
@@ -89,10 +94,9 @@ def encoded(plot: Plot, suffix: str, theme: Theme = LIGHT, *, titled: bool = Tru
     """Return the figure as a file of the type of `suffix`, the same bytes every time; titled: with its title."""
     suffix = suffix.lower()
     with mpl.rc_context(_style(plot, theme)):
-        stream = BytesIO()
-        _drawn(plot, theme, titled=titled).savefig(
-            stream, format=suffix[1:], dpi=_DPI, metadata=_metadata(plot, suffix)
-        )
+        figure, stream, metadata = _drawn(plot, theme, titled=titled), BytesIO(), _metadata(plot, suffix)
+        canvas: Any = _CANVASES[suffix](figure)
+        getattr(canvas, f"print_{suffix[1:]}")(stream, metadata=metadata)  # not savefig, which draws everything twice
     return stream.getvalue()
 
 
@@ -105,11 +109,17 @@ def drawn(plot: Plot, theme: Theme = LIGHT, *, titled: bool = True) -> Figure:
 
 
 def _drawn(plot: Plot, theme: Theme, *, titled: bool) -> Figure:
-    figure = Figure(figsize=plot.size, layout="constrained")
+    figure = Figure(figsize=plot.size, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     if titled:
         figure.suptitle(plot.title, fontsize=_FONT + 1, fontweight="bold")
     plot.draw(figure, theme)
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    # axes of equal lengths along both settle in a second pass
+    for _ in range(1 + any(axes.get_aspect() != "auto" for axes in figure.axes)):
+        engine.execute(figure)
+    figure.set_layout_engine("none")
     return figure
 
 
@@ -182,6 +192,12 @@ def of_part(plots: Sequence[Plot], part: str) -> tuple[Plot, ...]:
     """Return figures that are about a part of a result, such as one camera: its name is in their names and titles."""
     stem = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in part)
     return tuple(replace(plot, name=f"{stem}_{plot.name}", title=f"{plot.title}, {part}") for plot in plots)
+
+
+def line_colours(theme: Theme) -> ListedColormap:
+    """Return the colours of COLOUR_MAP that stand out as thin lines on the paper of a theme."""
+    low, high = (0.0, 0.88) if theme is LIGHT else (0.3, 1.0)
+    return ListedColormap(mpl.colormaps[COLOUR_MAP](np.linspace(low, high, 256)))
 
 
 def logarithmic_labels(axis: Axis) -> None:

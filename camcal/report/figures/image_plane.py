@@ -139,6 +139,13 @@ def _cell_numbers(pixels: Array, size: tuple[int, int]) -> Array:
     return np.asarray(row * counts[0] + column)
 
 
+def _cell_middles(size: tuple[int, int]) -> Array:
+    """Return the pixels (rows, columns, 2) in the middle of the cells."""
+    columns, rows = cells_of(size)
+    u, v = (np.arange(columns) + 0.5) * size[0] / columns - 0.5, (np.arange(rows) + 0.5) * size[1] / rows - 0.5
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
 def coverage(
     pixels: Array,
     size: tuple[int, int],
@@ -153,7 +160,8 @@ def coverage(
     """
     columns, rows = cells_of(size)
     counts = np.bincount(_cell_numbers(pixels, size), minlength=columns * rows).reshape(rows, columns)
-    share = 100 * float((counts > 0).mean())
+    lit = np.ones(counts.shape, bool) if circle is None else circle.contains(_cell_middles(size))
+    share = 100 * float((counts[lit] > 0).mean())
     folded, border = "", np.zeros((0, 2))
     if camera is not None:
         found, fold = rim(camera, circle=circle)
@@ -168,7 +176,7 @@ def coverage(
         colour_bar(axes, mesh, "corners per cell")
         axes.plot(pixels[:, 0], pixels[:, 1], ".", color=theme.series[1], ms=2.2, rasterized=True)
         if rejected is not None:
-            axes.plot(rejected[:, 0], rejected[:, 1], "x", color=theme.ink, ms=5)
+            axes.plot(rejected[:, 0], rejected[:, 1], "x", color=theme.series[3], ms=6, mew=1.8)
         axes.plot(border[:, 0], border[:, 1], color=theme.bad, lw=1.5)
         _draw_circle(axes, circle, theme)
 

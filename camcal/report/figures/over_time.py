@@ -41,7 +41,7 @@ def over_time(panels: Sequence[Panel]) -> Plot:
         rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for axes, panel in zip(rows, panels, strict=True):
             _draw_panel(axes, panel, theme)
-        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
         rows[-1].set_xlabel("time from the first measurement, s")
 
     return Plot(
@@ -99,7 +99,7 @@ def track_plots(track: Track, single: Sequence[Pose | None], gate: float) -> tup
             for axis, axes in enumerate(rows):
                 _draw_coordinate(axes, track, seen, raw[:, axis], smooth[:, axis], theme)
                 axes.set_ylabel(label.format(_AXES[axis]))
-            figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+            figure.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
             rows[-1].set_xlabel("time, s")
 
         return draw

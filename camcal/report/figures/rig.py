@@ -100,7 +100,7 @@ def rig_in_space(
         equal_aspect(axes, upright(np.concatenate(everything)))
         label_space(axes, "m")
         handles = [Patch(color=colour, label=name) for name, colour in colours.items()]
-        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
 
     return Plot(
         "rig",

@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import FigureBase
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -19,11 +20,12 @@ from camcal.arrays import Array
 from camcal.estimate.trajectory_error import ErrorOptions, aligned
 from camcal.geometry.pose import Trajectory
 from camcal.report.figures.board import equal_aspect, space_axes
-from camcal.report.figures.figure import COLOUR_MAP, WIDTH, Plot, Theme
+from camcal.report.figures.figure import WIDTH, Plot, Theme, line_colours
 
 _AXES = "xyz"
 _MOST_FRAMES = 12  # axes of poses along a path in space
 _FRAME = 0.06  # of the largest extent: their length
+_NARROWEST = 0.5  # of the largest side: of a panel
 _FLAT = 1e-3  # of the largest extent: what is drawn of one that is smaller
 
 
@@ -104,7 +106,7 @@ def in_planes(path: DrawnPath) -> Plot:
         places = factor * path.places
         reference = None if path.reference is None else factor * path.reference
         size = np.maximum(np.ptp(places, axis=0), _FLAT * float(np.ptp(places, axis=0).max()) or 1.0)
-        size = np.maximum(size, 0.35 * size.max())
+        size = np.maximum(size, _NARROWEST * size.max())
         parts = figure.subplot_mosaic(
             [["xy", "zy"], ["xz", "words"]],
             width_ratios=(size[0], size[2]),
@@ -118,11 +120,12 @@ def in_planes(path: DrawnPath) -> Plot:
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_xlabel(f"{plane[0]}, {unit}")
             axes.set_ylabel(f"{plane[1]}, {unit}")
-            axes.locator_params(nbins=4)
+            axes.xaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10], min_n_ticks=1))
+            axes.locator_params(axis="y", nbins=4)
             axes.grid(visible=True)
         parts["words"].set_axis_off()
         parts["words"].legend(*parts["xy"].get_legend_handles_labels(), loc="center")
-        figure.colorbar(_mapped(path), ax=list(parts.values()), label=path.label, shrink=0.8, pad=0.02)
+        figure.colorbar(_mapped(path, theme), ax=list(parts.values()), label=path.label, shrink=0.8, pad=0.02)
 
     return Plot(
         "trajectory_planes",
@@ -140,8 +143,8 @@ def _scale(path: DrawnPath) -> Normalize:
     return Normalize(low, high if high > low else low + 1)
 
 
-def _mapped(path: DrawnPath) -> ScalarMappable:
-    return ScalarMappable(_scale(path), COLOUR_MAP)
+def _mapped(path: DrawnPath, theme: Theme) -> ScalarMappable:
+    return ScalarMappable(_scale(path), line_colours(theme))
 
 
 def _segments(places: Array, path: DrawnPath) -> tuple[Array, Array]:
@@ -152,10 +155,12 @@ def _segments(places: Array, path: DrawnPath) -> tuple[Array, Array]:
 
 def _draw_line(axes: Axes, places: Array, path: DrawnPath, theme: Theme) -> None:
     lines, values = _segments(places, path)
-    drawn = LineCollection(list(lines), cmap=COLOUR_MAP, norm=_scale(path), lw=1.8, rasterized=True)
+    drawn = LineCollection(list(lines), cmap=line_colours(theme), norm=_scale(path), lw=1.8, rasterized=True)
     drawn.set_array(values)
     axes.add_collection(drawn)
-    axes.scatter(places[:, 0], places[:, 1], 4, path.colours, cmap=COLOUR_MAP, norm=_scale(path), rasterized=True)
+    axes.scatter(
+        places[:, 0], places[:, 1], 4, path.colours, cmap=line_colours(theme), norm=_scale(path), rasterized=True
+    )
     axes.plot(*places[0], "o", color=theme.good, ms=6, label="start")
     axes.plot(*places[-1], "s", color=theme.bad, ms=6, label="end")
     axes.update_datalim(places)
@@ -170,10 +175,10 @@ def in_space(path: DrawnPath) -> Plot:
         places = factor * path.places
         axes = space_axes(figure, theme)
         lines, values = _segments(places, path)
-        drawn = Line3DCollection(list(lines), cmap=COLOUR_MAP, norm=_scale(path), lw=1.8)
+        drawn = Line3DCollection(list(lines), cmap=line_colours(theme), norm=_scale(path), lw=1.8)
         drawn.set_array(values)
         axes.add_collection3d(drawn)
-        axes.scatter(*places.T, c=path.colours, cmap=COLOUR_MAP, norm=_scale(path), s=4, depthshade=False)
+        axes.scatter(*places.T, c=path.colours, cmap=line_colours(theme), norm=_scale(path), s=4, depthshade=False)
         axes.plot(*places[0], "o", color=theme.good, ms=6, label="start")
         axes.plot(*places[-1], "s", color=theme.bad, ms=6, label="end")
         everything = places
@@ -184,8 +189,8 @@ def in_space(path: DrawnPath) -> Plot:
         equal_aspect(axes, everything)
         for name in _AXES:
             getattr(axes, f"set_{name}label")(f"{name}, {unit}")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-        figure.colorbar(_mapped(path), ax=axes, label=path.label, shrink=0.6, pad=0.14)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        figure.colorbar(_mapped(path, theme), ax=axes, label=path.label, shrink=0.6, pad=0.14)
 
     return Plot(
         "trajectory_space",
