@@ -27,6 +27,12 @@ class ImageCircle:
     centre: tuple[float, float]
     radius: float
 
+    @property
+    def words(self) -> str:
+        """Radius and centre in a line."""
+        x, y = self.centre
+        return f"image circle of radius {self.radius:.1f} px around ({x:.1f}, {y:.1f})"
+
     def contains(self, pixels: Array) -> BoolArray:
         """Return the mask (...) of pixels (..., 2) inside the circle; those that are NaN are not."""
         apart = pixels - np.array(self.centre)

@@ -48,10 +48,7 @@ def known_circle(detections: Detections, guess: CameraEntry | None) -> ImageCirc
 
 def circle_lines(circle: ImageCircle | None) -> tuple[str, ...]:
     """Return the line of the report on an image circle, none without one."""
-    if circle is None:
-        return ()
-    x, y = circle.centre
-    return (f"image circle of radius {circle.radius:.1f} px around ({x:.1f}, {y:.1f})",)
+    return () if circle is None else (circle.words,)
 
 
 def _measured(

@@ -16,7 +16,6 @@ from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.surface import CLASSES, RATIOS, Surface
-from camcal.tasks.calibration.image_circle_of_views import circle_lines
 from camcal.tasks.options import InspectOptions
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
@@ -105,7 +104,8 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     yield "field of view " + (", ".join(known) or "unknown: the lens model is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")
-    yield from circle_lines(entry.image_circle)
+    if entry.image_circle is not None:
+        yield entry.image_circle.words
     if entry.held_by_prior:
         yield held_by_prior_words(entry.held_by_prior)
     if entry.quality:
