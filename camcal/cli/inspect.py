@@ -1,5 +1,6 @@
 """`camcal inspect`."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,8 +70,7 @@ def _show_frame(inspection: "RawInspection") -> None:
     for line in task.frame_lines(inspection):
         show.text(line)
     show.table("counts", task.CHANNEL_COLUMNS, task.channel_rows(inspection))
-    for line in task.histogram_lines(inspection):
-        show.text(line)
+    show.figure(partial(task.histogram_lines, inspection))
 
 
 def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:

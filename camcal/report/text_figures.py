@@ -1,6 +1,5 @@
 """Figures of a calibration in letters, for a terminal: where corners were in the image, and how residuals spread."""
 
-from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
@@ -9,6 +8,7 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import ImageCircle
 from camcal.quality.assess import coverage
+from camcal.report.letters import Letters, letters
 
 _CELL = 2.0  # height of a letter over its width
 _GAP = 3
@@ -19,33 +19,6 @@ _ROWS = (6, 20)  # of the map
 _BINS = (7, 13)
 _REACH = 3.25  # standard deviations from the middle to either end of the histogram
 _LEVELS = 4
-
-
-@dataclass(frozen=True)
-class Letters:
-    """What figures are made of: levels of gray, parts of a bar from empty to full, the frame, and other marks.
-
-    frame: corners from the top left in reading order, a horizontal and a vertical line.
-    """
-
-    grays: str
-    bar: str
-    frame: str
-    expected: str
-    outside: str = "/"
-
-
-BLOCKS = Letters(" ░▒▓█", " ▏▎▍▌▋▊▉█", "┌┐└┘─│", "│")
-ASCII = Letters(" .:o#", " #", "++++-|", "|")
-
-
-def letters(encoding: str | None) -> Letters:
-    """Return the letters for a stream of an encoding: blocks where it has them."""
-    try:
-        f"{BLOCKS.grays}{BLOCKS.bar}{BLOCKS.frame}".encode(encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return ASCII
-    return BLOCKS
 
 
 def calibration_figures(

@@ -27,7 +27,10 @@ def dng(tmp_path):
     return tmp_path / "frame.dng"
 
 
-def test_a_person_reads_levels_clipping_balance_and_capture(run, dng):
+def test_a_person_reads_levels_clipping_balance_and_capture(run, dng, monkeypatch):
+    assert "histogram" not in run("inspect", dng)[1]  # in a pipe
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "1000")  # paths are not wrapped
     code, out, err = run("inspect", dng)
     assert (code, err) == (0, "")
     for words in (

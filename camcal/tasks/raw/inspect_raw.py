@@ -15,13 +15,13 @@ from camcal.raw.mosaic import Capture, Mosaic, pattern_words
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
+from camcal.report.letters import letters
 from camcal.report.table import Column
 from camcal.tasks.options import InspectOptions
 
 LAYOUT_COLUMNS = (Column("size"), Column("stride"), Column("format", wraps=True))
 CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white")
 
-_BARS = " ▁▂▃▄▅▆▇█"
 _UPRIGHT = 1
 _LONG_S = 0.3  # exposures below are written as fractions, as on cameras
 
@@ -135,16 +135,16 @@ def _per_cent(share: float) -> float:
     return round(100 * share, 3)
 
 
-def histogram_lines(inspection: RawInspection) -> Iterator[str]:
-    """Yield one line of bars for every channel; their heights are square roots, so that small numbers show."""
-    yield f"histogram, {BINS} bins from 0 to {inspection.frame.white:g}"
-    for facts in inspection.channels:
-        yield f"  {facts.name:4} |{_bars(facts.histogram)}|"
+def histogram_lines(inspection: RawInspection, _: int, encoding: str | None) -> list[str]:
+    """Return a line of columns for every channel; their heights are square roots, so that small numbers show."""
+    column = letters(encoding).column
+    rows = [f"  {facts.name:4} |{_columns(facts.histogram, column)}|" for facts in inspection.channels]
+    return [f"histogram, {BINS} bins from 0 to {inspection.frame.white:g}", *rows]
 
 
-def _bars(histogram: Array) -> str:
-    heights = np.ceil((len(_BARS) - 1) * np.sqrt(histogram / max(histogram.max(), 1)))
-    return "".join(_BARS[int(height)] for height in heights)
+def _columns(histogram: Array, column: str) -> str:
+    heights = np.ceil((len(column) - 1) * np.sqrt(histogram / max(histogram.max(), 1)))
+    return "".join(column[int(height)] for height in heights)
 
 
 def document(inspection: RawInspection) -> dict[str, Any]:
