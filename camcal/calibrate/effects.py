@@ -12,7 +12,7 @@ Source: Harville 1977, section 5 (the scores from predicted effects); Patterson 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ SMOOTH_DEGREE = 3
 _SPECTRUM = (0.0, 1.0, 0.3, 0.12)
 FLEX_TERMS = tuple(term for name in ("twist", "bow", "cubic") for term in CLASSES[name].terms)
 
-_SHARE_DOF = 4.0  # degrees of freedom of the prior by which a view's variance is that of all views
+SHARE_DOF = 4.0  # degrees of freedom of the prior by which a view's variance is that of all views
 _LOG_STD = 3.0  # of the prior of log τ about a third of the noise: wide, it only keeps what is not there from zero
 # Scoring steps: the longest, of logarithms; how many in one linearisation; a gain of the log likelihood that is not
 # worth another. Where effects are not seen the likelihood is more curved than expected and full steps overshoot: a step
@@ -131,13 +131,16 @@ def _legendre(degree: int, values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class EffectScales:
-    """variances: τ (A,) of EFFECTS, px² (of flex the square of the board's unit). shares: q (V, A) of each view.
-    typical: (A,) the variances about which the prior of τ lies.
+    """variances: τ (A,) of EFFECTS, px² (of flex the square of the board's unit). shares: q (V, B) of each view.
+    typical: (A,) the variances about which the prior of τ lies. share_of: (A,) the column of `shares` of each effect.
+    share_dof: (B,) degrees of freedom of the prior by which the shares are about 1.
     """
 
     variances: Array
     shares: Array
     typical: Array
+    share_of: Array = field(default_factory=lambda: np.arange(len(EFFECTS)))
+    share_dof: Array = field(default_factory=lambda: np.full(len(EFFECTS), SHARE_DOF))
 
     @classmethod
     def start(cls, views: int, sigma: float, side: float) -> "EffectScales":
@@ -146,27 +149,29 @@ class EffectScales:
         return cls(typical, np.ones((views, len(EFFECTS))), typical)
 
     def moved(self, change: Array) -> "EffectScales":
-        """Return the scales with changed logarithms (1 + V, A) of variances and shares."""
-        factors = np.exp(change)
-        return replace(self, variances=self.variances * factors[0], shares=self.shares * factors[1:])
+        """Return the scales with changed logarithms (A + V B,) of variances and of shares."""
+        variances, shares = np.split(np.exp(change), [len(self.variances)])
+        return replace(
+            self, variances=self.variances * variances, shares=self.shares * shares.reshape(self.shares.shape)
+        )
 
     def log_prior(self) -> float:
         """Return the logarithm of their prior density, up to a constant."""
         offset = np.log(self.variances / self.typical)
         shares = np.log(self.shares) + 1 / self.shares
-        return float(-0.5 * np.sum(offset**2) / _LOG_STD**2 - 0.5 * _SHARE_DOF * np.sum(shares))
+        return float(-0.5 * np.sum(offset**2) / _LOG_STD**2 - 0.5 * np.sum(self.share_dof * shares))
 
     def prior_slopes(self) -> tuple[Array, Array]:
-        """Return the derivatives of `log_prior` by the logarithms of variances (A,) and of shares (V, A)."""
-        return -np.log(self.variances / self.typical) / _LOG_STD**2, -0.5 * _SHARE_DOF * (1 - 1 / self.shares)
+        """Return the derivatives of `log_prior` by the logarithms of variances (A,) and of shares (V, B)."""
+        return -np.log(self.variances / self.typical) / _LOG_STD**2, -0.5 * self.share_dof * (1 - 1 / self.shares)
 
     def prior_curvatures(self) -> tuple[Array, Array]:
         """Return minus the second derivatives, as `prior_slopes`."""
-        return np.full(len(self.variances), _LOG_STD**-2), 0.5 * _SHARE_DOF / self.shares
+        return np.full(len(self.variances), _LOG_STD**-2), 0.5 * self.share_dof / self.shares
 
     def std(self, effect: Array) -> Array:
         """Return the standard deviations (V, m) of coefficients; effect: (m,) which effect each belongs to."""
-        return np.asarray(np.sqrt(self.shares * self.variances)[:, effect])
+        return np.asarray(np.sqrt(self.shares[:, self.share_of] * self.variances)[:, effect])
 
 
 def scaled(equations: NormalEquations, std: Array) -> NormalEquations:
@@ -277,7 +282,7 @@ class _Search:
         return _Point(scales, factors, -likelihood - scales.log_prior())
 
     def step(self, point: _Point) -> tuple[Array, float]:
-        """Return the scoring step (1 + V, A) of the logarithms of variances and shares, and its predicted gain.
+        """Return the scoring step (A + V B,) of the logarithms of variances and shares, and its predicted gain.
 
         What views say of each other's scales is left out of the information: it is little, and would be a matrix of all
         views by all views.
@@ -290,12 +295,14 @@ class _Search:
         slope, own_slope = scales.prior_slopes()
         curvature, own_curvature = scales.prior_curvatures()
         # the shares of a view follow the variances: they are eliminated as poses are from the lens
-        own = information + own_curvature[:, :, None] * np.eye(len(member))
-        right = np.concatenate([information, (score + own_slope)[:, :, None]], axis=2)
+        belongs = (scales.share_of[:, None] == np.arange(scales.shares.shape[1])).astype(float)
+        cross, own_gradient = information @ belongs, score @ belongs + own_slope
+        own = belongs.T @ cross + own_curvature[:, :, None] * np.eye(belongs.shape[1])
+        right = np.concatenate([cross.transpose(0, 2, 1), own_gradient[:, :, None]], axis=2)
         gone = np.linalg.solve(own, right)
-        reduced = (information - information @ gone[:, :, :-1]).sum(axis=0) + np.diag(curvature)
+        reduced = (information - cross @ gone[:, :, :-1]).sum(axis=0) + np.diag(curvature)
         gradient = score.sum(axis=0) + slope
-        change = np.linalg.solve(reduced, gradient - (information @ gone[:, :, -1:]).sum(axis=0)[:, 0])
+        change = np.linalg.solve(reduced, gradient - (cross @ gone[:, :, -1:]).sum(axis=0)[:, 0])
         shares = gone[:, :, -1] - gone[:, :, :-1] @ change
-        change = np.clip(np.concatenate([change[None], shares]), -_LONGEST, _LONGEST)
-        return change, 0.5 * float(gradient @ change[0] + np.sum((score + own_slope) * change[1:]))
+        step = np.clip(np.concatenate([change, shares.ravel()]), -_LONGEST, _LONGEST)
+        return step, 0.5 * float(np.concatenate([gradient, own_gradient.ravel()]) @ step)

@@ -130,21 +130,38 @@ def _weighted_by_evidence(weights: Array, evidence: float) -> Array:
 
 
 def covariance_of(
-    estimates: Sequence[Solution], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float = 1.0
+    estimates: Sequence[Solution],
+    left_out: Sequence[Array],
+    metric: Array,
+    weights: Array,
+    evidence: float = 1.0,
+    blocks: Sequence[slice] = (slice(None),),
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
-    than the estimates claim. Its shape is that of the same scatter, which G views determine in as many directions only,
-    drawn towards the claimed one as by D further views. Without evidence for errors within views, the claimed one
-    is right and CR3 too large, unless the views are too few to show such errors.
+    than the estimates claim; blocks: of the metric's parameters, each with a scale of its own. Its shape is that of the
+    same scatter, which G views determine in as many directions only, drawn towards the claimed one as by D further
+    views. Without evidence for errors within views, the claimed one is right and CR3 too large, unless the views are
+    too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
     scatter = _scatter(estimates, left_out, metric, weights, evidence)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
-    claimed_px, scatter_px = (float(np.sum(own[:lens, :lens] * metric)) for own in (claimed, scatter))
-    mixed = (views * scatter + size * scatter_px / claimed_px * claimed) / (views + size)
-    mixed *= max(claimed_px / scatter_px, 1.0)
+
+    def ratio(chosen: slice) -> float:
+        scatter_px, claimed_px = (
+            float(np.sum(own[:lens, :lens][chosen, chosen] * metric[chosen, chosen])) for own in (scatter, claimed)
+        )
+        return scatter_px / claimed_px
+
+    ratios = np.full(size, ratio(slice(None)))
+    for chosen in blocks:
+        ratios[:lens][chosen] = ratio(chosen)
+    scale = np.sqrt(ratios)
+    mixed = (views * scatter + size * np.outer(scale, scale) * claimed) / (views + size)
+    least = np.maximum(1 / scale, 1.0)
+    mixed *= np.outer(least, least)
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)
     return np.asarray(doubted * mixed + (1 - doubted) * claimed)
 

@@ -340,6 +340,22 @@ def test_the_covariance_moves_the_image_as_the_scatter_does_and_no_less_than_is_
     np.testing.assert_allclose(found, found.T, rtol=1e-12)
 
 
+def test_blocks_of_the_covariance_have_the_scale_of_their_own_scatter():
+    rng = np.random.default_rng(22)
+    metric, (moved,) = np.eye(LENS), drawn(rng, 1.0, views=8)
+    blocks = slice(0, 1), slice(1, LENS)
+    moved[:, :1] *= 5.0
+    scatter, claimed = moved.T @ moved, np.eye(LENS + 2)
+    claimed *= 0.1 * in_image(scatter, metric) / in_image(claimed, metric)
+    given = *made(rng, [moved], claimed), metric, np.ones(1)
+    found, whole = covariance_of(*given, blocks=blocks), covariance_of(*given)
+    for block in blocks:
+        own = np.trace(scatter[block, block])
+        assert np.trace(found[block, block]) == pytest.approx(max(own, np.trace(claimed[block, block])), rel=1e-9)
+    assert found[0, 0] > whole[0, 0], "one scale for all takes from what scatters more"
+    assert np.linalg.eigvalsh(found).min() > 0
+
+
 def test_many_views_give_the_covariance_its_shape():
     rng = np.random.default_rng(21)
     metric, (moved,) = metric_of(rng), drawn(rng, 1.0, views=500)

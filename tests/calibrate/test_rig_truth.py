@@ -196,6 +196,14 @@ def test_motion_between_the_exposures_is_found_and_counted():
 
 
 @pytest.mark.slow
+def test_errors_that_differ_less_between_captures_than_within_them_are_not_taken_for_motion():
+    own = two_cameras()
+    result = solve(seen_by(own, 20, 3, motion=2e-5), own)  # 0.02 mm are 0.01 px, the noise is 0.1 px
+    assert result.motion is None
+    assert square_of(result, own) < chi2.ppf(0.9999, 6)
+
+
+@pytest.mark.slow
 def test_claimed_standard_deviations_are_those_of_repeated_measurements(rig):
     where = scenes.scene(rig, 10, 1)
     results = [solve(scenes.observed(where, Errors(0.1), seed), rig, shape=FLAT) for seed in range(30)]

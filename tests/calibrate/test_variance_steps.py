@@ -43,10 +43,33 @@ def test_slopes_and_curvatures_are_those_of_the_prior():
 
 def test_scales_move_by_the_exponentials_of_a_change():
     start, change = scales(5), np.random.default_rng(5).normal(size=(1 + VIEWS, 3))
-    found, expected = start.moved(change), moved(start, change.ravel())
+    found, expected = start.moved(change.ravel()), moved(start, change.ravel())
     np.testing.assert_allclose(found.variances, expected.variances, rtol=1e-12)
     np.testing.assert_allclose(found.shares, expected.shares, rtol=1e-12)
     np.testing.assert_array_equal(found.typical, start.typical)
+
+
+def test_effects_with_one_share_are_larger_or_smaller_together_in_a_view():
+    model, typical = mixed(seed=3), np.full(3, 0.1)
+    apart = EffectScales(typical, np.ones((VIEWS, 3)), typical)
+    joined = EffectScales(typical, np.ones((VIEWS, 2)), typical, np.array([0, 0, 1]), np.array([4.0, 1.0]))
+    effect = columns_of(model).effect
+    for _ in range(20):
+        joined = fit_effects(model.equations(), effect, joined)
+    np.testing.assert_allclose(
+        joined.std(effect)[:, effect == 1] ** 2 / joined.std(effect)[:, effect == 0][:, :1] ** 2,
+        joined.variances[1] / joined.variances[0],
+        rtol=1e-12,
+    )
+    search = effects._Search.of(model.equations(), effect)
+    best, length = search.at(joined), 1e-3
+    for way in np.eye(3 + 2 * VIEWS):
+        there, back = (search.at(joined.moved(sign * length * way)).unlikeliness for sign in (1, -1))
+        # level, as far as the last step promised a thousandth of a logarithm at most
+        assert abs(there - back) / (2 * length) < 0.1
+        assert there + back > 2 * best.unlikeliness, "the likeliest, not the least likely"
+    assert np.abs(np.log(joined.shares)).max() > 0.05, "views differ"
+    assert search.at(apart).unlikeliness > best.unlikeliness
 
 
 def likeliest(model):

@@ -207,7 +207,7 @@ def _record(
         for camera, name in enumerate(names)
     }
     count, motion = problem.board_start, _motion(result)
-    squares, counts = epipolar_by_capture(result, len(captures))
+    squares, counts = epipolar_by_capture(result.problem, result.state)
     warnings = [Message("unlinked_camera", f"not in the rig: {why}", where=name) for name, why in unlinked.items()]
     if motion is not None and _shows(result, motion):
         text = (

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, FLEX, Effect, EffectColumns, EffectScales
+from camcal.calibrate.effects import EFFECTS, FLEX, SHARE_DOF, Effect, EffectColumns, EffectScales
 from camcal.calibrate.problem import POSE, Derivatives, State
 from camcal.calibrate.rigs.problem import RigProblem
 from camcal.cameras.reprojection import by_pose
@@ -20,7 +20,9 @@ from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 
 SHIFT, TURN = Effect("shift", 3, of_board=True), Effect("turn", 3, of_board=True)
-KINDS = (*EFFECTS, SHIFT, TURN)
+MOTION = (SHIFT, TURN)
+KINDS = (*EFFECTS, *MOTION)
+_MOTION_DOF = 1.0  # as SHARE_DOF: a board held by hand is still in most captures, and moves far in some
 _FLEX, _SHIFT, _TURN = KINDS.index(FLEX), KINDS.index(SHIFT), KINDS.index(TURN)
 
 
@@ -63,7 +65,13 @@ class CaptureEffects:
             (1e-4 * side) ** 2 if KINDS[kind].of_board else (0.3 * sigmas[camera or 0]) ** 2
             for camera, kind in self.kinds
         ]
-        return EffectScales(np.array(typical), np.ones((captures, len(typical))), np.array(typical))
+        # a board that was held still between two exposures neither shifted nor turned
+        owners = [(KINDS[kind] not in MOTION and kind, camera) for camera, kind in self.kinds]
+        places = {owner: place for place, owner in enumerate(dict.fromkeys(owners))}
+        share_of = np.array([places[owner] for owner in owners], np.intp)
+        share_dof = np.full(len(places), SHARE_DOF)
+        share_dof[share_of[[KINDS[kind] in MOTION for _, kind in self.kinds]]] = _MOTION_DOF
+        return EffectScales(np.array(typical), np.ones((captures, len(places))), np.array(typical), share_of, share_dof)
 
     def of_kinds(self, *effects: Effect) -> Array:
         """Return which coefficients (m,) are of some effects, of whichever camera."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from camcal.calibrate.intrinsics import Solved
 from camcal.calibrate.jackknife import covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.effects import CaptureEffects, motion_columns, moved_poses, moved_views, with_motion
+from camcal.calibrate.rigs.epipolar import between_captures
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
 from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
@@ -26,7 +28,9 @@ from camcal.solve.steps import SingularError
 _LOSS, _ROUGH, _POSING = Cauchy(3.0), Stopping(relative_decrease=1e-6, iterations=30), Stopping(iterations=5)
 _ROUNDS = 4
 _EFFECTS = ((SMOOTH.name,), tuple(effect.name for effect in EFFECTS))
-_CERTAIN = 10.0  # gain of the restricted log likelihood by motion of the board between exposures that is used
+# Motion of the board between exposures is used: the gain of the restricted log likelihood by it, and epipolar errors
+# between captures over those within them.
+_CERTAIN, _BETWEEN = 10.0, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +112,7 @@ def fit_rig(
             for own, captures in zip(turns, problem.captures, strict=True)
         )
         plain = estimate_rig(problem, state, additional, known, plains[0].board)
-    moves = motion_gain(plain) > _CERTAIN if motion is None else motion
+    moves = moved_between_exposures(plain) if motion is None else motion
     if moves:
         # from the noise of single cameras: to a rig without motion, views whose board moved look noisy
         plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=True)
@@ -189,6 +193,15 @@ def _robust(problem: RigProblem, state: RigState) -> RigProblem:
     return problem.with_parts(parts)
 
 
+def moved_between_exposures(plain: RigEstimate) -> bool:
+    """Return whether the board moved between exposures by more than corners scatter.
+
+    A lens that is described badly shifts the corners of a capture as well, but less than corners scatter: there, motion
+    would take from the estimate of the lens.
+    """
+    return between_captures(plain.problem, plain.state) > _BETWEEN and motion_gain(plain) > _CERTAIN
+
+
 def motion_gain(plain: RigEstimate) -> float:
     """Return the gain of the restricted log likelihood that motion of the board between exposures brings beside smooth
     errors within views, which could look like it.
@@ -234,7 +247,8 @@ def _averaged(
         metric = np.eye(plain.problem.board_start)
     left_out = [influence(own) for own in estimates]
     weights = weights_of(left_out, metric, share)
-    covariance = covariance_of(estimates, left_out, metric, weights, max(share, float(plain.motion)))
+    evidence, blocks = max(share, float(plain.motion)), _blocks(plain.problem)
+    covariance = covariance_of(estimates, left_out, metric, weights, evidence, blocks)
     state = plain.state
     if len(estimates) > 1:
         state = _mean([own.state for own in estimates], weights)
@@ -285,6 +299,12 @@ def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array | Non
             own = np.einsum("dim,m,djm->ij", slopes, weights, slopes) / weights.sum()
             result[np.ix_(columns, columns)] = own
     return result
+
+
+def _blocks(problem: RigProblem) -> list[slice]:
+    """Return where the free parameters of each lens, and those of each camera's pose are."""
+    starts = [*problem.lens_starts, *range(problem.lens_starts[-1] + POSE, problem.board_start + 1, POSE)]
+    return [slice(*ends) for ends in pairwise(starts) if ends[0] < ends[1]]
 
 
 def _mean(states: Sequence[RigState], weights: Array) -> RigState:
