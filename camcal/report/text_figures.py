@@ -9,6 +9,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import ImageCircle
 from camcal.quality.assess import coverage
 from camcal.report.letters import Letters, letters
+from camcal.report.uncertain import number_text
 
 _CELL = 2.0  # height of a letter over its width
 _GAP = 3
@@ -131,6 +132,6 @@ def coverage_words(calibration: Calibration, circle: ImageCircle | None) -> str:
 
 def residual_words(calibration: Calibration) -> str:
     """Return how the residuals spread beside a normal distribution, in a line."""
-    deviations = np.abs(calibration.residuals) / max(calibration.sigma_px, 1e-12)
-    beyond = 100 * float((deviations > 2).mean())
-    return f"{beyond:.1f} % beyond 2 sigma (normal: 4.6 %), the largest {deviations.max():.1f} sigma"
+    beyond = 100 * float((np.abs(calibration.residuals) > 2 * calibration.sigma_px).mean())
+    largest = float(np.linalg.norm(calibration.residuals, axis=1).max(initial=0.0))
+    return f"{beyond:.1f} % beyond 2 sigma (normal: 4.6 %), the largest {number_text(largest, 2)} px"

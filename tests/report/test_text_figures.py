@@ -110,5 +110,6 @@ def test_the_lines_say_how_much_is_covered_and_how_residuals_spread(calibration)
     assert coverage_words(middle, None).startswith("corners in 1 % of the image, out to 0 % of its diagonal")
     circle = ImageCircle(SIZE, (639.5, 479.5), 300.0)
     assert "of the image circle" in coverage_words(calibration, circle)
+    assert residual_words(replace(calibration, residuals=np.array([[0.3, 0.4], [0, 0]]))).endswith("largest 0.5 px")
     share = float(residual_words(calibration).split(" %")[0])
     assert share == pytest.approx(4.6, abs=1.5)  # of some 1300 coordinates
