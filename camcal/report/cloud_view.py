@@ -201,14 +201,14 @@ def _document(scale: ColourScale) -> dict[str, Any]:
 
 
 def statistics(scene: CloudScene, packed: PackedCloud) -> str:
-    """Return a line that says what the page holds, what it leaves out, and how exact it is."""
+    """Return a line that says what the page holds, what it leaves out, and to what resolution it stores the points."""
     shown = packed.count + scene.outside
     points = f"{_count(shown)} points"
     if shown < scene.total:
         points = f"{_count(shown)} of {_count(scene.total)} points, taken evenly"
     outside = f"{_count(scene.outside)} of them far outside left out" if scene.outside else ""
     depth = f"half of them nearer than {scene.median_depth:.4g} {scene.unit}" if scene.from_camera else ""
-    exact = f"positions to ±{packed.error:.2g} {scene.unit}"
+    exact = f"stored to ±{packed.error:.2g} {scene.unit} (resolution of this page, not accuracy)"
     return " · ".join(filter(None, (points, outside, depth, exact, f"frame: {scene.frame}")))
 
 

@@ -223,12 +223,12 @@ def corner_overlay(gray: Array, view: BoardDetection) -> Array:
 
     A line through the points runs from id to id, blue at the first and red at the last; a green square is around the
     first one. Where it is known how sure points are, ellipses of one standard deviation take the place of rings,
-    enlarged by the factor that is said below. An image without points has the reason written over it.
+    enlarged by the factor that is said below. An image without points has the reason written over it, and red rings
+    around points that were refused.
     """
     canvas = Canvas.of(gray, MOST_WIDTH)
     if not view.found:
-        _write_reason(canvas, view.reason or "nothing found")
-        return canvas.captioned([view.image])
+        return _refused(canvas, view)
     order = np.argsort(view.ids, kind="stable")
     ids, pixels = view.ids[order], view.pixels[order]
     spacing = _spacing(pixels)
@@ -296,6 +296,19 @@ def _write_ids(canvas: Canvas, ids: Array, pixels: Array, spacing: float) -> Non
         place = canvas.place(pixels[index])
         if place is not None:
             canvas.write(str(ids[index]), place, _FIRST if index == 0 else _POINT, size)
+
+
+def _refused(canvas: Canvas, view: BoardDetection) -> Array:
+    """Return the picture of an image without points to use: rings around those that were refused, and the reason."""
+    width, lines = max(1, canvas.thickness), [view.image]
+    for pixel in view.refused:
+        place = canvas.place(pixel)
+        if place is not None:
+            canvas.circle(place, _RADIUS * width, _REASON, width)
+    if len(view.refused):
+        lines.append(f"red: {len(view.refused)} points that were found and are not used")
+    _write_reason(canvas, view.reason or "nothing found")
+    return canvas.captioned(lines)
 
 
 def _write_reason(canvas: Canvas, reason: str) -> None:

@@ -57,7 +57,8 @@ _FEWEST = 3  # features whose median stands for a cell
 _LEAST_SCALE = 0.5  # px that full colour stands for, at least: what does no harm is to look harmless
 _LEAST_SLOPE = 0.05  # px across the image that are worth lines
 _ROOM = 1.25  # above a histogram, for the legend
-_STYLE: dict[Any, Any] = {"font.size": 9}
+_GAP = 0.12  # inches between the headline and the panels, and between these
+_STYLE: dict[Any, Any] = {"font.size": 9, "axes.titlesize": 9, "figure.constrained_layout.h_pad": _GAP}
 
 
 def robust_range(values: Array) -> tuple[float, float]:

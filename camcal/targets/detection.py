@@ -28,7 +28,7 @@ class BoardDetection:
     orientation: the EXIF tag 1…8 (never applied). sha256: of the file, where it was read, or of a frame's gray
     levels. other: the board in sight that is not the one that was searched for. colours: the same points by the samples
     of one colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN
-    where they were not measured.
+    where they were not measured. refused: (M, 2) px, points of a pattern that is not taken for the board; for pictures.
     """
 
     image: str = ""
@@ -46,17 +46,20 @@ class BoardDetection:
     blur_px: float = float("nan")
     motion_px: float = float("nan")
     sha256: str | None = None
+    refused: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", readonly(self.ids, (None,), "ids", np.intp))
         object.__setattr__(self, "pixels", readonly(self.pixels, (len(self.ids), 2), "pixels"))
+        object.__setattr__(self, "refused", readonly(self.refused, (None, 2), "refused points"))
         if self.covariance is not None:
             object.__setattr__(self, "covariance", readonly(self.covariance, (len(self.ids), 2, 2), "covariance"))
 
     @classmethod
-    def nothing(cls, reason: str, other: Board | None = None) -> "BoardDetection":
-        """Return the record of an image without points to use."""
-        return cls(reason=reason, other=other)
+    def nothing(cls, reason: str, other: Board | None = None, refused: Array | None = None) -> "BoardDetection":
+        """Return the record of an image without points to use; refused: (..., 2) px, NaN where there is no point."""
+        points = np.zeros((0, 2)) if refused is None else refused.reshape(-1, 2)
+        return cls(reason=reason, other=other, refused=points[np.isfinite(points).all(axis=1)])
 
     @classmethod
     def of(cls, grid: Array, covariance: Array | None = None) -> "BoardDetection":
@@ -67,9 +70,9 @@ class BoardDetection:
         found = ~np.isnan(grid[..., 0])
         count = int(found.sum())
         if count < MIN_CORNERS:
-            return cls.nothing(f"only {counted(count, 'corner')}" if count else "no corner found")
+            return cls.nothing(f"only {counted(count, 'corner')}" if count else "no corner found", refused=grid)
         if min(found.any(axis=0).sum(), found.any(axis=1).sum()) < 2:
-            return cls.nothing(f"only {count} corners, all collinear")
+            return cls.nothing(f"only {count} corners, all collinear", refused=grid)
         known = None if covariance is None else covariance[found]
         return cls(ids=np.flatnonzero(found), pixels=grid[found], covariance=known)
 

@@ -68,7 +68,7 @@ def test_what_is_thinned_and_what_is_exact_is_said():
     assert facts_of(text)["statistics"].startswith(
         "1 000 of 12 800 points, taken evenly".replace(" 000", "\u202f000").replace(" 800", "\u202f800")
     )
-    assert "positions to ±" in facts_of(text)["statistics"]
+    assert re.search(r"stored to ±\S+ m \(resolution of this page, not accuracy\)", facts_of(text)["statistics"])
 
 
 def test_planes_hold_differences_of_steps():

@@ -1,9 +1,13 @@
 """Pictures of corners: marks stand where corners are, in a small image as in a large one, and words say the rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from camcal.report.overlays import MOST_WIDTH, Canvas, corner_overlay
+from camcal.targets.board import Board
+from camcal.targets.detect import detect
 from camcal.targets.detection import BoardDetection
 
 GREEN, YELLOW = (80, 255, 80), (0, 235, 255)  # blue, green, red
@@ -125,3 +129,29 @@ def test_reduced_pictures_keep_the_places_of_pixels():
     assert canvas.pixels.shape == (1000, 1667, 3)
     assert canvas.place(np.array([1.0, 1.0])) == (0, 0)  # the middle of the first three by three pixels
     assert canvas.place(np.array([np.nan, 1.0])) is None
+
+
+def test_points_that_were_refused_have_red_rings_and_are_counted():
+    refused = np.array([[200.0, 300.0], [240.0, 300.0], [np.nan, np.nan]])
+    nothing = replace(BoardDetection.nothing("only 2 corners", refused=refused), image="a.png")
+    assert nothing.refused.shape == (2, 2)
+    picture = corner_overlay(gray(), nothing)
+    rings = of_colour(picture, (70, 70, 255))
+    for pixel in refused[:2]:
+        distances = np.linalg.norm(rings - pixel, axis=1)
+        assert ((distances > 2) & (distances < 7)).sum() > 8
+    without = corner_overlay(gray(), BoardDetection("a.png", reason="only 2 corners"))
+    assert picture.shape[0] > without.shape[0]  # the line that counts them
+
+
+def test_a_board_of_another_size_keeps_the_points_that_it_is_refused_with():
+    board = np.full((480, 640), 200, np.uint8)
+    for row in range(6):
+        for column in range(9):
+            if (row + column) % 2:
+                board[60 + 50 * row : 110 + 50 * row, 80 + 50 * column : 130 + 50 * column] = 40
+    seen = detect(board, Board("chessboard", 10, 7))
+    assert "8 x 5" in seen.reason
+    corners = np.stack(np.meshgrid(130 + 50 * np.arange(8), 110 + 50 * np.arange(5)), axis=-1).reshape(-1, 2) - 0.5
+    nearest = np.linalg.norm(seen.refused[:, None] - corners, axis=2).min(axis=1)
+    assert (len(seen.refused), nearest.max() < 1) == (40, True)

@@ -9,6 +9,7 @@ have the colours of the board, end where the image shows the board to end, and h
 Nothing is guessed: if more than one is left that a look at the board could tell apart, the pattern has no place.
 """
 
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -60,7 +61,8 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
     if not whole and (not partial or min(checker.grid.shape[:2]) < LEAST_PART):
         return _part_or_another(gray, checker, board)
     if whole and not partial and checker.found.mean() < MIN_SHARE:
-        return BoardDetection.nothing(f"only {int(checker.found.sum())} of {board.count} usable corners")
+        reason = f"only {int(checker.found.sum())} of {board.count} usable corners"
+        return BoardDetection.nothing(reason, refused=checker.grid)
     places = fitting(checker, board)
     if not whole:
         places = ending(gray, checker, places, board)
@@ -70,9 +72,10 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
     if grid is not None:
         return BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
     if whole and board.dots:
-        return BoardDetection.nothing("the three dots that define its orientation are not visible")
+        reason = "the three dots that define its orientation are not visible"
+        return BoardDetection.nothing(reason, refused=checker.grid)
     seen = _part_or_another(gray, checker, board)
-    return BoardDetection.nothing(f"{seen.reason}, which part of the board is ambiguous", seen.other)
+    return replace(seen, reason=f"{seen.reason}, which part of the board is ambiguous")
 
 
 def _part_or_another(gray: Array, checker: Checker, board: Board) -> BoardDetection:
@@ -82,10 +85,12 @@ def _part_or_another(gray: Array, checker: Checker, board: Board) -> BoardDetect
     other = board.of_size(*size)
     seen, wanted = f"{size[0]} x {size[1]}", f"{board.columns} x {board.rows}"
     if size[0] > max(board.columns, board.rows) or size[1] > min(board.columns, board.rows):
-        return BoardDetection.nothing(f"a checker pattern of {seen} corners, not {wanted}", other)
+        reason = f"a checker pattern of {seen} corners, not {wanted}"
+        return BoardDetection.nothing(reason, other, checker.grid)
     if _leaves(gray, checker.grid):
-        return BoardDetection.nothing(f"board partly outside the image ({seen} corners visible)")
-    return BoardDetection.nothing(f"only {seen} of {wanted} corners visible", other)
+        reason = f"board partly outside the image ({seen} corners visible)"
+        return BoardDetection.nothing(reason, refused=checker.grid)
+    return BoardDetection.nothing(f"only {seen} of {wanted} corners visible", other, checker.grid)
 
 
 def _leaves(gray: Array, pattern: Array) -> bool:

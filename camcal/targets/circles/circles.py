@@ -79,7 +79,8 @@ def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> 
     fits = fit_discs(gray, start)
     good = _good(fits)
     if good.sum() < MIN_SHARE * board.count:
-        return BoardDetection.nothing(f"only {int(good.sum())} of {board.count} usable circles")
+        reason = f"only {int(good.sum())} of {board.count} usable circles"
+        return BoardDetection.nothing(reason, refused=fits.ellipses.take(good).centres)
     points = board.points()[good, :2] / board.spacing
     radius = None if board.diameter is None else board.diameter / board.spacing / 2
     pixels = projected_centres(fits.ellipses.take(good), points, radius, (width, height))
@@ -232,16 +233,16 @@ class OtherGrid:
         if self.like.type == ASYMMETRIC_CIRCLES and _checkered(gray, self.count):
             return BoardDetection.nothing(f"a checker pattern visible, no {board.words}")
         size = gray.shape[1], gray.shape[0]
-        beyond = self._next(size)
+        beyond, circles = self._next(size), self.ellipses.centres[self.drawn[self.drawn >= 0]]
         if self._leaves(beyond, size):
-            return BoardDetection.nothing(
-                f"board partly outside the image ({self.count} circles visible, not {wanted})"
-            )
+            reason = f"board partly outside the image ({self.count} circles visible, not {wanted})"
+            return BoardDetection.nothing(reason, refused=circles)
         if other is None or self.count < _FILLED * other.count or not self.whole or self._goes_on(beyond):
-            return BoardDetection.nothing(f"part of a grid visible ({self.count} circles), not {wanted}")
+            reason = f"part of a grid visible ({self.count} circles), not {wanted}"
+            return BoardDetection.nothing(reason, refused=circles)
         kind = "an asymmetric grid" if other.type == ASYMMETRIC_CIRCLES else "a grid"
         seen = f"{other.columns} x {other.rows}"
-        return BoardDetection.nothing(f"{kind} of {seen} circles visible, not {wanted}", other)
+        return BoardDetection.nothing(f"{kind} of {seen} circles visible, not {wanted}", other, circles)
 
     def _next(self, size: tuple[int, int]) -> tuple[Array, ...]:
         """Return where the next circles beyond each side would be (K, 2) px, nothing where that is unknown."""
