@@ -15,7 +15,7 @@ from run_page import PAGES, PROJECT, README, run
 
 FOLDER = PROJECT / "docs" / "pictures"
 COLOURS = 64
-MORE_COLOURS = {"readme-disparity", "readme-uncertainty", "stereo-depth"}  # scales of colours
+MORE_COLOURS = {"readme-disparity", "readme-uncertainty", "stereo-depth", "tutorial-uncertainty"}  # scales of colours
 GAP = 8  # pixels between pictures side by side
 Maker = Callable[[Path], Image.Image]
 
@@ -75,6 +75,7 @@ PICTURES: dict[str, dict[str, Maker]] = {
     "tutorial": {
         "tutorial-board": one("target.pdf", 700),
         "tutorial-corners": one("drawn/view0003_corners.png", 640),
+        "tutorial-uncertainty": one("figures/projection_uncertainty.png", 640),
         "tutorial-straight": row(440, "phone/images/view0010.png", "straight/view0010.png"),
     },
     "action-camera": {
