@@ -15,7 +15,13 @@ from run_page import PAGES, PROJECT, README, run
 
 FOLDER = PROJECT / "docs" / "pictures"
 COLOURS = 64
-MORE_COLOURS = {"readme-disparity", "readme-uncertainty", "stereo-depth", "tutorial-uncertainty"}  # scales of colours
+MORE_COLOURS = {
+    "industrial-camera",
+    "readme-disparity",
+    "readme-uncertainty",
+    "stereo-depth",
+    "tutorial-uncertainty",
+}  # scales of colours
 GAP = 8  # pixels between pictures side by side
 Maker = Callable[[Path], Image.Image]
 
@@ -87,8 +93,8 @@ PICTURES: dict[str, dict[str, Maker]] = {
     },
     "industrial-camera": {
         "industrial-camera": row(
-            *(290, "bayer/images/view0000.png", "colour/view0000.tiff", "straight/view0000.tiff"),
-            cut=(0.0, 0.0, 0.16, 0.16),
+            *(290, "bayer/images/view0013.png", "colour/view0013.tiff", "straight/view0013.tiff"),
+            cut=(0.84, 0.64, 0.96, 0.76),
         ),
     },
     "stereo-depth": {
