@@ -251,15 +251,20 @@ def session() -> Iterator[Session]:
 
 
 def warning(message: Message) -> None:
-    """Print a warning to stderr."""
-    _collect(message)
-    _complain("warning", str(message))
+    """Print a warning to stderr, once in a command."""
+    if _is_new(message):
+        _complain("warning", str(message))
 
 
-def _collect(message: Message) -> None:
+def _is_new(message: Message) -> bool:
+    """Return whether a command warns of something for the first time, and keep it for its document."""
     session = _session.get()
-    if session is not None:
+    if session is None:
+        return True
+    new = message not in session.warnings
+    if new:
         session.warnings.append(message)
+    return new
 
 
 def error(message: str) -> None:
@@ -328,8 +333,7 @@ class _Terminal:
         if self.bar is None:
             warning(message)
             return
-        _collect(message)
-        for line in _lines("warning", str(message)):
+        for line in _lines("warning", str(message)) if _is_new(message) else ():
             self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 

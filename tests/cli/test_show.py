@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from camcal.cli import show
+from camcal.messages import Message
 
 
 def test_a_document_is_plain_json_with_its_schema_first(capsys):
@@ -166,3 +167,11 @@ def test_a_verdict_is_a_sentence_and_a_calibration_has_one_or_its_failures(capsy
         "DO NOT TRUST: few views",
         "DO NOT TRUST: no tilt",
     ]
+
+
+def test_a_command_warns_of_one_thing_once(capsys):
+    with show.session() as session:
+        for code, text in (("few_views", "2 views"), ("few_views", "2 views"), ("few_views", "3 views")):
+            show.progress(quiet=True).warn(Message(code, text))
+    assert capsys.readouterr().err == "camcal: warning: 2 views\ncamcal: warning: 3 views\n"
+    assert [message.text for message in session.warnings] == ["2 views", "3 views"]
